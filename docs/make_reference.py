@@ -65,7 +65,7 @@ def _options(options: type) -> list[tuple[str, str]]:
 
 
 def _typed(name: str, hint: Any, said: list[Any]) -> str:
-    """The option with its short form and what is typed behind it."""
+    """The option with its short form, what is typed behind it, and its other name."""
     metavar = next((each.metavar for each in said if getattr(each, "metavar", None)), "")
     if tyro.conf.Positional in said:
         return f"`{metavar}`"
@@ -75,13 +75,14 @@ def _typed(name: str, hint: Any, said: list[Any]) -> str:
     short = next((each.aliases for each in said if getattr(each, "aliases", None)), ())
     name = next((each.name for each in said if getattr(each, "name", None)), name)
     option = f"--{name.replace('_', '-')} {behind}".strip()
-    return ", ".join(f"`{each}`" for each in (*short, option))
+    names = sorted((*short, option), key=lambda each: (each.startswith("--"), each != option))
+    return ", ".join(f"`{each}`" for each in names)
 
 
 def _default(field: dataclasses.Field, said: list[Any]) -> str:
     hint = next((h for each in said if (h := getattr(each, "help_behavior_hint", None))), None)
     if isinstance(hint, str):
-        return "" if hint == "(default: none)" else hint
+        return "" if hint in ("(default: none)", "(optional)") else hint
     if field.default is dataclasses.MISSING:
         return "(required)"
     if field.default in (None, False, ()):

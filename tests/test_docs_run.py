@@ -43,7 +43,7 @@ PAGES = {path.name: path for path in (*sorted((ROOT / "docs").glob("*.md")), ROO
 # Commands that do not run here, and why. Each still stands on a page.
 NOT_RUN = {
     "pip install .": "installs; .ci/run does it",
-    "trinoc watch shots --pattern sheet.json": "waits for pictures until Ctrl-C",
+    "trinoc watch shots --board sheet.json": "waits for pictures until Ctrl-C",
     "export TRINOC_DATA=DIR": "DIR is the reader's",
     "python benchmarks/make_data.py DIR": "a benchmark",
     "python benchmarks/render_pictures.py blocks DIR/blocks --seeds $(seq 0 29)": "needs POV-Ray",

@@ -317,7 +317,9 @@ def test_the_command_matches_as_the_library_does(recording, tmp_path, capsys):
     [
         (["--shard", "3/2"], "--shard 3/2 is no job"),
         (["--shard", "x"], "--shard x is no job"),
-        (["--threads", "0"], "--threads is 0"),
+        (["--workers", "0"], "--workers is 0"),
+        (["--workers", "four"], "give a number of threads"),
+        (["--find", "arcs=perhaps"], "neither yes nor no"),
         (["--memory-gb", "-1"], "--memory-gb is -1"),
         (["--depth-range-mm", "5", "1"], "holds no depth"),
     ],

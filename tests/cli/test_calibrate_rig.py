@@ -11,15 +11,23 @@ from trinoc.io import load_target
 
 
 @pytest.mark.parametrize(
-    ("board", "corners"), [("chessboard", 24), ("charuco", 24), ("aprilgrid", 140)]
+    ("board", "corners"),
+    [
+        (("chessboard", "square_mm=20"), 24),
+        (("charuco", "square_mm=20", "marker_mm=14", "dictionary=5x5_250"), 24),
+        (("aprilgrid", "tag_mm=20", "first=3"), 140),
+    ],
 )
 def test_a_board_is_drawn_with_its_layout(board, corners, tmp_path, capsys):
     layout = tmp_path / "board.json"
-    size = ["--rows", "5", "--columns", "7", "--square-mm", "20", "--tag-mm", "20"]
-    assert main(["pattern", "--board", board, *size, "-o", str(layout), "--json"]) == 0
+    size = ["--rows", "5", "--columns", "7"]
+    assert main(["pattern", *board, *size, "-o", str(layout), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["corners"] == corners
     assert len(load_target(layout)) == corners
     assert "<polygon" in layout.with_suffix(".svg").read_text()
+    again = tmp_path / "again.json"
+    assert main(["pattern", str(layout), "--paper", "a3", "-o", str(again)]) == 0
+    assert again.read_text() == layout.read_text()
 
 
 @pytest.mark.parametrize(
@@ -36,7 +44,7 @@ def test_mistakes_are_told_in_one_sentence(places, says, status, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pictures").mkdir()
     cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
-    assert main(["pattern", "--board", "charuco", "-o", "board.json", "--quiet"]) == 0
+    assert main(["pattern", "charuco", "-o", "board.json", "--quiet"]) == 0
     capsys.readouterr()
     assert main(["calibrate-rig", *places, "--board", "board.json", "--quiet"]) == status
     assert says in capsys.readouterr().err
@@ -47,9 +55,9 @@ def test_boards_that_look_alike_are_told_apart_by_their_first_marker(tmp_path, m
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pictures").mkdir()
     cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
-    size = ["--rows", "4", "--columns", "5", "--board", "aprilgrid", "--quiet"]
+    size = ["--rows", "4", "--columns", "5", "--quiet"]
     for name, first in (("front", "0"), ("back", "19"), ("side", "20")):
-        assert main(["pattern", *size, "--first", first, "-o", f"{name}.json"]) == 0
+        assert main(["pattern", "aprilgrid", f"first={first}", *size, "-o", f"{name}.json"]) == 0
     capsys.readouterr()
     both = ["calibrate-rig", "left=pictures", "--quiet", "--board", "front.json", "--board"]
     assert main([*both, "back.json"]) == 1
@@ -64,7 +72,7 @@ def test_a_set_from_pixels_is_refused_by_the_option_and_not_by_its_name_in_pytho
 ):
     monkeypatch.chdir(tmp_path)
     for board in ("charuco", "chessboard"):
-        assert main(["pattern", "--board", board, "-o", f"{board}.json", "--quiet"]) == 0
+        assert main(["pattern", board, "-o", f"{board}.json", "--quiet"]) == 0
     (tmp_path / "pictures").mkdir()
     cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
     options = ["--method", "pixels", "--board", "charuco.json", "--board", "chessboard.json"]

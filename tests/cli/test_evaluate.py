@@ -58,8 +58,8 @@ def of_matches(truth="edges.csv", *more):
 
 def test_pictures_with_two_settings_of_which_one_fails(run, folder):
     status, out, err = run(
-        *PICTURES, "--rig", "rig.json", "--truth", TRUTH, "--tolerance-px", "-1", "1.6",
-        "--stages", "all", "trinocular", "-o", "demo.csv", "--plot", "demo.svg", "--json",
+        *PICTURES, "--rig", "rig.json", "--truth", TRUTH, "--find", "tolerance_px=-1,1.6",
+        "--lines", "stage=all,trinocular", "-o", "demo.csv", "--plot", "demo.svg", "--json",
         quiet=False,
     )  # fmt: skip
     assert status == 0
@@ -95,7 +95,7 @@ def test_matches_of_a_box(run):
     assert row["completeness_0.1mm"] > 0.8
     assert row["distance_median_mm"] < 1e-3
     assert record["motions"] == [None]
-    inches = json.loads(run(*of_matches("inches.csv", "--unit-mm", "25.4", "--json"))[1])
+    inches = json.loads(run(*of_matches("inches.csv", "--shape", "unit_mm=25.4", "--json"))[1])
     assert inches["rows"][0]["completeness_0.1mm"] == row["completeness_0.1mm"]
     seen = json.loads(run(*of_matches("edges.csv", "--rig", "rig.json", "--json"))[1])
     assert "two cameras" in seen["wanted"]
@@ -116,7 +116,7 @@ def test_alignment_is_asked_for_and_said(run):
 
 def test_lines_are_joined_and_carried_to_corners(run):
     forms = "tracks", "joined", "corners"
-    arguments = of_matches("edges.csv", "--rig", "rig.json", "--forms", *forms)
+    arguments = of_matches("edges.csv", "--rig", "rig.json", "--lines", f"form={','.join(forms)}")
     record = json.loads(run(*arguments, "--json")[1])
     assert [row["form"] for row in record["rows"]] == list(forms)
     for row in record["rows"]:
@@ -130,10 +130,10 @@ WRONG_USAGE = {
     "neither": (("--truth", "edges.csv"), "either NAME=IMG"),
     "both": (("a=b.png", *of_matches()), "either NAME=IMG"),
     "no rig": (("a=b.png", "--truth", "edges.csv"), "add --rig"),
-    "a sweep of matches": (of_matches("edges.csv", "--tolerance-px", "1", "2"), "a setting"),
-    "joined without a rig": (of_matches("edges.csv", "--forms", "joined"), "add --rig"),
-    "a setting of matches": (of_matches("edges.csv", "--least-contrast", "9"), "a setting"),
-    "no value": (of_matches("edges.csv", "--stages", "--within-mm", "1"), "without a value"),
+    "a sweep of matches": (of_matches("edges.csv", "--find", "tolerance_px=1,2"), "a setting"),
+    "joined without a rig": (of_matches("edges.csv", "--lines", "form=joined"), "add --rig"),
+    "a setting of matches": (of_matches("edges.csv", "--find", "least_contrast=9"), "a setting"),
+    "no value": (of_matches("edges.csv", "--lines", "stage="), "has no value"),
 }
 REFUSED = {
     "no edges": (of_matches("nothing.csv"), "holds no edge"),
@@ -168,7 +168,7 @@ def test_lines_far_from_the_shape_are_said_and_not_refused(run, folder):
 
 def test_a_box_becomes_a_wire_frame_and_is_compared_with_its_edges(run, folder, capsys):
     status, out, _ = run(
-        *of_matches(), "--rig", "rig.json", "--forms", "wireframe", "-o", "frame.csv", "--json"
+        *of_matches(), "--rig", "rig.json", "--lines", "form=wireframe", "-o", "frame.csv", "--json"
     )
     assert status == 0
     (row,) = json.loads(out)["rows"]

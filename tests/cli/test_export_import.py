@@ -49,7 +49,7 @@ def test_a_rig_leaves_and_comes_back(run, name):
     keeps = name in ("opencv", "matlab")
     assert ("the covariance" in warned) != keeps
     more = [] if name not in ("kalibr",) else ["--names", "upper,right,left"]
-    lenses = ["--lenses", "rig.json"] if name == "tf" else []
+    lenses = ["--lens", "rig.json"] if name == "tf" else []
     status, said, warned = run("export", out, "--from", name, "-o", "back.json", *more, *lenses)
     assert (status, warned) == (0, "")
     assert f"3 cameras, {'with' if keeps else 'without'} covariance: " in said
@@ -68,7 +68,7 @@ def test_a_rig_leaves_and_comes_back(run, name):
 
 def test_poses_take_their_lenses_from_camera_files(run):
     assert run("export", "rig.json", "--to", "tf", "-o", "tf.json", "--quiet")[0] == 0
-    lenses = [word for name in RIG for word in ("--lenses", f"{name}=camera.json")]
+    lenses = [word for name in RIG for word in ("--lens", f"{name}=camera.json")]
     assert run("export", "tf.json", "--from", "tf", "-o", "back.json", *lenses)[0] == 0
     back = trinoc.load_rig("back.json")
     for own, camera in RIG.items():
@@ -133,7 +133,7 @@ WRONG_USAGE = {
     "only written": ("export", "x.ply", "--from", "ply", "-o", "x"),
     "a lens without a name": (
         *("export", "x.json", "--from", "tf", "-o", "y.json"),
-        *("--lenses", "=camera.json"),
+        *("--lens", "=camera.json"),
     ),
 }
 REFUSED = {
@@ -151,8 +151,8 @@ REFUSED = {
     ),
     "no folder": (("export", "rig.json", "--to", "colmap", "-o", "a/b"), "does not exist"),
     "no file to read": (("export", "no.yml", "--from", "opencv", "-o", "x.json"), "not exist"),
-    "no lenses": (("export", "other.json", "--from", "tf", "-o", "x.json"), "--lenses rig.json"),
-    "an ending": (("export", "tf.json", "--from", "tf", "-o", "x.npz", "--lenses", "rig.json"),
+    "no lenses": (("export", "other.json", "--from", "tf", "-o", "x.json"), "--lens rig.json"),
+    "an ending": (("export", "tf.json", "--from", "tf", "-o", "x.npz", "--lens", "rig.json"),
                   "is written as .json"),
 }  # fmt: skip
 

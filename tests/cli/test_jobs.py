@@ -12,12 +12,9 @@ from trinoc.io import demo_paths
 from trinoc.synth import table1_lens, table1_rig
 from trinoc.synth.camera_picture.render import render_sheet
 
-LENS = ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134")
+LENS = ("--lens-mm", "16", "0.0162", "0.0134")
 # Made pictures are of what is said of them.
-EXACT = (
-    *("--lens-exact", "--aim-sigma-mm", "0"),
-    *("--flatness-mm", "0", "--print-scale-sigma", "0", "0"),
-)
+EXACT = ("--sigma", "lens=0", "aim_mm=0", "flatness_mm=0", "print_scale=0")
 RIG = table1_rig()
 BOX_MM = np.array([[x, y, z] for x in (-30, 35) for y in (-25, 20) for z in (0, 30)], dtype=float)
 EDGES = [(a, b) for a in range(8) for b in range(a) if ((BOX_MM[a] != BOX_MM[b]).sum() == 1)]
@@ -85,7 +82,7 @@ def test_calibrate(run, folder, suffix):
             )
     origin = json.loads((folder / "made.json").read_text())["provenance"]
     assert origin["command"].startswith("trinoc calibrate upper=upper.")
-    assert set(origin["inputs"]) == {*RIG, "pattern"}
+    assert set(origin["inputs"]) == {*RIG, "board"}
     assert "trinoc calibrate" in (folder / "made.html").read_text(encoding="utf-8")
 
 

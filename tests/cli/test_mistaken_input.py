@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from trinoc.cli.views import doubts_table, read_rig
 from trinoc.io.rig_json import load_rig_status, save_rig
 from trinoc.synth import table1_rig
 
-LENS = ["--focal-length-mm", "16", "--pixel-pitch-mm"]
+LENS = ["--lens-mm", "16"]
 
 
 @pytest.mark.parametrize(
@@ -26,13 +27,16 @@ LENS = ["--focal-length-mm", "16", "--pixel-pitch-mm"]
     [
         ([*LENS, "16.2", "13.4"], "looks like micrometres: write 0.0162 0.0134 millimetres"),
         ([*LENS, "1.62e-5", "1.34e-5"], "looks like metres: write 0.0162 0.0134 millimetres"),
-        ([*LENS, ".01", ".01", "--print-scale-sigma", "nan", "nan"], "is nan: give a finite"),
-        ([*LENS, ".01", ".01", "--print-scale-sigma", "-1", "0"], "no standard deviation"),
-        ([*LENS, ".01", ".01", "--flatness-mm", "inf"], "--flatness-mm is inf"),
+        ([*LENS, ".01", ".01", "--sigma", "print_scale=nan"], "give a finite number"),
+        ([*LENS, ".01", ".01", "--sigma", "print_scale=-1,0"], "no standard deviation"),
+        ([*LENS, ".01", "inf"], "--lens-mm is inf"),
+        ([*LENS, ".01", ".01", "--sigma", "flatness=1"], "write flatness_mm=VALUE"),
+        ([*LENS, ".01", ".01", "--sigma", "b=none.png"], "files stand before the options"),
+        (["--lens-mm", "0.016", ".01", ".01"], "looks like metres: write 16 millimetres"),
     ],
 )
 def test_options_are_checked_before_any_file_is_read(arguments, said, capsys):
-    assert main(["calibrate", "a=none.png", "--pattern", "none.json", *arguments]) == 2
+    assert main(["calibrate", "a=none.png", "--board", "none.json", *arguments]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert said in err
@@ -50,11 +54,13 @@ def test_options_of_segments_are_checked_first(option, value, capsys):
 def test_names_of_python_are_said_as_options():
     @dataclasses.dataclass
     class Options:
-        parameters: int = 4
+        settings: ClassVar = {"sigma": ("flatness_mm",)}
+        method: str = "picture"
         tolerance_px: float = 1.0
 
-    said = in_options("use parameters=6; tolerance_px is -1", Options())
-    assert said == "use --parameters 6; --tolerance-px is -1"
+    said = in_options('use method="circles"; tolerance_px is -1, flatness_mm 0', Options())
+    assert said == "use --method circles; --tolerance-px is -1, --sigma flatness_mm 0"
+    assert in_options("use parameters=6", Options()) == "use --pose-model aim-free"
     of_a_file = 'a.json: "lens.tolerance_px" must be a number'
     assert in_options(of_a_file, Options()) == of_a_file
 
@@ -155,7 +161,6 @@ def test_a_program_told_to_end_takes_its_scratch_file_with_it(tmp_path):
 
 
 def test_an_orientation_that_is_neither_word_nor_file_is_named(capsys):
-    lens = ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134")
-    options = ("--pattern", "none.json", *lens, "--orientation", "sideways")
+    options = ("--board", "none.json", *LENS, ".0162", ".0134", "--orientation", "sideways")
     assert main(["calibrate", "a=none.png", *options]) == 2
     assert "give upright, or the file" in capsys.readouterr().err

@@ -13,11 +13,8 @@ from trinoc.io import read_image
 from trinoc.synth import table1_rig
 from trinoc.synth.camera_picture.render import render_sheet
 
-LENS = ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134")
-EXACT = (
-    *("--lens-exact", "--aim-sigma-mm", "0"),
-    *("--flatness-mm", "0", "--print-scale-sigma", "0", "0"),
-)
+LENS = ("--lens-mm", "16", "0.0162", "0.0134")
+EXACT = ("--sigma", "lens=0", "aim_mm=0", "flatness_mm=0", "print_scale=0")
 RIG = table1_rig()
 VIEWS = [f"{name}={name}.png" for name in RIG]
 CORNERS_MM = np.array([[x, y, z] for x in (-30, 35) for y in (-25, 20) for z in (0, 30)], float)
@@ -114,13 +111,12 @@ def test_all_that_is_exact_is_the_model_of_the_paper(run, folder):
 
 
 @pytest.mark.parametrize("value", ["-1", "nan", "inf"])
-@pytest.mark.parametrize("option", ["--flatness-mm", "--aim-sigma-mm", "--print-scale-sigma"])
-def test_what_is_no_sigma_is_refused_before_anything_is_read(option, value, capsys):
-    values = (value, "0.001") if option == "--print-scale-sigma" else (value,)
-    files = ("--pattern", "none.json", "a=none.png")
-    assert main(["calibrate", *files, *LENS, option, *values, "--quiet"]) == 2
+@pytest.mark.parametrize("name", ["flatness_mm", "aim_mm", "print_scale", "lens"])
+def test_what_is_no_sigma_is_refused_before_anything_is_read(name, value, capsys):
+    files = ("--board", "none.json", "a=none.png")
+    assert main(["calibrate", *files, *LENS, "--sigma", f"{name}={value}", "--quiet"]) == 2
     told = capsys.readouterr().err
     why = "no standard deviation" if value == "-1" else "give a finite number"
-    assert option in told
+    assert f"--sigma {name}={value}" in told
     assert why in told
     assert "Traceback" not in told

@@ -1,5 +1,10 @@
-"""NAME=FILE arguments and the options that say what a lens is."""
+"""NAME=FILE arguments, the options that say what a lens is, how many there are, and old names."""
 
+import contextlib
+import dataclasses
+import io
+import re
+import typing
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +16,17 @@ import trinoc
 from trinoc.cli.calibrate import Calibrate
 from trinoc.cli.command import UsageError
 from trinoc.cli.lens_options import LensOptions
-from trinoc.cli.main import main
+from trinoc.cli.main import COMMANDS, main
+from trinoc.cli.old_names import OPTIONS, refuse_old_names
+from trinoc.cli.settings import (
+    parse_integer,
+    parse_list,
+    parse_number,
+    parse_pair,
+    parse_truth,
+    read_settings,
+)
 from trinoc.cli.views import files_of_views
-from trinoc.errors import InputError
 from trinoc.io.intrinsics_json import save_intrinsics
 
 SIZES = {"upper": (512, 480), "left": (640, 400)}
@@ -32,7 +45,7 @@ def test_argument_without_a_name_or_file_is_refused(argument):
 
 
 def test_lens_from_the_data_sheet_has_each_picture_s_size():
-    lenses = LensOptions(focal_length_mm=16.0, pixel_pitch_mm=(0.01, 0.02)).lenses(SIZES)
+    lenses = LensOptions(lens_mm=(16.0, 0.01, 0.02)).lenses(SIZES)
     assert {name: lens.image_size_px for name, lens in lenses.items()} == SIZES
     np.testing.assert_allclose(lenses["left"].focal_length_px, [1600, 800])
 
@@ -42,44 +55,41 @@ def test_lens_from_one_file_or_from_one_for_each(tmp_path):
     for focal_px, name in enumerate(SIZES, 1000):
         lens = trinoc.Intrinsics(focal_length_px=float(focal_px), image_size_px=SIZES[name])
         trinoc.save(lens, files[name])
-    one = LensOptions(intrinsics=(str(files["left"]),))
+    one = LensOptions(lens=(str(files["left"]),))
     assert [lens.focal_length_px[0] for lens in one.lenses(SIZES).values()] == [1001.0] * 2
-    assert one.files() == {"intrinsics": files["left"]}
-    each = LensOptions(intrinsics=tuple(f"{name}={file}" for name, file in files.items()))
+    assert one.files() == {"lens": files["left"]}
+    each = LensOptions(lens=tuple(f"{name}={file}" for name, file in files.items()))
     assert [lens.focal_length_px[0] for lens in each.lenses(SIZES).values()] == [1000.0, 1001.0]
     with pytest.raises(UsageError, match='no file for the camera "left"'):
-        LensOptions(intrinsics=(f"upper={files['upper']}",)).lenses(SIZES)
+        LensOptions(lens=(f"upper={files['upper']}",)).lenses(SIZES)
 
 
-def test_covariance_of_the_lens_is_that_of_its_file_unless_refused(tmp_path):
+def test_covariance_of_the_lens_is_that_of_its_file(tmp_path):
     files, covariance = {name: tmp_path / f"{name}.json" for name in SIZES}, np.diag(np.arange(9.0))
     lens = trinoc.Intrinsics(focal_length_px=1000.0, image_size_px=SIZES["left"])
     save_intrinsics(lens, files["left"], covariance=covariance)
     save_intrinsics(lens, files["upper"])
-    one = LensOptions(intrinsics=(str(files["left"]),))
+    one = LensOptions(lens=(str(files["left"]),))
     lenses = dict.fromkeys(SIZES, lens)
     np.testing.assert_array_equal(one.covariance(lenses), covariance)
-    each = LensOptions(intrinsics=tuple(f"{name}={file}" for name, file in files.items()))
+    each = LensOptions(lens=tuple(f"{name}={file}" for name, file in files.items()))
     found = each.covariance(lenses)
     assert isinstance(found, dict)
     assert list(found) == ["left"]
-    refused = LensOptions(intrinsics=(str(files["left"]),), lens_covariance=False)
-    assert refused.covariance(lenses) is None
 
 
-def test_a_data_sheet_is_not_exact_unless_it_is_said_to_be(tmp_path):
-    options = {"focal_length_mm": 16.0, "pixel_pitch_mm": (0.01, 0.02)}
-    lenses = LensOptions(**options).lenses(SIZES)
-    found = LensOptions(**options).covariance(lenses)
+def test_a_data_sheet_is_not_exact(tmp_path):
+    numbers = LensOptions(lens_mm=(16.0, 0.01, 0.02))
+    lenses = numbers.lenses(SIZES)
+    found = numbers.covariance(lenses)
     assert isinstance(found, dict)
     for name, (width, _) in SIZES.items():
         sigma = np.sqrt(np.diag(found[name]))
         assert sigma[:2] / lenses[name].focal_length_px == pytest.approx([0.01, 0.01], rel=0.01)
         assert sigma[2:4] == pytest.approx(0.02 * width)
-    assert LensOptions(**options, lens_exact=True).covariance(lenses) is None
     # The same lens from a file that states no covariance.
     save_intrinsics(lenses["left"], tmp_path / "left.json")
-    file = LensOptions(intrinsics=(str(tmp_path / "left.json"),))
+    file = LensOptions(lens=(str(tmp_path / "left.json"),))
     again = file.covariance(dict.fromkeys(SIZES, lenses["left"]))
     assert isinstance(again, dict)
     np.testing.assert_allclose(again["upper"], found["left"])
@@ -89,9 +99,7 @@ def test_a_data_sheet_is_not_exact_unless_it_is_said_to_be(tmp_path):
     "options",
     [
         LensOptions(),
-        LensOptions(focal_length_mm=16.0),
-        LensOptions(pixel_pitch_mm=(0.01, 0.01)),
-        LensOptions(intrinsics=("a.json",), focal_length_mm=16.0),
+        LensOptions(lens=("a.json",), lens_mm=(16.0, 0.01, 0.01)),
     ],
 )
 def test_lens_that_is_not_determined_is_wrong_usage(options):
@@ -100,17 +108,16 @@ def test_lens_that_is_not_determined_is_wrong_usage(options):
 
 
 def test_lens_that_cannot_be_is_refused():
-    with pytest.raises(InputError, match="must be positive"):
-        LensOptions(focal_length_mm=-16.0, pixel_pitch_mm=(0.01, 0.01)).lenses(SIZES)
+    with pytest.raises(UsageError, match="must have a positive one"):
+        LensOptions(lens_mm=(-16.0, 0.01, 0.01)).check()
 
 
 @pytest.mark.parametrize(
     "lens",
     [
-        ("--pixel-pitch-mm", "0.01", "0.02", "--focal-length-mm", "16"),
-        ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.01", "0.02"),
-        ("--intrinsics", "upper=a.json", "--intrinsics", "left=b.json"),
-        ("--intrinsics", "a.json"),
+        ("--lens-mm", "16", "0.01", "0.02"),
+        ("--lens", "upper=a.json", "--intrinsics", "left=b.json"),
+        ("--lens", "a.json"),
     ],
 )
 def test_pictures_may_follow_the_options(lens):
@@ -120,24 +127,48 @@ def test_pictures_may_follow_the_options(lens):
     before = tyro.cli(Calibrate, args=[*pictures, *options], config=config)
     after = tyro.cli(Calibrate, args=[*options, *pictures], config=config)
     assert before == after
-    assert after.pictures == pictures
+    assert after.images == pictures
+
+
+CAMERA = ("field_deg=30", "size_px=1280,960")
 
 
 def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
     place = str(tmp_path / "sheet.json")
-    camera = ("--field-deg", "30", "--image-size-px", "1280", "960")
-    assert main(["pattern", "--for-distance-mm", "500", *camera, "-o", place]) == 0
+    assert main(["pattern", "--camera", "distance_mm=500", *CAMERA, "-o", place]) == 0
     assert "px wide" in capsys.readouterr().out
-    assert main(["pattern", "--for-distance-mm", "500", "-o", place]) == 2
-    assert "--field-deg" in capsys.readouterr().err
-    for wrong in ("--for-distance-mm", "-5"), ("--field-deg", "200"):
-        options = ["--for-distance-mm", "500", *camera, *wrong]
-        assert main(["pattern", *options, "-o", place]) == 2
-        assert f"{wrong[0]} is {wrong[1]}" in capsys.readouterr().err
-    assert main(["pattern", "--board", "charuco", "--for-distance-mm", "500", "-o", place]) == 2
+    assert main(["pattern", "--camera", "distance_mm=500", "-o", place]) == 2
+    assert "--camera lacks field_deg and size_px" in capsys.readouterr().err
+    for words, says in (
+        (("distance_mm=-5", *CAMERA), "distance_mm is -5"),
+        (("distance_mm=500", "field_deg=200", CAMERA[1]), "field_deg is 200"),
+    ):
+        assert main(["pattern", "-o", place, "--camera", *words]) == 2
+        assert says in capsys.readouterr().err
+    for other in ("charuco",), ("--rows", "8"):
+        assert main(["pattern", *other, "--camera", "distance_mm=500", "-o", place]) == 2
 
 
-SCREEN = ("--screen-px", "1920", "1080", "--screen-inch", "24")
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("chess",), "no kind of board: give sheet"),
+        (("charuco", "marker=3"), "write marker_mm=VALUE"),
+        (("charuco", "square_mm"), "as NAME=VALUE"),
+        (("chessboard", "--pitch-mm", "3"), "leave out --pitch-mm"),
+        (("sheet", "line_style=red"), "give stop, through or white"),
+        (("aprilgrid", "first=1.5"), "no whole number"),
+        (("layout.json", "--rows", "3"), "leave out --rows"),
+        (("layout.json", "tag_mm=3"), "leave out tag_mm=3"),
+    ],
+)
+def test_a_kind_says_what_it_has(words, says, tmp_path, capsys):
+    assert main(["pattern", *words, "-o", str(tmp_path / "board.json")]) == 2
+    assert says in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+SCREEN = ("--screen", "size_px=1920,1080", "diagonal_inch=24")
 
 
 def test_a_screen_as_target_gets_a_picture_and_a_layout(tmp_path, capsys):
@@ -147,7 +178,7 @@ def test_a_screen_as_target_gets_a_picture_and_a_layout(tmp_path, capsys):
     assert "Pixels of 0.2767 mm" in out
     assert "--print-scale" in out
     assert {each.name for each in tmp_path.iterdir()} == {"sheet.png", "sheet.json"}
-    camera = ("--for-distance-mm", "900", "--field-deg", "30", "--image-size-px", "1280", "960")
+    camera = ("--camera", "distance_mm=900", "field_deg=30", "size_px=1280x960")
     assert main(["pattern", "-o", str(place), *SCREEN, *camera]) == 0
     assert "px wide" in capsys.readouterr().out
 
@@ -155,13 +186,13 @@ def test_a_screen_as_target_gets_a_picture_and_a_layout(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "status", "says"),
     [
-        (("-o", "sheet.png"), 2, "--screen-px 1920 1080"),
-        (("-o", "sheet.png", "--screen-px", "1920", "-1080", "--screen-inch", "24"), 2, "width"),
-        (("-o", "sheet.png", "--screen-px", "1920", "1080"), 2, "--screen-inch"),
-        (("-o", "sheet.png", *SCREEN, "--screen-pitch-mm", "0.27"), 2, "one of two"),
-        (("-o", "sheet.png", "--screen-px", "1920", "1080", "--screen-inch", "610"), 2, "inches"),
-        (("-o", "sheet.png", "--screen-px", "4", "3", "--screen-inch", "24"), 2, "millimetres"),
-        (("-o", "sheet.png", *SCREEN[:-1], "9"), 1, "the screen is 199 x 112 mm"),
+        (("-o", "sheet.png"), 2, "--screen size_px=1920,1080"),
+        (("-o", "sheet.png", "--screen", "size_px=1920,-1080", "diagonal_inch=24"), 2, "width"),
+        (("-o", "sheet.png", *SCREEN[:-1]), 2, "diagonal_inch=INCH"),
+        (("-o", "sheet.png", *SCREEN, "pitch_mm=0.27"), 2, "one of two"),
+        (("-o", "sheet.png", *SCREEN[:-1], "diagonal_inch=610"), 2, "inches"),
+        (("-o", "sheet.png", "--screen", "size_px=4,3", "diagonal_inch=24"), 2, "millimetres"),
+        (("-o", "sheet.png", *SCREEN[:-1], "diagonal_inch=9"), 1, "the screen is 199 x 112 mm"),
         (("-o", "sheet.json", *SCREEN), 2, "FILE.png"),
         (("-o", "sheet.tiff", *SCREEN), 2, ".png"),
     ],
@@ -173,3 +204,82 @@ def test_a_screen_that_is_not_said_or_too_small(
     assert main(["pattern", *options]) == status
     assert says in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
+
+
+# Of all commands, and said once.
+SHARED = {"json", "quiet"}
+MOST_OPTIONS = 100
+
+
+def own_options(options: type) -> list[str]:
+    """Names of a command's options, those of groups of options, too."""
+    names = []
+    for name, hint in typing.get_type_hints(options, include_extras=True).items():
+        if typing.get_origin(hint) is typing.ClassVar or name in SHARED:
+            continue
+        if dataclasses.is_dataclass(hint):
+            names += own_options(typing.cast(type, hint))
+        elif tyro.conf.Positional not in getattr(hint, "__metadata__", ()):
+            names.append(name)
+    return names
+
+
+def test_options_are_few():
+    assert sum(len(own_options(command)) for command in COMMANDS) <= MOST_OPTIONS
+
+
+def help_text(command: str) -> str:
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        assert main([command, "--help"]) == 0
+    return said.getvalue()
+
+
+def offered(command: str) -> set[str]:
+    return set(re.findall(r"(?<![\w-])--([a-z][a-z0-9-]*)", help_text(command)))
+
+
+@pytest.mark.parametrize("command", OPTIONS)
+def test_an_option_of_before_is_refused_with_what_is_typed_now(command, capsys):
+    now = offered(command)
+    for old, new in OPTIONS[command].items():
+        assert old not in now
+        assert set(re.findall(r"(?<![\w-])--([a-z-]+)", new)) <= now
+        for word in (f"--{old}", f"--{old.replace('-', '_')}=3"):
+            assert main([command, "a.png", word, "3"]) == 2
+            out, err = capsys.readouterr()
+            assert (out, err) == ("", f"trinoc: --{old} of trinoc {command} is now: {new}\n")
+
+
+def test_no_command_refuses_an_option_that_it_has():
+    for command in COMMANDS:
+        name = command.command_name()
+        refuse_old_names([name, *(f"--{option}" for option in offered(name))])
+
+
+@pytest.mark.parametrize("command", [each for each in COMMANDS if each.settings])
+def test_the_help_names_every_setting(command):
+    said = help_text(command.command_name())
+    for names in command.settings.values():
+        for name in names:
+            assert f"{name}=" in said
+
+
+def test_settings_are_read_by_their_parsers():
+    parsers = {"a_mm": parse_number, "b": parse_truth, "c": parse_pair(parse_integer)}
+    said = read_settings("--x", [["a-mm=1.5", "b=no"], ["c=3"]], parsers)
+    assert said == {"a_mm": 1.5, "b": False, "c": (3, 3)}
+    assert parse_pair(parse_integer)("1280x960") == (1280, 960)
+    assert parse_list(parse_number)("1,2,3") == (1.0, 2.0, 3.0)
+    for words, why in (
+        (["a_mm=1", "a_mm=2"], "twice"),
+        (["a_mm"], "has no value: write a_mm=VALUE"),
+        (["a_mm="], "has no value"),
+        (["b=maybe"], "neither yes nor no"),
+        (["c=1,2,3"], "more than two"),
+        (["c=1.5"], "no whole number"),
+        (["a_m=1"], "write a_mm=VALUE"),
+        (["upper=u.png"], "it has a_mm, b, c; files stand before the options"),
+    ):
+        with pytest.raises(UsageError, match=why):
+            read_settings("--x", [words], parsers)

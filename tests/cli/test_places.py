@@ -19,8 +19,8 @@ from trinoc.synth import table1_rig
 VIEWS = ("upper", "left", "right")
 MATCH = ("match", *(f"{view}={view}.npz" for view in VIEWS), "--rig", "rig.json")
 CALIBRATE = (
-    *("calibrate", *(f"{view}={view}.png" for view in VIEWS), "--pattern", "sheet.json"),
-    *("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134"),
+    *("calibrate", *(f"{view}={view}.png" for view in VIEWS), "--board", "sheet.json"),
+    *("--lens-mm", "16", "0.0162", "0.0134"),
 )
 
 
@@ -127,6 +127,6 @@ def test_depths_that_leave_nothing_are_named():
 
 def test_a_remedy_that_no_option_has_is_not_said():
     note = "covariances are of the errors found; give a sigma_px that is as much smaller to have "
-    command = Match(pictures=(), rig=Path("rig.json"))
+    command = Match(images=(), rig=Path("rig.json"))
     said = in_options(f"{note}candidates judged by it too.", command)
     assert said == "covariances are of the errors found."

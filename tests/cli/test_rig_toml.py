@@ -10,10 +10,11 @@ from trinoc.cli.rig_toml import with_file
 
 TEXT = """
 [calibrate]
-pictures = {upper = "u.png", left = "l.png"}
-pattern = "sheet.json"
-pixel_pitch_mm = [0.0162, 0.0134]
-lens_exact = true
+images = {upper = "u.png", left = "l.png"}
+board = "sheet.json"
+lens_mm = [16, 0.0162, 0.0134]
+sigma = {lens = 0, print_scale = [0.001, 0.002]}
+accept_suspect = true
 dry_run = false
 out = "rig.json"
 """
@@ -28,16 +29,19 @@ def file(tmp_path: Path) -> Path:
 
 def test_a_command_alone_takes_everything_from_the_file(file: Path) -> None:
     assert with_file(["calibrate"], file) == [
-        *("calibrate", "upper=u.png", "left=l.png", "--pattern", "sheet.json"),
-        *("--pixel-pitch-mm", "0.0162", "0.0134", "--lens-exact", "--out", "rig.json"),
+        *("calibrate", "upper=u.png", "left=l.png", "--board", "sheet.json"),
+        *("--lens-mm", "16", "0.0162", "0.0134"),
+        *("--sigma", "lens=0", "--sigma", "print_scale=0.001,0.002"),
+        *("--accept-suspect", "--out", "rig.json"),
     ]
 
 
 def test_what_is_typed_counts_more(file: Path) -> None:
-    words = with_file(["calibrate", "a=a.png", "--pattern=p.json", "-o", "x.json"], file)
-    assert words == [
-        *("calibrate", "a=a.png", "--pattern=p.json", "-o", "x.json"),
-        *("--pixel-pitch-mm", "0.0162", "0.0134", "--lens-exact"),
+    typed = ["calibrate", "a=a.png", "--pattern=p.json", "-o", "x.json", "--lens", "c.json"]
+    own = [*typed, "--sigma", "aim_mm=0"]
+    assert with_file(own, file) == [*own, "--accept-suspect"]
+    assert with_file(typed, file)[len(typed) :] == [
+        *("--sigma", "lens=0", "--sigma", "print_scale=0.001,0.002", "--accept-suspect"),
     ]
     assert with_file(["calibrate", "b.png", "--json"], file)[1] == "b.png"
 
@@ -49,7 +53,7 @@ def test_other_commands_help_and_a_missing_file_change_nothing(file: Path) -> No
 
 
 @pytest.mark.parametrize(
-    "text", ["[calibrate", "[calibrate]\npictures = 3", "[calibrate]\nout = {a = 1}"]
+    "text", ["[calibrate", "[calibrate]\nimages = 3", "[calibrate]\nout = 1979-05-27"]
 )
 def test_a_file_that_says_nothing_is_refused(
     text: str, file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -60,3 +64,37 @@ def test_a_file_that_says_nothing_is_refused(
     monkeypatch.chdir(file.parent)
     assert main(["calibrate"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_tables_lists_and_truths_are_typed_as_options_want_them(file: Path) -> None:
+    file.write_text(
+        '[calibrate-rig]\nboard = ["a.json", "b.json"]\nlens = {left = "l.json"}\n'
+        "[match]\nfind = {arcs = true, tolerance_px = 2}\nsteps = ['rims', 'guided']\n",
+        encoding="utf-8",
+    )
+    assert with_file(["calibrate-rig"], file)[1:] == [
+        *("--board", "a.json", "--board", "b.json", "--lens", "left=l.json"),
+    ]
+    assert with_file(["match"], file)[1:] == [
+        *("--find", "arcs=yes", "--find", "tolerance_px=2", "--steps", "rims", "guided"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('pictures = ["a.png"]', "trinoc.toml: pictures is now: images"),
+        ("lens_exact = true", "--lens-exact of trinoc calibrate is now: --sigma lens=0"),
+    ],
+)
+def test_a_key_of_before_is_refused_with_what_is_written_now(
+    text: str,
+    said: str,
+    file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file.write_text(f"[calibrate]\n{text}\n", encoding="utf-8")
+    monkeypatch.chdir(file.parent)
+    assert main(["calibrate"]) == 2
+    assert capsys.readouterr().err == f"trinoc: {said}\n"

@@ -131,7 +131,7 @@ def test_of_a_camera_pictures_that_show_something_new_are_kept(folder, capsys, m
     monkeypatch.setattr(cv2, "VideoCapture", _Camera)
     keep = folder / "kept"
     board = str(folder / "board.json")
-    options = ("--keep", str(keep), "--every-s", "1e-9", "--no-page")
+    options = ("--keep", str(keep), "--every-s", "1e-9", "--port", "none")
     assert main(("watch", "0", "--pattern", board, *options)) == 1
     out, err = capsys.readouterr()
     assert "sends no picture any more" in err

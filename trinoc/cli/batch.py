@@ -14,7 +14,7 @@ import tyro
 
 from trinoc.cli.command import Command, Interrupted, Out, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
-from trinoc.cli.segments import SegmentOptions
+from trinoc.cli.segments import FindOption
 from trinoc.cli.views import read_rig
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _BY_ITSELF = "(default: found by itself)"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Batch(SegmentOptions, Command):
+class Batch(FindOption, Command):
     """Match every frame of a recording. Stopped or killed, the same command goes on."""
 
     frames: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER|TABLE.csv")]
@@ -55,13 +55,12 @@ class Batch(SegmentOptions, Command):
     files: Literal["auto", "npz", "parquet"] = "auto"
     """Kind of the files of results; Parquet where pyarrow is installed."""
 
-    threads: Annotated[int | None, tyro.conf.arg(help_behavior_hint="(default: all cores)")] = None
-    """Threads of this machine, at most."""
-
-    scheduler: Annotated[
-        str | None, tyro.conf.arg(metavar="tcp://...", help_behavior_hint="(default: none)")
+    workers: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="N|tcp://...", help_behavior_hint="(default: all cores)"),
     ] = None
-    """Use the workers of this Dask scheduler in place of threads."""
+    """Threads of this machine, at most; or the address of a Dask scheduler, whose workers take
+    their place."""
 
     memory_gb: Annotated[
         float | None, tyro.conf.arg(help_behavior_hint="(default: half of the machine's)")
@@ -73,7 +72,8 @@ class Batch(SegmentOptions, Command):
 
     def run(self, command_line: str) -> Outcome:
         """Match all frames that are not done."""
-        self.check()
+        settings = self.find_settings()
+        threads, scheduler = _workers(self.workers)
         shard = _shard(self.shard)
         near, far = self.depth_range_mm
         if not 0 <= near < far:
@@ -81,7 +81,7 @@ class Batch(SegmentOptions, Command):
                 f"--depth-range-mm {near:g} {far:g} holds no depth: give the least, then the "
                 "greatest, in mm."
             )
-        for name in ("threads", "frames_per_file", "memory_gb"):
+        for name in ("frames_per_file", "memory_gb"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise UsageError(f"--{name.replace('_', '-')} is {value:g}: give more than 0.")
@@ -96,13 +96,13 @@ class Batch(SegmentOptions, Command):
                     rig,
                     self.out,
                     template=self.template,
-                    find=self.find_options(),
+                    find=settings,
                     depth_range_mm=None if self.depth_range_mm == ANYWHERE else (near, far),
                     shard=shard,
                     frames_per_file=self.frames_per_file,
                     ending=None if self.files == "auto" else f".{self.files}",
-                    threads_at_most=self.threads,
-                    scheduler=self.scheduler,
+                    threads_at_most=threads,
+                    scheduler=scheduler,
                     memory_gb=self.memory_gb,
                     on_progress=tell,
                 )
@@ -140,6 +140,18 @@ def _shard(text: str) -> tuple[int, int]:
     if not 1 <= job <= jobs:
         raise UsageError(f"--shard {text} is no job: write 1/4 to 4/4 for four of them.")
     return job, jobs
+
+
+def _workers(text: str | None) -> tuple[int | None, str | None]:
+    """(threads at most, address of a scheduler). Raises UsageError."""
+    if text is None or "://" in text:
+        return None, text
+    if not (text.isdecimal() and int(text)):
+        raise UsageError(
+            f"--workers is {text}: give a number of threads, such as 4, or the address of a Dask "
+            "scheduler, such as tcp://localhost:8786."
+        )
+    return int(text), None
 
 
 class _Teller:

@@ -2,21 +2,22 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
 from trinoc.cli.command import (
+    BoardFile,
     Command,
     DryRunOption,
     Out,
     Outcome,
     ReportOption,
     UsageError,
-    expect_sigmas,
 )
-from trinoc.cli.lens_options import LensOptions, expect_focal_length, expect_pixel_pitch
+from trinoc.cli.lens_options import SIGMA, LensOptions, print_systematics
 from trinoc.cli.progress import LOGGER
+from trinoc.cli.settings import Settings, read_settings
 from trinoc.cli.views import files_of_views
 from trinoc.errors import CalibrationError
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from trinoc.calib.uncertainty.systematics import Systematics
     from trinoc.geometry.intrinsics import Intrinsics
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
     from trinoc.calib.targets.pattern import Pattern
 
 
-# Not None: an option that may be a pair or nothing would take pictures that follow it.
-UNKNOWN = (-1.0, -1.0)
 # Of bars that somebody measured without saying how well: a ruler.
 MEASURED = (5e-4, 5e-4)
 
@@ -45,35 +44,27 @@ MEASURED = (5e-4, 5e-4)
 class Calibrate(DryRunOption, ReportOption, Command):
     """Calibrate cameras from one picture of the printed sheet each."""
 
-    pictures: Annotated[
+    settings: ClassVar[Mapping[str, Collection[str]]] = {"sigma": SIGMA}
+
+    images: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
         tyro.conf.arg(metavar="NAME=IMG", help_behavior_hint="(required)"),
     ]
     """The picture that each camera took of the sheet, such as upper=upper.png left=left.png."""
 
-    pattern: Path
+    board: BoardFile
     """Layout of the sheet (JSON), as `trinoc pattern` writes it."""
 
-    lens: LensOptions
+    lens_options: LensOptions
 
     print_scale: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (1.0, 1.0)
     """Measured over nominal length of the sheet's two scale bars."""
 
-    print_scale_sigma: Annotated[
-        tuple[float, float],
-        tyro.conf.arg(
-            metavar="X Y",
-            help_behavior_hint="(default: .0005 if measured, else .002)",
-        ),
-    ] = UNKNOWN
-    """Standard deviations of these two, such as 0.0005 0.0005; 0 0 for an exact print."""
-
-    flatness_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.3
-    """By how much the sheet may bend (standard deviation at its edge); 0 for an exact plane."""
-
-    aim_sigma_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 20.0
-    """How far from the sheet's origin the optical axes may meet it (standard deviation, with the
-    pose model aimed); 0 for exactly there, as in the paper."""
+    sigma: Settings = ()
+    """Standard deviations of what is not exact, 0 for what is: print_scale=0.002 (of both bars, or
+    X,Y; 0.0005 if measured), flatness_mm=0.3 (of the sheet at its edge), aim_mm=20 (from the
+    sheet's origin to the optical axes, with the pose model aimed; 0 as in the paper), lens=0 (for a
+    lens that is exactly what is said of it)."""
 
     method: Literal["picture", "circles"] = "picture"
     """picture: the grey levels of each picture count where its circles agree; circles: the circles
@@ -102,12 +93,6 @@ class Calibrate(DryRunOption, ReportOption, Command):
     """aimed: the optical axis meets the origin of the sheet; aim-free: where it meets the sheet is
     free."""
 
-    parameters: Annotated[
-        Literal[4, 6] | None,
-        tyro.conf.arg(metavar="4|6", help_behavior_hint="(default: by --pose-model)"),
-    ] = None
-    """The pose model by its number of parameters: 4 is aimed, 6 is aim-free."""
-
     out: Out = Path("rig.json")
     """Where the rig goes."""
 
@@ -116,7 +101,8 @@ class Calibrate(DryRunOption, ReportOption, Command):
 
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
-        files = files_of_views(self.pictures, guess=True)
+        sigma = read_settings("--sigma", self.sigma, SIGMA)
+        files = files_of_views(self.images, guess=True)
         if not files:
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
         if not all(0.9 < scale < 1.1 for scale in self.print_scale):
@@ -124,9 +110,7 @@ class Calibrate(DryRunOption, ReportOption, Command):
                 "--print-scale is a measured over a nominal length: give a number near 1, such as "
                 "1.001, for X and for Y."
             )
-        self._check_sigmas()
-        expect_focal_length(self.lens.focal_length_mm)
-        expect_pixel_pitch(self.lens.pixel_pitch_mm)
+        self.lens_options.check()
         if self.orientation not in (None, "upright") and not Path(self.orientation).is_file():
             raise UsageError(
                 f"--orientation is {self.orientation}: give upright, or the file of an earlier rig."
@@ -143,22 +127,23 @@ class Calibrate(DryRunOption, ReportOption, Command):
 
         expect_place(self.out, self.report)
         expect_ending(self.out, Rig)
-        pattern = load_pattern(self.pattern).rescale(*self.print_scale)
+        pattern = load_pattern(self.board).rescale(*self.print_scale)
         images = read_views(files)
-        lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})
-        known = self._systematics(lenses)
+        lenses = self.lens_options.lenses({name: _size(image) for name, image in images.items()})
+        known = self._systematics(lenses, sigma)
         earlier = None if self.orientation in (None, "upright") else load_rig(self.orientation)
         if self.dry_run:
             sizes = {name: _size(image) for name, image in images.items()}
             return self.plan(f"calibrate by {pattern.name}", files, sizes, (self.out, self.report))
         LOGGER.info("calibrating %s", ", ".join(files))
-        origin = provenance(command_line, {**files, "pattern": self.pattern, **self.lens.files()})
+        origin = provenance(
+            command_line, {**files, "board": self.board, **self.lens_options.files()}
+        )
         try:
             result = calibrate(
                 images,
                 pattern,
                 lenses,
-                parameters=self.parameters,
                 pose_model=self.pose_model,
                 method=self.method,
                 bayer=self.bayer,
@@ -183,27 +168,20 @@ class Calibrate(DryRunOption, ReportOption, Command):
         written = self.out if refusal is None else None, self.report
         return Outcome(result.summary(), calibration_record(result), refusal, written)
 
-    def _check_sigmas(self) -> None:
-        """Raises UsageError, before anything is read."""
-        expect_sigmas("--flatness-mm", (self.flatness_mm,))
-        expect_sigmas("--aim-sigma-mm", (self.aim_sigma_mm,))
-        if self.print_scale_sigma != UNKNOWN:
-            expect_sigmas("--print-scale-sigma", self.print_scale_sigma)
-
-    def _systematics(self, lenses: "dict[str, Intrinsics]") -> "Systematics":
+    def _systematics(
+        self, lenses: "dict[str, Intrinsics]", sigma: "Mapping[str, Any]"
+    ) -> "Systematics":
         """What is not exact: as said, else as it usually is."""
         from trinoc.calib.uncertainty.systematics import Systematics
 
         usual = Systematics.typical(lenses)._replace(
-            flatness_mm=self.flatness_mm,
-            aim_sigma_mm=self.aim_sigma_mm,
-            lens_covariance=self.lens.covariance(lenses),
+            lens_covariance=None if "lens" in sigma else self.lens_options.covariance(lenses)
         )
-        if self.print_scale_sigma != UNKNOWN:
-            return usual._replace(print_scale_sigma=self.print_scale_sigma, print_size_sigma=0.0)
         if self.print_scale != (1.0, 1.0):
-            return usual._replace(print_scale_sigma=MEASURED, print_size_sigma=0.0)
-        return usual
+            usual = usual._replace(print_scale_sigma=MEASURED, print_size_sigma=0.0)
+        if "aim_mm" in sigma:
+            usual = usual._replace(aim_sigma_mm=sigma["aim_mm"])
+        return usual._replace(**print_systematics(sigma))
 
 
 def suspicion(result: "CalibrationResult", out: Path) -> str | None:

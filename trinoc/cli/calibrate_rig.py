@@ -1,13 +1,16 @@
 """`trinoc calibrate-rig`: many shots of a board by several cameras to a rig.json with lenses."""
 
 import dataclasses
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Out, Outcome, ReportOption, UsageError, expect_sigmas
+from trinoc.cli.command import Command, Out, Outcome, ReportOption, UsageError
+from trinoc.cli.lens_options import BOARD_SIGMA, LensFiles, print_systematics
 from trinoc.cli.progress import LOGGER, Bar
+from trinoc.cli.settings import Settings, read_settings
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
@@ -16,13 +19,12 @@ if TYPE_CHECKING:
     from trinoc.calib.rig_from_shots import RigFromShots
     from trinoc.calib.targets.abstract_target import AbstractTarget
 
-# Not None: an option that may be a pair or nothing would take pictures that follow it.
-UNKNOWN = (-1.0, -1.0)
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CalibrateRig(ReportOption, Command):
     """Calibrate lenses and cameras together from many shots of a board that is moved about."""
+
+    settings: ClassVar[Mapping[str, Collection[str]]] = {"sigma": BOARD_SIGMA}
 
     shots: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
@@ -31,7 +33,10 @@ class CalibrateRig(ReportOption, Command):
     """The folder of each camera's pictures, or a pattern in quotes, such as left=left/
     right='right_*.png'. Pictures of equal names are of one moment."""
 
-    board: tyro.conf.UseAppendAction[tuple[Path, ...]]
+    board: Annotated[
+        tyro.conf.UseAppendAction[tuple[Path, ...]],
+        tyro.conf.arg(aliases=("--pattern",), metavar="FILE", help_behavior_hint="(required)"),
+    ]
     """Layout of the board (JSON), as `trinoc pattern` writes it: sheet or board. Given several
     times for boards that are fixed to each other; how they are is found."""
 
@@ -62,10 +67,7 @@ class CalibrateRig(ReportOption, Command):
     same_lens: bool = False
     """All cameras have one lens, such as pictures of one camera moved about."""
 
-    intrinsics: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]],
-        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: lenses are found)"),
-    ] = ()
+    lens: Annotated[LensFiles, tyro.conf.arg(help_behavior_hint="(default: lenses are found)")] = ()
     """Lenses that are known and held: camera.json of all cameras, or NAME=camera.json."""
 
     world: Annotated[
@@ -73,20 +75,16 @@ class CalibrateRig(ReportOption, Command):
     ] = None
     """The shot whose board, or the camera whose frame, is the world."""
 
-    print_scale_sigma: Annotated[
-        tuple[float, float],
-        tyro.conf.arg(metavar="X Y", help_behavior_hint="(default: .002, as printers do)"),
-    ] = UNKNOWN
-    """Standard deviations of the board's scale along X and Y; 0 0 for an exact one."""
-
-    flatness_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.3
-    """By how much the board may be warped (standard deviation); 0 for an exact plane."""
+    sigma: Settings = ()
+    """Standard deviations of what is not exact, 0 for what is: print_scale=0.002 (of the board's
+    scale, or X,Y), flatness_mm=0.3 (of the board's warp)."""
 
     out: Out = Path("rig.json")
     """Where the rig goes."""
 
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
+        sigma = read_settings("--sigma", self.sigma, BOARD_SIGMA)
         for shot in self.shots:
             if "=" not in shot:
                 raise UsageError(
@@ -95,9 +93,6 @@ class CalibrateRig(ReportOption, Command):
         places = files_of_views(self.shots)
         if not places:
             raise UsageError("No pictures are given: write NAME=FOLDER for each camera.")
-        expect_sigmas("--flatness-mm", (self.flatness_mm,))
-        if self.print_scale_sigma != UNKNOWN:
-            expect_sigmas("--print-scale-sigma", self.print_scale_sigma)
 
         from trinoc.calib.rig_calibration import calibrate_rig
         from trinoc.calib.rig_from_shots import next_shot
@@ -115,14 +110,12 @@ class CalibrateRig(ReportOption, Command):
         target = one_target([(board.stem, load_target(board)) for board in self.board])
         pictures = load_shots(places)
         known: Any = None
-        if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
-            known = load_intrinsics(self.intrinsics[0])
-        elif self.intrinsics:
-            lens_files = files_of_views(self.intrinsics)
+        if len(self.lens) == 1 and "=" not in self.lens[0]:
+            known = load_intrinsics(self.lens[0])
+        elif self.lens:
+            lens_files = files_of_views(self.lens)
             known = {name: load_intrinsics(file) for name, file in lens_files.items()}
-        usual = Systematics.typical({})._replace(flatness_mm=self.flatness_mm)
-        if self.print_scale_sigma != UNKNOWN:
-            usual = usual._replace(print_scale_sigma=self.print_scale_sigma, print_size_sigma=0.0)
+        known_of_board = Systematics.typical({})._replace(**print_systematics(sigma))
         LOGGER.info(
             "looking for the board; pictures: %d", sum(len(own) for own in pictures.values())
         )
@@ -136,7 +129,7 @@ class CalibrateRig(ReportOption, Command):
                 same_lens=self.same_lens,
                 method=self.method,
                 world=self.world,
-                systematics=usual,
+                systematics=known_of_board,
                 progress=bar.at,
             )
         made_by = provenance(command_line, board_files(self.board))

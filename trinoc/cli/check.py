@@ -15,7 +15,7 @@ from trinoc.cli.views import read_rig
 class Check(Command):
     """Say by how many sigma each camera has moved since its calibration, from a scene alone."""
 
-    pictures: Annotated[
+    images: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
         tyro.conf.arg(metavar="NAME=FILE", help_behavior_hint="(or --matches)"),
     ] = ()
@@ -46,7 +46,7 @@ class Check(Command):
         expect_place(self.out)
         expect_ending(self.out, Rig)
         rig = read_rig(self.rig)
-        scene = scene_of(self.pictures, self.matches, rig, self.rig, quiet=self.quiet)
+        scene = scene_of(self.images, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("checking %d cameras with %d lines", len(rig), len(scene.matches))
         again = [match for match in (scene.tolerant, scene.strict) if match is not None]
         check = check_rig(rig, scene.matches, match_again=again or None)

@@ -4,9 +4,9 @@ import abc
 import dataclasses
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import tyro
 
@@ -45,11 +45,13 @@ class Outcome(NamedTuple):
         )
 
 
-# The options that most commands have.
+# The options that most commands have. A layout may also be called a pattern.
 Out = Annotated[Path, tyro.conf.arg(aliases=("-o",))]
+BoardFile = Annotated[Path, tyro.conf.arg(aliases=("--pattern",), metavar="FILE")]
 FileOrNone = Annotated[
     Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
 ]
+BoardFileOrNone = Annotated[FileOrNone, tyro.conf.arg(aliases=("--pattern",))]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -102,7 +104,12 @@ class DryRunOption:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Command(abc.ABC):
-    """Options that all commands share."""
+    """Options that all commands share.
+
+    settings : names of the settings NAME=VALUE that an option of the command holds.
+    """
+
+    settings: ClassVar[Mapping[str, Collection[str]]] = {}
 
     json: bool = False
     """Print exactly one JSON object on stdout instead of text."""
@@ -126,19 +133,19 @@ class Command(abc.ABC):
 
 # What no option of one command says by its own name.
 _PHRASES = {
-    "A sigma of `Systematics` is negative": (
-        "A standard deviation of --print-scale-sigma or --flatness-mm is negative"
-    ),
+    "parameters=6": "--pose-model aim-free",
+    "leave out aspect": "leave out --hold aspect",
     "give `rings=` yourself or": "choose a sheet with",
     "; give a sigma_px that is as much smaller to have candidates judged by it too": "",
 }
 
 
 def in_options(sentence: str, command: object) -> str:
-    """`parameters=6` as `--parameters 6`, `tolerance_px is` as `--tolerance-px is`.
+    """Names of Python as they are typed: `tolerance_px is` as `--tolerance-px is`, or where it is a
+    setting of an option, `--find tolerance_px is`.
 
-    Names are those of the command's own options; what stands in quotes or behind a point is of a
-    file and stays.
+    Names are those of the command's own options and of the settings that they hold; what stands in
+    quotes or behind a point is of a file and stays.
     """
     for phrase, said in _PHRASES.items():
         sentence = sentence.replace(phrase, said)
@@ -146,10 +153,21 @@ def in_options(sentence: str, command: object) -> str:
         option = f"--{name.replace('_', '-')}"
         given = rf"(?<![\w\".`/-]){re.escape(name)}="
         sentence = re.sub(rf'{given}(?:(?=\w)|"(\w+)")', rf"{option} \1", sentence)
-        if "_" in name and '.json: "' not in sentence:
-            alone = rf"(?<![\w\".`/-]){re.escape(name)}(?![\w\"=/-]|\.\w)"
-            sentence = re.sub(alone, option, sentence)
+        if "_" in name:
+            sentence = _replace_name(name, option, sentence)
+    for option, settings in getattr(command, "settings", {}).items():
+        for name in settings:
+            if "_" in name:
+                sentence = _replace_name(name, f"--{option} {name}", sentence)
     return sentence
+
+
+def _replace_name(name: str, typed: str, sentence: str) -> str:
+    """The sentence with a name of Python as it is typed, unless it speaks of a file."""
+    if '.json: "' in sentence:
+        return sentence
+    alone = rf"(?<![\w\".`/-]){re.escape(name)}(?![\w\"=/-]|\.\w)"
+    return re.sub(alone, typed, sentence)
 
 
 def _names(command: object) -> list[str]:
@@ -162,7 +180,7 @@ def _names(command: object) -> list[str]:
 
 
 # Options of commands that name a file to write; all other paths are read.
-_WRITTEN = ("out", "report", "cylinders", "rims_out", "plot")
+_WRITTEN = ("out", "report", "plot")
 # A rig may take the place of the one that it was made from.
 _REPLACED = ("rig", "orientation")
 
@@ -223,13 +241,6 @@ def expect_numbers(options: object) -> None:
             if not isinstance(number, float) or math.isfinite(number) or number in usual:
                 continue
             raise UsageError(f"--{name.replace('_', '-')} is {number}: give a finite number.")
-
-
-def expect_sigmas(option: str, sigmas: tuple[float, ...]) -> None:
-    """Raise UsageError for a standard deviation below zero."""
-    if min(sigmas) < 0:
-        said = " ".join(f"{sigma:g}" for sigma in sigmas)
-        raise UsageError(f"{option} {said} is no standard deviation: give 0 or more.")
 
 
 def _given(options: object) -> Iterator[tuple[str, object, object]]:

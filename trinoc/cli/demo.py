@@ -242,8 +242,7 @@ def _make_folder(folder: Path) -> None:
 
 
 # The demo's pictures are made: lens and print are exactly what is said of them.
-LENS = ("--focal-length-mm", "16", "--pixel-pitch-mm", "0.0162", "0.0134", "--lens-exact")
-PRINT = ("--print-scale-sigma", "0", "0")
+LENS = ("--lens-mm", "16", "0.0162", "0.0134", "--sigma", "lens=0", "print_scale=0")
 
 
 def keep_inputs(folder: Path) -> list[Path]:
@@ -270,7 +269,7 @@ def commands() -> list[str]:
     sheets, scenes = (_pictures(kind) for kind in ("sheet", "scene"))
     named = [[f"{view}={file}" for view, file in files.items()] for files in (sheets, scenes)]
     lines = [
-        ["trinoc", "calibrate", *named[0], "--pattern", "inputs/sheet.json", *LENS, *PRINT,
+        ["trinoc", "calibrate", *named[0], "--board", "inputs/sheet.json", *LENS,
          "-o", "my-rig.json", "--report", "my-calibration.html"],
         ["trinoc", "match", *named[1], "--rig", "my-rig.json", "-o", "my-matches.npz",
          "--report", "my-matches.html"],
@@ -295,16 +294,14 @@ def _toml() -> str:
 
     return f"""\
 [calibrate]
-pictures = {table(_pictures("sheet"))}
-pattern = "inputs/sheet.json"
-focal_length_mm = 16
-pixel_pitch_mm = [0.0162, 0.0134]
-lens_exact = true
-print_scale_sigma = [0, 0]
+images = {table(_pictures("sheet"))}
+board = "inputs/sheet.json"
+lens_mm = [16, 0.0162, 0.0134]
+sigma = {{lens = 0, print_scale = 0}}
 out = "my-rig.json"
 
 [match]
-pictures = {table(_pictures("scene"))}
+images = {table(_pictures("scene"))}
 rig = "my-rig.json"
 out = "my-matches.npz"
 """

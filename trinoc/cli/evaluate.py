@@ -2,32 +2,43 @@
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
 from trinoc.cli.command import Command, FileOrNone, Out, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
+from trinoc.cli.segments import FIND, usual_find
+from trinoc.cli.settings import Settings, parse_list, parse_number, parse_word, read_settings
 from trinoc.cli.views import SEGMENT_SUFFIXES, check_views, files_of_views, read_rig
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
     from trinoc.evaluation.known_shape import KnownShape
-    from trinoc.evaluation.sweep import Row
+    from trinoc.evaluation.sweep import Row, SweepSetting
     from trinoc.geometry.rig import Rig
 
 
-# Options that are settings of the segmentation.
-KNOBS = ("tolerance_px", "false_alarms", "least_contrast")
+# Settings of the segmentation that are tried.
+TRIED = ("tolerance_px", "false_alarms", "least_contrast")
+TRIED_FIND = {name: parse_list(FIND[name]) for name in TRIED}
+LINES = {
+    "form": parse_list(parse_word("tracks", "joined", "corners", "wireframe")),
+    "stage": parse_list(parse_word("all", "trinocular")),
+    "least_posterior": parse_list(parse_number),
+}
+SHAPE = {"unit_mm": parse_number, "crease_deg": parse_number, "grey_step": parse_number}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Evaluate(Command):
     """Compare 3-D segments with a known shape, for one or many settings of the segmentation."""
 
-    pictures: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="NAME=IMG")]
+    settings: ClassVar[Mapping[str, Collection[str]]] = {"find": TRIED_FIND, "shape": SHAPE}
+
+    images: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="NAME=IMG")]
     """For each camera its picture; or none, and --matches."""
 
     truth: Path
@@ -39,36 +50,23 @@ class Evaluate(Command):
     matches: FileOrNone = None
     """Matches of `trinoc match`, in place of pictures."""
 
-    tolerance_px: tuple[float, ...] = (1.6,)
-    """Of the segmentation: coarsest deviation of an edge from a straight line."""
+    find: Settings = ()
+    """How segments are found, each setting with one value or with several to try, commas between:
+    tolerance_px=1.6, false_alarms=1, least_contrast=7."""
 
-    false_alarms: tuple[float, ...] = (1.0,)
-    """Of the segmentation: segments that noise alone may bring about in a picture."""
-
-    least_contrast: tuple[float, ...] = (7.0,)
-    """Of the segmentation: fainter edges are left out."""
-
-    least_posterior: tuple[float, ...] = (0.0,)
-    """Only tracks of this probability or more."""
-
-    stages: tuple[Literal["all", "trinocular"], ...] = ("all",)
-    """All tracks, or only those seen in three views."""
-
-    forms: tuple[Literal["tracks", "joined", "corners", "wireframe"], ...] = ("tracks",)
-    """Tracks one by one, joined to straight lines, these carried to the corners they meet in, or
-    all as a wire frame, whose corners and edges are counted, too."""
+    lines: Settings = ()
+    """Which lines are compared, each setting with one value or with several to try. form=tracks:
+    tracks one by one; joined: to straight lines; corners: these carried to the corners they meet
+    in; wireframe: all as a wire frame, whose corners and edges are counted, too. stage=all, or
+    trinocular. least_posterior=0: only tracks of this probability or more."""
 
     within_mm: tuple[float, ...] = (0.1, 0.25, 0.5, 1.0)
     """Distances at which precision and completeness are given."""
 
-    unit_mm: float = 1.0
-    """Length in mm of one unit of the known shape's file."""
-
-    crease_deg: float = 30.0
-    """Of an OBJ: faces that turn by more than this meet in an edge."""
-
-    grey_step: float = 8.0
-    """Of a made scene: an edge with less across it counts as not shown."""
+    shape: Settings = ()
+    """How the known shape is read: unit_mm=1 (length of one unit of its file), crease_deg=30 (faces
+    of an OBJ that turn by more meet in an edge), grey_step=8 (an edge of a made scene with less
+    across it counts as not shown)."""
 
     align: bool = False
     """First lay the segments on the shape by a rigid motion; figures are then those after it."""
@@ -81,8 +79,8 @@ class Evaluate(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Evaluate every setting, and write the table after each."""
-        files = files_of_views(self.pictures, guess=True)
-        self._check_usage(bool(files))
+        self._check_usage()
+        files = files_of_views(self.images, guess=True)
 
         from trinoc.io.atomic import expect_place
         from trinoc.io.known_shape import load_shape
@@ -94,12 +92,7 @@ class Evaluate(Command):
             from trinoc.report.evaluation_plot import expect_plotter
 
             expect_plotter(self.plot)
-        shape = load_shape(
-            self.truth,
-            unit_mm=self.unit_mm,
-            crease_deg=self.crease_deg,
-            grey_step=self.grey_step,
-        )
+        shape = load_shape(self.truth, **read_settings("--shape", self.shape, SHAPE))
         rig = None if self.rig is None else read_rig(self.rig)
         if rig is not None and shape.wants_every_edge:
             shape = shape.seen_by(rig)
@@ -122,19 +115,26 @@ class Evaluate(Command):
         }
         return Outcome(evaluation_text(rows), record, written=(self.out, self.plot))
 
-    def _check_usage(self, has_pictures: bool) -> None:
-        if has_pictures == (self.matches is not None):
+    def _check_usage(self) -> None:
+        self._find_settings()
+        read_settings("--shape", self.shape, SHAPE)
+        forms = {choice.form for choice in self._choices()}
+        if bool(self.images) == (self.matches is not None):
             raise UsageError("Give either NAME=IMG for each camera with --rig, or --matches.")
-        swept = {name: getattr(self, name) for name in KNOBS}
-        if self.matches is not None and swept != {name: getattr(Evaluate, name) for name in KNOBS}:
+        if self.matches is not None and self.find:
             raise UsageError(
                 "Matches were made with a setting of the segmentation already: give the pictures "
                 "to try others."
             )
-        if self.rig is None and self.forms != ("tracks",):
+        if not self.within_mm:
+            raise UsageError("--within-mm has no distance: give one or more, or leave it out.")
+        if self.rig is None and forms != {"tracks"}:
             raise UsageError("Lines are joined by what the cameras saw of them: add --rig.")
-        if not all((*swept.values(), self.least_posterior, self.stages, self.forms)):
-            raise UsageError("An option without a value: give one or more, or leave it out.")
+
+    def _find_settings(self) -> list[tuple[float, ...]]:
+        """The values of each setting of the segmentation. Raises UsageError."""
+        stated = read_settings("--find", self.find, TRIED_FIND)
+        return [stated.get(name, (usual_find()[name],)) for name in TRIED]
 
     def _rows(
         self, files: dict[str, Path], rig: "Rig | None", shape: "KnownShape"
@@ -165,7 +165,7 @@ class Evaluate(Command):
         pictures = read_views(files)
         for name, picture in pictures.items():
             expect_size(name, picture, rig)
-        settings = settings_of(*(getattr(self, name) for name in KNOBS))
+        settings = settings_of(*self._find_settings())
         rows = evaluate_settings(
             pictures,
             rig,
@@ -188,14 +188,16 @@ class Evaluate(Command):
                 LOGGER.warning("%s", row.problem)
             yield row
 
-    def _choices(self) -> "Sequence[Choice]":
+    def _choices(self) -> "Sequence[SweepSetting]":
         from trinoc.evaluation.sweep import SweepSetting
 
+        stated = read_settings("--lines", self.lines, LINES)
+        usual = SweepSetting()
         return [
             SweepSetting(least, stage, form)
-            for form in self.forms
-            for stage in self.stages
-            for least in self.least_posterior
+            for form in stated.get("form", (usual.form,))
+            for stage in stated.get("stage", (usual.stage,))
+            for least in stated.get("least_posterior", (usual.least_posterior,))
         ]
 
 

@@ -95,7 +95,7 @@ class Export(Command):
     ] = None
     """With --from: names for the cameras, with commas between, in the order of the file."""
 
-    lenses: Annotated[
+    lens: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="FILE", help_behavior_hint="(for --from tf)"),
     ] = ()
@@ -114,8 +114,8 @@ class Export(Command):
         from trinoc.io.intrinsics_json import load_lens_covariance
         from trinoc.io.saving import load
 
-        if self.names is not None or self.lenses:
-            raise UsageError("--names and --lenses go with --from: leave them out.")
+        if self.names is not None or self.lens:
+            raise UsageError("--names and --lens go with --from: leave them out.")
         target = FORMATS[name]
         value = load(self.file)
         target.save(value, self.out, unit_mm=self.unit_mm)
@@ -160,11 +160,11 @@ class Export(Command):
         from trinoc.io.intrinsics_json import load_intrinsics
         from trinoc.io.rig_json import load_rig
 
-        if not self.lenses:
+        if not self.lens:
             return None
-        if len(self.lenses) == 1 and "=" not in self.lenses[0]:
-            return {name: camera.intrinsics for name, camera in load_rig(self.lenses[0]).items()}
-        return {name: load_intrinsics(file) for name, file in files_of_views(self.lenses).items()}
+        if len(self.lens) == 1 and "=" not in self.lens[0]:
+            return {name: camera.intrinsics for name, camera in load_rig(self.lens[0]).items()}
+        return {name: load_intrinsics(file) for name, file in files_of_views(self.lens).items()}
 
     def _inputs(self) -> dict[str, Path]:
         if not self.file.is_dir():

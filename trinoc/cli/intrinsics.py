@@ -6,25 +6,29 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Out, Outcome, UsageError
-from trinoc.cli.lens_options import NOT_GIVEN, PixelPitch, expect_pixel_pitch
+from trinoc.cli.command import BoardFile, Command, Out, Outcome, UsageError
+from trinoc.cli.lens_options import expect_pixel_pitch
 from trinoc.cli.progress import LOGGER, each
 
 if TYPE_CHECKING:
     from trinoc.calib.intrinsics_result import IntrinsicsResult
 
 
+# Not None: an option that may be a pair or nothing would take pictures that follow it.
+NO_PITCH = (0.0, 0.0)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Intrinsics(Command):
     """Find focal length, principal point and distortion from several pictures of the sheet."""
 
-    pictures: Annotated[
+    images: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
         tyro.conf.arg(metavar="IMG", help_behavior_hint="(required)"),
     ]
     """Pictures by one camera at one zoom and focus, the sheet held differently in each."""
 
-    pattern: Path
+    board: BoardFile
     """Layout of the sheet (JSON), as `trinoc pattern` writes it."""
 
     lens_model: Literal[
@@ -46,14 +50,18 @@ class Intrinsics(Command):
     ] = None
     """Number of coefficients of that model; of brown_conrady, of k1, k2, p1, p2, k3."""
 
-    principal_point: Literal["free", "centre"] = "free"
-    """Whether the principal point is fitted, or held in the middle of the picture."""
-
-    pixel_pitch_mm: PixelPitch = NOT_GIVEN
+    pixel_pitch_mm: Annotated[
+        tuple[float, float],
+        tyro.conf.arg(metavar="WIDTH HEIGHT", help_behavior_hint="(optional)"),
+    ] = NO_PITCH
     """Width and height of a pixel in mm; both, also where they are equal."""
 
-    aspect: Literal["free", "pitch"] = "free"
-    """Whether both focal lengths are fitted, or their ratio is held at that of the pixels."""
+    hold: Annotated[
+        tuple[Literal["principal-point", "aspect"], ...],
+        tyro.conf.arg(metavar="principal-point|aspect...", help_behavior_hint="(default: none)"),
+    ] = ()
+    """What is not fitted: principal-point is held in the middle of the picture, aspect (the ratio
+    of both focal lengths) at that of the pixels."""
 
     method: Literal["points", "pixels"] = "points"
     """Fit the circles' centres, or go on from there to the grey levels near every edge."""
@@ -63,9 +71,10 @@ class Intrinsics(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Calibrate the lens and write it."""
-        if not self.pictures:
+        if not self.images:
             raise UsageError("No picture is given: give several pictures of the sheet.")
-        expect_pixel_pitch(self.pixel_pitch_mm)
+        pitch_mm = None if self.pixel_pitch_mm == NO_PITCH else self.pixel_pitch_mm
+        expect_pixel_pitch(pitch_mm, "--pixel-pitch-mm is")
 
         from trinoc.calib.lens_calibration import calibrate_intrinsics
         from trinoc.cli.progress import provenance
@@ -77,25 +86,24 @@ class Intrinsics(Command):
 
         expect_place(self.out)
         expect_ending(self.out, Lens)
-        pattern = load_pattern(self.pattern)
-        images = [read_image(path) for path in each(self.pictures, "reading", quiet=self.quiet)]
+        pattern = load_pattern(self.board)
+        images = [read_image(path) for path in each(self.images, "reading", quiet=self.quiet)]
         LOGGER.info("calibrating the lens of %d pictures", len(images))
-        pitch_mm = None if self.pixel_pitch_mm == NOT_GIVEN else self.pixel_pitch_mm
         result = calibrate_intrinsics(
             images,
             pattern,
             distortion=self.distortion,
             distortion_model=self.lens_model,
-            principal_point=self.principal_point,
+            principal_point="centre" if "principal-point" in self.hold else "free",
             pixel_pitch_mm=pitch_mm,
-            aspect=self.aspect,
+            aspect="pitch" if "aspect" in self.hold else "free",
             method=self.method,
         )
-        inputs = {f"picture {k + 1}": path for k, path in enumerate(self.pictures)}
+        inputs = {f"picture {k + 1}": path for k, path in enumerate(self.images)}
         save(
             result,
             self.out,
-            provenance=provenance(command_line, {**inputs, "pattern": self.pattern}),
+            provenance=provenance(command_line, {**inputs, "board": self.board}),
         )
         return Outcome(result.summary(), intrinsics_record(result), written=(self.out,))
 

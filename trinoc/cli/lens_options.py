@@ -1,13 +1,14 @@
-"""How the command line says what lens a camera has."""
+"""How the command line says what lens a camera has, and what is not exact."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from trinoc.cli.command import UsageError
+from trinoc.cli.settings import parse_number, parse_pair
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 
@@ -16,39 +17,77 @@ if TYPE_CHECKING:
 
     from trinoc.geometry.intrinsics import Intrinsics
 
-# Not None: an option that may be a pair or nothing would take pictures that follow it.
-NOT_GIVEN = (0.0, 0.0)
+# Not None: an option that may be numbers or nothing would take pictures that follow it.
+NO_NUMBERS = (0.0, 0.0, 0.0)
 # From an endoscope's lens to a telescope.
 FOCAL_RANGE_MM = (0.1, 10_000.0)
 
-# The same option wherever a command asks for it.
-PixelPitch = Annotated[
-    tuple[float, float], tyro.conf.arg(metavar="WIDTH HEIGHT", help_behavior_hint="(optional)")
+# A lens may also be called its intrinsics.
+LensFiles = Annotated[
+    tyro.conf.UseAppendAction[tuple[str, ...]],
+    tyro.conf.arg(metavar="FILE", aliases=("--intrinsics",)),
 ]
 
 
-def expect_pixel_pitch(pitch_mm: tuple[float, float]) -> None:
-    """Raise UsageError for a pitch that no sensor has, before any picture is read."""
+def _sigma(text: str) -> float:
+    number = parse_number(text)
+    if number < 0:
+        raise ValueError("is no standard deviation: give 0 or more")
+    return number
+
+
+def _zero(text: str) -> float:
+    if _sigma(text) > 0:
+        raise ValueError(
+            "is not known here: the covariance of a lens is in its camera.json, and lens=0 takes "
+            "it as exactly what is said of it"
+        )
+    return 0.0
+
+
+# Of a board, and of one sheet that cameras with a lens look at.
+BOARD_SIGMA: Mapping[str, Callable[[str], Any]] = {
+    "print_scale": parse_pair(_sigma),
+    "flatness_mm": _sigma,
+}
+SIGMA: Mapping[str, Callable[[str], Any]] = {**BOARD_SIGMA, "aim_mm": _sigma, "lens": _zero}
+
+
+def print_systematics(sigma: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of `Systematics` that --sigma states of a print."""
+    fields = {name: sigma[name] for name in ("flatness_mm",) if name in sigma}
+    if "print_scale" in sigma:
+        fields |= {"print_scale_sigma": sigma["print_scale"], "print_size_sigma": 0.0}
+    return fields
+
+
+def expect_pixel_pitch(pitch_mm: tuple[float, float] | None, where: str) -> None:
+    """Raise UsageError for a pitch that no sensor has, before any picture is read.
+
+    where : the beginning of the sentence.
+    """
     from trinoc.io.usable_cameras import expect_pitch
 
     try:
-        expect_pitch(None if pitch_mm == NOT_GIVEN else pitch_mm, "--pixel-pitch-mm is")
+        expect_pitch(pitch_mm, where)
     except InputError as error:
         raise UsageError(str(error)) from error
 
 
-def expect_focal_length(focal_length_mm: float | None) -> None:
+def expect_focal_length(focal_length_mm: float) -> None:
     """Raise UsageError for a focal length in another unit than mm, before any picture is read."""
-    if focal_length_mm is None:
-        return
     shortest, longest = FOCAL_RANGE_MM
+    if focal_length_mm <= 0:
+        raise UsageError(
+            f"--lens-mm has a focal length of {focal_length_mm:g} mm, but must have a positive one."
+        )
     for unit, factor in (("metres", 1e3), ("micrometres", 1e-3)):
         meant = focal_length_mm * factor
-        wrong = 0 < focal_length_mm < shortest if factor > 1 else focal_length_mm > longest
+        wrong = focal_length_mm < shortest if factor > 1 else focal_length_mm > longest
         if wrong and shortest <= meant <= longest:
             raise UsageError(
-                f"--focal-length-mm is {focal_length_mm:g} mm, which looks like {unit}: write "
-                f"{meant:g} millimetres."
+                f"--lens-mm has a focal length of {focal_length_mm:g} mm, which looks like {unit}: "
+                f"write {meant:g} millimetres."
             )
 
 
@@ -56,32 +95,22 @@ def expect_focal_length(focal_length_mm: float | None) -> None:
 class LensOptions:
     """The lens: from a file, or as its data sheet has it."""
 
-    intrinsics: Annotated[
-        tyro.conf.UseAppendAction[tuple[str, ...]],
-        tyro.conf.arg(metavar="FILE", help_behavior_hint="(or the two options below)"),
-    ] = ()
+    lens: Annotated[LensFiles, tyro.conf.arg(help_behavior_hint="(or --lens-mm)")] = ()
     """camera.json of all cameras, or NAME=camera.json, once for each."""
 
-    focal_length_mm: Annotated[
-        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(with the next)")
-    ] = None
-    """Focal length of all cameras, instead of --intrinsics."""
+    lens_mm: Annotated[
+        tuple[float, float, float],
+        tyro.conf.arg(metavar="FOCAL WIDTH HEIGHT", help_behavior_hint="(or --lens)"),
+    ] = NO_NUMBERS
+    """The lens of all cameras as data sheets have it: focal length, width and height of a pixel, in
+    mm. It may be off by 1 % in focal length, 2 % of the picture's width in the principal point, and
+    one pixel of distortion at the corner, unless --sigma has lens=0."""
 
-    pixel_pitch_mm: PixelPitch = NOT_GIVEN
-    """Width and height of a pixel in mm; both, also where they are equal."""
-
-    lens_covariance: Annotated[
-        bool,
-        tyro.conf.arg(
-            help="Leave the covariance that a camera.json states out of the cameras' sigmas.",
-            help_behavior_hint="(default: it counts)",
-        ),
-    ] = True
-
-    lens_exact: bool = False
-    """Take the lens as exactly what is said of it. Without it, one from a data sheet may be off by
-    1 % in focal length, 2 % of the picture's width in the principal point, and one pixel of
-    distortion at the corner."""
+    def check(self) -> None:
+        """Raise UsageError, before any picture is read."""
+        if self.lens_mm != NO_NUMBERS:
+            expect_focal_length(self.lens_mm[0])
+            expect_pixel_pitch(self.lens_mm[1:], "--lens-mm has pixels of")
 
     def lenses(self, sizes_px: Mapping[str, tuple[int, int]]) -> "dict[str, Intrinsics]":
         """The lens of each camera, whose pictures have these (width, height).
@@ -92,37 +121,33 @@ class LensOptions:
         from trinoc.io.intrinsics_json import load_intrinsics
         from trinoc.io.usable_cameras import expect_lens
 
-        by_numbers = self.focal_length_mm is not None or self.pixel_pitch_mm != NOT_GIVEN
-        if by_numbers == bool(self.intrinsics):
+        by_numbers = self.lens_mm != NO_NUMBERS
+        if by_numbers == bool(self.lens):
             raise UsageError(
-                "The lens is not determined: give either --intrinsics, or --focal-length-mm and "
-                "--pixel-pitch-mm."
+                "The lens is not determined: give either --lens camera.json, or --lens-mm FOCAL "
+                "WIDTH HEIGHT."
             )
         if by_numbers:
-            if self.focal_length_mm is None or self.pixel_pitch_mm == NOT_GIVEN:
-                raise UsageError(
-                    "The lens is not determined: --focal-length-mm MM and --pixel-pitch-mm WIDTH "
-                    "HEIGHT go together."
-                )
+            focal_mm, width_mm, height_mm = self.lens_mm
             return {
                 name: expect_lens(
                     Intrinsics(
-                        focal_length_mm=self.focal_length_mm,
-                        pixel_pitch_mm=self.pixel_pitch_mm,
+                        focal_length_mm=focal_mm,
+                        pixel_pitch_mm=(width_mm, height_mm),
                         image_size_px=size,
                     ),
-                    "The lens of --focal-length-mm and --pixel-pitch-mm",
+                    "The lens of --lens-mm",
                 )
                 for name, size in sizes_px.items()
             }
-        if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
-            lens = load_intrinsics(Path(self.intrinsics[0]))
+        if len(self.lens) == 1 and "=" not in self.lens[0]:
+            lens = load_intrinsics(Path(self.lens[0]))
             return dict.fromkeys(sizes_px, lens)
-        files = files_of_views(self.intrinsics)
+        files = files_of_views(self.lens)
         for name in sizes_px:
             if name not in files:
                 raise UsageError(
-                    f'--intrinsics has no file for the camera "{name}": add {name}=camera.json.'
+                    f'--lens has no file for the camera "{name}": add {name}=camera.json.'
                 )
         return {name: load_intrinsics(files[name]) for name in sizes_px}
 
@@ -136,21 +161,19 @@ class LensOptions:
         from trinoc.calib.uncertainty.systematics import Systematics
         from trinoc.io.intrinsics_json import load_lens_covariance
 
-        if self.lens_exact or (self.intrinsics and not self.lens_covariance):
-            return None
         usual = Systematics.typical(lenses).lens_covariance
-        if not self.intrinsics:
+        if not self.lens:
             return usual
-        if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
-            stated = load_lens_covariance(Path(self.intrinsics[0]))
+        if len(self.lens) == 1 and "=" not in self.lens[0]:
+            stated = load_lens_covariance(Path(self.lens[0]))
             return usual if stated is None else stated
-        files = files_of_views(self.intrinsics)
+        files = files_of_views(self.lens)
         loaded = {name: load_lens_covariance(files[name]) for name in lenses}
         stated = {name: each for name, each in loaded.items() if each is not None}
         return {**(usual if isinstance(usual, Mapping) else {}), **stated} or None
 
     def files(self) -> dict[str, Path]:
         """The files that `lenses` reads, for provenance."""
-        if len(self.intrinsics) == 1 and "=" not in self.intrinsics[0]:
-            return {"intrinsics": Path(self.intrinsics[0])}
-        return {f"intrinsics {k}": v for k, v in files_of_views(self.intrinsics).items()}
+        if len(self.lens) == 1 and "=" not in self.lens[0]:
+            return {"lens": Path(self.lens[0])}
+        return {f"lens {k}": v for k, v in files_of_views(self.lens).items()}

@@ -25,6 +25,7 @@ from trinoc.cli.evaluate import Evaluate
 from trinoc.cli.export import Export
 from trinoc.cli.intrinsics import Intrinsics
 from trinoc.cli.match import Match
+from trinoc.cli.old_names import refuse_old_names
 from trinoc.cli.pattern import Pattern
 from trinoc.cli.refine import Refine
 from trinoc.cli.rig_toml import with_file
@@ -122,12 +123,6 @@ COMMANDS: tuple[type[Command], ...] = (
 AnyCommand: Any = Union[  # noqa: UP007, tyro reads a union that is made here
     tuple(Annotated[each, tyro.conf.subcommand(each.command_name())] for each in COMMANDS)
 ]
-# What commands of before are typed as now.
-_NOW = {
-    "doctor": "trinoc --version",
-    "import": "trinoc export FILE --from FORMAT -o OUT",
-    "wireframe": "trinoc match ... --steps wireframe",
-}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -139,11 +134,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for remedy in remedies:
             print(f"trinoc: {remedy}.", file=sys.stderr)
         return 1 if remedies else 0
-    if arguments and arguments[0] in _NOW:
-        print(f"trinoc: {arguments[0]} is now: {_NOW[arguments[0]]}", file=sys.stderr)
-        return 2
     try:
         arguments = with_file(arguments)
+        refuse_old_names(arguments)
     except UsageError as error:
         print(f"trinoc: {error}", file=sys.stderr)
         return 2
@@ -206,7 +199,9 @@ def _print(text: str) -> None:
 
 def _failed(command: Command, sentence: str, status: int) -> int:
     # Names of files and cameras may hold anything; what is said stays one line.
-    sentence = " ".join(in_options(sentence, command).splitlines())
+    # Mistakes of usage are said as it is typed already.
+    said = sentence if status == 2 else in_options(sentence, command)
+    sentence = " ".join(said.splitlines())
     print(f"trinoc: {sentence}", file=sys.stderr)
     if command.json:
         _print(json.dumps({"error": sentence}))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from trinoc.match.tracks.matches import Matches
 import math
 
-from trinoc.cli.segments import SegmentOptions
+from trinoc.cli.segments import FindOption
 from trinoc.match.step_names import StepName
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
@@ -34,7 +34,7 @@ ANYWHERE = (0.0, math.inf)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class MatchOptions(SegmentOptions):
+class MatchOptions(FindOption):
     """Options of the steps from segments to tracks and features."""
 
     depth_range_mm: Annotated[
@@ -64,7 +64,7 @@ LEAST_SHARE = 0.25
 class Match(MatchOptions, DryRunOption, ReportOption, Command):
     """Match line segments across the pictures of a calibrated rig."""
 
-    pictures: Annotated[
+    images: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
         tyro.conf.arg(metavar="NAME=FILE", help_behavior_hint="(required)"),
     ]
@@ -80,7 +80,8 @@ class Match(MatchOptions, DryRunOption, ReportOption, Command):
     def run(self, command_line: str) -> Outcome:
         """Match and write the matches."""
         # Mistakes of usage come before any file is read; the names are said with the rig's below.
-        if not files_of_views(self.pictures, guess=True, say=False):
+        settings = self.find_settings()
+        if not files_of_views(self.images, guess=True, say=False):
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
         near, far = self.depth_range_mm
         if not 0 <= near < far:
@@ -88,8 +89,6 @@ class Match(MatchOptions, DryRunOption, ReportOption, Command):
                 f"--depth-range-mm {near:g} {far:g} holds no depth: give the least, then the "
                 "greatest, in mm."
             )
-
-        self.check()
 
         from trinoc.cli.progress import provenance
         from trinoc.io.atomic import expect_place
@@ -108,7 +107,7 @@ class Match(MatchOptions, DryRunOption, ReportOption, Command):
         expect_place(*places)
         expect_ending(self.out, Matches)
         rig = read_rig(self.rig)
-        files = files_of_rig(self.pictures, rig.names)
+        files = files_of_rig(self.images, rig.names)
         check_views(files, rig, self.rig)
         for name in self.steps:
             if STEPS[name].needs:
@@ -116,19 +115,18 @@ class Match(MatchOptions, DryRunOption, ReportOption, Command):
         if self.dry_run:
             sizes = {name: rig[name].image_size_px for name in files}
             return self.plan(f"match with {self.rig}", files, sizes, places)
-        images, segments = read_segments(files, rig, self.find, quiet=self.quiet)
+        images, segments = read_segments(files, rig, self.find_in, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
         depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
-        with_arcs = dataclasses.replace(self, arcs=True)
         matches, segments, features, shadows = improve(
             match_segments(segments, rig, depth_range_mm=depths),
             segments,
             rig,
             self.steps,
             pictures=images,
-            arcs=lambda: {name: with_arcs.find(image) for name, image in images.items()},
+            arcs=lambda: {n: self.find_in(image, arcs=True) for n, image in images.items()},
             depth_range_mm=depths,
-            response=self.response,
+            response=settings["response"],
             begin=lambda step: LOGGER.info(step.said),
         )
         for kind, own in features.items():

@@ -3,143 +3,140 @@
 import dataclasses
 import importlib.util
 import math
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import tyro
 
 from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.settings import (
+    Settings,
+    parse_integer,
+    parse_number,
+    parse_pair,
+    parse_truth,
+    parse_word,
+    read_settings,
+)
 
 if TYPE_CHECKING:
     from trinoc.calib.targets.abstract_target import AbstractBoard
     from trinoc.calib.targets.printing import SheetProposal
-from typing import NamedTuple
+
+Count = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 8)")]
 
 _MM_PER_INCH = 25.4
 # Glasses for virtual reality have pixels of .01 mm, walls of diodes of 4 mm.
 _PITCHES_MM = (0.005, 5.0)
 _MOST_PX = 20_000
 
+SHEET = "sheet"
+CAMERA = {
+    "distance_mm": parse_number,
+    "field_deg": parse_number,
+    "size_px": parse_pair(parse_integer),
+}
+SCREEN = {
+    "size_px": parse_pair(parse_integer),
+    "diagonal_inch": parse_number,
+    "pitch_mm": parse_number,
+}
+# Of the numbers that boards have as fields.
+_PARSERS: Mapping[Any, Callable[[str], Any]] = {
+    int: parse_integer,
+    float: parse_number,
+    bool: parse_truth,
+    str: str,
+}
+# What a board has where nothing is said.
+_USUAL = {"square_mm": 20.0, "tag_mm": 16.0}
+_COUNT, _PITCH_MM, _RADIUS_MM = 8, 20.0, 6.0
 
-class ScreenOptions(NamedTuple):
-    """What the user says of the screen; a size of (0, 0) and None where nothing is said."""
+
+class Screen(NamedTuple):
+    """A screen as target: its size, and from one of its pixels to the next."""
 
     size_px: tuple[int, int]
-    inch: float | None
-    pitch_mm: float | None
+    pitch_mm: float
 
-    def checked_pitch_mm(self, *, is_meant: bool) -> float | None:
-        """From one pixel to the next; None where no screen is meant. Raises UsageError."""
-        said = self.size_px != (0, 0) or self.inch is not None or self.pitch_mm is not None
-        if not is_meant:
-            if said:
-                raise UsageError("--screen-... is of a screen as target: give -o FILE.png, too.")
-            return None
-        if not all(0 < side <= _MOST_PX for side in self.size_px):
-            raise UsageError(
-                "A PNG is made for one screen: give its width and height, such as "
-                "--screen-px 1920 1080."
-            )
-        if (self.inch is None) == (self.pitch_mm is None):
-            raise UsageError(
-                "How large the pixels of the screen are, one of two says: give --screen-inch, its "
-                "diagonal, such as 24, or --screen-pitch-mm, such as 0.27."
-            )
-        pitch_mm = self.pitch_mm
-        if self.inch is not None:
-            pitch_mm = self.inch * _MM_PER_INCH / math.hypot(*self.size_px)
-        least, most = _PITCHES_MM
-        if pitch_mm is None or not least <= pitch_mm <= most:
-            raise UsageError(
-                f"Pixels of {pitch_mm:g} mm are on no screen: the diagonal is in inches, the pitch "
-                "in millimetres."
-            )
-        return pitch_mm
+
+def read_screen(words: tuple[tuple[str, ...], ...], *, is_meant: bool) -> Screen | None:
+    """The screen that --screen states; None where no screen is meant. Raises UsageError."""
+    said = read_settings("--screen", words, SCREEN)
+    if not is_meant:
+        if said:
+            raise UsageError("--screen is of a screen as target: give -o FILE.png, too.")
+        return None
+    size_px = said.get("size_px", (0, 0))
+    if not all(0 < side <= _MOST_PX for side in size_px):
+        raise UsageError(
+            "A PNG is made for one screen: give its width and height, such as --screen "
+            "size_px=1920,1080 diagonal_inch=24."
+        )
+    if ("diagonal_inch" in said) == ("pitch_mm" in said):
+        raise UsageError(
+            "How large the pixels of the screen are, one of two says: give --screen "
+            "diagonal_inch=INCH, such as 24, or --screen pitch_mm=MM, such as 0.27."
+        )
+    pitch_mm = said.get("pitch_mm")
+    if pitch_mm is None:
+        pitch_mm = said["diagonal_inch"] * _MM_PER_INCH / math.hypot(*size_px)
+    least, most = _PITCHES_MM
+    if not least <= pitch_mm <= most:
+        raise UsageError(
+            f"Pixels of {pitch_mm:g} mm are on no screen: the diagonal is in inches, the pitch in "
+            "millimetres."
+        )
+    return Screen(size_px, pitch_mm)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Pattern(Command):
     """Make a sheet of circles and crossed lines, or a board: its layout, and drawings to print."""
 
-    board: Annotated[str, tyro.conf.arg(metavar="KIND")] = "sheet"
-    """What to draw: the sheet of `trinoc calibrate`, or a board of squares or tags for
-    `calibrate-rig`: chessboard, charuco, aprilgrid."""
+    layout: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="KIND|LAYOUT.json NAME=VALUE", help_behavior_hint="(default: sheet)"),
+    ] = ()
+    """What to draw: the sheet of `trinoc calibrate`, or a board for `calibrate-rig`: chessboard,
+    charuco, aprilgrid; or a layout (JSON) that is there already. Behind the kind what else it has,
+    as in its layout: of a sheet line_style=stop|through|white (where a line of an odd grid meets a
+    circle: it stops before it, runs through it in black or in white); of a chessboard square_mm=20;
+    of a charuco board square_mm=20 marker_mm=15 dictionary=4x4_250 first=0 legacy=no; of an
+    aprilgrid tag_mm=16 spacing=0.3 (gap over tag) dictionary=APRILTAG_36h11 first=0 border=2. first
+    is the number of the first marker, by which boards fixed to each other are told apart."""
 
-    rows: int = 8
+    rows: Count = None
     """Circles from top to bottom; even, so that no line meets a circle. Of a board, squares or
     tags."""
 
-    columns: int = 8
+    columns: Annotated[
+        int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 8)")
+    ] = None
     """Circles from left to right; even, too. Of a board, squares or tags."""
 
-    square_mm: float = 20.0
-    """Side of a board's squares."""
-
-    marker_mm: Annotated[
-        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: 3/4 of it)")
+    pitch_mm: Annotated[
+        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: 20)")
     ] = None
-    """Side of a ChArUco board's markers."""
+    """Distance between the centres of neighbouring circles."""
 
-    tag_mm: float = 16.0
-    """Side of an AprilGrid's tags."""
-
-    tag_spacing: float = 0.3
-    """Gap between an AprilGrid's tags over their side, as Kalibr has it."""
-
-    dictionary: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: 4x4_250; APRILTAG_36h11)"),
+    radius_mm: Annotated[
+        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: 6)")
     ] = None
-    """Of a ChArUco board's markers or an AprilGrid's tags, by OpenCV's name."""
-
-    first: Annotated[int, tyro.conf.arg(metavar="N")] = 0
-    """Number of a ChArUco board's or an AprilGrid's first marker, so that several boards fixed to
-    each other are told apart."""
-
-    pitch_mm: float = 20.0
-    """Distance between the centres of neighbours."""
-
-    radius_mm: float = 6.0
     """Radius of the circles."""
 
-    line_style: Literal["stop", "through", "white"] = "stop"
-    """Where a line of an odd grid meets a circle: it stops before it, runs through it in black,
-    or runs through it in white."""
-
-    for_distance_mm: Annotated[
-        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: as stated)")
-    ] = None
-    """Choose number, pitch and radius of the circles for a camera that looks at the sheet from so
-    far. Give its --field-deg and --image-size-px, too."""
-
-    field_deg: Annotated[
-        float | None, tyro.conf.arg(metavar="DEG", help_behavior_hint="(default: none)")
-    ] = None
-    """Angle that the camera sees from the left to the right edge of its picture: for a focal
-    length f and a sensor w wide, 2 atan(w / 2f)."""
-
-    image_size_px: Annotated[
-        tuple[int, int], tyro.conf.arg(metavar="W H", help_behavior_hint="(default: none)")
-    ] = (0, 0)
-    """Width and height of the camera's pictures."""
+    camera: Settings = ()
+    """Choose number, pitch and radius of the circles for a camera: distance_mm=500 (from which it
+    looks at the sheet), field_deg=30 (that it sees from left to right: for a focal length f and a
+    sensor w wide, 2 atan(w / 2f)), size_px=1280,960 (of its pictures)."""
 
     paper: Literal["a4", "letter", "a3", "a2", "a1", "a0"] = "a4"
     """Paper of the drawings."""
 
-    screen_px: Annotated[
-        tuple[int, int], tyro.conf.arg(metavar="W H", help_behavior_hint="(default: none)")
-    ] = (0, 0)
-    """For -o FILE.png, a screen as target: width and height of the screen."""
-
-    screen_inch: Annotated[
-        float | None, tyro.conf.arg(metavar="INCH", help_behavior_hint="(default: none)")
-    ] = None
-    """Diagonal of the screen, which says how large its pixels are."""
-
-    screen_pitch_mm: Annotated[
-        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: none)")
-    ] = None
-    """Instead of the diagonal: from one pixel of the screen to the next."""
+    screen: Settings = ()
+    """For -o FILE.png, a screen as target: size_px=1920,1080 and diagonal_inch=24, or instead of
+    the diagonal pitch_mm=0.27, from one of its pixels to the next."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="FILE")] = Path("pattern.json")
     """Where the layout goes, a .json. The drawings, .svg and .pdf, go beside it. A .png is the
@@ -153,18 +150,14 @@ class Pattern(Command):
                 f"{self.out}: a layout is JSON: choose a name that ends in .json, or in .png for "
                 "a screen as target."
             )
-        screen = ScreenOptions(self.screen_px, self.screen_inch, self.screen_pitch_mm)
-        pitch_mm = screen.checked_pitch_mm(is_meant=kind == ".png")
-        proposal = self._proposal(pitch_mm)
+        screen = read_screen(self.screen, is_meant=kind == ".png")
+        proposal = self._proposal(screen)
         sheet = self._board(proposal)
-        if pitch_mm is None:
-            written, notes = self._print(sheet)
-        else:
-            written, notes = self._show(sheet, pitch_mm)
+        written, notes = self._print(sheet) if screen is None else self._show(sheet, screen)
         if proposal is not None:
             said = (
                 f"Circles are {proposal.circle_px:.0f} px wide, and the sheet takes "
-                f"{proposal.field_share:.0%} of the shorter side, from {self.for_distance_mm:g} mm."
+                f"{proposal.field_share:.0%} of the shorter side."
             )
             notes = [said, *notes]
         text = f"{len(sheet)} {sheet.places}, {sheet.name}\n" + "\n".join(notes)
@@ -181,9 +174,9 @@ class Pattern(Command):
         # First the drawing, which fails where the sheet is larger than the paper.
         save_pattern_svg(sheet, drawing, paper=self.paper)
         save_target(sheet, self.out)
-        side = "tag" if self.board == "aprilgrid" else "square"
+        side = "tag" if sheet.kind == "aprilgrid" else "square"
         notes = [f"Print at 100 %, and give the side of a {side} as you measure it."]
-        if self.board == "sheet":
+        if sheet.kind == SHEET:
             notes = [
                 "Print at 100 %, measure the two scale bars, and give measured over nominal length",
                 "to `trinoc calibrate --print-scale`.",
@@ -194,96 +187,142 @@ class Pattern(Command):
         save_pattern_pdf(sheet, page, paper=self.paper)
         return [self.out, drawing, page], notes
 
-    def _show(self, sheet: "AbstractBoard", pitch_mm: float) -> tuple[list[Path], list[str]]:
+    def _show(self, sheet: "AbstractBoard", screen: Screen) -> tuple[list[Path], list[str]]:
         """Picture for the screen and layout: the files, and what to do with them."""
         from trinoc.io.board_json import save_target
         from trinoc.io.pattern_page import drawing_size_mm
         from trinoc.io.pattern_png import save_pattern_png
 
         layout = self.out.with_suffix(".json")
-        save_pattern_png(sheet, self.out, size_px=self.screen_px, pitch_mm=pitch_mm)
+        save_pattern_png(sheet, self.out, size_px=screen.size_px, pitch_mm=screen.pitch_mm)
         save_target(sheet, layout)
         width, height = drawing_size_mm(sheet)
         notes = [
-            f"Pixels of {pitch_mm:.4f} mm. Show it full screen at 100 %, with no scaling by the "
-            "desktop or the viewer.",
+            f"Pixels of {screen.pitch_mm:.4f} mm. Show it full screen at 100 %, with no scaling by "
+            "the desktop or the viewer.",
             f"From outer edge to outer edge the ink is {width:.1f} x {height:.1f} mm: measure it "
             + (
                 "and give measured\nover nominal length to `trinoc calibrate --print-scale`."
-                if self.board == "sheet"
+                if sheet.kind == SHEET
                 else "on the screen."
             ),
         ]
         return [self.out, layout], notes
 
-    def _proposal(self, screen_pitch_mm: float | None) -> "SheetProposal | None":
-        if self.for_distance_mm is None:
+    def _proposal(self, screen: Screen | None) -> "SheetProposal | None":
+        """The sizes of a sheet for the camera that --camera states. Raises UsageError."""
+        said = read_settings("--camera", self.camera, CAMERA)
+        if not said:
             return None
-        if self.board != "sheet":
+        if self._kind() != SHEET:
             raise UsageError(
-                "--for-distance-mm is of the sheet: give --square-mm or --tag-mm of a board."
+                "--camera is of the sheet of circles: give square_mm or tag_mm behind the kind."
             )
-        width, height = self.image_size_px
-        angle = self.field_deg
-        if self.for_distance_mm <= 0:
+        self._refuse("--camera chooses them", "rows", "columns", "pitch_mm", "radius_mm")
+        missing = [name for name in CAMERA if name not in said]
+        if missing:
             raise UsageError(
-                f"--for-distance-mm is {self.for_distance_mm:g}: give the distance from the camera "
-                "to the sheet."
+                f"--camera lacks {' and '.join(missing)}: write --camera distance_mm=500 "
+                "field_deg=30 size_px=1280,960."
             )
-        if angle is not None and not 0 < angle < 170:
-            raise UsageError(f"--field-deg is {angle:g}: give an angle above 0 and below 170.")
-        if angle is None or min(width, height) <= 0:
+        distance_mm, angle, (width, height) = (said[name] for name in CAMERA)
+        if distance_mm <= 0:
             raise UsageError(
-                "--for-distance-mm needs the camera: give --field-deg, such as 30, and "
-                "--image-size-px, such as 1280 960."
+                f"--camera distance_mm is {distance_mm:g}: give the distance from the camera to "
+                "the sheet."
+            )
+        if not 0 < angle < 170:
+            raise UsageError(
+                f"--camera field_deg is {angle:g}: give an angle above 0 and below 170."
+            )
+        if min(width, height) <= 0:
+            raise UsageError(
+                f"--camera size_px is {width},{height}: give width and height of its pictures."
             )
 
         from trinoc.calib.targets.printing import propose_sheet
         from trinoc.io.pattern_page import drawing_room_mm
         from trinoc.io.pattern_png import screen_room_mm
 
-        across = 2 * self.for_distance_mm * math.tan(math.radians(angle) / 2)
+        across = 2 * distance_mm * math.tan(math.radians(angle) / 2)
         return propose_sheet(
             field_mm=(across, across * height / width),
             size_px=(width, height),
             room_mm=(
                 drawing_room_mm(self.paper)
-                if screen_pitch_mm is None
-                else screen_room_mm(self.screen_px, screen_pitch_mm)
+                if screen is None
+                else screen_room_mm(screen.size_px, screen.pitch_mm)
             ),
         )
 
+    def _kind(self) -> str:
+        """The kind, or the file of a layout: the word before those with a value."""
+        names = [word for word in self.layout if "=" not in word]
+        if len(names) > 1:
+            raise UsageError(
+                f"{names[0]} and {names[1]} are two kinds: give one, and what it has as NAME=VALUE."
+            )
+        return names[0] if names else SHEET
+
+    def _refuse(self, why: str, *names: str) -> None:
+        """Raise UsageError where one of these options is given."""
+        for name in names:
+            if getattr(self, name) is not None:
+                raise UsageError(f"{why}: leave out --{name.replace('_', '-')}.")
+
     def _board(self, proposal: "SheetProposal | None") -> "AbstractBoard":
+        from trinoc.calib.targets.abstract_target import AbstractBoard
         from trinoc.calib.targets.board_set import BOARDS
         from trinoc.calib.targets.checkers import Chessboard
-        from trinoc.calib.targets.pattern import Pattern as Sheet
+        from trinoc.io.board_json import load_target
 
-        if self.board == Sheet.kind:
-            sizes = (self.rows, self.columns, self.pitch_mm, self.radius_mm)
-            if proposal is not None:
-                sizes = (proposal.count, proposal.count, proposal.pitch_mm, proposal.radius_mm)
-            rows, columns, pitch_mm, radius_mm = sizes
-            return Sheet.cross_grid(
-                rows=rows,
-                columns=columns,
-                pitch_mm=pitch_mm,
-                radius_mm=radius_mm,
-                line_style=self.line_style,
+        kind, words = self._kind(), [word for word in self.layout if "=" in word]
+        if kind.lower().endswith(".json"):
+            self._refuse(f"{kind} says it already", "rows", "columns", "pitch_mm", "radius_mm")
+            if words:
+                raise UsageError(f"{kind} says it already: leave out {words[0]}.")
+            board = load_target(kind)
+            if not isinstance(board, AbstractBoard):
+                raise UsageError(f"{kind} holds several boards: give the layout of one of them.")
+            return board
+        if kind not in BOARDS:
+            raise UsageError(
+                f"{kind} is no kind of board: give {', '.join(BOARDS)}, or a layout, FILE.json."
             )
-        if self.board not in BOARDS:
-            raise UsageError(f"--board is {self.board!r}: give one of {', '.join(BOARDS)}.")
-        board = BOARDS[self.board]
+        rows = _COUNT if self.rows is None else self.rows
+        columns = _COUNT if self.columns is None else self.columns
+        if kind == SHEET:
+            return self._sheet(rows, columns, words, proposal)
+        board = BOARDS[kind]
+        types: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(board)}
+        names = [name for name in board.layout.values() if name not in ("rows", "columns")]
+        why = f"{kind} is no sheet of circles, but has {', '.join(names)}"
+        self._refuse(why, "pitch_mm", "radius_mm")
+        said = read_settings(kind, [words], {name: _PARSERS[types[name]] for name in names})
+        usual = {name: value for name, value in _USUAL.items() if name in names}
         # A chessboard counts its inner corners.
         beyond = 1 if board is Chessboard else 0
-        options = {
-            "rows": self.rows - beyond,
-            "columns": self.columns - beyond,
-            "square_mm": self.square_mm,
-            "marker_mm": self.marker_mm,
-            "tag_mm": self.tag_mm,
-            "spacing": self.tag_spacing,
-            "dictionary": self.dictionary,
-            "first": self.first,
+        counts = {"rows": rows - beyond, "columns": columns - beyond}
+        usual |= {name: value for name, value in counts.items() if name in board.layout.values()}
+        return board(**{**usual, **said})
+
+    def _sheet(
+        self, rows: int, columns: int, words: list[str], proposal: "SheetProposal | None"
+    ) -> "AbstractBoard":
+        from trinoc.calib.targets.pattern import Pattern as Sheet
+
+        parsers = {"line_style": parse_word("stop", "through", "white")}
+        sizes = {
+            "rows": rows,
+            "columns": columns,
+            "pitch_mm": _PITCH_MM if self.pitch_mm is None else self.pitch_mm,
+            "radius_mm": _RADIUS_MM if self.radius_mm is None else self.radius_mm,
         }
-        fields = board.layout.values()
-        return board(**{k: v for k, v in options.items() if k in fields and v is not None})
+        if proposal is not None:
+            sizes = {
+                "rows": proposal.count,
+                "columns": proposal.count,
+                "pitch_mm": proposal.pitch_mm,
+                "radius_mm": proposal.radius_mm,
+            }
+        return Sheet.cross_grid(**sizes, **read_settings(SHEET, [words], parsers))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class Refine(Command):
     """Refine a rig jointly against its calibration and matched segments."""
 
-    pictures: Annotated[
+    images: Annotated[
         tyro.conf.Positional[tuple[str, ...]],
         tyro.conf.arg(metavar="NAME=FILE", help_behavior_hint="(or --matches)"),
     ] = ()
@@ -42,7 +42,7 @@ class Refine(Command):
     """What may change in each camera: aimed: pan, tilt, swing and distance; aim-free: where the
     optical axis meets the sheet, too; rigid: any motion."""
 
-    intrinsics: bool = False
+    free_lens: bool = False
     """Refine focal lengths and principal points too, also those that the calibration does not call
     uncertain."""
 
@@ -67,14 +67,14 @@ class Refine(Command):
         expect_place(self.out)
         expect_ending(self.out, Rig)
         rig = read_rig(self.rig)
-        scene = scene_of(self.pictures, self.matches, rig, self.rig, quiet=self.quiet)
+        scene = scene_of(self.images, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("refining %d cameras and %d lines", len(rig), len(scene.matches))
         again = [scene.tolerant, scene.strict] if self.moved else [scene.strict]
         result = refine(
             rig,
             scene.matches,
             pose_model=self.pose_model,
-            intrinsics=self.intrinsics or None,
+            intrinsics=self.free_lens or None,
             moved=self.moved,
             match_again=[match for match in again if match is not None] or None,
         )

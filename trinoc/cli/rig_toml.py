@@ -1,15 +1,15 @@
 """trinoc.toml: what the commands of one rig are always told, so that they need no arguments.
 
-Each table is a command, each key one of its options, `pictures` the files of its cameras:
+Each table is a command, each key one of its options, `images` the files of its cameras:
 
     [calibrate]
-    pictures = {upper = "sheet/upper.png", left = "sheet/left.png", right = "sheet/right.png"}
-    pattern = "sheet.json"
-    focal_length_mm = 16
-    pixel_pitch_mm = [0.0162, 0.0134]
+    images = {upper = "sheet/upper.png", left = "sheet/left.png", right = "sheet/right.png"}
+    board = "sheet.json"
+    lens_mm = [16, 0.0162, 0.0134]
+    sigma = {flatness_mm = 0.1}
 
     [match]
-    pictures = {upper = "upper.png", left = "left.png", right = "right.png"}
+    images = {upper = "upper.png", left = "left.png", right = "right.png"}
     rig = "rig.json"
 """
 
@@ -19,15 +19,25 @@ from pathlib import Path
 from typing import Any
 
 from trinoc.cli.command import UsageError
+from trinoc.cli.old_names import KEYS
 
 FILE = Path("trinoc.toml")
-POSITIONAL = "pictures"
+POSITIONAL = "images"
+# Of each group one counts: what is typed.
+ONE_OF = (
+    ("--out", "-o"),
+    ("--board", "--pattern"),
+    ("--lens", "--intrinsics", "--lens-mm"),
+    ("--to", "--from"),
+)
+# These take one value each time they are given.
+REPEATED = ("--board", "--pattern", "--lens", "--intrinsics")
 
 
 def with_file(arguments: Sequence[str], file: Path = FILE) -> list[str]:
     """The arguments with what the file says of their command; what is typed counts more.
 
-    Raises UsageError for a file that cannot be read.
+    Raises UsageError for a file that cannot be read, and a key of before.
     """
     if not arguments or "--help" in arguments or "-h" in arguments or not file.is_file():
         return list(arguments)
@@ -38,6 +48,8 @@ def with_file(arguments: Sequence[str], file: Path = FILE) -> list[str]:
     added: list[str] = []
     for key, value in table.items():
         option = f"--{key.replace('_', '-')}"
+        if key in KEYS:
+            raise UsageError(f"{file}: {key} is now: {KEYS[key]}")
         if key == POSITIONAL:
             positional = [] if _names_files(typed) else _files(value, file)
             typed = [*positional, *typed]
@@ -54,8 +66,8 @@ def _read(file: Path) -> dict[str, Any]:
 
 
 def _says(option: str, typed: Sequence[str]) -> bool:
-    short = {"--out": "-o"}.get(option)
-    return any(word in (option, short) or word.startswith(f"{option}=") for word in typed)
+    same = next((group for group in ONE_OF if option in group), (option,))
+    return any(word.partition("=")[0] in same for word in typed)
 
 
 def _names_files(typed: Sequence[str]) -> bool:
@@ -79,8 +91,21 @@ def _files(value: object, file: Path) -> list[str]:
 def _words(option: str, value: object, file: Path) -> list[str]:
     if isinstance(value, bool):
         return [option] if value else []
+    if isinstance(value, dict):
+        return [w for name, each in value.items() for w in (option, f"{name}={_word(each)}")]
+    if isinstance(value, list) and option in REPEATED:
+        return [word for each in value for word in (option, _word(each))]
     if isinstance(value, list):
-        return [option, *(str(each) for each in value)]
+        return [option, *map(_word, value)]
     if isinstance(value, (str, int, float)):
-        return [option, str(value)]
-    raise UsageError(f'{file}: "{option[2:]}" must be a text, a number, true, false or a list.')
+        return [option, _word(value)]
+    raise UsageError(
+        f'{file}: "{option[2:]}" must be a text, a number, true, false, a list or a table.'
+    )
+
+
+def _word(value: object) -> str:
+    """As it is typed."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ",".join(map(_word, value)) if isinstance(value, list) else str(value)

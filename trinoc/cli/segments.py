@@ -1,12 +1,14 @@
 """`trinoc segments`: the straight edges of one picture."""
 
 import dataclasses
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
 from trinoc.cli.command import Command, Out, Outcome, UsageError
+from trinoc.cli.settings import Settings, parse_number, parse_truth, read_settings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -14,9 +16,45 @@ if TYPE_CHECKING:
     from trinoc.geometry import segments
 
 
+def _response(text: str) -> str | float:
+    return text if text in ("linear", "srgb") else parse_number(text)
+
+
+# The settings of `find_segments`, which `trinoc segments` has as options.
+FIND: Mapping[str, Callable[[str], Any]] = {
+    "tolerance_px": parse_number,
+    "false_alarms": parse_number,
+    "least_contrast": parse_number,
+    "arcs": parse_truth,
+    "response": _response,
+}
+
+
+def expect_find(settings: Mapping[str, Any], spell: Callable[[str], str]) -> None:
+    """Raise UsageError for settings that no search can follow, before any work starts.
+
+    spell : how the command line writes the name of a setting.
+    """
+    for name in ("tolerance_px", "false_alarms"):
+        if not settings[name] > 0:
+            raise UsageError(f"{spell(name)} is {settings[name]:g}, but must be positive.")
+    least = settings["least_contrast"]
+    if not least >= 0:
+        raise UsageError(f"{spell('least_contrast')} is {least:g}, but must not be negative.")
+    response = settings["response"]
+    if not isinstance(response, str) and not -1 <= response <= 2:
+        raise UsageError(
+            f"{spell('response')} is {response:g}, but must be linear, srgb or a number from -1 "
+            "to 2."
+        )
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SegmentOptions:
-    """Options of every command that finds segments."""
+class Segments(Command):
+    """Find the line segments of a picture (Nevatia and Babu)."""
+
+    image: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMG")]
+    """The picture: PNG, TIFF or JPEG, 8 or 16 bit, grey or colour."""
 
     tolerance_px: float = 1.6
     """Coarsest deviation of an edge from a straight line."""
@@ -31,57 +69,11 @@ class SegmentOptions:
     """Keep the chords of arcs, such as the rims of cylinders: more of the scene is seen, less
     exactly."""
 
-    response: Literal["linear", "srgb"] | float = "linear"
+    response: Annotated[
+        Literal["linear", "srgb"] | float, tyro.conf.arg(metavar="linear|srgb|NUMBER")
+    ] = "linear"
     """How the cameras make grey levels of light: linear, srgb (nearly every camera that is not an
     industrial one), or a number, 0 for linear, 1 for sRGB. Blurred edges are placed by it."""
-
-    def check(self) -> None:
-        """Raise UsageError for options that no search can follow, before any work starts."""
-        for name, value in (
-            ("--tolerance-px", self.tolerance_px),
-            ("--false-alarms", self.false_alarms),
-        ):
-            if not value > 0:
-                raise UsageError(f"{name} is {value:g}, but must be positive.")
-        if not self.least_contrast >= 0:
-            raise UsageError(
-                f"--least-contrast is {self.least_contrast:g}, but must not be negative."
-            )
-        if not isinstance(self.response, str) and not -1 <= self.response <= 2:
-            raise UsageError(
-                f"--response is {self.response:g}, but must be linear, srgb or a number from -1 "
-                "to 2."
-            )
-
-    def find(self, image: "np.ndarray") -> "segments.Segments":
-        """The segments of a picture."""
-        from trinoc.segments.find import find_segments
-
-        return find_segments(image, **self.find_options())
-
-    def find_options(self) -> dict[str, Any]:
-        """The options as `find_segments` takes them."""
-        return {
-            "tolerance_px": self.tolerance_px,
-            "false_alarms": self.false_alarms,
-            "least_contrast": self.least_contrast,
-            "arcs": self.arcs,
-            "response": self.response,
-        }
-
-    def why_nothing(self, image: "np.ndarray") -> str:
-        """Why `find` found no segment in a picture."""
-        from trinoc.segments.nothing_found import why_nothing
-
-        return why_nothing(image, least_contrast=self.least_contrast)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Segments(SegmentOptions, Command):
-    """Find the line segments of a picture (Nevatia and Babu)."""
-
-    picture: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMG")]
-    """The picture: PNG, TIFF or JPEG, 8 or 16 bit, grey or colour."""
 
     out: Out = Path("segments.npz")
     """Where the segments go."""
@@ -92,16 +84,19 @@ class Segments(SegmentOptions, Command):
         from trinoc.io.atomic import expect_place
         from trinoc.io.images import read_image
         from trinoc.io.saving import expect_ending, save
+        from trinoc.segments.find import find_segments
+        from trinoc.segments.nothing_found import why_nothing
 
-        self.check()
+        settings = {name: getattr(self, name) for name in FIND}
+        expect_find(settings, lambda name: f"--{name.replace('_', '-')}")
         expect_place(self.out)
         expect_ending(self.out, Found)
-        image = read_image(self.picture)
-        segments = self.find(image)
+        image = read_image(self.image)
+        segments = find_segments(image, **settings)
         save(segments, self.out)
         count = len(segments)
         median_px = float(sorted(segments.length_px)[count // 2]) if count else 0.0
-        why = "" if count else f"\n{self.why_nothing(image)}"
+        why = "" if count else f"\n{why_nothing(image, least_contrast=self.least_contrast)}"
         text = f"{count} segments, median length {median_px:.1f} px{why}"
         record = {
             "segments": count,
@@ -109,3 +104,31 @@ class Segments(SegmentOptions, Command):
             "why_nothing": why.strip() or None,
         }
         return Outcome(text, record, written=(self.out,))
+
+
+def usual_find() -> dict[str, Any]:
+    """The settings where nothing is said."""
+    return {name: getattr(Segments, name) for name in FIND}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FindOption:
+    """Of commands that find segments on their way."""
+
+    settings: ClassVar[Mapping[str, Collection[str]]] = {"find": FIND}
+
+    find: Settings = ()
+    """How segments are found, by the options of `trinoc segments`: tolerance_px=1.6,
+    false_alarms=1, least_contrast=7, arcs=no, response=linear."""
+
+    def find_settings(self) -> dict[str, Any]:
+        """All settings of `find_segments`. Raises UsageError."""
+        settings = {**usual_find(), **read_settings("--find", self.find, FIND)}
+        expect_find(settings, lambda name: f"--find {name}")
+        return settings
+
+    def find_in(self, image: "np.ndarray", **other: Any) -> "segments.Segments":
+        """The segments of a picture; `other` settings count more than those that are given."""
+        from trinoc.segments.find import find_segments
+
+        return find_segments(image, **{**self.find_settings(), **other})

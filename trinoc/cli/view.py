@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from trinoc.cli.command import Command, FileOrNone, Outcome, UsageError
+from trinoc.cli.command import BoardFileOrNone, Command, FileOrNone, Outcome, UsageError
 from trinoc.cli.views import read_rig
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ Port = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: a free one)")]
 def expect_port(port: int) -> None:
     """Raises UsageError: a server's thread would fail by itself, and the command wait on."""
     if not 0 <= port <= 65535:
-        raise UsageError(f"--port is {port}: give one up to 65535, or none for a free one.")
+        raise UsageError(f"--port is {port}: give one up to 65535, or leave it out for a free one.")
 
 
 def show(url: str, browser: bool) -> None:
@@ -44,7 +44,7 @@ class View(Command):
     rig: FileOrNone = None
     """The cameras to show beside matches, a wire frame or cylinders."""
 
-    pattern: FileOrNone = None
+    board: BoardFileOrNone = None
     """The sheet to show beside cameras."""
 
     port: Port = 0
@@ -86,10 +86,10 @@ class View(Command):
                 f"{self.file} holds nothing that is shown here: give a rig.json, matches, a wire "
                 "frame or other features."
             )
-        pattern = None if self.pattern is None else load_pattern(self.pattern)
+        pattern = None if self.board is None else load_pattern(self.board)
         if isinstance(value, Feature):
-            if self.pattern is not None:
-                raise UsageError("--pattern goes with cameras and matches: leave it out.")
+            if self.board is not None:
+                raise UsageError("--board goes with cameras and matches: leave it out.")
             rig = None if self.rig is None else read_rig(self.rig)
             ellipsoids = None
             if isinstance(value, Wireframe):
@@ -101,8 +101,8 @@ class View(Command):
             rig = read_rig(self.file)
             return space_figure(rig, pattern, None), None, f"{len(rig)} cameras"
         if self.rig is None:
-            if self.pattern is not None:
-                raise UsageError("--pattern goes with cameras: give --rig, too.")
+            if self.board is not None:
+                raise UsageError("--board goes with cameras: give --rig, too.")
             figure = SpaceFigure.of_tracks(value)
         else:
             figure = space_figure(read_rig(self.rig), pattern, value)

@@ -6,13 +6,13 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError
+from trinoc.cli.command import BoardFile, Command, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
-from trinoc.cli.view import Port, expect_port, show
+from trinoc.cli.view import expect_port, show
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ class Watch(Command):
     """The folder that pictures of one camera arrive in, or the number of a camera of this machine,
     such as 0."""
 
-    pattern: Path
+    board: BoardFile
     """Layout of the sheet or board (JSON), as `trinoc pattern` writes it."""
 
     every_s: float = 1.0
@@ -181,11 +181,12 @@ class Watch(Command):
     once: bool = False
     """Judge the pictures that are there, and end."""
 
-    no_page: bool = False
-    """Serve no page: say everything in the terminal alone."""
-
-    port: Port = 0
-    """Of the page, on this machine's own address, 127.0.0.1, which no other machine reaches."""
+    port: Annotated[
+        Literal["none"] | int,
+        tyro.conf.arg(metavar="N|none", help_behavior_hint="(default: a free one)"),
+    ] = 0
+    """Of the page, on this machine's own address, 127.0.0.1, which no other machine reaches; none
+    for no page, so that everything is said in the terminal alone."""
 
     open: bool = False
     """Open the browser."""
@@ -194,7 +195,9 @@ class Watch(Command):
         """Watch until interrupted."""
         if not 0 < self.every_s <= 3600:
             raise UsageError(f"--every-s is {self.every_s:g}: give seconds, such as 1.")
-        expect_port(self.port)
+        port = None if self.port == "none" else self.port
+        if port is not None:
+            expect_port(port)
         number = int(self.source) if self.source.isdecimal() else None
         if number is None and self.keep is not None:
             raise UsageError("--keep goes with a camera: the pictures of a folder are kept there.")
@@ -206,16 +209,16 @@ class Watch(Command):
 
         # Before the page is shown: a folder that is none ends the command.
         source = FolderArrivals(Path(self.source)) if number is None else number
-        target = load_target(self.pattern)
+        target = load_target(self.board)
         if isinstance(target, BoardSet):
             raise UsageError(
-                f"{self.pattern} holds several boards, and one is watched at a time: give the "
+                f"{self.board} holds several boards, and one is watched at a time: give the "
                 "layout of one of them."
             )
         session = WatchSession(target, self.source, self.json, self.quiet)
         with contextlib.ExitStack() as stack:
-            if not self.no_page and not self.once:
-                show(stack.enter_context(_page(session, self.port)), self.open)
+            if port is not None and not self.once:
+                show(stack.enter_context(_page(session, port)), self.open)
             try:
                 for name, image in self._pictures(source):
                     self._keep(session, session.look(name, image), image)

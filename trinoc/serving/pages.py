@@ -43,7 +43,7 @@ def serve_pages(pages: Mapping[str, Callable[[], Page]], *, port: int = 0) -> It
         server = http.server.ThreadingHTTPServer((ADDRESS, port), handler)
     except (OSError, OverflowError) as error:
         raise InputError(
-            f"Port {port} is taken: give another --port, or none for a free one."
+            f"Port {port} is taken: give another --port, or leave it out for a free one."
         ) from error
     server.daemon_threads = True
     with server:

@@ -42,7 +42,9 @@ def serve_space(
                 "This version of viser starts its server in another way: update trinoc."
             )
         if port not in (0, server.get_port()):
-            raise InputError(f"Port {port} is taken: give another --port, or none for a free one.")
+            raise InputError(
+                f"Port {port} is taken: give another --port, or leave it out for a free one."
+            )
         # viser can lend a scene to everybody through a relay of its own, at the press of a button.
         server.request_share_url = lambda *_, **__: None
         server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=False)

@@ -89,6 +89,6 @@ def test_it_is_drawn_saved_found_and_a_part_of_sets(tmp_path):
 
 def test_the_command_draws_it(tmp_path):
     layout = tmp_path / "steps.json"
-    assert main(["pattern", "--board", "steps", "--rows", "4", "-o", str(layout), "--quiet"]) == 0
+    assert main(["pattern", "steps", "--rows", "4", "-o", str(layout), "--quiet"]) == 0
     assert load_target(layout) == Steps(rows=4, square_mm=20.0)
-    assert main(["pattern", "--board", "stairs", "-o", str(layout), "--quiet"]) == 2
+    assert main(["pattern", "stairs", "-o", str(layout), "--quiet"]) == 2

@@ -56,7 +56,7 @@ def write_tf(rig: Rig, path: Path, unit_mm: float) -> None:
 def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     """The cameras of `lenses` at the poses of the file, in the frame that all hang from."""
     if not lenses:
-        raise InputError(f"{path} holds poses alone: give the lenses, too (--lenses rig.json).")
+        raise InputError(f"{path} holds poses alone: give the lenses, too (--lens rig.json).")
     document = read_json(path) if path.suffix.lower() == ".json" else read_yaml(path)
     parents = _parents(document, unit_mm)
     cameras, roots = {}, set()
