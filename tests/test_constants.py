@@ -10,9 +10,8 @@ import trinoc
 ROOT = Path(trinoc.__file__).parent
 # Parts whose numbers are not yet in order.
 NOT_YET = {
-    *("calib", "calib/adjustment", "calib/advice", "calib/bundle"),
-    *("calib/photometric", "calib/problem", "calib/result", "calib/starts", "calib/targets"),
-    "calib/uncertainty",
+    *("calib", "calib/bundle"),
+    *("calib/photometric", "calib/problem", "calib/targets"),
 }
 MARK = "# numerical:"
 

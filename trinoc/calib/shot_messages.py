@@ -9,8 +9,9 @@ from trinoc.calib.problem.outcome import FitOutcome
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.result.status import Status
-from trinoc.calib.starts.placing import PARALLEL_DEG, boards_are_parallel
+from trinoc.calib.starts.placing import boards_are_parallel
 from trinoc.calib.targets.board_set import board_names, list_boards
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import Pose
 
 # A scale or a warp beyond this many sigmas of what was known of it before is reported.
@@ -51,7 +52,7 @@ def _reason(problem: Problem) -> str:
         )
     facing = np.array([cam_from_board(problem.state, view).rotation[:, 2] for view in used])
     tilts_deg = np.degrees(np.arccos(np.clip(np.abs(facing[:, 2]), 0.0, 1.0)))
-    if max(tilts_deg) < PARALLEL_DEG:
+    if max(tilts_deg) < TUNING.starts.parallel_deg:
         return (
             ": all pictures show the board square to the camera, where a longer focal length and a "
             "larger distance look the same. Tilt the board by 30 to 50 degrees, another way each "
@@ -63,7 +64,7 @@ def _reason(problem: Problem) -> str:
             ": the board is parallel in all shots. Tilt it by 30 to 50 degrees, another way each "
             "time"
         )
-    tilted = facing[tilts_deg >= PARALLEL_DEG, :2]
+    tilted = facing[tilts_deg >= TUNING.starts.parallel_deg, :2]
     doubled = 2.0 * np.arctan2(tilted[:, 1], tilted[:, 0])
     alignment = np.hypot(np.mean(np.cos(doubled)), np.mean(np.sin(doubled)))
     if problem.cameras == 1 and alignment > np.cos(np.radians(2.0 * _ONE_AXIS_DEG)):

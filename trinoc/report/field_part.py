@@ -9,6 +9,7 @@ from jaxtyping import Float
 from trinoc.calib.rig_from_shots import RigFromShots
 from trinoc.calib.targets.board_set import list_boards
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.propagation import epipolar_sigma, point_covariance, projection_sigma
 from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import Matches
@@ -18,8 +19,6 @@ from trinoc.report.space_content import content_box
 
 # Numbers of a map along each side.
 PLACES = 5
-# Beyond the boards by so much: where users may measure, and where errors no longer cancel.
-FARTHER = 3.0
 # So many claimed sigmas between two halves are as dark as a tile becomes.
 _DARKEST = 3.0
 
@@ -191,7 +190,7 @@ def uncertainty_maps(result: RigFromShots) -> Uncertainty | None:
     if result.rig is None or not len(result.rig.parameters):
         return None
     near, worst_near = _uncertainty_maps(result, result.rig, 1.0)
-    far, worst_far = _uncertainty_maps(result, result.rig, FARTHER)
+    far, worst_far = _uncertainty_maps(result, result.rig, TUNING.advice.farther)
     return Uncertainty(near, far, worst_near, worst_far)
 
 

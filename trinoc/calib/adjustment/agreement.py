@@ -13,10 +13,8 @@ from jaxtyping import Float
 
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.problem.information import whiten_views
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.tails import chi_square_tail
-
-# Of the circles' own covariance that the difference has at least.
-_LEAST_SHARE = 0.1
 
 
 def probability_of_agreement(circles: Adjustment, image: Adjustment, view: int) -> float:
@@ -44,4 +42,4 @@ def difference_of_answers(
     slope, information = by_circles.T @ residual, by_circles.T @ by_circles
     squared = float(slope @ np.linalg.solve(information, slope))
     kept = np.trace(np.linalg.solve(by_grey.T @ by_grey, information)) / len(slope)
-    return squared / max(1 - kept, _LEAST_SHARE)
+    return squared / max(1 - kept, TUNING.adjustment.least_difference)

@@ -15,6 +15,7 @@ from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
 from trinoc.calib.result.status import Status
 from trinoc.calib.starts.camera_start import plane_pose
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose, PoseModel
@@ -22,9 +23,6 @@ from trinoc.geometry.projection import unproject_pixels
 from trinoc.geometry.rig import PARAMETER_NAMES
 from trinoc.numerics.information import observability
 from trinoc.numerics.precision import as_numpy
-
-# Another start may do better where most circles lie farther off, in sigmas.
-_FAR = 10.0
 
 
 class PoseEstimate(NamedTuple):
@@ -89,7 +87,7 @@ def fit_camera(
         fit = adjust_cameras([camera], pattern, Systematics(), model, 0.0, first_damping=None)
         if best is None or _misfit(fit) < _misfit(best):
             best = fit
-        if _misfit(best) < _FAR:
+        if _misfit(best) < TUNING.adjustment.far_sigmas:
             break
     return _nothing(detection, model) if best is None else _estimate(best)
 
@@ -150,7 +148,8 @@ def _nothing(detection: Detection, model: PoseModel) -> PoseEstimate:
     )
 
 
-# Steps of 7.5 degrees: the parabola through the best three is then good to a degree or two.
+# numerical: steps of 7.5 degrees, after which the parabola through the best three is good to a
+# degree or two.
 _ANGLES_RAD = np.arange(48) * (2 * np.pi / 48)
 
 

@@ -24,7 +24,8 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 
-# Singular values of a root with columns of length 1 below this share of the largest are rounding.
+# numerical: singular values of a root with columns of length 1 below this share of the largest
+# are rounding.
 _ROUNDING = 1e-14
 
 

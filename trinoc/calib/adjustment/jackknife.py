@@ -8,10 +8,7 @@ jackknife estimate of variance", Annals of Statistics 9(3), 1981.
 import numpy as np
 
 from trinoc.calib.adjustment.estimate import Adjustment
-
-# Blocks along each side of the sheet.
-_BLOCKS = 4
-_FEWEST_BLOCKS = 6
+from trinoc.calib.tuning.every_group import TUNING
 
 
 def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
@@ -33,7 +30,7 @@ def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
         steps.append(np.linalg.solve(left, residuals[rows]) @ taken[:, own])
         # What independent noise makes of such a step, the residuals being less than the noise.
         expected.append(taken[:, own].T @ np.linalg.solve(left, taken[:, own]))
-    if len(steps) < _FEWEST_BLOCKS:
+    if len(steps) < TUNING.adjustment.fewest_blocks:
         return 1.0
     spread = np.stack(steps)
     ratio = np.linalg.solve(np.sum(expected, axis=0), spread.T @ spread)
@@ -42,7 +39,7 @@ def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
 
 def _blocks(place_mm: np.ndarray, used: np.ndarray) -> list[np.ndarray]:
     """Rows of `place_mm` that took part, by the block of the sheet that they lie in."""
-    low, high = place_mm.min(axis=0), place_mm.max(axis=0)
-    cell = np.floor((place_mm - low) / (high - low + 1e-9) * _BLOCKS).astype(int)
-    number = np.where(used, cell[:, 0] * _BLOCKS + cell[:, 1], -1)
-    return [np.flatnonzero(number == k) for k in range(_BLOCKS**2) if (number == k).any()]
+    blocks, low, high = TUNING.adjustment.blocks, place_mm.min(axis=0), place_mm.max(axis=0)
+    cell = np.floor((place_mm - low) / (high - low + 1e-9) * blocks).astype(int)
+    number = np.where(used, cell[:, 0] * blocks + cell[:, 1], -1)
+    return [np.flatnonzero(number == k) for k in range(blocks**2) if (number == k).any()]

@@ -12,8 +12,9 @@ from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.result.alternative import Alternative
 from trinoc.numerics.tails import chi_square_tail
 
-# An alternative of which less than this share is not fitted along already is no other model.
+# numerical: an alternative of which a smaller share is not fitted along already is no other model.
 _LEAST_SHARE = 1e-9
+# numerical: columns of a lens and of a pose.
 _FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 6)
 
 

@@ -18,16 +18,15 @@ from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract, step_motion
 from trinoc.calib.starts.sightings import IN_PLACE
 from trinoc.calib.targets.board_set import list_boards
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.uncertainty.propagation import MAP_PLACES
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point, project_points, unproject_pixels
 from trinoc.numerics.arrays import ArrayLike
 
-# Places across the picture, along each side.
-_PLACES = 5
-# Beyond the boards by so much: where errors of lens and pose no longer cancel.
-FARTHER = 3.0
+# numerical: rounds that converge, of weights and of a motion.
 _ALIGNMENTS, _MOVES = 2, 5
-# A place that a lens does not give back after so much has no ray.
+# numerical: a place that a lens does not give back after so much has no ray.
 _SAME_PX = 1e-3
 
 
@@ -37,7 +36,7 @@ class FieldDifference(NamedTuple):
     Fields
     ------
     camera : its name.
-    distance_mm : (2,) of the points: where the boards were, and `FARTHER` times as far.
+    distance_mm : (2,) of the points: where the boards were, and `farther` times as far.
     uv_px : (n, 2) places in the picture, along whose rays the points lie.
     difference_px : (2, n, 2) first half less second at each distance, along u and v; NaN where the
         lens has no ray.
@@ -112,7 +111,7 @@ def _image_field(problem: Problem, camera: int) -> _Field:
     own = [view for view in problem.views if view.camera == camera]
     sides = own[0].detection.image_size_px
     # The middles of equal parts of the picture, row by row.
-    u, v = ((np.arange(_PLACES) + 0.5) * side / _PLACES - 0.5 for side in sides)
+    u, v = ((np.arange(MAP_PLACES) + 0.5) * side / MAP_PLACES - 0.5 for side in sides)
     uv_px = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     lens = lens_number(problem, int(problem.chart.lens_of_camera[camera]))
     rays, boards = unproject_pixels(lens, uv_px), list_boards(problem.target)
@@ -126,7 +125,7 @@ def _image_field(problem: Problem, camera: int) -> _Field:
         for view in own
         if view.used.any()
     ]
-    distance_mm = float(np.median(away)) * np.array([1.0, FARTHER])
+    distance_mm = float(np.median(away)) * np.array([1.0, TUNING.advice.farther])
     rig_from_cam = Pose(np.asarray(problem.state.cam_from_rig)[camera]).inverse
     points = np.asarray(rig_from_cam.transform_points(distance_mm[:, None, None] * rays))
     return _Field(uv_px, np.linalg.norm(back_px - uv_px, axis=-1) < _SAME_PX, distance_mm, points)

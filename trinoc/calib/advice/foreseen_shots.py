@@ -18,28 +18,22 @@ from trinoc.calib.starts.camera_start import on_board
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import board_names, first_places, list_boards
 from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import unproject_pixels
 from trinoc.numerics.buckets import blocks
 
-_TILT_RAD = np.radians(40.0)
-# The side of the board that comes nearer, by a turn about the camera's x and y.
+_TILTED = f"tilted by {TUNING.advice.tilt_deg:.0f} degrees"
+# numerical: the side of the board that comes nearer, by a turn about the camera's x and y.
 _TURNS = {
     "square to it": (0.0, 0.0),
-    "tilted by 40 degrees, its left side toward the camera": (0.0, -1.0),
-    "tilted by 40 degrees, its right side toward the camera": (0.0, 1.0),
-    "tilted by 40 degrees, its upper side toward the camera": (1.0, 0.0),
-    "tilted by 40 degrees, its lower side toward the camera": (-1.0, 0.0),
+    f"{_TILTED}, its left side toward the camera": (0.0, -1.0),
+    f"{_TILTED}, its right side toward the camera": (0.0, 1.0),
+    f"{_TILTED}, its upper side toward the camera": (1.0, 0.0),
+    f"{_TILTED}, its lower side toward the camera": (-1.0, 0.0),
 }
-# Shares of the picture's shorter side that the board takes, and shares of the picture left around
-# it where it is held aside.
-_FILLS, _MARGIN = (0.35, 0.6), 0.05
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
-# A board that is seen in part tells by so many of its places at least; a chessboard by all.
-_LEAST_SEEN = 0.6
-# Seen more obliquely than this (rad from its normal) no detector finds a board.
-_MOST_OBLIQUE = np.radians(65.0)
 
 
 class Candidate(NamedTuple):
@@ -53,16 +47,16 @@ class Candidate(NamedTuple):
 
 def candidate_shots(problem: Problem) -> list[Candidate]:
     """The board in nine places of every camera's picture, at two distances, tilted or not."""
-    members, names = list_boards(problem.target), board_names(problem.target)
+    rules, members, names = TUNING.advice, list_boards(problem.target), board_names(problem.target)
     set_from_board = [Pose(each) for each in np.asarray(problem.state.set_from_board)]
     shots = []
     for camera, size_px in problem.image_sizes_px.items():
         lens = lens_number(problem, int(problem.chart.lens_of_camera[camera]))
         rig_from_cam = Pose(np.asarray(problem.state.cam_from_rig)[camera]).inverse
-        for fill, (number, board) in product(_FILLS, enumerate(members)):
+        for fill, (number, board) in product(rules.fills, enumerate(members)):
             which = f'"{names[number]}" ' if len(members) > 1 else ""
             distance = _distance_mm(board, lens, fill * min(size_px))
-            share = np.array([0.5 * fill + _MARGIN, 0.5, 1.0 - 0.5 * fill - _MARGIN])
+            share = np.array([0.5 * fill + rules.margin, 0.5, 1.0 - 0.5 * fill - rules.margin])
             down, across = (grid.ravel() for grid in np.meshgrid(range(3), range(3)))
             at = np.stack([share[across], share[down]], axis=1) * (np.array(size_px) - 1.0)
             for row, column, ray in zip(down, across, unproject_pixels(lens, at), strict=True):
@@ -91,7 +85,7 @@ def _hold(
     axis = np.cross([0.0, 0.0, 1.0], ray)
     sine = float(np.linalg.norm(axis))
     aim = cv2.Rodrigues(axis / max(sine, 1e-12) * np.arctan2(sine, ray[2]))[0]
-    turn = cv2.Rodrigues(_TILT_RAD * np.append(about, 0.0))[0]
+    turn = cv2.Rodrigues(np.radians(TUNING.advice.tilt_deg) * np.append(about, 0.0))[0]
     rotation = aim @ turn @ np.diag([1.0, -1.0, -1.0])
     middle = np.append(0.5 * (target.centres_mm.min(axis=0) + target.centres_mm.max(axis=0)), 0.0)
     return Pose(np.column_stack([rotation, distance_mm * ray - rotation @ middle]))
@@ -205,6 +199,7 @@ def _with_visible(
     oblique = np.arccos(np.clip(-(places @ pose.rotation[:, 2]) / away, -1.0, 1.0))
     border = 1.0 + float(np.max(lens.focal_length_px)) * board.radius_mm / away
     inside = np.minimum(uv_px, np.array(view.detection.image_size_px) - 1.0 - uv_px).min(axis=1)
-    seen = view.used & (angle < fold_rad) & (inside > border) & (oblique < _MOST_OBLIQUE)
-    least = 1.0 if isinstance(board, Chessboard) else _LEAST_SEEN
+    is_shown = oblique < np.radians(TUNING.advice.most_oblique_deg)
+    seen = view.used & (angle < fold_rad) & (inside > border) & is_shown
+    least = 1.0 if isinstance(board, Chessboard) else TUNING.advice.least_seen
     return view._replace(used=seen & (seen.mean() >= least))

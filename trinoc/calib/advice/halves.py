@@ -17,8 +17,9 @@ from trinoc.calib.targets.board_set import board_prefixes
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.arrays import ArrayLike
 
+# numerical: a half of one shot has nothing left to compare.
 FEWEST_SHOTS = 4
-# Of the largest variance: below, a prior that both halves share has left no difference.
+# numerical: of the largest variance: below, a prior that both halves share has left no difference.
 _LEAST_SHARE = 1e-10
 
 

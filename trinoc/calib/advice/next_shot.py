@@ -9,14 +9,9 @@ from jaxtyping import Float
 from trinoc.calib.advice.foreseen_shots import ForeseenShot, candidate_shots, foresee_shots
 from trinoc.calib.advice.halves import head_names
 from trinoc.calib.problem.problem import Problem
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.pose import Pose
-
-# Of all candidates so many are compared: those of which the rig tells least.
-_MOST_COMPARED = 40
-# Advice must be possible where a lens is not determined: each of its steps is taken to be known to
-# this much beforehand. No covariance that leaves this module contains it.
-_PRIOR_SIGMA = 3.0
 
 
 class NextShot(NamedTuple):
@@ -145,7 +140,9 @@ def advise_next_image(
     information : of the pictures taken, on the free steps of the lens. open_names : parameters
     that they do not determine.
     """
-    covariance = np.linalg.inv(information + np.eye(len(information)) / _PRIOR_SIGMA**2)
+    covariance = np.linalg.inv(
+        information + np.eye(len(information)) / TUNING.advice.prior_sigma**2
+    )
     best = _best_shot(problem, covariance, variance_factor)
     if best is None:
         return None
@@ -175,7 +172,7 @@ def _best_shot(
     if not shots:
         return None
     now = np.array([shot_error_px(shot, covariance) for shot in shots])
-    compared = [shots[k] for k in np.argsort(-now, kind="stable")[:_MOST_COMPARED]]
+    compared = [shots[k] for k in np.argsort(-now, kind="stable")[: TUNING.advice.most_compared]]
     after = [add_shot(covariance, shot, variance_factor) for shot in compared]
     then = [max(shot_error_px(each, changed) for each in compared) for changed in after]
     best = int(np.argmin(then))

@@ -17,14 +17,11 @@ from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
 from trinoc.calib.problem.views import SheetPoints, View, pad_count
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.calib.uncertainty.systematics import CAMERAS_AT_ONCE, Systematics
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose, PoseModel
-
-# Programs exist for this many cameras, and for few larger numbers.
-FEWEST_CAMERAS = 3
 
 
 class SheetCamera(NamedTuple):
@@ -71,7 +68,7 @@ def sheet_problem(
     each aim; 0 for none.
     """
     count = len(cameras)
-    padded = [cameras[min(k, count - 1)] for k in range(pad_count(count, FEWEST_CAMERAS))]
+    padded = [cameras[min(k, count - 1)] for k in range(pad_count(count, CAMERAS_AT_ONCE))]
     is_real = np.arange(len(padded)) < count
     lens_of_camera = np.arange(len(padded))
     if systematics.lens_is_shared and _are_one_lens(cameras):

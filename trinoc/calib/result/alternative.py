@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-# A finding must be one that noise makes once in 10^4 pictures.
-_SIGNIFICANCE = 1e-4
+from trinoc.calib.tuning.every_group import TUNING
 
 
 class Alternative(NamedTuple):
@@ -32,4 +31,4 @@ class Alternative(NamedTuple):
     @property
     def found(self) -> bool:
         """Whether noise alone would hardly make it."""
-        return self.p_value < _SIGNIFICANCE
+        return self.p_value < TUNING.answer.chance

@@ -12,7 +12,7 @@ from trinoc.numerics.information import LARGEST_SIGMA
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.programs import kept_jit
 
-# From (rad, rad, rad, mm, mm, mm), in which fits run, to degrees, in which people read.
+# numerical: from (rad, rad, rad, mm, mm, mm), in which fits run, to degrees.
 DEGREES = np.array([180 / np.pi, 180 / np.pi, 180 / np.pi, 1.0, 1.0, 1.0])
 
 

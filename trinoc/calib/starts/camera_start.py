@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.brown_conrady import BrownConrady
@@ -22,14 +23,8 @@ from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_points, unproject_pixels
 
+# numerical: those of a homography.
 FEWEST_PLACES = 4
-# Focal lengths to start from, in longer sides of the picture: where Zhang's formula has none, and
-# of a fisheye.
-_FOCAL_SHARES = (0.7, 1.4, 3.0, 8.0)
-_FISHEYE_SHARES = (0.2, 0.25, 0.3, 0.36, 0.45, 0.55, 0.7, 1.0, 1.4)
-# A place further than this from its picture's homography, as a share of the board's extent, was
-# located wrongly: lenses bend less.
-_GROSS_ERROR, _SMALLEST_GROSS_ERROR_PX = 0.05, 3.0
 _HELD = (
     cv2.CALIB_USE_INTRINSIC_GUESS
     | cv2.CALIB_FIX_PRINCIPAL_POINT
@@ -70,7 +65,7 @@ def start_camera(
     none = np.zeros(len(model.coefficient_names))
     starts = [
         start_poses(model(share * focal_px, middle, np.zeros(()), none), detections, target)
-        for share in _FISHEYE_SHARES
+        for share in TUNING.starts.fisheye_shares
     ]
 
     def reprojection_error(start: CameraStart) -> float:
@@ -158,7 +153,7 @@ def _start_by_zhang(
         image.append(detection.centres_px[right].astype(np.float32))
     guesses = [_zhang_matrix(sheet, image, size, aspect)]
     middle = 0.5 * (np.array(size) - 1.0)
-    for share in _FOCAL_SHARES:
+    for share in TUNING.starts.focal_shares:
         focal_px = share * max(size) * np.array([1.0, 1.0 / (aspect or 1.0)])
         guesses.append(
             np.array([[focal_px[0], 0, middle[0]], [0, focal_px[1], middle[1]], [0, 0, 1]])
@@ -183,7 +178,7 @@ def _roughly_right(detection: Detection, target: AbstractTarget) -> Bool[np.ndar
     """Places that lie near the homography of most; all where there is no such homography."""
     sheet = target.centres_mm[detection.circle_index]
     extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))
-    threshold = max(_SMALLEST_GROSS_ERROR_PX, _GROSS_ERROR * extent_px)
+    threshold = max(TUNING.starts.least_px, TUNING.starts.gross_share * extent_px)
     right = np.ones(len(detection), dtype=bool)
     try:
         _, mask = cv2.findHomography(sheet, detection.centres_px, cv2.RANSAC, threshold)

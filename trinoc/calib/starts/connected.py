@@ -22,13 +22,12 @@ from trinoc.calib.starts.camera_start import nearest_rotation
 from trinoc.calib.starts.links import Link, Links, Poses, chain_links, link_boards, link_cameras
 from trinoc.calib.starts.sightings import IN_PLACE, Sighting
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import Pose
 
+# numerical: two motions about two axes.
 FEWEST_SHOTS = 3
-# Turns about one axis alone leave how far the cameras lie along it open: those about others have
-# this share of them at least.
-_LEAST_SHARE = 0.05
-# Subsets of shots that are tried where all of them together do not agree, and their size.
+# numerical: subsets of shots, and their size, that are tried where all together do not agree.
 _TRIES, _SUBSET = 60, 4
 
 
@@ -145,7 +144,7 @@ def solve_hand_eye(first: Sequence[Pose], second: Sequence[Pose]) -> HandEye | N
         for motions in (before, after)
     )
     spread = np.linalg.svd(axes, compute_uv=False)
-    if not spread[1] > _LEAST_SHARE * spread[0]:
+    if not spread[1] > TUNING.starts.least_other_turns * spread[0]:
         return None
     rotation = nearest_rotation(turned.T @ axes)
     rows = np.concatenate([motion.rotation - np.eye(3) for motion in after])

@@ -14,7 +14,7 @@ from trinoc.calib.starts.sightings import IN_PLACE, Sighting
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.geometry.pose import Pose
 
-# So many shots propose a relative pose, and so many judge it.
+# numerical: so many shots propose a relative pose, and so many judge it; it bounds the time.
 _PROPOSALS, _JUDGES = 8, 24
 
 # cam_from_rig, or set_from_board, by index.

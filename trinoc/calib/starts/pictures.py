@@ -11,7 +11,7 @@ from trinoc.calib.detection.registry import detect_target
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.errors import DetectionError, InputError
 
-# Detectors of OpenCV and NumPy leave the interpreter free while they work.
+# numerical: detectors of OpenCV and NumPy leave the interpreter free while they work.
 _THREADS = 4
 
 # A picture, what was found in one, something that delivers one, or nothing.

@@ -15,6 +15,7 @@ from trinoc.calib.starts.links import Poses, link_cameras, place_board
 from trinoc.calib.starts.sightings import Sighting, label_sighting
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import board_names
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
 from trinoc.geometry.pose import Pose
 
@@ -22,10 +23,6 @@ from trinoc.geometry.pose import Pose
 ShotBoard = tuple[str, int]
 # What the name of a shot goes on with where one camera's picture of it stands for itself.
 _ALONE = " of {} alone"
-# Boards whose planes differ by less look parallel: focal length and distance look alike then.
-PARALLEL_DEG = 8.0
-# Cameras whose pictures were counted differently are tried this many shots apart.
-_MOST_SHIFT = 3
 
 
 class PlacedRig(NamedTuple):
@@ -181,7 +178,7 @@ def boards_are_parallel(poses: Sequence[Pose]) -> bool:
     """Whether boards at these poses are parallel to each other, of which there are several."""
     facing = np.array([pose.rotation[:, 2] for pose in poses])
     between = np.degrees(np.arccos(np.clip(np.abs(facing @ facing[0]), 0.0, 1.0)))
-    return len(facing) > 1 and bool(between.max() < PARALLEL_DEG)
+    return len(facing) > 1 and bool(between.max() < TUNING.starts.parallel_deg)
 
 
 def explain_cameras_apart(
@@ -246,7 +243,7 @@ def explain_boards_apart(groups: Sequence[Mapping[int, Pose]], names: Sequence[s
 def _find_shift(one: Sequence[Sighting], other: Sequence[Sighting], target: AbstractTarget) -> int:
     """By how many shots the second camera's pictures come too late; 0 where no shift helps."""
     first, second = ({(each.shot, each.board): each for each in own} for own in (one, other))
-    for size in range(1, _MOST_SHIFT + 1):
+    for size in range(1, TUNING.starts.most_shift + 1):
         for shift in (size, -size):
             shared = sorted(key for key in first if (key[0] + shift, key[1]) in second)
             if len(shared) < 3:

@@ -9,13 +9,12 @@ from jaxtyping import Float
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.starts.camera_start import miss_px
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 
-# Where one board stands in the frame of all, which is its own.
+# numerical: where one board stands in the frame of all, which is its own.
 IN_PLACE = Pose(np.eye(3, 4))
-# A first lens is a few percent off, and so is where it expects the board, in extents of it.
-_AGREEMENT, _SMALLEST_AGREEMENT_PX = 0.06, 3.0
 
 
 class Sighting(NamedTuple):
@@ -48,7 +47,7 @@ class Sighting(NamedTuple):
     def agreement_px(self) -> float:
         """By how much the board may lie elsewhere and still be the same."""
         extent = float(np.ptp(self.detections[0].centres_px, axis=0).max())
-        return max(_SMALLEST_AGREEMENT_PX, _AGREEMENT * extent)
+        return max(TUNING.starts.least_px, TUNING.starts.elsewhere_share * extent)
 
     def nearest(self, cam_from_set: Pose, target: AbstractTarget) -> tuple[int, float]:
         """The labelling that a given pose of the set fits best, and by how many pixels not."""

@@ -2,8 +2,13 @@
 
 from dataclasses import dataclass, field
 
+from trinoc.calib.tuning.adjustment import AdjustmentTuning
+from trinoc.calib.tuning.advice import AdviceTuning
+from trinoc.calib.tuning.answer import AnswerTuning
 from trinoc.calib.tuning.detection import DetectionTuning
 from trinoc.calib.tuning.rig_check import RigCheckTuning
+from trinoc.calib.tuning.starts import StartTuning
+from trinoc.calib.tuning.uncertainty import UncertaintyTuning
 
 
 @dataclass(frozen=True)
@@ -11,7 +16,12 @@ class CalibTuning:
     """All groups; the default is what everything was measured with."""
 
     detection: DetectionTuning = field(default_factory=DetectionTuning)
+    uncertainty: UncertaintyTuning = field(default_factory=UncertaintyTuning)
+    starts: StartTuning = field(default_factory=StartTuning)
+    advice: AdviceTuning = field(default_factory=AdviceTuning)
+    adjustment: AdjustmentTuning = field(default_factory=AdjustmentTuning)
     rig_check: RigCheckTuning = field(default_factory=RigCheckTuning)
+    answer: AnswerTuning = field(default_factory=AnswerTuning)
 
 
 TUNING = CalibTuning()

@@ -22,10 +22,11 @@ from trinoc.geometry.triangulation import triangulate_point
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.precision import in_float64
 
-# Places across the picture, along each side.
-_PLACES = 5
+# numerical: places across the picture, along each side, of maps for people.
+MAP_PLACES = 5
 # Of one camera: its pose, then its lens without distortion.
 _NAMES = PARAMETER_NAMES + AFFINE_PARAMETERS
+# numerical: units.
 _TO_RADIANS = np.array([*np.full(3, np.pi / 180), *np.ones(len(_NAMES) - 3)])
 
 
@@ -172,7 +173,7 @@ def projection_sigma(rig: Rig, camera: str, distance_mm: float) -> FieldSigma:
 
 def field_places_px(image_size_px: tuple[int, int]) -> Float[np.ndarray, "5 5 2"]:
     """Places from corner to corner of the picture, row by row from the top."""
-    u, v = (np.linspace(0.0, side - 1.0, _PLACES) for side in image_size_px)
+    u, v = (np.linspace(0.0, side - 1.0, MAP_PLACES) for side in image_size_px)
     return np.stack(np.meshgrid(u, v), axis=-1)
 
 
@@ -226,4 +227,4 @@ def field_sigma_px(
     turn_of_lens = jnp.linalg.solve(by_turn.T @ by_turn, by_turn.T @ by_lens)
     remaining = by_lens - by_turn @ turn_of_lens
     variance = jnp.einsum("iq,qr,ir->i", remaining, covariance, remaining)
-    return jnp.sqrt(jnp.mean(variance.reshape(_PLACES, _PLACES, 2), axis=2))
+    return jnp.sqrt(jnp.mean(variance.reshape(MAP_PLACES, MAP_PLACES, 2), axis=2))

@@ -11,20 +11,14 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.registry import promote_lens
 
-# What is assumed where nobody says it: see `Systematics.typical`.
-_PRINT_SIZE, _PRINT_STRETCH = 2e-3, 7e-4
-_FLATNESS_MM, _AIM_MM = 0.3, 20.0
-# Of a lens's data sheet: focal length, its aspect, the principal point over the picture's width,
-# and distortion in pixels at the corner.
-_FOCAL_LENGTH, _ASPECT, _PRINCIPAL_POINT, _DISTORTION_PX = 1e-2, 2e-3, 2e-2, 1.0
-
-# Cameras of one program.
-_FEW = 3
+# numerical: cameras of one program; it exists for so many, and for few larger numbers.
+CAMERAS_AT_ONCE = 3
 _Item = TypeVar("_Item")
 
 
@@ -65,17 +59,18 @@ class Systematics(NamedTuple):
         without distortion comes from a data sheet: see `data_sheet_covariance`. One given in
         pixels comes from a calibration, and counts as exact unless its covariance is given.
         """
+        assumed = TUNING.uncertainty
         return cls(
-            print_scale_sigma=(_PRINT_STRETCH, _PRINT_STRETCH),
-            flatness_mm=_FLATNESS_MM,
+            print_scale_sigma=(assumed.print_stretch, assumed.print_stretch),
+            flatness_mm=assumed.flatness_mm,
             lens_covariance={
                 name: data_sheet_covariance(lens)
                 for name, lens in lenses.items()
                 if lens.pixel_pitch_mm is not None and not lens.has_distortion
             }
             or None,
-            print_size_sigma=_PRINT_SIZE,
-            aim_sigma_mm=_AIM_MM,
+            print_size_sigma=assumed.print_size,
+            aim_sigma_mm=assumed.aim_mm,
         )
 
     def lens_factors(
@@ -136,7 +131,7 @@ class Systematics(NamedTuple):
         exact, else a few at a time."""
         if any(self._of_sheet) or self.lens_is_shared:
             return [cameras]
-        return [cameras[k : k + _FEW] for k in range(0, len(cameras), _FEW)]
+        return [cameras[k : k + CAMERAS_AT_ONCE] for k in range(0, len(cameras), CAMERAS_AT_ONCE)]
 
     @property
     def _of_sheet(self) -> tuple[float, ...]:
@@ -175,12 +170,12 @@ def data_sheet_covariance(lens: Intrinsics) -> Float[np.ndarray, "5 5"]:
     2 % of the picture's width; distortion moves the corners of the picture by one pixel.
     """
     (fu, fv), (width, height) = np.asarray(lens.focal_length_px), lens.image_size_px
-    factor = np.zeros((5, 5))
-    factor[:2, 0] = _FOCAL_LENGTH * fu, _FOCAL_LENGTH * fv
-    factor[:2, 1] = 0.5 * _ASPECT * fu, -0.5 * _ASPECT * fv
-    factor[[2, 3], [2, 3]] = _PRINCIPAL_POINT * width
+    assumed, factor = TUNING.uncertainty, np.zeros((5, 5))
+    factor[:2, 0] = assumed.focal_length * fu, assumed.focal_length * fv
+    factor[:2, 1] = 0.5 * assumed.aspect * fu, -0.5 * assumed.aspect * fv
+    factor[[2, 3], [2, 3]] = assumed.principal_point * width
     radius = 0.5 * np.hypot(width / fu, height / fv)
-    factor[4, 4] = _DISTORTION_PX / (float(np.sqrt(fu * fv)) * radius**3)
+    factor[4, 4] = assumed.distortion_px / (float(np.sqrt(fu * fv)) * radius**3)
     return factor @ factor.T
 
 
