@@ -24,6 +24,7 @@ from trinoc.cli.settings import (
     parse_number,
     parse_pair,
     parse_truth,
+    put_files_first,
     read_settings,
 )
 from trinoc.cli.views import files_of_views
@@ -128,6 +129,30 @@ def test_pictures_may_follow_the_options(lens):
     after = tyro.cli(Calibrate, args=[*options, *pictures], config=config)
     assert before == after
     assert after.images == pictures
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("u=u.png --board b.json l=l.png", "u=u.png l=l.png --board b.json"),
+        ("--json u=u.png", "u=u.png --json"),
+        (
+            "--lens u=c.json u=u.png --lens-mm 1 2 3 l=l.png",
+            "u=u.png l=l.png --lens u=c.json --lens-mm 1 2 3",
+        ),
+        ("--sigma lens=0 aim_mm=0 -o a=b.json", "--sigma lens=0 aim_mm=0 -o a=b.json"),
+        ("--out=a.json u=u.png u.png", "u=u.png --out=a.json u.png"),
+    ],
+)
+def test_files_between_options_are_taken(typed, meant):
+    assert put_files_first(Calibrate, typed.split()) == meant.split()
+
+
+def test_what_a_board_has_may_stand_behind_its_options(tmp_path):
+    place = tmp_path / "board.json"
+    size = ("--rows", "4", "--columns", "5", "square_mm=11")
+    assert main(["pattern", "charuco", *size, "-o", str(place), "--quiet"]) == 0
+    assert '"square_mm": 11' in place.read_text()
 
 
 CAMERA = ("field_deg=30", "size_px=1280,960")

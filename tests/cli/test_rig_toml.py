@@ -80,6 +80,14 @@ def test_tables_lists_and_truths_are_typed_as_options_want_them(file: Path) -> N
     ]
 
 
+def test_settings_that_are_typed_are_no_pictures(
+    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(file.parent)
+    assert main(["calibrate", "--sigma", "lens=0"]) == 1
+    assert "sheet.json does not exist" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -55,7 +55,7 @@ class Calibrate(DryRunOption, ReportOption, Command):
     board: BoardFile
     """Layout of the sheet (JSON), as `trinoc pattern` writes it."""
 
-    lens_options: LensOptions
+    lens: LensOptions
 
     print_scale: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (1.0, 1.0)
     """Measured over nominal length of the sheet's two scale bars."""
@@ -110,7 +110,7 @@ class Calibrate(DryRunOption, ReportOption, Command):
                 "--print-scale is a measured over a nominal length: give a number near 1, such as "
                 "1.001, for X and for Y."
             )
-        self.lens_options.check()
+        self.lens.check()
         if self.orientation not in (None, "upright") and not Path(self.orientation).is_file():
             raise UsageError(
                 f"--orientation is {self.orientation}: give upright, or the file of an earlier rig."
@@ -129,16 +129,14 @@ class Calibrate(DryRunOption, ReportOption, Command):
         expect_ending(self.out, Rig)
         pattern = load_pattern(self.board).rescale(*self.print_scale)
         images = read_views(files)
-        lenses = self.lens_options.lenses({name: _size(image) for name, image in images.items()})
+        lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})
         known = self._systematics(lenses, sigma)
         earlier = None if self.orientation in (None, "upright") else load_rig(self.orientation)
         if self.dry_run:
             sizes = {name: _size(image) for name, image in images.items()}
             return self.plan(f"calibrate by {pattern.name}", files, sizes, (self.out, self.report))
         LOGGER.info("calibrating %s", ", ".join(files))
-        origin = provenance(
-            command_line, {**files, "board": self.board, **self.lens_options.files()}
-        )
+        origin = provenance(command_line, {**files, "board": self.board, **self.lens.files()})
         try:
             result = calibrate(
                 images,
@@ -175,7 +173,7 @@ class Calibrate(DryRunOption, ReportOption, Command):
         from trinoc.calib.uncertainty.systematics import Systematics
 
         usual = Systematics.typical(lenses)._replace(
-            lens_covariance=None if "lens" in sigma else self.lens_options.covariance(lenses)
+            lens_covariance=None if "lens" in sigma else self.lens.covariance(lenses)
         )
         if self.print_scale != (1.0, 1.0):
             usual = usual._replace(print_scale_sigma=MEASURED, print_size_sigma=0.0)

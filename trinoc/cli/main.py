@@ -30,6 +30,7 @@ from trinoc.cli.pattern import Pattern
 from trinoc.cli.refine import Refine
 from trinoc.cli.rig_toml import with_file
 from trinoc.cli.segments import Segments
+from trinoc.cli.settings import put_files_first
 from trinoc.cli.view import View
 from trinoc.cli.watch import Watch
 from trinoc.errors import TrinocError
@@ -134,6 +135,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for remedy in remedies:
             print(f"trinoc: {remedy}.", file=sys.stderr)
         return 1 if remedies else 0
+    kind = next((each for each in COMMANDS if arguments[:1] == [each.command_name()]), None)
+    if kind is not None:
+        arguments = [arguments[0], *put_files_first(kind, arguments[1:])]
     try:
         arguments = with_file(arguments)
         refuse_old_names(arguments)

@@ -37,6 +37,8 @@ REPEATED = ("--board", "--pattern", "--lens", "--intrinsics")
 def with_file(arguments: Sequence[str], file: Path = FILE) -> list[str]:
     """The arguments with what the file says of their command; what is typed counts more.
 
+    arguments : files before options, as `put_files_first` has them.
+
     Raises UsageError for a file that cannot be read, and a key of before.
     """
     if not arguments or "--help" in arguments or "-h" in arguments or not file.is_file():
@@ -51,7 +53,8 @@ def with_file(arguments: Sequence[str], file: Path = FILE) -> list[str]:
         if key in KEYS:
             raise UsageError(f"{file}: {key} is now: {KEYS[key]}")
         if key == POSITIONAL:
-            positional = [] if _names_files(typed) else _files(value, file)
+            is_typed = bool(typed) and not typed[0].startswith("-")
+            positional = [] if is_typed else _files(value, file)
             typed = [*positional, *typed]
         elif not _says(option, typed):
             added += _words(option, value, file)
@@ -68,13 +71,6 @@ def _read(file: Path) -> dict[str, Any]:
 def _says(option: str, typed: Sequence[str]) -> bool:
     same = next((group for group in ONE_OF if option in group), (option,))
     return any(word.partition("=")[0] in same for word in typed)
-
-
-def _names_files(typed: Sequence[str]) -> bool:
-    """Whether pictures are given: they come first, or have the form NAME=FILE."""
-    return any("=" in word for word in typed if not word.startswith("-")) or (
-        bool(typed) and not typed[0].startswith("-")
-    )
 
 
 def _files(value: object, file: Path) -> list[str]:

@@ -3,7 +3,8 @@
 import difflib
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 import tyro
@@ -44,6 +45,29 @@ def read_settings(option: str, words: Iterable[Iterable[str]], parsers: Parsers)
         except ValueError as error:
             raise UsageError(f"{option} {word} {error}.") from error
     return found
+
+
+def put_files_first(command: type, words: Sequence[str]) -> list[str]:
+    """The words behind a command, with every NAME=FILE that stands between options moved before.
+
+    What an option takes stays behind it: the one word that follows it, and settings.
+    """
+    hints = typing.get_type_hints(command, include_extras=True)
+    flags = {f"--{name.replace('_', '-')}" for name, hint in hints.items() if hint is bool}
+    with_settings = {f"--{name}" for name, hint in hints.items() if hint == Settings}
+    first, rest, option, is_taken = [], [], "", False
+    for word in words:
+        if word.startswith("-"):
+            option, is_taken = word, word not in flags and "=" not in word
+        elif "=" in word and not is_taken and option not in with_settings:
+            first.append(word)
+            continue
+        else:
+            is_taken = False
+        rest.append(word)
+    # A word alone before all options, such as the kind of a board, stays before what goes with it.
+    count = next((k for k, word in enumerate(rest) if word.startswith("-")), len(rest))
+    return [*rest[:count], *first, *rest[count:]]
 
 
 def parse_number(text: str) -> float:
