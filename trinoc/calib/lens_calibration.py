@@ -39,8 +39,9 @@ from trinoc.calib.uncertainty.propagation import field_places_px, field_sigma_px
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses import registry
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
-from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, lens_model, simplify_lens
+from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, simplify_lens
 from trinoc.geometry.lenses.splined import AbstractSplinedLens, SplinedBrownConrady
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.precision import in_float64
@@ -58,7 +59,7 @@ def calibrate_intrinsics(
     *,
     image_size_px: tuple[int, int] | None = None,
     distortion: int | None = None,
-    distortion_model: str = DEFAULT_DISTORTION.model,
+    lens_model: str = DEFAULT_DISTORTION.model,
     principal_point: str = "free",
     pixel_pitch_mm: tuple[float, float] | None = None,
     aspect: str = "free",
@@ -72,7 +73,7 @@ def calibrate_intrinsics(
     image_size_px : (width, height) that all pictures must have.
     distortion : number of coefficients, for Brown-Conrady 0, 1, 2, 4 or 5 of k1, k2, p1, p2, k3.
         As many as the pictures determine unless given; a note says how many they ask for.
-    distortion_model : name of the lens model, of `lenses.registry.LENS_MODELS`. "splined_" before
+    lens_model : name of the lens model, of `lenses.registry.LENS_MODELS`. "splined_" before
         the name of a polynomial model corrects it by B-splines; "splined" is Brown-Conrady's so
         corrected. It frees both focal lengths.
     principal_point : "free", or "centre" to hold it in the middle of the picture.
@@ -98,7 +99,7 @@ def calibrate_intrinsics(
     """
     names = [f"picture {k + 1}" for k in range(len(images_or_detections))]
     pictures = {_CAMERA: dict(zip(names, images_or_detections, strict=True))}
-    model = lens_model(_CALLED.get(distortion_model, distortion_model))
+    model = registry.lens_model(_CALLED.get(lens_model, lens_model))
     is_splined = issubclass(model, AbstractSplinedLens) and distortion is None
     core = model.core_model if issubclass(model, AbstractSplinedLens) else model
     if not isinstance(pattern, Pattern):

@@ -51,8 +51,8 @@ from trinoc.numerics.precision import in_float64
 
 @in_float64
 def calibrate_rig(
-    pictures: Mapping[str, Pictures],
-    target: AbstractTarget,
+    images: Mapping[str, Pictures],
+    board: AbstractTarget,
     *,
     lens: Intrinsics | Mapping[str, Intrinsics] | None = None,
     lens_model: str = DEFAULT_DISTORTION.model,
@@ -66,13 +66,13 @@ def calibrate_rig(
 ) -> RigFromShots:
     """The lenses and cameras of a rig together, from synchronous pictures of a board that moves.
 
-    pictures : for each camera by name its pictures: a mapping from the name of the shot, or a list
+    images : for each camera by name its pictures: a mapping from the name of the shot, or a list
         in the order of the shots, with None where there is none. A picture is an array, what
         `detect_target` found in one, or a function without arguments that returns one. Not every
         camera need see the board in every shot, but shots must connect all cameras. One camera
         alone is a rig, too.
-    target : the board: a Pattern, a Chessboard, a Charuco or an AprilGrid; or a BoardSet of several
-        that are fixed to each other, whose places are found with the rig.
+    board : what is moved about: a Pattern, a Chessboard, a Charuco or an AprilGrid; or a BoardSet
+        of several that are fixed to each other, whose places are found with the rig.
     lens : lenses that are known and held, of all cameras or by name; others are found.
     lens_model : model of the lenses that are found; "auto" takes that which, fitted to one half of
         the shots, tells best of the other half, and a note says why. "splined" corrects the best
@@ -100,27 +100,27 @@ def calibrate_rig(
     CalibrationError : a camera that never sees the board, cameras that no shot connects or whose
         shots are out of step, or, with `throw`, parameters that the shots do not determine.
     """
-    expect_method(method, target, pictures)
-    known = _given_lenses(lens, tuple(pictures))
+    expect_method(method, board, images)
+    known = _given_lenses(lens, tuple(images))
     models, corrected = _models_to_try(lens_model, distortion, known)
-    found = find_boards(pictures, target, progress)
+    found = find_boards(images, board, progress)
     detections = {
         camera: {
-            (shot, board): each
+            (shot, index): each
             for shot, every in own.items()
-            for board, each in split_by_board(every, target).items()
+            for index, each in split_by_board(every, board).items()
             if len(each) >= FEWEST_PLACES
         }
         for camera, own in found.detections.items()
     }
     _expect_boards(found, detections)
     known_board = _board_systematics(systematics)
-    seen = _SeenBoards(detections, found.shots, target, known, distortion, same_lens, known_board)
+    seen = _SeenBoards(detections, found.shots, board, known, distortion, same_lens, known_board)
     placed, fit, remarks = _fit_best_lens(seen, models, corrected)
     cameras, silent, held = tuple(detections), [], ()
     fit = with_board_shape(fit)
     if method == "pixels":
-        fit, silent = fit_pixels(fit, grey_levels(pictures, cameras, placed.shots))
+        fit, silent = fit_pixels(fit, grey_levels(images, cameras, placed.shots))
         fit = with_own_correction_sigmas(with_board_shape(fit))
     if distortion is None:
         fit, held = hold_undetermined(fit)

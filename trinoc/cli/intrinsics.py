@@ -93,7 +93,7 @@ class Intrinsics(Command):
             images,
             pattern,
             distortion=self.distortion,
-            distortion_model=self.lens_model,
+            lens_model=self.lens_model,
             principal_point="centre" if "principal-point" in self.hold else "free",
             pixel_pitch_mm=pitch_mm,
             aspect="pitch" if "aspect" in self.hold else "free",

@@ -74,7 +74,7 @@ class Refine(Command):
             rig,
             scene.matches,
             pose_model=self.pose_model,
-            intrinsics=self.free_lens or None,
+            free_lens=self.free_lens or None,
             moved=self.moved,
             match_again=[match for match in again if match is not None] or None,
         )

@@ -65,7 +65,7 @@ def test_a_lens_that_is_exact_stays_while_others_are_open() -> None:
         refined.rig["upper"].intrinsics.matrix, sheet.rig["upper"].intrinsics.matrix, atol=1e-2
     )
     assert 0 < refined.rig.sigma("upper.fx_px") < 2e-3
-    held = refine(sheet, made_tracks(7, 60)[0], intrinsics=False)
+    held = refine(sheet, made_tracks(7, 60)[0], free_lens=False)
     assert not any(name.endswith(AFFINE_PARAMETERS) for name in held.parameters)
 
 

@@ -161,7 +161,7 @@ def test_intrinsics_on_request_follow_their_covariance():
         start,
         [1.002 * camera.intrinsics.focal_length_px for camera in start.cameras],
     )
-    answer = refine(wrong, lines, intrinsics=True)
+    answer = refine(wrong, lines, free_lens=True)
     assert answer.status is RefineStatus.CONVERGED
     lens = start["upper"].intrinsics
     intrinsics = [*lens.focal_length_px, *lens.principal_point_px]

@@ -226,7 +226,7 @@ def test_one_camera_is_corrected_from_its_circles():
         bent.append(eqx.tree_at(lambda detection: detection.centres_px, each, moved))
     sheet = simulated_lens.SHEET
     plain = calibrate_intrinsics(bent, sheet)
-    found = calibrate_intrinsics(bent, sheet, distortion_model="splined")
+    found = calibrate_intrinsics(bent, sheet, lens_model="splined")
     assert found.lens is not None
     assert found.lens.distortion_model == "splined_brown_conrady"
     assert found.rms_px < 0.2 * plain.rms_px

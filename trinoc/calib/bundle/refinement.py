@@ -61,7 +61,7 @@ def refine(
     matches: MatchedTracks | LineObservations,
     *,
     pose_model: PoseModel | str | None = None,
-    intrinsics: bool | None = None,
+    free_lens: bool | None = None,
     moved: Collection[str] = (),
     match_again: Matcher | Sequence[Matcher] | None = None,
     start: Rig | None = None,
@@ -71,7 +71,7 @@ def refine(
     `calibrated` is the result of a calibration, or a rig. A covariance of the rig is used as a
     Gaussian prior. Without one the gauge (position, orientation and scale of the rig) is held,
     and reported in `gauge`. `pose_model` is what may move in each camera: by default what the
-    covariance names, and any rigid motion without one. `intrinsics` frees focal lengths and
+    covariance names, and any rigid motion without one. `free_lens` frees focal lengths and
     principal points too: by default those that the covariance names, each with what it says.
     `moved` names cameras that were knocked since: the prior no longer holds for them, and they
     need not aim at the sheet's origin any more.
@@ -99,8 +99,8 @@ def refine(
     knocked = bool(moved) and chosen is None and usual is PoseModel.AIMED
     model = PoseModel.AIM_FREE if knocked else chosen or usual
     lens_is_open = any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
-    free_lens = lens_is_open if intrinsics is None else intrinsics
-    choice = FreeParameters(model, free_lens, trusted, knocked, lens_held=intrinsics is None)
+    is_free = lens_is_open if free_lens is None else free_lens
+    choice = FreeParameters(model, is_free, trusted, knocked, lens_held=free_lens is None)
     refinement = _Refinement(calibrated, rig, choice)
     first = refinement.refine_matches(start or rig, matches)
     if match_again is None:
