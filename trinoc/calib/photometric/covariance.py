@@ -8,9 +8,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.photometric.equations import local_rows
 from trinoc.calib.photometric.noise import autocorrelation, sum_correlated
 from trinoc.calib.photometric.scene import PixelScene, Point
-
-# Sharpening lowers the variance of what an edge says to a half of white noise's, not further.
-_LEAST_SPREAD = 0.4
+from trinoc.calib.tuning.every_group import TUNING
 
 
 class PoseCovariance(NamedTuple):
@@ -117,5 +115,5 @@ def _sandwich(
     values, vectors = np.linalg.eigh(inverse)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     values, vectors = np.linalg.eigh(root.T @ middle @ root)
-    spread = root @ vectors * np.sqrt(np.maximum(values, _LEAST_SPREAD))
+    spread = root @ vectors * np.sqrt(np.maximum(values, TUNING.photometric.least_spread))
     return spread @ spread.T

@@ -18,15 +18,12 @@ from trinoc.numerics.arrays import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
 
-# Beyond this many sigmas the coverage is 0 or 1, and its series mean nothing.
+# numerical: beyond so many sigmas the coverage is 0 or 1, and its series mean nothing.
 _REACH = 6.0
-_LEAST_VARIANCE = 0.01
-# Excess kurtosis of a line of even light.
-_LINE_KURTOSIS = -1.2
-# Bounds that are met only far from an edge, where the expansions about it break down.
-_NEAREST_TO_CENTRE = 0.25
-_LEAST_ROOT = 0.1
-_SURE_SHARE = 0.95
+_LEAST_VARIANCE = 0.01  # numerical: a guard of a division
+_LINE_KURTOSIS = -1.2  # numerical: excess kurtosis of a line of even light
+# numerical: guards that are met only far from an edge, where the expansions about it break down.
+_NEAREST_TO_CENTRE, _LEAST_ROOT, _SURE_SHARE = 0.25, 0.1, 0.95
 
 
 class Edge(NamedTuple):

@@ -13,16 +13,16 @@ from jaxtyping import Float, Int, Shaped
 
 from trinoc.calib.photometric.sheet_places import circle_points_mm, project_to_image
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.image.response import PowerResponse, find_response
 
 Response = Literal["linear", "srgb", "fit"]
-# Flat parts of a circle's ink and of the paper round it, in radii.
+# numerical: samples of flat parts of a circle's ink and of the paper round it, in radii.
 _INK_RADII, _PAPER_RADII = (0.2, 0.4, 0.6), (1.3, 1.4, 1.5)
-_FEWEST_SAMPLES = 30
-_NEUTRAL = np.array([0.25, 0.5, 0.25])
+_NEUTRAL = np.array([0.25, 0.5, 0.25])  # numerical: equal weights of both pixels of a colour
 
 
 class Encoding(NamedTuple):
@@ -142,7 +142,7 @@ def _levels(
     of_pixel = colour[tuple(place.T)]
     for one in set(colour.ravel().tolist()):
         values = seen[of_pixel == one].astype(np.float64)
-        if len(values) < _FEWEST_SAMPLES:
+        if len(values) < TUNING.photometric.fewest_pixels:
             raise InputError(
                 "Too little of the sheet is seen to balance the colours of a mosaic: "
                 "interpolate it first."

@@ -27,7 +27,7 @@ from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.precision import array_namespace
 from trinoc.numerics.robust_loss import GemanMcClure
 
-CHUNK = 512
+CHUNK = 512  # numerical: a block size
 
 
 class LocalPixels(NamedTuple):

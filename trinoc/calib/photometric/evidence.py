@@ -14,18 +14,12 @@ from jaxtyping import Bool, Float, Int
 from trinoc.calib.photometric.noise import autocorrelation, inflation, saturation_level
 from trinoc.calib.photometric.scene import PixelScene, Point
 from trinoc.calib.photometric.unknowns import DELIVERED
+from trinoc.calib.tuning.every_group import TUNING
 
-_SHARE_BINS = 16
-# Squares of the picture, 6 a side.
-_PLACE_BINS = 6
-_PAPER, _INK = 0.1, 0.9
-_FEWEST_PIXELS = 20
-# Chi-square with n degrees of freedom passes n + 5 sqrt(2 n) + 12 by chance once in 10^7.
-_SIGMAS, _OFFSET = 5.0, 12.0
-_LARGEST_VARIANCE_RATIO = 1.4
-_LARGEST_CORRELATION = 0.05
-# Variance of the residuals over that of the flat parts.
-_LARGEST_CHI_SQUARE = 1.3
+# numerical: bins of a test, by the share of ink, and by place: squares of the picture, 6 a side.
+_SHARE_BINS, _PLACE_BINS = 16, 6
+_PAPER = TUNING.photometric.flat_share
+_INK = 1 - _PAPER  # numerical: as flat as paper
 
 # Unknowns that are freed together, by name; the first of the second pair must be free already.
 GROUPS = {
@@ -45,10 +39,6 @@ _NEEDS = {"line": ("along_u",), "lobe shape": ("lobe",)}
 FIRST = ("bend", "kurtosis", "along_u", "diagonal", "lobe")
 # Held where the response is known.
 OF_RESPONSE = ("bend", "contrast", "lift")
-# Chi-square above twice its degrees of freedom (Akaike) by this much frees a group.
-_EVIDENCE = 12.0
-# Uneven light itself makes neighbours agree; noise does no more than this.
-_LARGEST_SPREAD = 5.0
 
 
 def find_refuted_part(scene: PixelScene, point: Point) -> Literal["nothing", "noise", "model"]:
@@ -65,7 +55,7 @@ def find_refuted_part(scene: PixelScene, point: Point) -> Literal["nothing", "no
     if np.isfinite(saturation_level(scene.grey[kept])):
         return "model"
     variance = float(np.mean(r**2))
-    if 0 < _LARGEST_CHI_SQUARE * scene.noise_floor**2 < variance:
+    if 0 < TUNING.photometric.largest_variance_ratio * scene.noise_floor**2 < variance:
         return "model"
     if _neighbours_agree(scene, residual * kept, kept):
         return "model"
@@ -109,7 +99,7 @@ def find_evidence(scene: PixelScene, point: Point) -> PictureEvidence:
         needed = size + np.array(DELIVERED.places(*_NEEDS.get(name, ())), dtype=int)
         if point.free[needed].all() and not point.free[places].any():
             more[places] = _has_score(point, places, spread)
-    spread = min(spread, _LARGEST_SPREAD)
+    spread = min(spread, TUNING.photometric.largest_inflation)
     uneven = not scene.local and (
         _has_score(point, size + np.array(DELIVERED.of_uneven_light), spread)
         or _has_block_means(scene, standard * point.kept, point.kept, spread)
@@ -128,7 +118,7 @@ def _has_score(point: Point, places: Int[np.ndarray, "m"], spread: float) -> boo
     score = gradient[places] - across.T @ solved[:, -1]
     inner = inner + 1e-7 * np.eye(len(places))
     statistic = float(score @ np.linalg.solve(inner, score)) / spread
-    return statistic > 2 * len(places) + _EVIDENCE
+    return statistic > 2 * len(places) + TUNING.photometric.evidence
 
 
 def _has_block_means(
@@ -139,15 +129,14 @@ def _has_block_means(
     count = np.bincount(blocks.of_pixel, kept, minlength=blocks.count)
     total = np.bincount(blocks.of_pixel, residual, minlength=blocks.count)
     statistic = np.sum(total**2 / np.maximum(count, 1)) / spread
-    freedom = np.sum(count > 0)
-    return bool(statistic > freedom + 5 * np.sqrt(2 * freedom) + _EVIDENCE)
+    return _is_large(float(statistic), int(np.sum(count > 0)))
 
 
 def _have_means(r: Float[np.ndarray, "n"], label: np.ndarray) -> bool:
     count = np.bincount(label)
     mean = np.bincount(label, r) / np.maximum(count, 1)
     spread = np.bincount(label, r**2) / np.maximum(count, 1)
-    seen = count >= _FEWEST_PIXELS
+    seen = count >= TUNING.photometric.fewest_pixels
     statistic = np.sum(count[seen] * mean[seen] ** 2 / np.maximum(spread[seen], 1e-12))
     return _is_large(statistic, int(seen.sum()))
 
@@ -156,9 +145,11 @@ def _have_one_variance(r: Float[np.ndarray, "n"], bins: np.ndarray) -> bool:
     variance = [
         float(np.mean(r[chosen] ** 2))
         for chosen in (bins == 0, bins == _SHARE_BINS - 1, (bins > 3) & (bins < _SHARE_BINS - 4))
-        if chosen.sum() >= 10 * _FEWEST_PIXELS
+        if chosen.sum() >= 10 * TUNING.photometric.fewest_pixels
     ]
-    return not variance or max(variance) <= _LARGEST_VARIANCE_RATIO * min(variance)
+    return not variance or max(variance) <= TUNING.photometric.largest_variance_ratio * min(
+        variance
+    )
 
 
 def _neighbours_agree(
@@ -170,7 +161,7 @@ def _neighbours_agree(
         here, there = grid.pairs(down, right)
         pairs = max(np.count_nonzero(kept[here] & kept[there]), 1)
         shared = float(r[here] @ r[there]) / pairs / max(variance, 1e-12)
-        if abs(shared) > _LARGEST_CORRELATION + 3 / np.sqrt(pairs):
+        if abs(shared) > TUNING.photometric.largest_correlation + 3 / np.sqrt(pairs):
             return True
     return False
 
@@ -204,4 +195,5 @@ def _have_direction(
 
 
 def _is_large(statistic: float, freedom: int) -> bool:
-    return bool(statistic > freedom + _SIGMAS * np.sqrt(2 * max(freedom, 1)) + _OFFSET)
+    usual = freedom + TUNING.photometric.chi_square_sigmas * np.sqrt(2 * max(freedom, 1))
+    return bool(statistic > usual + TUNING.photometric.evidence)

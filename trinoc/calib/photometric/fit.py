@@ -24,27 +24,26 @@ from trinoc.calib.photometric.unknowns import (
     PictureState,
     delivered_state,
 )
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import Pose
 from trinoc.numerics.programs import one_compiles
 from trinoc.numerics.robust_loss import GemanMcClure
 
-# Noise before anything is known of it, as a share of the contrast.
+# numerical: a start: noise before anything is known of it, as a share of the contrast.
 _FIRST_NOISE = 0.01
-# Shares of the contrast at which a residual loses its influence while the fit finds its way.
-_IDEAL_SCALES = (0.12, 0.07, 0.05)
-_SCALES = (0.1, 0.07, 0.05, 0.05, 0.05)
-_BLINDED_SCALES = (0.15, 0.15, 0.15, *_SCALES)
+_IDEAL_SCALES, _SCALES = TUNING.photometric.ideal_scales, TUNING.photometric.scales
+_BLINDED_SCALES = (*TUNING.photometric.blinded_scales, *_SCALES)
 _MOST_STAGES = len(_BLINDED_SCALES)
-# At larger scales the unknowns of an ideal camera find their way alone.
-_IDEAL_ALONE = 0.07
-# A fit ends where the next step would move the pose by less of its standard deviations. Pixels in
-# single precision leave steps of .1 in a picture of 16 megapixels.
+# numerical: a fit ends where the next step would move the pose by less of its standard deviations.
+# Pixels in single precision leave steps of .1 in a picture of 16 megapixels.
 _IDEAL_SIGMAS, _SHORT_SIGMAS = 0.15, 0.05
-_IDEAL_STEPS = 8
-_GATES, _FIRST_STEPS, _MORE_STEPS, _LAST_STEPS = 3, 5, 5, 3
+# numerical: steps of iterations that converge.
+_IDEAL_STEPS, _GATES, _FIRST_STEPS, _MORE_STEPS, _LAST_STEPS = 8, 3, 5, 5, 3
+# numerical: of a loop that ends when the residuals call for no more unknowns.
 _ROUNDS = 2
-# Paper beyond saturation starts this much brighter than it looks.
+# numerical: a start: paper beyond saturation is so much brighter than it looks.
 _BLINDED = 1.15
+# numerical: a start of each block's light, from at least so many pixels with so little ink.
 _PAPER_SHARE, _FEWEST_PIXELS = 0.03, 10
 
 
@@ -162,7 +161,8 @@ def _find_sheet(scene: PixelScene, state: PictureState, free: Bool[np.ndarray, "
     scales = _BLINDED_SCALES if _is_blinded(scene, float(state.light[0])) else _SCALES
     alone = np.zeros(len(free), dtype=bool)
     alone[_of_ideal_camera(scene.model.size)] = True
-    stages = np.array([alone if scale > _IDEAL_ALONE else free for scale in scales])
+    # At first the unknowns of an ideal camera find their way alone.
+    stages = np.array([alone if scale >= _SCALES[0] else free for scale in scales])
     point = _take_robust_steps(scene, state, scales, stages)._replace(free=free)
     return _take_steps(scene, _gate(scene, point), _FIRST_STEPS)
 

@@ -5,18 +5,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.photometric.pixel_selection import SelectedPixels
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.tails import MAD_TO_SIGMA
-
-# A residual beyond this many robust sigmas is no noise of a pixel that fits.
-_OUTLIER_SIGMAS = 4.5
-# Neighbourhoods with a larger share of such pixels show an edge, a thumb, a glare.
-_NEIGHBOURHOOD_PX = 7
-_LARGEST_SHARE = 0.15
-# Sum of a neighbourhood's residuals over its standard deviation for white noise, squared: noise
-# that neighbours share reaches a fifth of it, smooth light that is not the model's passes it.
-_LARGEST_COMMON = 45.0
-# Alone, a pixel must be farther off: one in 10^9 is lost for nothing.
-_LONE_SIGMAS = 6.0
 
 
 def robust_sigma(residual: Float[np.ndarray, "n"], bound: float) -> float:
@@ -34,7 +24,8 @@ def gate_by_sigma(
     Whole neighbourhoods go, whatever the signs of their pixels' residuals.
     """
     size = np.abs(residual) / sigma
-    return _apart_from_crowds(chosen, size > _OUTLIER_SIGMAS, size <= _LONE_SIGMAS)
+    outlier, lone = TUNING.photometric.outlier_sigmas, TUNING.photometric.lone_sigmas
+    return _apart_from_crowds(chosen, size > outlier, size <= lone)
 
 
 def without_common(
@@ -42,7 +33,7 @@ def without_common(
 ) -> Bool[np.ndarray, "n"]:
     """The kept pixels, less neighbourhoods whose residuals, in sigmas, have a mean."""
     total, count = _sum_neighbourhoods(chosen, standard * kept, kept)
-    return kept & (total**2 <= _LARGEST_COMMON * np.maximum(count, 1))
+    return kept & (total**2 <= TUNING.photometric.largest_common * np.maximum(count, 1))
 
 
 def _apart_from_crowds(
@@ -52,7 +43,7 @@ def _apart_from_crowds(
     if not wrong.any():
         return kept
     off, seen = _sum_neighbourhoods(chosen, wrong, np.ones(len(wrong)))
-    return kept & (off <= _LARGEST_SHARE * seen)
+    return kept & (off <= TUNING.photometric.outlier_share * seen)
 
 
 def _sum_neighbourhoods(
@@ -62,12 +53,12 @@ def _sum_neighbourhoods(
     left, top = chosen.column.min(), chosen.row.min()
     shape = (chosen.row.max() - top + 1, chosen.column.max() - left + 1)
     place = (chosen.row - top, chosen.column - left)
-    window, sums = (_NEIGHBOURHOOD_PX, _NEIGHBOURHOOD_PX), []
+    side_px, sums = TUNING.photometric.neighbourhood_px, []
     for field in fields:
         picture = np.zeros(shape, np.float32)
         picture[place] = field
         blurred = cv2.boxFilter(
-            picture, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT
+            picture, -1, (side_px, side_px), normalize=False, borderType=cv2.BORDER_CONSTANT
         )
         sums.append(blurred[place])
     return np.stack(sums)

@@ -26,20 +26,18 @@ from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.image.response import PowerResponse
 
-# The median of flat parts sees no more noise than the residuals, a mosaic's colours apart.
-_MOSAIC_NOISE = 1.5
-# The fit of an ideal camera has converged where the step that would come next is shorter, in its
-# own standard deviations.
+# numerical: tolerance of the fit of an ideal camera: of the step that would come next, in its own
+# standard deviations.
 _CONVERGED_SIGMAS = 0.3
-# Said from so many standard deviations on, and from these amounts on.
-_SIGMAS = 4.0
-_LEAST_BEND, _LEAST_LOBE, _LEAST_MOTION_PX = 0.03, 0.03, 0.5
-_LEAST_INFLATION = 1.2
-_SATURATED_SHARE = 0.01
+# numerical: for words only: said from so many standard deviations on, and from these amounts on.
+_SIGMAS, _LEAST_BEND, _LEAST_LOBE, _LEAST_MOTION_PX = 4.0, 0.03, 0.03, 0.5
+# numerical: for words only.
+_LEAST_INFLATION, _SATURATED_SHARE = 1.2, 0.01
 
 
 class ImageRefinement(NamedTuple):
@@ -116,7 +114,9 @@ def refine_image(
         )
 
     residual = point.level - scene.grey
-    is_mosaic = scene.noise_floor > _MOSAIC_NOISE * np.sqrt(np.mean(residual[point.kept] ** 2))
+    # The median of flat parts sees no more noise than the residuals, a mosaic's colours apart.
+    left = TUNING.photometric.mosaic_noise * np.sqrt(np.mean(residual[point.kept] ** 2))
+    is_mosaic = scene.noise_floor > left
     is_said = encoding.bayer is not None or bool(encoding.bend)
     refuted = "model" if is_said else find_refuted_part(scene, point)
     if refuted == "noise" and not is_mosaic:

@@ -7,25 +7,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import ndtr
 
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.arrays import ArrayLike, ScalarLike
 from trinoc.numerics.precision import array_namespace
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
-# Standard deviation of a level that is always cut off: of the model, since noise has none.
-_CUT_OFF_LEVELS = 0.2
-# So many sigmas below, saturation does nothing.
+# numerical: so many sigmas below, saturation does nothing.
 _FAR_BELOW = 8.0
-# A level is piled up where this share of the pixels holds it.
-_PILED_SHARE = 0.002
-_CLEAR_SIGMAS = 2.0
-_BINS = 8
-_FEWEST_PIXELS = 30
-# Rounding to whole levels leaves this much, and a fit must not trust fewer.
+_BINS = 8  # numerical: nodes of a function of the grey level
+# numerical: rounding to whole levels leaves as much, and a fit must not trust fewer.
 LEAST_SIGMA = 0.3
-# Neighbours share noise no further than this.
-REACH_PX = 4
-# A correlation below this many of its standard deviations counts as none.
-_SIGNIFICANT = 3.0
+REACH_PX = TUNING.photometric.shared_reach_px
 
 
 class ClippedMoments(NamedTuple):
@@ -55,12 +47,13 @@ def clipped_moments(
     z = math.minimum((top - level) / sigma, _FAR_BELOW)
     below, density = normal(z), math.exp(-0.5 * z * z) * 0.3989422804014327
     gap = z * below + density
+    cut_off = TUNING.photometric.cut_off_levels**2
     variance = sigma * sigma * math.maximum((z * z + 1) * below + z * density - gap * gap, 0.0)
     sure = z >= _FAR_BELOW
     return ClippedMoments(
         math.where(sure, level, top - sigma * gap),
         math.where(sure, math.ones_like(level), below),
-        math.where(sure, sigma, math.sqrt(variance + (1 - below) * _CUT_OFF_LEVELS**2)),
+        math.where(sure, sigma, math.sqrt(variance + (1 - below) * cut_off)),
     )
 
 
@@ -68,13 +61,13 @@ def is_clear(
     level: Float[np.ndarray, "n"], sigma: Float[np.ndarray, "n"], top: float
 ) -> np.ndarray:
     """Whether saturation leaves the noise of a level as it is."""
-    return level < top - _CLEAR_SIGMAS * sigma
+    return level < top - TUNING.photometric.clear_sigmas * sigma
 
 
 def saturation_level(grey: Float[np.ndarray, "n"]) -> float:
     """The largest grey level, if pixels pile up there as saturated ones do; else infinity."""
     top = float(grey.max())
-    return top if np.mean(grey >= top - 0.5) > _PILED_SHARE else np.inf
+    return top if np.mean(grey >= top - 0.5) > TUNING.photometric.piled_share else np.inf
 
 
 def white_level(image: Float[np.ndarray, "h w"]) -> float:
@@ -95,14 +88,14 @@ def noise_by_level(
     level, residual : predicted by the fit, and left over; of `used` pixels.
     robust : by medians, where outliers are still among them.
     """
-    seen, left = level[used], residual[used]
-    if len(seen) < _FEWEST_PIXELS:
+    seen, left, fewest = level[used], residual[used], TUNING.photometric.fewest_pixels
+    if len(seen) < fewest:
         return np.full(len(at), max(float(np.std(residual)), LEAST_SIGMA))
     low, high = np.percentile(seen, [2, 98])
     edges = np.linspace(low, high, _BINS + 1)
     bins = np.clip(np.digitize(seen, edges) - 1, 0, _BINS - 1)
     count = np.bincount(bins, minlength=_BINS)
-    enough = np.flatnonzero(count >= _FEWEST_PIXELS)
+    enough = np.flatnonzero(count >= fewest)
     if not len(enough):
         return np.full(len(at), max(float(np.std(left)), LEAST_SIGMA))
     if robust:
@@ -152,7 +145,7 @@ def autocorrelation(
     counts = np.maximum(counts, 1.0)
     variance = max(sums[REACH_PX, REACH_PX] / counts[REACH_PX, REACH_PX], 1e-12)
     correlation = sums / counts / variance
-    correlation[np.abs(correlation) < _SIGNIFICANT / np.sqrt(counts)] = 0.0
+    correlation[np.abs(correlation) < TUNING.photometric.significant_sigmas / np.sqrt(counts)] = 0.0
     correlation[REACH_PX, REACH_PX] = 1.0
     return correlation
 

@@ -21,13 +21,12 @@ from trinoc.calib.targets.squares import SquareSheet
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.numerics.arrays import ArrayLike
 
-# Pieces along each half of the two lines.
+# numerical: size of a block: pieces along each half of the two lines.
 _PIECES = 8
-# A direction that a patch shows with less than this share of the information of its best one, as
-# a line along itself, is not known.
+# numerical: a guard: a direction that a patch shows with less than this share of the information of
+# its best one, as a line along itself, is not known.
 _LEAST_SHARE = 1e-3
-
-
+# numerical: no patches.
 _NOTHING = SheetPoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0)))
 
 

@@ -20,16 +20,15 @@ from trinoc.calib.photometric.sheet_places import (
 from trinoc.calib.photometric.square_pixels import square_pixels
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 
-# Pixels within this many sigmas of an edge, and a little more for an error of the start.
-_REACH_SIGMAS = 3.0
-_REACH_PX = 0.4
-# Fixed-point bits of OpenCV's drawing coordinates.
+# numerical: fixed-point bits of OpenCV's drawing coordinates.
 _SHIFT = 4
-SMALLEST_CAPACITY = 16384
-# The first of so many parts of the chosen pixels lies as evenly on the sheet as all of them.
+SMALLEST_CAPACITY = 16384  # numerical: a block size
+# numerical: size of a sample: the first of so many parts of the chosen pixels lies as evenly on the
+# sheet as all of them.
 PARTS = 4
 
 
@@ -86,7 +85,7 @@ def select_pixels(
 
     Pixels within reach of two circles are left out: the model knows one.
     """
-    reach_px = _REACH_SIGMAS * sigma_px + _REACH_PX
+    reach_px = TUNING.photometric.reach_sigmas * sigma_px + TUNING.photometric.reach_px
     if isinstance(pattern, SquareSheet):
         seen = square_pixels(pose, lens, pattern, image_size_px, reach_px)
         near = _spread(SelectedPixels(seen.column, seen.row, seen.node, seen.squares))

@@ -40,18 +40,18 @@ from trinoc.calib.photometric.square_pixels import list_control_places
 from trinoc.calib.photometric.unknowns import PictureState, Unknowns, ideal_state
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.image.noise import noise_sigma
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.joins import point_tree
 
-_LEAST_CONTRAST = 4.0
+# numerical: of an iteration that converges.
 _SHIFT_ROUNDS = 3
-# A central difference over two pixels sees an edge as if blurred by this variance more.
+# numerical: a central difference over two pixels sees an edge as if blurred by so much more.
 _DIFFERENCE_VARIANCE = 1 / 3
-_LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.4, 8.0
-
+_LEAST_SIGMA_PX, _LARGEST_SIGMA_PX = 0.4, 8.0  # numerical: limits of a start
 
 # Of places of the sheet in mm, in px.
 ShiftOfPlaces = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, "n 2"]]
@@ -188,7 +188,7 @@ def scene_of_picture(
         assert isinstance(pattern, Pattern)
         image, noise_scale = balance_mosaic(image, encoding.bayer, start, lens, pattern)
     state = first_guess(image, start, lens, pattern)
-    if not state.contrast > _LEAST_CONTRAST:
+    if not state.contrast > TUNING.photometric.least_contrast:
         return None
     size = (image.shape[1], image.shape[0])
     choice = select_pixels(start, lens, pattern, size, float(state["sigma_px"]))

@@ -16,10 +16,9 @@ from trinoc.geometry.projection import project_point
 from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.small_matrices import inverse_3x3
 
-# Pieces of one length, so that another number of pixels does not compile again.
+# numerical: pieces of one length, so that another number of pixels does not compile again.
 _PIECE = 8192
-_CIRCLE_POINTS = 32
-_SIDE_POINTS = 16
+_CIRCLE_POINTS, _SIDE_POINTS = 32, 16  # numerical: points of outlines
 
 
 class Ray(NamedTuple):

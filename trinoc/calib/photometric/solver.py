@@ -22,12 +22,12 @@ from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
-_LEAST_DAMPING, _FIRST_DAMPING, _DAMPING_FACTOR = 1e-6, 1e-3, 30.0
-_ROBUST_DAMPING = 1e-4
-# Where a step does not pay, shorter ones are tried: light and its local factor are a product.
+# numerical: damping of steps.
+_LEAST_DAMPING, _FIRST_DAMPING, _DAMPING_FACTOR, _ROBUST_DAMPING = 1e-6, 1e-3, 30.0, 1e-4
+# numerical: where a step does not pay, shorter ones are tried: light and its local factor are a
+# product.
 _SHARES = (1.0, 0.3, 0.1)
-# By how much chi-square may grow, of itself and beyond.
-_GROWTH, _SLACK = 1e-5, 0.1
+_GROWTH, _SLACK = 1e-5, 0.1  # numerical: chi-square may grow by so much, of itself and beyond
 
 
 class Stage(NamedTuple):

@@ -14,11 +14,12 @@ from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.numerics.joins import point_tree
 
-# Lines within reach of a pixel that are looked at along each axis, and that may carry edges.
+# numerical: of a table: lines within reach of a pixel that are looked at along each axis, and that
+# may carry edges.
 _MOST_LINES, _MOST_EDGES = 5, 2
-# Places to look at for light and ink lie this far inside, over the largest that there is.
+# numerical: samples of a start: so deep inside, over the largest depth that there is.
 _DEEP = 0.8
-# Points of the map of depths per least distance between lines, and the longest side of it.
+# numerical: points of the map of depths per least distance between lines, and its longest side.
 _FINE, _LONGEST_MAP = 3.0, 2000
 
 

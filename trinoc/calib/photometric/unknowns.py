@@ -13,39 +13,39 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.image.response import PowerResponse
 from trinoc.numerics.arrays import ArrayLike, ScalarLike
 
-# Terms of polynomials of degree 4 and 2.
+# numerical: terms of polynomials of degree 4 and 2.
 LIGHT_TERMS, QUADRATIC_TERMS = 15, 6
-# Numbers of each block of the sheet: light and veil with their slopes, (1, x, y) each.
-LOCAL_TERMS = 6
-# Weak priors on them, of shares of the light and of grey levels.
-LOCAL_WIDTH = np.array([0.5, 0.1, 0.1, 40.0, 20.0, 20.0])
-# Light that is left in the darkest shade: only this keeps the model from failing.
+# Weak priors on each block of the sheet: light and veil with their slopes, (1, x, y) each, in
+# shares of the light and in grey levels.
+LOCAL_WIDTH = np.array(TUNING.photometric.local_widths)
+LOCAL_TERMS = len(LOCAL_WIDTH)
+# numerical: light that is left in the darkest shade: only this keeps the model from failing.
 _LEAST_LIGHT = 0.05
-# Grey levels that a term of a polynomial reaches at the picture's edge.
-_POLYNOMIAL_WIDTH = 40.0
 # Per unknown of the look: bounds, the middle of its prior and its width (infinite: none).
+# numerical: bounds keep steps where the model means something.
 _LOOK = {
     # Blur of lens, motion and pixel: rms width along one axis, the mean over all directions, and
     # cumulants over powers of it, 0 for a Gaussian.
     "sigma_px": (0.1, 8.0, 0.0, np.inf),
-    "kurtosis": (-1.5, 3.0, 0.0, 0.5),
-    "sixth": (-6.0, 15.0, 0.0, 2.0),
+    "kurtosis": (-1.5, 3.0, 0.0, TUNING.photometric.kurtosis_width),
+    "sixth": (-6.0, 15.0, 0.0, TUNING.photometric.sixth_width),
     # (variance along u - along v) / 2, covariance of u and v, and the variance across edges along
     # the picture's axes less that across diagonal ones, halved, px^2.
-    "along_u": (-20.0, 20.0, 0.0, 2.0),
-    "diagonal": (-20.0, 20.0, 0.0, 2.0),
-    "along_axes": (-2.0, 2.0, 0.0, 0.3),
+    "along_u": (-20.0, 20.0, 0.0, TUNING.photometric.motion_width_px2),
+    "diagonal": (-20.0, 20.0, 0.0, TUNING.photometric.motion_width_px2),
+    "along_axes": (-2.0, 2.0, 0.0, TUNING.photometric.axes_width_px2),
     # 1 where the anisotropy is that of a straight motion, 0 where it is a Gaussian's.
-    "line": (-0.5, 1.6, 0.0, 0.7),
+    "line": (-0.5, 1.6, 0.0, TUNING.photometric.line_width),
     # Sharpening: weight of a Gaussian that is taken away, by how much it is wider than the blur,
     # and how much further its ink reaches.
-    "lobe": (-0.9, 4.0, 0.0, 1.0),
-    "lobe_px": (0.4, 3.0, 1.0, 0.5),
-    "lobe_mm": (-0.5, 0.5, 0.0, 0.15),
+    "lobe": (-0.9, 4.0, 0.0, TUNING.photometric.lobe_width),
+    "lobe_px": (0.4, 3.0, *TUNING.photometric.lobe_px),
+    "lobe_mm": (-0.5, 0.5, 0.0, TUNING.photometric.lobe_width_mm),
     # By which ink reaches beyond the drawing.
     "spread_mm": (-2.0, 2.0, 0.0, np.inf),
     # Grey level of ink over that of paper less one, in the middle of the picture.
@@ -53,8 +53,8 @@ _LOOK = {
     # Response: its bend (0 linear, 1 sRGB), and further terms between ink and paper, c (1 - c) and
     # c (1 - c) (1 - 2 c) of the share c of ink.
     **PowerResponse.PARAMETERS,
-    "lift": (-1.0, 1.0, 0.0, 0.15),
-    "contrast": (-1.0, 1.0, 0.0, 0.3),
+    "lift": (-1.0, 1.0, 0.0, TUNING.photometric.lift_width),
+    "contrast": (-1.0, 1.0, 0.0, TUNING.photometric.contrast_width),
 }
 
 
@@ -122,10 +122,12 @@ class Unknowns(NamedTuple):
         for place, name in enumerate(self.look):
             middle[place], weight[place] = _LOOK[name][2], _LOOK[name][3] ** -2.0
         if local:
-            weight[self.light[1:]] = weight[self.veil] = _POLYNOMIAL_WIDTH**-2.0
+            # A term of a polynomial reaches as far at the picture's edge as a block's veil.
+            weight[self.light[1:]] = weight[self.veil] = LOCAL_WIDTH[3] ** -2.0
         return middle, weight
 
 
+# numerical: an ideal camera has no veil.
 IDEAL = Unknowns(("sigma_px", "spread_mm", "ratio"), QUADRATIC_TERMS, 0)
 DELIVERED = Unknowns(tuple(_LOOK), LIGHT_TERMS, QUADRATIC_TERMS)
 

@@ -20,13 +20,12 @@ from trinoc.calib.result.calibration import ImageQuality
 from trinoc.calib.result.degrees import degrees_by_step, largest_sigmas
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.information import observability
 
-# The picture moves circles by hundredths of a pixel; more than this is another minimum.
-_LARGEST_MOVE_PX = 0.5
-# Variance of a pixel's box, which the fitted sigma includes and the lens's blur does not.
+# numerical: of a pixel's box, which the fitted sigma includes and the lens's blur does not.
 _BOX_VARIANCE = 1 / 12
 
 _Answer = TypeVar("_Answer")
@@ -116,7 +115,7 @@ def _refine(
         for pose in (start, refined.state.pose)
     )
     moved = float(np.abs(after - before).max())
-    if not moved < _LARGEST_MOVE_PX:
+    if not moved < TUNING.photometric.largest_move_px:
         return silent(f"the picture itself disagrees with its circles by {moved:.2f} px.")
     return PictureFit(refined.state.pose, refined.points, _quality(refined, model), None)
 

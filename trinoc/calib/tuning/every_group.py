@@ -6,6 +6,7 @@ from trinoc.calib.tuning.adjustment import AdjustmentTuning
 from trinoc.calib.tuning.advice import AdviceTuning
 from trinoc.calib.tuning.answer import AnswerTuning
 from trinoc.calib.tuning.detection import DetectionTuning
+from trinoc.calib.tuning.photometric import PhotometricTuning
 from trinoc.calib.tuning.rig_check import RigCheckTuning
 from trinoc.calib.tuning.starts import StartTuning
 from trinoc.calib.tuning.uncertainty import UncertaintyTuning
@@ -16,6 +17,7 @@ class CalibTuning:
     """All groups; the default is what everything was measured with."""
 
     detection: DetectionTuning = field(default_factory=DetectionTuning)
+    photometric: PhotometricTuning = field(default_factory=PhotometricTuning)
     uncertainty: UncertaintyTuning = field(default_factory=UncertaintyTuning)
     starts: StartTuning = field(default_factory=StartTuning)
     advice: AdviceTuning = field(default_factory=AdviceTuning)
