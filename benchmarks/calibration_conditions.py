@@ -22,7 +22,7 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.pose import PoseModel
-from trinoc.synth.camera_picture.layers import card
+from trinoc.synth.camera_picture.layers import cover_card
 
 
 class Condition(NamedTuple):
@@ -71,7 +71,7 @@ def outcomes(condition: Condition, truths: np.ndarray, seeds: int) -> tuple[list
         scene = Scene(condition.pattern, LENS, np.concatenate([truth, aim]), condition.blur_px)
         exact, seen = scene.picture(16), None
         if condition.covered:
-            cover = card(
+            cover = cover_card(
                 random.uniform(-25, 25, 2),
                 turn_deg=random.uniform(0, 180),
                 size_mm=(62.0, 54.0),

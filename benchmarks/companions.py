@@ -39,7 +39,7 @@ def bars(seed: int, count: int = 45) -> Scene:
         turn = float(generator.uniform(0, 180))
         shift = np.append(generator.uniform(-75, 75, 2), generator.uniform(0, 45))
         solid = box((float(length), float(width), float(height)))
-        edges.append(solid.placed(turn_deg=turn, shift_mm=shift).edges_mm)
+        edges.append(solid.place(turn_deg=turn, shift_mm=shift).edges_mm)
     return Scene.of_edges(np.concatenate(edges))
 
 

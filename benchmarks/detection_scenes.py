@@ -10,10 +10,10 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.synth import table1_lens
-from trinoc.synth.camera_picture.layers import Paint, card, finger
-from trinoc.synth.camera_picture.light import Light, Shadow
+from trinoc.synth.camera_picture.layers import Paint, cover_card, finger
+from trinoc.synth.camera_picture.light import Illumination, Shadow
 from trinoc.synth.camera_picture.render import render_sheet
-from trinoc.synth.camera_picture.shapes import Capsule, Disc
+from trinoc.synth.camera_picture.shapes import Capsule, FilledCircle
 
 # Enough for labels; the renderer's own error is then about that of the centres, so that errors
 # over sigma are twice too large. At 16 they are right, and pictures take eight times as long.
@@ -125,10 +125,10 @@ def uneven_light(random: np.random.Generator) -> Scene:
     return Scene(pattern, camera, render(random, pattern, camera, paper=160.0, light=light))
 
 
-def sloping_light(random: np.random.Generator, low: float, high: float) -> Light:
+def sloping_light(random: np.random.Generator, low: float, high: float) -> Illumination:
     """Light that rises by a share of `low` to `high` in 100 mm, in any direction."""
     angle, slope = random.uniform(0, 2 * np.pi), random.uniform(low, high)
-    return Light((float(slope * np.cos(angle)), float(slope * np.sin(angle))))
+    return Illumination((float(slope * np.cos(angle)), float(slope * np.sin(angle))))
 
 
 def shaded(random: np.random.Generator) -> Scene:
@@ -142,7 +142,9 @@ def shaded(random: np.random.Generator) -> Scene:
         light_left=float(random.uniform(0.35, 0.7)),
         penumbra_mm=float(random.uniform(0.2, 10)),
     )
-    return Scene(pattern, camera, render(random, pattern, camera, light=Light(shadows=(edge,))))
+    return Scene(
+        pattern, camera, render(random, pattern, camera, light=Illumination(shadows=(edge,)))
+    )
 
 
 def covered(random: np.random.Generator) -> Scene:
@@ -156,7 +158,7 @@ def covered(random: np.random.Generator) -> Scene:
         grey = float(random.uniform(40, 200))
         kind = random.integers(3)
         more = (
-            (card(place, turn_deg=turn, grey=grey),)
+            (cover_card(place, turn_deg=turn, grey=grey),)
             if kind == 0
             else (finger(place, turn, length_mm=90.0, grey=grey),)
             if kind == 1
@@ -176,7 +178,7 @@ def hand(palm_mm: np.ndarray, *, direction_deg: float, grey: float) -> tuple[Pai
     along = np.array([np.cos(angle), np.sin(angle)])
     across = np.array([-np.sin(angle), np.cos(angle)])
     arm = Capsule(np.stack([palm_mm - 250 * along, palm_mm]), 30.0)
-    parts = [Paint(arm, grey - 8), Paint(Disc(palm_mm, 42.0), grey)]
+    parts = [Paint(arm, grey - 8), Paint(FilledCircle(palm_mm, 42.0), grey)]
     for place, length in ((-30.0, 62.0), (-10.0, 76.0), (10.0, 72.0), (30.0, 52.0)):
         tip = palm_mm + place * across + (34.0 + length) * along
         parts.append(finger(tip, direction_deg + 180.0, length_mm=length, grey=grey))
@@ -191,10 +193,10 @@ def round_things(random: np.random.Generator, *, count: int, reach_mm: float) ->
     for _ in range(count):
         centre = random.uniform(-reach_mm, reach_mm, 2)
         radius, grey = float(random.uniform(3.0, 13.0)), float(random.uniform(15.0, 190.0))
-        parts.append(Paint(Disc(centre, radius), grey))
+        parts.append(Paint(FilledCircle(centre, radius), grey))
         if random.random() < 0.5:
             hole = float(random.uniform(0.3, 0.7)) * radius
-            parts.append(Paint(Disc(centre, hole), float(random.uniform(60.0, 250.0))))
+            parts.append(Paint(FilledCircle(centre, hole), float(random.uniform(60.0, 250.0))))
     return tuple(parts)
 
 

@@ -32,7 +32,7 @@ def _linear(light: np.ndarray) -> np.ndarray:
 
 
 def _srgb(light: np.ndarray) -> np.ndarray:
-    return 255 * SRGB().encoded(np.minimum(light, 1.0))
+    return 255 * SRGB().encode(np.minimum(light, 1.0))
 
 
 def _sharpened(levels: np.ndarray, amount: float) -> np.ndarray:

@@ -21,18 +21,18 @@ from trinoc.synth.camera_picture.delivery import (
     SCurve,
     Sharpening,
 )
-from trinoc.synth.camera_picture.layers import card, finger
-from trinoc.synth.camera_picture.light import Lamp, Light, Shadow
+from trinoc.synth.camera_picture.layers import cover_card, finger
+from trinoc.synth.camera_picture.light import GlareLamp, Illumination, Shadow
 from trinoc.synth.camera_picture.optics import Optics
 from trinoc.synth.camera_picture.paper import Paper
 from trinoc.synth.camera_picture.render import Condition
 from trinoc.synth.camera_picture.scene import SheetScene
 from trinoc.synth.camera_picture.sensor import Mosaic, Sensor
 from trinoc.synth.camera_picture.surfaces import (
-    Cone,
-    Cylinder,
+    ConePaper,
+    RolledPaper,
     Surface,
-    Twisted,
+    TwistedPaper,
 )
 
 
@@ -151,7 +151,7 @@ def _bent(surface: Surface) -> Case:
 
 def _rolled(sagitta_mm: float) -> Case:
     """Bent along no side of the sheet, as rolled paper seldom is."""
-    return _bent(Cylinder.from_sagitta(sagitta_mm, direction_deg=30.0))
+    return _bent(RolledPaper.from_sagitta(sagitta_mm, direction_deg=30.0))
 
 
 def _misread(parameters: int = 4, **error: Any) -> Case:
@@ -222,23 +222,27 @@ _BLURRED: dict[str, Case] = {
 
 _LIT: dict[str, Case] = {
     "broad light": Case(
-        SheetScene(light=Light((0.2, -0.12), (-0.04, 0.03, -0.05))),
+        SheetScene(light=Illumination((0.2, -0.12), (-0.04, 0.03, -0.05))),
         sensor=Sensor(exposure=0.65 / 0.85),
     ),
-    "small glare": Case(SheetScene(light=Light(lamp=Lamp((25.0, 15.0), roughness=0.02)))),
+    "small glare": Case(
+        SheetScene(light=Illumination(lamp=GlareLamp((25.0, 15.0), roughness=0.02)))
+    ),
     "faint glare": Case(
-        SheetScene(light=Light(lamp=Lamp((25.0, 15.0), roughness=0.03, strength=0.12))),
+        SheetScene(light=Illumination(lamp=GlareLamp((25.0, 15.0), roughness=0.03, strength=0.12))),
         sensor=Sensor(exposure=0.75 / 0.85),
     ),
     "vignette and broad glare": Case(
         SheetScene(
-            light=Light(vignetting=0.35, lamp=Lamp((40.0, 30.0), roughness=0.12, strength=0.25))
+            light=Illumination(
+                vignetting=0.35, lamp=GlareLamp((40.0, 30.0), roughness=0.12, strength=0.25)
+            )
         ),
         sensor=Sensor(exposure=0.75 / 0.85),
     ),
-    "shadow edge": Case(SheetScene(light=Light(shadows=(Shadow((12.0, -7.0), 35.0),)))),
+    "shadow edge": Case(SheetScene(light=Illumination(shadows=(Shadow((12.0, -7.0), 35.0),)))),
     "finger": Case(SheetScene(covers=(finger((38.0, -24.0), -50.0),))),
-    "card": Case(SheetScene(covers=(card((-30.0, 22.0), turn_deg=20.0),))),
+    "card": Case(SheetScene(covers=(cover_card((-30.0, 22.0), turn_deg=20.0),))),
 }
 
 _SHEETS: dict[str, Case] = {
@@ -249,8 +253,8 @@ _SHEETS: dict[str, Case] = {
     "bent .1 mm": _rolled(0.1),
     "bent .3 mm": _rolled(0.3),
     "bent 1 mm": _rolled(1.0),
-    "cornet .3 mm": _bent(Cone.from_sagitta(0.3, apex_mm=250.0, direction_deg=60.0)),
-    "twisted .3 mm": _bent(Twisted(Cylinder(), 0.3)),
+    "cornet .3 mm": _bent(ConePaper.from_sagitta(0.3, apex_mm=250.0, direction_deg=60.0)),
+    "twisted .3 mm": _bent(TwistedPaper(RolledPaper(), 0.3)),
     "ink gain .1 mm": Case(SheetScene(Paper(ink_gain_mm=0.1))),
     "print .2 % larger": Case(SheetScene(Paper(print_scale=(1.002, 1.002))), told=_BENCH),
     "print 1 % larger": Case(SheetScene(Paper(print_scale=(1.01, 1.01))), told=_BENCH),

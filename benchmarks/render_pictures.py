@@ -54,7 +54,7 @@ from trinoc.io import save_scene_truth
 from trinoc.io.pattern_json import save_pattern
 from trinoc.io.rig_json import save_rig
 from trinoc.synth import block_scene, table1_rig
-from trinoc.synth.camera_picture.delivery import quantised
+from trinoc.synth.camera_picture.delivery import quantise
 from trinoc.synth.camera_picture.paper import Paper
 from trinoc.synth.camera_picture.render import Condition, camera_picture
 from trinoc.synth.camera_picture.scene import SheetScene
@@ -262,7 +262,7 @@ def write_image(
     pixels = exposed_pixels(grey, fold=fold, blur_px=blur_px)
     sigma = noise * np.sqrt((1 + 2 * np.maximum(pixels, 0.0) / 128.0) / 3)
     noisy = pixels + sigma * np.random.default_rng(seed).normal(size=pixels.shape)
-    cv2.imwrite(str(path), quantised(noisy / 255.0, 8))
+    cv2.imwrite(str(path), quantise(noisy / 255.0, 8))
 
 
 def write_clean(path: Path, grey: np.ndarray, *, fold: int, blur_px: float) -> None:

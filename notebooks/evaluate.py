@@ -23,14 +23,14 @@ from trinoc.report.evaluation_plot import evaluation_panels
 from trinoc.evaluation.sweep import SweepSetting
 from trinoc.evaluation.sweep import chosen_lines
 from trinoc.evaluation.sweep import evaluate_settings
-from trinoc.evaluation.sweep import settings_of
+from trinoc.evaluation.sweep import list_settings
 from trinoc.report import evaluation_text
 from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_of_rig import lines_of_rig
 from trinoc.evaluation.distances import distance_to_segments_mm
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_on_edges import offsets_across
-from trinoc.evaluation.lines_on_edges import selected
+from trinoc.evaluation.lines_on_edges import select_lines
 from trinoc.evaluation.normalised_errors import errors_in_sigmas
 from trinoc.synth import Detector
 from trinoc.synth import simulate_segments
@@ -125,7 +125,7 @@ noisy = {
     view: np.clip(np.rint(picture + 8 * noise.normal(size=picture.shape)), 0, 255).astype(np.uint8)
     for view, picture in scene.items()
 }
-tolerances = settings_of((0.8, 1.6, 3.2), (1.0,), (7.0,))
+tolerances = list_settings((0.8, 1.6, 3.2), (1.0,), (7.0,))
 rows = {
     name: list(evaluate_settings(pictures, rig, shape, tolerances, both_stages))
     for name, pictures in (("as they are", scene), ("with noise", noisy))
@@ -147,7 +147,7 @@ plt.show()
 # millimetre for what is right within a tenth: neither is free.
 
 # %%
-contrasts = settings_of((1.6,), (1.0,), (7.0, 14.0, 28.0))
+contrasts = list_settings((1.6,), (1.0,), (7.0, 14.0, 28.0))
 by_contrast = list(evaluate_settings(noisy, rig, shape, contrasts))
 print(evaluation_text(by_contrast).partition("\n\n")[0])
 
@@ -164,7 +164,7 @@ def sigmas_of(lines, edges_mm):
     """Normalised errors of the lines that lie on an edge, one number after the other."""
     edge = trinoc.evaluate(lines, edges_mm, tolerances_mm=(2.0,)).lines
     on = edge >= 0
-    offsets = offsets_across(selected(lines, on), edges_mm[edge[on]])
+    offsets = offsets_across(select_lines(lines, on), edges_mm[edge[on]])
     return errors_in_sigmas(offsets, lines.parameter_covariance).reshape(-1)
 
 
@@ -199,8 +199,8 @@ errors = {
     "made segments, exact cameras": sigmas_of(own(exact_matches), loose.edges_mm),
     "poor cameras, segments' own sigma": sigmas_of(own(poor_matches), loose.edges_mm),
     "poor cameras, cameras' sigma too": sigmas_of(lines_of_rig(poor_matches, poor), loose.edges_mm),
-    "pictures, seen in three": sigmas_of(selected(own(matches), three), shape.edges_mm),
-    "pictures, seen in two": sigmas_of(selected(own(matches), ~three), shape.edges_mm),
+    "pictures, seen in three": sigmas_of(select_lines(own(matches), three), shape.edges_mm),
+    "pictures, seen in two": sigmas_of(select_lines(own(matches), ~three), shape.edges_mm),
 }
 within = {name: float(np.mean(np.abs(z) < 1.96)) for name, z in errors.items()}
 for name, z in errors.items():

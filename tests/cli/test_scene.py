@@ -10,7 +10,7 @@ import trinoc
 from trinoc.calib import RigCheck
 from trinoc.cli.command import UsageError
 from trinoc.cli.main import main
-from trinoc.cli.views import scene_of
+from trinoc.cli.views import read_scene
 from trinoc.errors import InputError
 from trinoc.synth import table1_rig
 
@@ -18,12 +18,12 @@ from trinoc.synth import table1_rig
 @pytest.mark.parametrize(("pictures", "matches"), [((), None), (("upper=a.png",), Path("m.npz"))])
 def test_either_pictures_or_matches(pictures, matches):
     with pytest.raises(UsageError, match="either NAME=FILE for each camera"):
-        scene_of(pictures, matches, table1_rig(), Path("rig.json"), quiet=True)
+        read_scene(pictures, matches, table1_rig(), Path("rig.json"), quiet=True)
 
 
 def test_pictures_are_those_of_the_rig():
     with pytest.raises(InputError, match="no camera"):
-        scene_of(("other=a.png",), None, table1_rig(), Path("rig.json"), quiet=True)
+        read_scene(("other=a.png",), None, table1_rig(), Path("rig.json"), quiet=True)
 
 
 @pytest.mark.parametrize("command", ["check", "refine"])
@@ -38,7 +38,7 @@ def test_a_check_is_told_in_the_words_of_its_result(conclusive, tmp_path, capsys
     check = RigCheck((), ("left",) if conclusive else (), None, conclusive)
     scene = SimpleNamespace(matches=(), tolerant=None, strict=None, files={})
     monkeypatch.setattr("trinoc.calib.rig_check.knocked.check_rig", lambda *_, **__: check)
-    monkeypatch.setattr("trinoc.cli.views.scene_of", lambda *_, **__: scene)
+    monkeypatch.setattr("trinoc.cli.views.read_scene", lambda *_, **__: scene)
     trinoc.save(table1_rig(), tmp_path / "rig.json")
     assert main(["check", "--rig", str(tmp_path / "rig.json"), "--matches", "m.npz", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {

@@ -14,7 +14,7 @@ COLOUR = RANDOM.integers(0, 256, (20, 30, 3)).astype(np.uint8)
 def test_light_of_a_colour_is_the_mean_of_its_channels() -> None:
     light = Light.from_picture(COLOUR, "srgb").light
     curve = np.linspace(0, 1, 4001)
-    expected = 255 * np.interp(COLOUR / 255, SRGB().encoded(curve), curve).mean(axis=2)
+    expected = 255 * np.interp(COLOUR / 255, SRGB().encode(curve), curve).mean(axis=2)
     np.testing.assert_allclose(light, expected, atol=0.5)
     np.testing.assert_allclose(light, Light.from_picture(COLOUR / 255.0, "srgb").light, atol=1e-3)
     np.testing.assert_array_equal(light, Light.from_picture(COLOUR[..., ::-1], "srgb").light)

@@ -42,7 +42,7 @@ def test_the_named_curves_are_what_they_are_called() -> None:
     light = LIGHT[LIGHT <= 1]
     np.testing.assert_allclose(find_response("linear").level_of(light), light, atol=1e-12)
     assert find_response("linear").is_linear
-    srgb, standard = np.asarray(find_response("srgb").level_of(light)), SRGB().encoded(light)
+    srgb, standard = np.asarray(find_response("srgb").level_of(light)), SRGB().encode(light)
     # Near black the standard's own curve is straight.
     np.testing.assert_allclose(srgb, standard, atol=8e-3)
     np.testing.assert_allclose(srgb[light > 0.02], standard[light > 0.02], atol=2e-3)

@@ -14,8 +14,8 @@ from trinoc.io import FORMATS
 from trinoc.match.features import FEATURES
 from trinoc.numerics.table_checks import COVARIANCE, IN_SCENE, PROBABILITY
 from trinoc.numerics.tables import Column
-from trinoc.report.notebook.cards import card
-from trinoc.report.notebook.tables import columns_of
+from trinoc.report.notebook.cards import make_card
+from trinoc.report.notebook.tables import list_columns
 
 
 class Ellipses(Feature):
@@ -76,7 +76,7 @@ def test_it_is_exported_as_lines(ellipses, tmp_path, name) -> None:
 
 
 def test_it_shows_itself(ellipses) -> None:
-    assert "2 ellipses" in card(ellipses)
-    assert list(columns_of(ellipses))[:3] == ["x_mm", "y_mm", "z_mm"]
+    assert "2 ellipses" in make_card(ellipses)
+    assert list(list_columns(ellipses))[:3] == ["x_mm", "y_mm", "z_mm"]
     drawn = [line for _, line in ellipses.wires().lines()]
     assert [line.shape for line in drawn] == [(25, 3), (25, 3)]

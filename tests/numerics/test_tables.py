@@ -15,7 +15,7 @@ from tests.io.made_wireframe import made_wireframe
 from trinoc.geometry import Junctions
 from trinoc.geometry.segments import Segments
 from trinoc.io.frames_table import Frames
-from trinoc.io.tables_npz import ArrayFields, arrays_of, table_of
+from trinoc.io.tables_npz import ArrayFields, build_table, list_arrays
 from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.wire_frame.frame import LetGo
@@ -40,10 +40,10 @@ def test_every_field_has_its_sentence(kind: type[Table]) -> None:
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: type(table).__name__)
 def test_what_is_written_is_what_is_read(table: Table) -> None:
-    fields = ArrayFields(arrays_of(table), "file")
-    back = table_of(type(table), fields)
-    for name, array in arrays_of(back).items():
-        np.testing.assert_array_equal(array, arrays_of(table)[name])
+    fields = ArrayFields(list_arrays(table), "file")
+    back = build_table(type(table), fields)
+    for name, array in list_arrays(back).items():
+        np.testing.assert_array_equal(array, list_arrays(table)[name])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -80,10 +80,10 @@ def test_columns_name_every_number_once() -> None:
 
 def test_files_of_before_still_load() -> None:
     # A size that was not known was an empty array, and marks have always stood beside the columns.
-    arrays = arrays_of(SEGMENTS) | {"image_size_px": np.array([], dtype=np.int64)}
-    assert table_of(Segments, ArrayFields(arrays, "file")).image_size_px is None
-    arrays = arrays_of(MATCHES) | {"guided": MATCHES.index >= 0}
-    found = table_of(Matches, ArrayFields(arrays, "file"))
+    arrays = list_arrays(SEGMENTS) | {"image_size_px": np.array([], dtype=np.int64)}
+    assert build_table(Segments, ArrayFields(arrays, "file")).image_size_px is None
+    arrays = list_arrays(MATCHES) | {"guided": MATCHES.index >= 0}
+    found = build_table(Matches, ArrayFields(arrays, "file"))
     np.testing.assert_array_equal(found.marks["guided"], MATCHES.index >= 0)
 
 
@@ -100,11 +100,11 @@ def test_files_of_before_still_load() -> None:
 )
 def test_a_mark_is_a_truth_value_a_probability_or_a_word(mark: np.ndarray) -> None:
     unseen = dataclasses.replace(MATCHES, index=np.where(MATCHES.index < 0, -1, MATCHES.index))
-    arrays = arrays_of(unseen) | {"mark": mark}
+    arrays = list_arrays(unseen) | {"mark": mark}
     if mark.shape == MATCHES.index.shape and (MATCHES.index >= 0).all():
         pytest.skip("every view sees every line")
     with pytest.raises(trinoc.errors.InputError, match="truth values, probabilities or words"):
-        table_of(Matches, ArrayFields(arrays, "file"))
+        build_table(Matches, ArrayFields(arrays, "file"))
 
 
 @given(st.integers(1, 4), st.integers(0, 2**32 - 1))

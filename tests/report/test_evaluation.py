@@ -14,7 +14,7 @@ from trinoc.evaluation.sweep import (
     chosen_lines,
     evaluate_matches,
     evaluate_settings,
-    settings_of,
+    list_settings,
 )
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.match import join_collinear
@@ -157,7 +157,7 @@ def rows():
     """Of made matches, as if each came of a setting of its own."""
     rig, shape = rig_off_by(), KnownShape.of_edges(EDGES)
     found = []
-    for number, setting in enumerate(settings_of((0.8, 1.6), (1.0,), (4.0, 7.0))):
+    for number, setting in enumerate(list_settings((0.8, 1.6), (1.0,), (4.0, 7.0))):
         matches = made_matches(rig, seed=number, sigma_px=SIGMA_PX * setting.tolerance_px)
         for row in evaluate_matches(matches, rig, shape, CHOICES):
             found.append(row._replace(setting=setting))

@@ -16,13 +16,13 @@ from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import Matches
 from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import (
-    decimals_for,
     millimetres,
     plain,
     round_scale,
-    signed,
+    significant_decimals,
     with_decimals,
     with_sigma,
+    with_sign,
 )
 from trinoc.report.pictures import LONGEST_SIDE_PX, Window, clip_line, page_picture
 from trinoc.report.space_content import content_box, frusta
@@ -32,7 +32,7 @@ FINITE = st.floats(-1e4, 1e4, allow_nan=False)
 
 @given(st.floats(1e-9, 1e3))
 def test_a_sigma_is_shown_by_its_first_digits(sigma: float) -> None:
-    shown = float(f"{sigma:.{decimals_for(sigma)}f}")
+    shown = float(f"{sigma:.{significant_decimals(sigma)}f}")
     assert shown == pytest.approx(sigma, rel=0.051) or sigma > 10
 
 
@@ -49,7 +49,7 @@ def test_signs_are_true_minus_signs(value: float, decimals: int) -> None:
     text = with_decimals(value, decimals)
     assert "-" not in text
     assert float(text.replace("\N{MINUS SIGN}", "-")) == pytest.approx(value, abs=10.0**-decimals)
-    assert signed(value, decimals)[0] in "+\N{MINUS SIGN}0"
+    assert with_sign(value, decimals)[0] in "+\N{MINUS SIGN}0"
 
 
 def test_what_is_not_known_is_said() -> None:

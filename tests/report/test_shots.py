@@ -18,7 +18,7 @@ from trinoc.report.coverage import Coverage, coverage_by_boards, mean_residuals,
 from trinoc.report.field_part import halves_maps, uncertainty_maps
 from trinoc.report.html import render_report
 from trinoc.report.shots_part import shot_table
-from trinoc.report.verdict import Verdict, verdict_of
+from trinoc.report.verdict import Verdict, find_verdict
 
 from .conftest import made_up_rig
 from .test_html import Page
@@ -84,7 +84,7 @@ def made_up(**changes: Any) -> RigFromShots:
 
 def judged(result: RigFromShots) -> Verdict:
     seen = places_seen(result)
-    verdict = verdict_of(
+    verdict = find_verdict(
         Subject(
             shots=result,
             coverage=coverage_by_boards(seen),

@@ -15,7 +15,7 @@ from trinoc.report.coverage import Coverage, coverage_by_circles
 from trinoc.report.field_part import FieldPart, field_part
 from trinoc.report.pictures import PagePicture, Window
 from trinoc.report.segments_figures import HEIGHT, LETTER, place_labels
-from trinoc.report.verdict import CHECKS, Verdict, verdict_of
+from trinoc.report.verdict import CHECKS, Verdict, find_verdict
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def field(result: CalibrationResult, pictures: dict[str, PagePicture]) -> FieldP
 
 
 def judged(**given: Any) -> Verdict:
-    verdict = verdict_of(Subject(**given))
+    verdict = find_verdict(Subject(**given))
     assert verdict is not None
     return verdict
 

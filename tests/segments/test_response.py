@@ -21,7 +21,7 @@ def step(distance: np.ndarray, dark: float, bright: float, width_px: float) -> n
 
 
 def srgb(light: np.ndarray) -> np.ndarray:
-    return SRGB().encoded(light)
+    return SRGB().encode(light)
 
 
 def bent(light: np.ndarray) -> np.ndarray:

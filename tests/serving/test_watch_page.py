@@ -9,7 +9,7 @@ import pytest
 from tests.capture.made import camera, circles_picture, judgement, rectangle
 from tests.serving.asking import ask
 from trinoc.errors import InputError
-from trinoc.serving.pages import Page, serve_pages
+from trinoc.serving.pages import PageContent, serve_pages
 from trinoc.serving.watching import (
     WatchState,
     picture_page,
@@ -51,7 +51,7 @@ def test_the_thumbnail_is_a_small_jpeg_with_marks() -> None:
 
 @pytest.fixture(scope="module")
 def url() -> Iterator[str]:
-    with serve_pages({"/": lambda: Page("text/plain", b"here")}) as running:
+    with serve_pages({"/": lambda: PageContent("text/plain", b"here")}) as running:
         yield running
 
 

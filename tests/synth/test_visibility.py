@@ -37,7 +37,7 @@ def volume(solid):
 )
 def test_faces_look_outward_and_enclose_the_volume(solid, expected):
     assert volume(solid) == pytest.approx(expected, rel=2e-5)
-    turned = solid.placed(turn_deg=33.0, shift_mm=np.array([5.0, -2.0, 1.0]))
+    turned = solid.place(turn_deg=33.0, shift_mm=np.array([5.0, -2.0, 1.0]))
     assert volume(turned) == pytest.approx(volume(solid))
     assert turned.edges_mm[..., 2].min() == pytest.approx(solid.edges_mm[..., 2].min() + 1.0)
 
@@ -57,7 +57,7 @@ def test_polyhedra_obey_euler(solid, edges):
 
 @given(turn=TURNS)
 def test_of_a_box_the_edges_of_faces_turned_to_the_camera_are_seen_whole(turn):
-    solid = box((30.0, 40.0, 20.0)).placed(turn_deg=turn, shift_mm=np.zeros(3))
+    solid = box((30.0, 40.0, 20.0)).place(turn_deg=turn, shift_mm=np.zeros(3))
     centre = CAMERA.centre_world_mm
     facing = []
     for face, triangles in zip(solid.faces, solid.face_triangles_mm, strict=True):

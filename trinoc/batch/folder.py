@@ -24,7 +24,7 @@ from trinoc.io.json_text import parsed_json
 from trinoc.io.recordings import manifest_lines, manifest_text, read_lines
 from trinoc.io.whole_files import read_text
 from trinoc.recording.frame import OK, FrameMatches
-from trinoc.recording.parts import Part
+from trinoc.recording.parts import RecordingPart
 
 DESCRIPTION = "recording.json"
 
@@ -44,7 +44,7 @@ class Folder:
         """The file of a part."""
         return self.path / f"matches-{number:06d}{self.ending}"
 
-    def look(self, parts: Sequence[Part]) -> None:
+    def look(self, parts: Sequence[RecordingPart]) -> None:
         """Find out which parts are done; sweep what a killed program left of the others."""
         files = {self.part_file(part.number).name: part for part in parts}
         # The manifest is locked: nobody else writes these.

@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 import trinoc
 from trinoc.batch.folder import open_results
 from trinoc.batch.source import Source, find_frames
-from trinoc.batch.work import Work
+from trinoc.batch.work import MatchingJob
 from trinoc.batch.workers import cluster, in_window, threads
 from trinoc.errors import InputError, TrinocError
 from trinoc.geometry.rig import Rig
 from trinoc.io.frames_files import frames_ending
 from trinoc.io.rig_json import rig_text
 from trinoc.recording.frame import FrameMatches
-from trinoc.recording.parts import Part, cut_into_parts, share_parts
+from trinoc.recording.parts import RecordingPart, cut_into_parts, share_parts
 
 
 class BatchProgress(NamedTuple):
@@ -105,7 +105,7 @@ def match_recording(
     source = find_frames(frames, rig.names, template)
     own = share_parts(cut_into_parts(source.frames, frames_per_file), shard)
     ending = ending or _ending_there(Path(out)) or frames_ending()
-    work = Work(source.folder.resolve(), rig, dict(find or {}), depth_range_mm)
+    work = MatchingJob(source.folder.resolve(), rig, dict(find or {}), depth_range_mm)
     description = _description(source, work, frames_per_file, ending)
     memory = half_of_the_machine() if memory_gb is None else memory_gb * 1e9
     with open_results(Path(out), shard, description, ending) as folder:
@@ -143,7 +143,7 @@ def match_recording(
         )
 
 
-def _result(part: Part, future: Future[Any], where: str) -> list[FrameMatches]:
+def _result(part: RecordingPart, future: Future[Any], where: str) -> list[FrameMatches]:
     try:
         return future.result()
     except TrinocError:
@@ -158,7 +158,9 @@ def _result(part: Part, future: Future[Any], where: str) -> list[FrameMatches]:
         ) from error
 
 
-def _description(source: Source, work: Work, frames_per_file: int, ending: str) -> dict[str, Any]:
+def _description(
+    source: Source, work: MatchingJob, frames_per_file: int, ending: str
+) -> dict[str, Any]:
     """What the results depend on, by content, so that equal ones can be told from others."""
     listed = "\n".join(f"{f.name}\t{c}\t{f.files[c]}" for f in source.frames for c in f.files)
     return {

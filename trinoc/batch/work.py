@@ -14,12 +14,12 @@ from trinoc.io.images import picture_digest, read_image
 from trinoc.io.segment_table import load_segments
 from trinoc.io.views_of_rig import expect_inside, expect_size
 from trinoc.recording.frame import Frame, FrameMatches
-from trinoc.recording.matched import failure_sentence, match_part_frames
-from trinoc.recording.parts import Part
+from trinoc.recording.matched import match_part_frames, matcher_failure
+from trinoc.recording.parts import RecordingPart
 from trinoc.segments.find import find_segments
 
 
-class Work(NamedTuple):
+class MatchingJob(NamedTuple):
     """All that is needed beside the part; it travels to the machines of a cluster."""
 
     folder: Path
@@ -29,7 +29,7 @@ class Work(NamedTuple):
 
 
 def part_results(
-    work: Work, part: Part, stopped: Callable[[], bool] = lambda: False
+    work: MatchingJob, part: RecordingPart, stopped: Callable[[], bool] = lambda: False
 ) -> list[FrameMatches]:
     """What becomes of each frame. One picture is in memory at a time.
 
@@ -45,11 +45,11 @@ def part_results(
             # The recording may be moved between two runs: its folder is no part of the answer.
             found[frame.name] = str(error).replace(f"{work.folder}{os.sep}", "")
         except Exception as error:
-            found[frame.name] = failure_sentence(error)
+            found[frame.name] = matcher_failure(error)
     return match_part_frames(found, work.rig, depth_range_mm=work.depth_range_mm)
 
 
-def _segments(work: Work, frame: Frame) -> dict[str, Segments]:
+def _segments(work: MatchingJob, frame: Frame) -> dict[str, Segments]:
     segments: dict[str, Segments] = {}
     view_of: dict[bytes, str] = {}
     for camera in work.rig.names:

@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExec
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
-from trinoc.batch.work import Work, part_results
+from trinoc.batch.work import MatchingJob, part_results
 from trinoc.errors import InputError
 
 _Task = TypeVar("_Task")
@@ -27,7 +27,7 @@ class Workers(NamedTuple):
 
 
 @contextlib.contextmanager
-def threads(work: Work, count: int) -> Iterator[Workers]:
+def threads(work: MatchingJob, count: int) -> Iterator[Workers]:
     """Threads of this process, which share its compiled kernels.
 
     When the block ends early, they give up between two frames.
@@ -42,7 +42,7 @@ def threads(work: Work, count: int) -> Iterator[Workers]:
 
 
 @contextlib.contextmanager
-def cluster(work: Work, address: str) -> Iterator[Workers]:
+def cluster(work: MatchingJob, address: str) -> Iterator[Workers]:
     """The workers of a Dask cluster, which must see the pictures under the same paths.
 
     Raises InputError where Dask is not installed, nobody answers, or there is no worker.

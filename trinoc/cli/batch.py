@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Interrupted, Out, Outcome, UsageError
+from trinoc.cli.command import Command, Interruption, Out, Outcome, UsageError
 from trinoc.cli.progress import LOGGER
 from trinoc.cli.segments import FindOption
 from trinoc.cli.views import read_rig
@@ -107,7 +107,7 @@ class Batch(FindOption, Command):
                     on_progress=tell,
                 )
             except KeyboardInterrupt as error:
-                raise Interrupted(
+                raise Interruption(
                     f"Interrupted: {tell.done} of {tell.total} frames are done and kept in "
                     f"{self.out}; the same command goes on from there."
                 ) from error

@@ -130,7 +130,7 @@ class CalibrateRig(ReportOption, Command):
                 method=self.method,
                 world=self.world,
                 systematics=known_of_board,
-                progress=bar.at,
+                progress=bar.show,
             )
         made_by = provenance(command_line, board_files(self.board))
         save(result, self.out, provenance=made_by)

@@ -38,7 +38,7 @@ class Check(Command):
         """Check, and write the corrected rig where there is one and it is wanted."""
         from trinoc.calib.rig_check.knocked import check_rig
         from trinoc.cli.progress import provenance
-        from trinoc.cli.views import scene_of
+        from trinoc.cli.views import read_scene
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
         from trinoc.io.saving import expect_ending, save
@@ -46,7 +46,7 @@ class Check(Command):
         expect_place(self.out)
         expect_ending(self.out, Rig)
         rig = read_rig(self.rig)
-        scene = scene_of(self.images, self.matches, rig, self.rig, quiet=self.quiet)
+        scene = read_scene(self.images, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("checking %d cameras with %d lines", len(rig), len(scene.matches))
         again = [match for match in (scene.tolerant, scene.strict) if match is not None]
         check = check_rig(rig, scene.matches, match_again=again or None)

@@ -17,7 +17,7 @@ class UsageError(InputError):
     """The command line itself is wrong: exit status 2 instead of 1."""
 
 
-class Interrupted(KeyboardInterrupt):
+class Interruption(KeyboardInterrupt):
     """Ctrl-C in a job that keeps what is done; the text says so."""
 
 
@@ -234,7 +234,7 @@ def expect_numbers(options: object) -> None:
 
     Infinite numbers are taken where the option has one by default.
     """
-    for name, value, default in _given(options):
+    for name, value, default in _list_options(options):
         numbers = value if isinstance(value, tuple) else (value,)
         usual = default if isinstance(default, tuple) else (default,)
         for number in numbers:
@@ -243,11 +243,11 @@ def expect_numbers(options: object) -> None:
             raise UsageError(f"--{name.replace('_', '-')} is {number}: give a finite number.")
 
 
-def _given(options: object) -> Iterator[tuple[str, object, object]]:
+def _list_options(options: object) -> Iterator[tuple[str, object, object]]:
     """(name, value, default) of every option, those of groups of options, too."""
     for field in dataclasses.fields(options):  # pyright: ignore[reportArgumentType]
         value = getattr(options, field.name)
         if dataclasses.is_dataclass(value):
-            yield from _given(value)
+            yield from _list_options(value)
         else:
             yield field.name, value, field.default

@@ -77,7 +77,7 @@ def _by_hand(folder: Path) -> str:
     )
 
 
-class Work(NamedTuple):
+class DemoWork(NamedTuple):
     """What went in and what came out, by view."""
 
     sheets: "dict[str, np.ndarray]"
@@ -88,7 +88,7 @@ class Work(NamedTuple):
     matches: "Matches"
 
 
-def _work(seconds: dict[str, float]) -> Work:
+def _work(seconds: dict[str, float]) -> DemoWork:
     with _step("loading", seconds):
         from trinoc.calib.from_images import calibrate
         from trinoc.calib.uncertainty.systematics import Systematics
@@ -106,7 +106,7 @@ def _work(seconds: dict[str, float]) -> Work:
         segments = {view: find_segments(picture) for view, picture in scenes.items()}
     with _step("matching them", seconds):
         matches = match_segments(segments, result.rig)
-    return Work(sheets, scenes, table1_rig(), result, segments, matches)
+    return DemoWork(sheets, scenes, table1_rig(), result, segments, matches)
 
 
 class Score(NamedTuple):
@@ -132,7 +132,9 @@ def _score(matches: "Matches") -> Score:
     return Score(score(("edge",)), score(None))
 
 
-def _write(folder: Path, work: Work, score: Score, command_line: str) -> tuple[Path, Path, Path]:
+def _write(
+    folder: Path, work: DemoWork, score: Score, command_line: str
+) -> tuple[Path, Path, Path]:
     from trinoc.cli.progress import for_people, provenance
     from trinoc.io.demo import demo_paths
     from trinoc.io.saving import save
@@ -181,7 +183,7 @@ def _sentence(score: Score) -> str:
     )
 
 
-def _text(work: Work, score: Score, written: tuple[Path, Path, Path]) -> str:
+def _text(work: DemoWork, score: Score, written: tuple[Path, Path, Path]) -> str:
     from trinoc.report.parameter_table import parameter_errors
     from trinoc.report.text import counts_text, errors_text, reasons_text
 
@@ -199,7 +201,7 @@ def _text(work: Work, score: Score, written: tuple[Path, Path, Path]) -> str:
     )
 
 
-def _record(work: Work, score: Score) -> dict[str, Any]:
+def _record(work: DemoWork, score: Score) -> dict[str, Any]:
     from trinoc.report.parameter_table import parameter_errors
 
     return {

@@ -139,7 +139,7 @@ class Evaluate(Command):
     def _rows(
         self, files: dict[str, Path], rig: "Rig | None", shape: "KnownShape"
     ) -> "Iterator[Row]":
-        from trinoc.evaluation.sweep import evaluate_matches, evaluate_settings, settings_of
+        from trinoc.evaluation.sweep import evaluate_matches, evaluate_settings, list_settings
 
         choices = self._choices()
         if self.matches is not None:
@@ -165,7 +165,7 @@ class Evaluate(Command):
         pictures = read_views(files)
         for name, picture in pictures.items():
             expect_size(name, picture, rig)
-        settings = settings_of(*self._find_settings())
+        settings = list_settings(*self._find_settings())
         rows = evaluate_settings(
             pictures,
             rig,

@@ -173,17 +173,23 @@ def _run(command: Command, command_line: str) -> int:
         expect_places(command)
         outcome = command.run(command_line).with_files()
     except TrinocError as error:
-        return _failed(command, str(error), status=2 if isinstance(error, UsageError) else 1)
+        return _report_failure(
+            command, str(error), status=2 if isinstance(error, UsageError) else 1
+        )
     except BrokenPipeError:
         raise
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
-        return _failed(command, f"{place}{error.strerror or error}: check the disk.", status=1)
+        return _report_failure(
+            command, f"{place}{error.strerror or error}: check the disk.", status=1
+        )
     except MemoryError:
-        return _failed(command, "The memory does not suffice: give smaller or fewer files.", 1)
+        return _report_failure(
+            command, "The memory does not suffice: give smaller or fewer files.", 1
+        )
     except KeyboardInterrupt as stopped:
         said = str(stopped) or "Interrupted: files that were not finished are not there."
-        return _failed(command, said, 130)
+        return _report_failure(command, said, 130)
     record = outcome.record
     if outcome.refusal is not None:
         record = {**record, "error": in_options(outcome.refusal, command)}
@@ -201,7 +207,7 @@ def _print(text: str) -> None:
     print(text.encode(encoding, errors="replace").decode(encoding))
 
 
-def _failed(command: Command, sentence: str, status: int) -> int:
+def _report_failure(command: Command, sentence: str, status: int) -> int:
     # Names of files and cameras may hold anything; what is said stays one line.
     # Mistakes of usage are said as it is typed already.
     said = sentence if status == 2 else in_options(sentence, command)

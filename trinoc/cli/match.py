@@ -13,10 +13,10 @@ from trinoc.cli.progress import LOGGER
 from trinoc.cli.views import (
     SEGMENT_SUFFIXES,
     check_views,
-    doubts_of,
     doubts_table,
     files_of_rig,
     files_of_views,
+    find_doubts,
     read_rig,
     read_segments,
 )
@@ -140,7 +140,7 @@ class Match(MatchOptions, DryRunOption, ReportOption, Command):
             scene_pictures=images,
             title="Matches",
             tables=doubts_table(self.rig),
-            doubts=doubts_of(self.rig),
+            doubts=find_doubts(self.rig),
             features=tuple(features.values()),
         )
         text, record = [match_text(matches)], match_record(segments, matches)

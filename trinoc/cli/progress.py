@@ -37,7 +37,7 @@ class Bar:
         if self._bar is not None:
             self._bar.close()
 
-    def at(self, done: int, total: int) -> None:
+    def show(self, done: int, total: int) -> None:
         """Show that so many of so many are done."""
         from tqdm import tqdm
 

@@ -59,7 +59,7 @@ class Refine(Command):
         from trinoc.calib.bundle.refinement import refine
         from trinoc.calib.bundle.result import RefineStatus
         from trinoc.cli.progress import provenance
-        from trinoc.cli.views import scene_of
+        from trinoc.cli.views import read_scene
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
         from trinoc.io.saving import expect_ending, save
@@ -67,7 +67,7 @@ class Refine(Command):
         expect_place(self.out)
         expect_ending(self.out, Rig)
         rig = read_rig(self.rig)
-        scene = scene_of(self.images, self.matches, rig, self.rig, quiet=self.quiet)
+        scene = read_scene(self.images, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("refining %d cameras and %d lines", len(rig), len(scene.matches))
         again = [scene.tolerant, scene.strict] if self.moved else [scene.strict]
         result = refine(

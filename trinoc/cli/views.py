@@ -44,7 +44,7 @@ def files_of_views(
     """
     named = [argument.partition("=") for argument in arguments]
     if guess and arguments and all(not separator for _, separator, _ in named):
-        return _guessed([Path(argument) for argument in arguments], say=say)
+        return _guess_names([Path(argument) for argument in arguments], say=say)
     files: dict[str, Path] = {}
     for argument, (name, separator, file) in zip(arguments, named, strict=True):
         if not (name and separator and file):
@@ -57,7 +57,7 @@ def files_of_views(
     return files
 
 
-def _guessed(files: Sequence[Path], *, say: bool) -> dict[str, Path]:
+def _guess_names(files: Sequence[Path], *, say: bool) -> dict[str, Path]:
     """Named after what differs between the files' names, or the folders' where the names agree."""
     for words in ([file.stem for file in files], [file.parent.name for file in files]):
         names = _differing(words)
@@ -119,14 +119,14 @@ def read_rig(file: str | os.PathLike[str]) -> "Rig":
     from trinoc.io.rig_json import load_rig
 
     rig = load_rig(file)
-    doubts = doubts_of(file)
+    doubts = find_doubts(file)
     if doubts:
         said = ", ".join(f"{name} ({doubt.removesuffix('.')})" for name, doubt in doubts.items())
         LOGGER.warning("the calibration in %s is SUSPECT: %s", file, said)
     return rig
 
 
-def doubts_of(file: str | os.PathLike[str]) -> dict[str, str]:
+def find_doubts(file: str | os.PathLike[str]) -> dict[str, str]:
     """For each camera whose calibration was suspect, why."""
     from trinoc.io.rig_json import load_rig_status
 
@@ -138,7 +138,7 @@ def doubts_table(file: str | os.PathLike[str]) -> "list[ExtraTable]":
     from trinoc.report.html import ExtraTable
 
     caption = "The segments in space inherit these errors, which their sigmas do not hold."
-    rows = list(doubts_of(file).items())
+    rows = list(find_doubts(file).items())
     return [ExtraTable("SUSPECT cameras", ("camera", "why"), rows, caption)] if rows else []
 
 
@@ -211,7 +211,7 @@ class SceneInput(NamedTuple):
     files: dict[str, Path]
 
 
-def scene_of(
+def read_scene(
     pictures: Sequence[str], matches: Path | None, rig: "Rig", rig_file: Path, *, quiet: bool
 ) -> SceneInput:
     """Read the matches, or the pictures or segments. Raises UsageError, InputError."""

@@ -86,14 +86,14 @@ def _record(judgement: "Judgement") -> dict[str, Any]:
         "of": judgement.of_places,
         "refusal": judgement.refusal,
         "faults": list(judgement.faults),
-        "edges_px": _known(judgement.blur_px),
-        "saturated": _known(judgement.exposure.saturated),
-        "dark": _known(judgement.exposure.dark),
+        "edges_px": _none_if_nan(judgement.blur_px),
+        "saturated": _none_if_nan(judgement.exposure.saturated),
+        "dark": _none_if_nan(judgement.exposure.dark),
         "lean": list(judgement.lean),
     }
 
 
-def _known(value: float) -> float | None:
+def _none_if_nan(value: float) -> float | None:
     return value if value == value else None
 
 

@@ -38,7 +38,7 @@ class LengthsNear(NamedTuple):
         return near / total if total > 0 else 0.0
 
 
-def lengths_near(
+def measure_near_lengths(
     segments_mm: Float[np.ndarray, "n 2 3"], others_mm: Float[np.ndarray, "m 2 3"], step_mm: float
 ) -> LengthsNear:
     """How near segments are to the nearest of the others, sampled every `step_mm`."""

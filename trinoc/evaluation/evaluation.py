@@ -10,11 +10,11 @@ from jaxtyping import Float, Int
 
 from trinoc.errors import InputError
 from trinoc.evaluation.alignment import RigidMotion, align
-from trinoc.evaluation.distances import if_any, lengths_near
+from trinoc.evaluation.distances import if_any, measure_near_lengths
 from trinoc.evaluation.edge_lengths import EdgeLengths, edge_lengths
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_of_rig import certain_lines
-from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, selected
+from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, select_lines
 from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_errors
 from trinoc.evaluation.wire_frames import WireframeScore, score_wireframe
 from trinoc.geometry.uncertain_lines import UncertainLines
@@ -119,10 +119,10 @@ class Evaluation(Displayable, eqx.Module):
             "lines_on_edges": int((self.lines >= 0).sum()),
             "length_put_out_mm": self.length_put_out_mm,
             "length_wanted_mm": self.length_wanted_mm,
-            **_named("distance", "mm", self.distance_mm),
+            **_name_quantiles("distance", "mm", self.distance_mm),
             **shares,
-            **_named("angle", "deg", self.angle_deg),
-            **_named("length_error", "mm", self.length_error_mm),
+            **_name_quantiles("angle", "deg", self.angle_deg),
+            **_name_quantiles("length_error", "mm", self.length_error_mm),
             "edges_wanted_whole": len(error),
             "edges_measured": len(measured),
             "length_error_mean_mm": if_any(np.mean, measured),
@@ -174,11 +174,11 @@ def evaluate(
         motion = align(claimed.ends_mm, known.edges_mm)
         claimed = motion.of_lines(claimed)
     ends, edges, reach = claimed.ends_mm, known.edges_mm, tolerances[-1]
-    put_out = lengths_near(ends, edges, _step_mm(ends))
-    wanted = lengths_near(known.wanted_mm, ends, _step_mm(known.wanted_mm))
+    put_out = measure_near_lengths(ends, edges, _step_mm(ends))
+    wanted = measure_near_lengths(known.wanted_mm, ends, _step_mm(known.wanted_mm))
     edge_of = edge_of_lines(ends, edges, reach)
     on = np.flatnonzero(edge_of >= 0)
-    offsets = offsets_across(selected(claimed, on), edges[edge_of[on]])
+    offsets = offsets_across(select_lines(claimed, on), edges[edge_of[on]])
     lengths = edge_lengths(claimed, edge_of, edges, known.wanted_whole)
     measured = lengths.error_mm[np.isfinite(lengths.error_mm)]
     angles = angles_deg(ends[on], edges[edge_of[on]])
@@ -218,7 +218,7 @@ def _as_lines(lines: LinesInSpace | UncertainLines | ArrayLike) -> UncertainLine
         raise InputError("The lines have ends that are not finite: leave such lines out.")
     # A line without length has no direction, and nothing lies on it.
     length = np.linalg.norm(lines.ends_mm[:, 1] - lines.ends_mm[:, 0], axis=1)
-    return selected(lines, np.flatnonzero(length > 0))
+    return select_lines(lines, np.flatnonzero(length > 0))
 
 
 def _as_shape(shape: KnownShape | SceneTruth | ArrayLike) -> KnownShape:
@@ -253,5 +253,5 @@ def _quantiles(errors: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]) -
     return ErrorQuantiles(*at.tolist())
 
 
-def _named(name: str, unit: str, quantiles: ErrorQuantiles) -> dict[str, float]:
+def _name_quantiles(name: str, unit: str, quantiles: ErrorQuantiles) -> dict[str, float]:
     return {f"{name}_{at}_{unit}": q for at, q in zip(("median", 90, 95), quantiles, strict=True)}

@@ -49,7 +49,7 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
             "these matches were made with."
         )
     ends, own = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
-    pose_model = _pose_model_of(rig)
+    pose_model = _pose_model(rig)
     if pose_model is None or matches.fragments_covariance_px2 is None or len(matches) == 0:
         return certain_lines(ends, own)
     lines, cameras = matches.line_observations(), [rig[name] for name in matches.views]
@@ -57,7 +57,7 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     states = [camera_state(each, pose_model, with_intrinsics=open_lens) for each in cameras]
     common, by_steps, by_step = _of_fragments(lines, states)
     names = [f"{view}.{parameter}" for view in matches.views for parameter in states[0].names]
-    by_parameters = _carried(by_steps, common, ends) @ np.linalg.inv(by_step)
+    by_parameters = _carry_derivative(by_steps, common, ends) @ np.linalg.inv(by_step)
     # A lens of which the covariance says nothing is exact.
     return UncertainLines(ends, own, by_parameters, rig.covariance_of(names))
 
@@ -85,7 +85,7 @@ def lines_of_form(matches: Matches, rig: Rig, form: str) -> tuple[UncertainLines
     longest = np.array(
         [t[length[t].argmax()] for t in map(answer.tracks_of, range(len(answer)))], dtype=np.int64
     )
-    by_parameters = _carried(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
+    by_parameters = _carry_derivative(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
     return UncertainLines(ends, own, by_parameters, tracks.parameter_covariance), frame
 
 
@@ -97,7 +97,7 @@ def certain_lines(
     return UncertainLines(lines_mm, covariance_mm2, np.zeros((count, 6, 0)), np.zeros((0, 0)))
 
 
-def _carried(
+def _carry_derivative(
     derivative: Float[np.ndarray, "t 6 k"],
     of_ends_mm: Float[np.ndarray, "t 2 3"],
     to_ends_mm: Float[np.ndarray, "t 2 3"],
@@ -112,7 +112,7 @@ def _carried(
     return np.einsum("tef,tfik->teik", weight, parts).reshape(derivative.shape)
 
 
-def _pose_model_of(rig: Rig) -> PoseModel | None:
+def _pose_model(rig: Rig) -> PoseModel | None:
     """What the rig's covariance is of; None where it holds none."""
     for pose_model in (PoseModel.AIM_FREE, PoseModel.AIMED):
         names = itertools.product(rig.names, pose_model.parameter_names)

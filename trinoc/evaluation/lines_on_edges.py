@@ -31,7 +31,7 @@ class OffsetsAcross(NamedTuple):
     by_parameters: Float[np.ndarray, "n 4 k"]
 
 
-def selected(
+def select_lines(
     lines: UncertainLines, rows: Int[np.ndarray, "n"] | Bool[np.ndarray, "t"]
 ) -> UncertainLines:
     """Some of the lines, by index or mask."""

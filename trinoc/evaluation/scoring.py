@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.evaluation.distances import lengths_near
+from trinoc.evaluation.distances import measure_near_lengths
 from trinoc.synth.truth import (
     SceneTruth,
     SegmentTruth,
@@ -47,8 +47,8 @@ def score_lengths(
     else:
         shown = shown_parts_mm(truth, views=views, grey_step=grey_step, kinds=kinds)
     lines = np.asarray(lines_mm, dtype=np.float64).reshape(-1, 2, 3)
-    put_out = lengths_near(lines, truth.edges_mm, SAMPLE_STEP_MM)
-    true = lengths_near(shown, lines, SAMPLE_STEP_MM)
+    put_out = measure_near_lengths(lines, truth.edges_mm, SAMPLE_STEP_MM)
+    true = measure_near_lengths(shown, lines, SAMPLE_STEP_MM)
     return LengthScore(
         put_out.share_within(tolerance_mm),
         true.share_within(tolerance_mm),

@@ -64,7 +64,7 @@ class Row(NamedTuple):
         return {**record, "seconds": round(self.seconds, 3), "problem": self.problem}
 
 
-def settings_of(
+def list_settings(
     tolerance_px: Sequence[float],
     false_alarms: Sequence[float],
     least_contrast: Sequence[float],

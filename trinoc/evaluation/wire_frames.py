@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from trinoc.evaluation.alignment import RigidMotion
-from trinoc.evaluation.distances import if_any, lengths_near
+from trinoc.evaluation.distances import if_any, measure_near_lengths
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.tails import chi_square_limit
@@ -80,14 +80,14 @@ def score_wireframe(
         vertices = motion.of_points(vertices)
         spread = motion.rotation @ spread @ motion.rotation.T
     corners = np.flatnonzero(frame.corner)
-    ours, theirs = _paired(vertices[corners], known.corners_mm, reach_mm)
+    ours, theirs = _pair_corners(vertices[corners], known.corners_mm, reach_mm)
     error = vertices[corners[ours]] - known.corners_mm[theirs]
     square = np.einsum(
         "pi,pij,pj->p", error, np.linalg.inv(spread[corners[ours]]), error, optimize=True
     )
     wanted, parts = np.unique(shape.wanted_edge), shape.wanted_mm
     near = [
-        lengths_near(parts[shape.wanted_edge == edge], lines_mm[edge_of == edge], _STEP_MM)
+        measure_near_lengths(parts[shape.wanted_edge == edge], lines_mm[edge_of == edge], _STEP_MM)
         for edge in wanted
     ]
     return WireframeScore(
@@ -139,7 +139,7 @@ def _turns(way: Float[np.ndarray, "k 3"]) -> bool:
     return len(way) > 1 and bool((np.linalg.norm(np.cross(way, way[0]), axis=1) > _STRAIGHT).any())
 
 
-def _paired(
+def _pair_corners(
     found_mm: Float[np.ndarray, "n 3"], known_mm: Float[np.ndarray, "c 3"], reach_mm: float
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
     """Which is which, one to one: as many as lie within reach, at the least distance in all."""

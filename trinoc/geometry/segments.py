@@ -21,8 +21,8 @@ from trinoc.numerics.table_checks import (
     check_number,
 )
 from trinoc.numerics.tables import (
-    Check,
     Column,
+    ColumnCheck,
     Table,
     take_rows,
 )
@@ -57,13 +57,13 @@ class Junctions(Table):
     covariance_px2: Annotated[Float[ArrayLike, "j 2 2"], Column(COVARIANCE, parts=("u_px", "v_px"))]
     kind: Annotated[
         Shaped[ArrayLike, "j"],
-        Column(Check("is no L, T, X or Y", lambda kind, _: np.isin(kind, list("LTXY")))),
+        Column(ColumnCheck("is no L, T, X or Y", lambda kind, _: np.isin(kind, list("LTXY")))),
     ]
     junction: Annotated[Int[ArrayLike, "m"], Column(check_number("j", "is no junction"))]
     segment: Annotated[Int[ArrayLike, "m"], Column(NOT_NEGATIVE)]
     end: Annotated[
         Int[ArrayLike, "m"],
-        Column(Check("is neither end nor body", lambda end, _: np.isin(end, (BODY, 0, 1)))),
+        Column(ColumnCheck("is neither end nor body", lambda end, _: np.isin(end, (BODY, 0, 1)))),
     ]
 
     def __len__(self) -> int:
@@ -102,14 +102,16 @@ class Segments(Displayable, Table):
         Float[ArrayLike, "n 2 2"],
         Column(
             IN_PICTURE,
-            Check("has two equal ends", lambda ends, _: (ends[:, 0] != ends[:, 1]).any(axis=1)),
+            ColumnCheck(
+                "has two equal ends", lambda ends, _: (ends[:, 0] != ends[:, 1]).any(axis=1)
+            ),
             parts=_ENDS,
         ),
     ]
     covariance_px2: Annotated[Float[ArrayLike, "n 4 4"], Column(COVARIANCE, parts=_ENDS)]
     polarity: Annotated[
         Int[ArrayLike, "n"],
-        Column(Check("is not -1, 0 or 1", lambda sign, _: np.isin(sign, (-1, 0, 1)))),
+        Column(ColumnCheck("is not -1, 0 or 1", lambda sign, _: np.isin(sign, (-1, 0, 1)))),
     ]
     contrast: Annotated[Float[ArrayLike, "n"], Column(NOT_INFINITE)]
     support: Annotated[Int[ArrayLike, "n"], Column(NOT_NEGATIVE)]
@@ -121,7 +123,7 @@ class Segments(Displayable, Table):
     junctions: Annotated[
         Junctions | None,
         Column(
-            Check(
+            ColumnCheck(
                 "name a segment that is not there",
                 lambda junctions, table: (junctions.segment < table.sides["n"]).all(),
             )

@@ -109,7 +109,7 @@ def _arrays(file: Path, only: tuple[str, ...] | None = None) -> dict[str, np.nda
         ) from error
 
 
-class _Counted:
+class _CountingStream:
     """A stream that counts what was read of it."""
 
     def __init__(self, stream: Any) -> None:
@@ -123,7 +123,7 @@ class _Counted:
 
 def _array(stream: Any, size: int) -> np.ndarray:
     """The array of an npy stream of so many bytes. Raises ValueError where it is damaged."""
-    counted = _Counted(stream)
+    counted = _CountingStream(stream)
     shape, fortran, dtype = _header(counted)
     # Products of Python's whole numbers do not overflow.
     wanted = math.prod(shape) * dtype.itemsize
@@ -142,7 +142,7 @@ def _array(stream: Any, size: int) -> np.ndarray:
     return flat.reshape(shape, order="F" if fortran else "C")
 
 
-def _header(stream: _Counted) -> tuple[tuple[int, ...], bool, np.dtype]:
+def _header(stream: _CountingStream) -> tuple[tuple[int, ...], bool, np.dtype]:
     """(shape, whether in Fortran's order, dtype) by the head of an npy stream.
 
     NumPy's own function warns, and lets errors of Python's tokenizer through.

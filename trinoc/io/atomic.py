@@ -32,7 +32,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     the folder is missing or cannot be written to, and for what is no plain file, such as a device.
     """
     expect_place(path)
-    target = _linked(Path(path))
+    target = _resolve_link(Path(path))
     _sweep(target)
     scratch = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
@@ -61,7 +61,7 @@ def expect_place(*paths: str | os.PathLike[str] | None) -> None:
         if path is None:
             continue
         named = Path(path)
-        target = _linked(named)
+        target = _resolve_link(named)
         if target.is_dir():
             raise InputError(f"{named} is a folder: give the name of a file to write.")
         if not target.parent.is_dir():
@@ -78,7 +78,7 @@ def expect_place(*paths: str | os.PathLike[str] | None) -> None:
             )
 
 
-def _linked(path: Path) -> Path:
+def _resolve_link(path: Path) -> Path:
     """The file that a symbolic link names, be it there or not; any other path itself."""
     if not path.is_symlink():
         return path

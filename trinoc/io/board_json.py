@@ -56,7 +56,7 @@ def save_target(target: AbstractTarget, path: str | os.PathLike[str]) -> None:
 
 def _values_of_board(board: AbstractBoard) -> dict[str, Any]:
     if isinstance(board, Pattern):
-        return {board.kind: pattern_json.figures_of(board)}
+        return {board.kind: pattern_json.list_figures(board)}
     values = {key: getattr(board, field) for key, field in board.layout.items()}
     return {board.kind: {k: int(v) if isinstance(v, bool) else v for k, v in values.items()}}
 
@@ -88,7 +88,7 @@ def _board(document: Block, kinds: Sequence[str]) -> AbstractBoard:
     try:
         if board is Pattern:
             block.expect_keys(("circles",), ("lines",))
-            return pattern_json.pattern_of(block, name)
+            return pattern_json.parse_pattern(block, name)
         required = [key for key in board.layout if key not in board.added_keys]
         block.expect_keys(required, board.added_keys)
         return board(**_fields(block, board), name=name)

@@ -53,7 +53,7 @@ def load_scene_truth(path: str | os.PathLike[str]) -> SceneTruth:
     document = read_document(path, FORMAT, VERSION)
     kinds = document.texts("edge_kinds")
     edges = document.numbers("edges_mm", (len(kinds), 2, 3))
-    seen = {view: _seen(block) for view, block in document.block("seen").blocks()}
+    seen = {view: _read_seen_parts(block) for view, block in document.block("seen").blocks()}
     return SceneTruth(edges, kinds, seen)
 
 
@@ -80,7 +80,7 @@ def save_scene_truth(
     write_document(path, document)
 
 
-def _seen(block: Block) -> SeenParts:
+def _read_seen_parts(block: Block) -> SeenParts:
     edge = block.numbers("edge", (None,))
     return SeenParts(
         edge.astype(np.int64),

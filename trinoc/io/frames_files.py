@@ -23,10 +23,10 @@ from trinoc.io.tables_npz import (
     REMEDY,
     VERSION,
     ArrayFields,
-    arrays_of,
+    build_table,
+    list_arrays,
     load_npz,
     save_npz,
-    table_of,
 )
 from trinoc.numerics.tables import list_fields
 from trinoc.recording.frame import FrameMatches
@@ -63,7 +63,7 @@ def save_frames(
 def load_frames(path: str | os.PathLike[str]) -> list[FrameMatches]:
     """Read a file of `save_frames`. Raises InputError for another file, as `load_matches` does."""
     if Path(path).suffix == ".parquet":
-        frames = table_of(Frames, ArrayFields(_read_parquet(Path(path)), path))
+        frames = build_table(Frames, ArrayFields(_read_parquet(Path(path)), path))
     else:
         frames = load_npz(Frames, path)
     return results_of_frames(frames, path)
@@ -81,7 +81,7 @@ def _write_parquet(frames: Frames, path: Path) -> None:
         )
         if array.dtype.kind == "U":
             columns[name] = columns[name].cast(pyarrow.string())
-    arrays = arrays_of(frames)
+    arrays = list_arrays(frames)
     beside = {name: arrays[name].tolist() for name in _BESIDE_TRACKS}
     said = {"format": FORMAT, "version": VERSION, **beside}
     metadata = {b"trinoc": json.dumps(said, ensure_ascii=False, allow_nan=False).encode()}

@@ -16,11 +16,11 @@ from jaxtyping import Float, Int, Shaped
 
 from trinoc.errors import InputError
 from trinoc.io.json_text import parsed_json
-from trinoc.io.tables_npz import REMEDY, ArrayFields, arrays_of, table_of
+from trinoc.io.tables_npz import REMEDY, ArrayFields, build_table, list_arrays
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.tables import (
-    Check,
     Column,
+    ColumnCheck,
     Content,
     Table,
     list_fields,
@@ -31,7 +31,9 @@ from trinoc.recording.frame import OK, FrameMatches
 OF_TRACKS = {
     field.name: field.sides[1:] for field in list_fields(Matches) if field.sides[:1] == ("t",)
 }
-_ARE_COUNTS = Check("is no number of them", lambda counts, _: (counts >= 0) & (counts < 2**31))
+_ARE_COUNTS = ColumnCheck(
+    "is no number of them", lambda counts, _: (counts >= 0) & (counts < 2**31)
+)
 
 
 def _are_as_many(columns: Mapping[str, np.ndarray], table: Content) -> bool:
@@ -66,7 +68,7 @@ class Frames(Table):
     reasons: Annotated[
         Shaped[np.ndarray, "s"],
         Column(
-            Check(
+            ColumnCheck(
                 "are not as many as there are segments",
                 lambda words, table: len(words) == table.values["segments"].sum(),
             )
@@ -74,7 +76,7 @@ class Frames(Table):
     ]
     columns: Annotated[
         dict[str, Shaped[np.ndarray, "_ ..."]],
-        Column(Check("have not as many rows as there are tracks", _are_as_many), beside=True),
+        Column(ColumnCheck("have not as many rows as there are tracks", _are_as_many), beside=True),
     ]
     noise_tail: Float[np.ndarray, "f"] | None = None
 
@@ -84,7 +86,7 @@ def frames_of_results(results: Sequence[FrameMatches], views: Sequence[str]) -> 
     found = [result.matches for result in results]
     good = [matches for matches in found if matches is not None]
     none = np.zeros(len(views), dtype=np.int64)
-    arrays = [arrays_of(matches) for matches in good] or [_no_tracks(len(views))]
+    arrays = [list_arrays(matches) for matches in good] or [_no_tracks(len(views))]
     shared = set.intersection(*(set(each) for each in arrays))
     marks = {name for matches in good for name in matches.marks} & shared
     return Frames(
@@ -152,7 +154,7 @@ def results_of_frames(frames: Frames, file: str | os.PathLike[str]) -> list[Fram
             if frames.noise_tail is not None:
                 arrays["noise_tail"] = frames.noise_tail[k]
             whole = {own: np.asarray(array) for own, array in arrays.items()}
-            matches = table_of(Matches, ArrayFields(whole, where))
+            matches = build_table(Matches, ArrayFields(whole, where))
         found.append(FrameMatches(str(name), str(said), matches))
     return found
 

@@ -72,7 +72,7 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     lens demands. Transparency is dropped. Raises InputError for what is not a picture.
     """
     file = Path(path)
-    return _decoded(file, _content(file))
+    return _decode(file, _content(file))
 
 
 def read_views(paths: Mapping[str, str | os.PathLike[str]]) -> dict[str, np.ndarray]:
@@ -81,7 +81,7 @@ def read_views(paths: Mapping[str, str | os.PathLike[str]]) -> dict[str, np.ndar
     view_of: dict[bytes, str] = {}
     for view, path in paths.items():
         file = Path(path)
-        image = _decoded(file, _content(file))
+        image = _decode(file, _content(file))
         other = view_of.setdefault(picture_digest(image), view)
         if other != view:
             raise InputError(
@@ -119,7 +119,7 @@ def _content(file: Path) -> bytes:
     return read_bytes(file, MOST_BYTES)
 
 
-def _decoded(file: Path, content: bytes) -> np.ndarray:
+def _decode(file: Path, content: bytes) -> np.ndarray:
     try:
         size = size_px(content)
     except Image.DecompressionBombError as error:

@@ -38,7 +38,9 @@ class Block:
         for key in self.values:
             if key not in known:
                 near = difflib.get_close_matches(key, known, n=1)
-                remedy = f'did you mean "{near[0]}"?' if near else f"remove it ({_listed(known)})."
+                remedy = (
+                    f'did you mean "{near[0]}"?' if near else f"remove it ({_list_keys(known)})."
+                )
                 raise self.error(key, f"is an unknown key: {remedy}")
         for key in required:
             if key not in self.values:
@@ -48,7 +50,7 @@ class Block:
         """The object under a key."""
         value = self.values.get(key)
         if not isinstance(value, dict):
-            raise self.error(key, f"must be an object in braces, but is {_shown(value)}.")
+            raise self.error(key, f"must be an object in braces, but is {_show_value(value)}.")
         return Block(value, self.file, self._path(key))
 
     def blocks(self) -> "Iterator[tuple[str, Block]]":
@@ -60,14 +62,16 @@ class Block:
         """The string under a key."""
         value = self.values.get(key)
         if not isinstance(value, str):
-            raise self.error(key, f"must be a text in quotes, but is {_shown(value)}.")
+            raise self.error(key, f"must be a text in quotes, but is {_show_value(value)}.")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
         """The list of strings under a key."""
         value = self.values.get(key)
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            raise self.error(key, f"must be a list of texts in quotes, but is {_shown(value)}.")
+            raise self.error(
+                key, f"must be a list of texts in quotes, but is {_show_value(value)}."
+            )
         return tuple(value)
 
     def number(self, key: str) -> float:
@@ -78,7 +82,7 @@ class Block:
         """The finite numbers under a key, as float64; None in `shape` is any length."""
         value = self.values.get(key)
         if not _only_numbers(value):
-            raise self.error(key, f"must be {_described(shape)}, but is {_shown(value)}.")
+            raise self.error(key, f"must be {_describe_shape(shape)}, but is {_show_value(value)}.")
         try:
             array = np.array(value, dtype=np.float64)
         except (ValueError, OverflowError):
@@ -90,7 +94,7 @@ class Block:
             and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
             and np.isfinite(array).all()
         ):
-            raise self.error(key, f"must be {_described(shape)}, but is {_shown(value)}.")
+            raise self.error(key, f"must be {_describe_shape(shape)}, but is {_show_value(value)}.")
         if (np.abs(array) > LARGEST).any():
             raise self.error(
                 key,
@@ -119,13 +123,13 @@ def read_document(path: str | os.PathLike[str], format_name: str, version: int) 
     if not isinstance(values, dict) or values.get("format") != format_name:
         found = values.get("format") if isinstance(values, dict) else None
         raise InputError(
-            f'{file} has the format {_shown(found)}, but "{format_name}" is needed: '
+            f'{file} has the format {_show_value(found)}, but "{format_name}" is needed: '
             "give another file."
         )
     if isinstance(values.get("version"), bool) or values.get("version") != version:
         raise InputError(
-            f"{file} has version {_shown(values.get('version'))} of {format_name}, but this trinoc "
-            f"reads version {version}: update trinoc or write the file again."
+            f"{file} has version {_show_value(values.get('version'))} of {format_name}, but this "
+            f"trinoc reads version {version}: update trinoc or write the file again."
         )
     return Block(values, str(file), "")
 
@@ -137,20 +141,18 @@ def write_document(path: str | os.PathLike[str], values: dict[str, Any]) -> None
 
 def document_text(values: dict[str, Any]) -> str:
     """The text that `write_document` writes."""
-    return _dumped(values, "") + "\n"
+    return _dump(values, "") + "\n"
 
 
-def _dumped(value: Any, indent: str) -> str:
+def _dump(value: Any, indent: str) -> str:
     if isinstance(value, dict) and value:
         deeper = indent + "  "
-        lines = (
-            f"{deeper}{json.dumps(key)}: {_dumped(item, deeper)}" for key, item in value.items()
-        )
+        lines = (f"{deeper}{json.dumps(key)}: {_dump(item, deeper)}" for key, item in value.items())
         return "{\n" + ",\n".join(lines) + "\n" + indent + "}"
     flat = json.dumps(value, allow_nan=False)
     if isinstance(value, list) and len(flat) > 88:
         deeper = indent + "  "
-        return "[\n" + ",\n".join(deeper + _dumped(item, deeper) for item in value) + f"\n{indent}]"
+        return "[\n" + ",\n".join(deeper + _dump(item, deeper) for item in value) + f"\n{indent}]"
     return flat
 
 
@@ -160,17 +162,17 @@ def _only_numbers(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _described(shape: tuple[int | None, ...]) -> str:
+def _describe_shape(shape: tuple[int | None, ...]) -> str:
     if not shape:
         return "a finite number"
     size = " x ".join("n" if side is None else str(side) for side in shape)
     return f"a list of {size} finite numbers"
 
 
-def _shown(value: Any) -> str:
+def _show_value(value: Any) -> str:
     text = "missing" if value is None else json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _listed(keys: Collection[str]) -> str:
+def _list_keys(keys: Collection[str]) -> str:
     return "known here: " + ", ".join(keys)

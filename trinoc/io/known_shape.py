@@ -54,7 +54,7 @@ def load_shape(
         shape = KnownShape.of_edges(unit_mm * model.edges, unit_mm * model.triangles)
     else:
         shape = KnownShape.of_edges(unit_mm * _of_rows(text, str(file)))
-    return _checked(shape, file)
+    return _check_shape(shape, file)
 
 
 def _read_text(file: Path) -> str:
@@ -64,7 +64,7 @@ def _read_text(file: Path) -> str:
         raise InputError(f"{file} is no text file: {_REMEDY}, or an OBJ model.") from error
 
 
-def _checked(shape: KnownShape, file: Path) -> KnownShape:
+def _check_shape(shape: KnownShape, file: Path) -> KnownShape:
     if len(shape.edges_mm) == 0:
         raise InputError(f"{file} holds no edge: {_REMEDY}.")
     return shape
@@ -124,13 +124,13 @@ def _of_json(file: Path, unit_mm: float, grey_step: float) -> KnownShape:
         if unit_mm != 1.0:
             raise InputError(f"{file} is in millimetres already: leave the unit out.")
         truth = load_scene_truth(file)
-        return _checked(KnownShape.of_scene(truth, grey_step=grey_step), file)
+        return _check_shape(KnownShape.of_scene(truth, grey_step=grey_step), file)
     if isinstance(document, dict):
         document = document.get("edges_mm", document.get("edges"))
     if not isinstance(document, list):
         raise InputError(f'{file} holds no list of edges: put one there, or under "edges_mm".')
     edges = [_edge(file, place, entry) for place, entry in enumerate(document)]
-    return _checked(KnownShape.of_edges(unit_mm * np.array(edges).reshape(-1, 2, 3)), file)
+    return _check_shape(KnownShape.of_edges(unit_mm * np.array(edges).reshape(-1, 2, 3)), file)
 
 
 def _edge(file: Path, place: int, entry: Any) -> Float[np.ndarray, "2 3"]:

@@ -48,7 +48,7 @@ def edges_of_obj(text: str, file: str, *, crease_deg: float = CREASE_DEG) -> Obj
                 f"{'a face' if least == 3 else 'a polyline'}: give {least} or more."
             )
         (faces if words[0] == "f" else polylines).append(corners)
-    place, points = _merged(np.array(vertices).reshape(-1, 3))
+    place, points = _merge_vertices(np.array(vertices).reshape(-1, 3))
     faces = [_without_repeats([place[corner] for corner in face]) for face in faces]
     faces = [face for face in faces if len(face) > 2]
     kept = _creases(points, faces, crease_deg)
@@ -106,7 +106,9 @@ def _index(word: str, count: int, where: str) -> int:
     return index
 
 
-def _merged(vertices: Float[np.ndarray, "n 3"]) -> tuple[list[int], Float[np.ndarray, "k 3"]]:
+def _merge_vertices(
+    vertices: Float[np.ndarray, "n 3"],
+) -> tuple[list[int], Float[np.ndarray, "k 3"]]:
     """Of each vertex the number of its place, and the places."""
     if len(vertices) == 0:
         return [], vertices

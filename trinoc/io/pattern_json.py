@@ -23,10 +23,10 @@ def load_pattern(path: str | os.PathLike[str]) -> Pattern:
     """Read a layout. Raises InputError, in one sentence with file and key."""
     document = read_document(path, FORMAT, VERSION)
     document.expect_keys(("format", "version", "name", "circles"), ("lines", "conventions"))
-    return pattern_of(document, document.text("name"))
+    return parse_pattern(document, document.text("name"))
 
 
-def pattern_of(document: Block, name: str) -> Pattern:
+def parse_pattern(document: Block, name: str) -> Pattern:
     """The sheet whose circles and lines an object holds. Raises InputError."""
     circles = document.block("circles")
     circles.expect_keys(("centres_mm", "radius_mm", "lattice"), ("inner_radius_mm",))
@@ -55,13 +55,13 @@ def save_pattern(pattern: Pattern, path: str | os.PathLike[str]) -> None:
         "format": FORMAT,
         "version": VERSION,
         "name": pattern.name,
-        **figures_of(pattern),
+        **list_figures(pattern),
         "conventions": _CONVENTIONS,
     }
     write_document(path, document)
 
 
-def figures_of(pattern: Pattern) -> dict[str, Any]:
+def list_figures(pattern: Pattern) -> dict[str, Any]:
     """Its circles and lines, as `pattern_of` reads them."""
     return {
         "circles": {

@@ -35,7 +35,7 @@ class Text(NamedTuple):
     is_upright: bool
 
 
-class Page(NamedTuple):
+class PatternPage(NamedTuple):
     """Figures in painting order; mm from the page's middle, X to the right and Y up.
 
     bars_mm : nominal lengths of the two scale bars, along X and along Y.
@@ -58,7 +58,7 @@ def _around_mm() -> Float[np.ndarray, "2"]:
     return 2 * _MARGIN_MM + np.array([2 * _BAR_GAP_MM, _BAR_GAP_MM + _TEXT_ROOM_MM])
 
 
-def lay_out(board: AbstractBoard, paper: str = "a4") -> Page:
+def lay_out(board: AbstractBoard, paper: str = "a4") -> PatternPage:
     """The sheet or board in true scale on a page, with a scale bar on both axes.
 
     paper : one of `PAPER_SIZES_MM`; the page is turned if the sheet only fits lying.
@@ -92,11 +92,11 @@ def lay_out(board: AbstractBoard, paper: str = "a4") -> Page:
     )
     foot = float((low + shift)[1]) - _BAR_GAP_MM
     figures = (
-        *(_shifted(figure, shift) for figure in board.drawing()),
+        *(_shift_figure(figure, shift) for figure in board.drawing()),
         *_scale_bars(low + shift, high + shift, bar_x, bar_y),
         *(Text((0.0, foot - 7.0 - 5.0 * line), text, False) for line, text in enumerate(words)),
     )
-    return Page(board.name, page_mm, figures, (float(bar_x), float(bar_y)))
+    return PatternPage(board.name, page_mm, figures, (float(bar_x), float(bar_y)))
 
 
 def drawing_box_mm(board: AbstractBoard) -> Float[np.ndarray, "2 2"]:
@@ -147,7 +147,7 @@ def _scale_bars(
     return figures
 
 
-def _shifted(figure: Disc | Polygon, shift: Float[np.ndarray, "2"]) -> Disc | Polygon:
+def _shift_figure(figure: Disc | Polygon, shift: Float[np.ndarray, "2"]) -> Disc | Polygon:
     if isinstance(figure, Polygon):
         return figure._replace(corners_mm=figure.corners_mm + shift)
     return figure._replace(centre_mm=_pair(np.array(figure.centre_mm) + shift))

@@ -6,7 +6,7 @@ import os
 from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Polygon
 from trinoc.errors import InputError
 from trinoc.io.atomic import atomic_write
-from trinoc.io.pattern_page import LETTER_MM, Page, lay_out
+from trinoc.io.pattern_page import LETTER_MM, PatternPage, lay_out
 
 _POINTS_PER_MM = 72.0 / 25.4
 
@@ -24,7 +24,7 @@ def save_pattern_pdf(
         file.write(content)
 
 
-def pattern_pdf(page: Page) -> bytes:
+def pattern_pdf(page: PatternPage) -> bytes:
     """The PDF file of a page, the same bytes for the same page."""
     try:
         from reportlab.pdfgen.canvas import Canvas

@@ -5,7 +5,7 @@ from xml.sax.saxutils import escape
 
 from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Polygon
 from trinoc.io.atomic import write_text
-from trinoc.io.pattern_page import LETTER_MM, Page, lay_out
+from trinoc.io.pattern_page import LETTER_MM, PatternPage, lay_out
 
 
 def save_pattern_svg(
@@ -15,7 +15,7 @@ def save_pattern_svg(
     write_text(path, pattern_svg(lay_out(pattern, paper)))
 
 
-def pattern_svg(page: Page) -> str:
+def pattern_svg(page: PatternPage) -> str:
     """The SVG text of a page; one user unit is one millimetre."""
     width, height = page.size_mm
     lines = [
@@ -42,7 +42,7 @@ def pattern_svg(page: Page) -> str:
     return "\n".join([*lines, "</svg>", ""])
 
 
-def _from_top_left(place_mm, page: Page) -> tuple[str, str]:
+def _from_top_left(place_mm, page: PatternPage) -> tuple[str, str]:
     """SVG counts from the top left, downward."""
     width, height = page.size_mm
     return _number(0.5 * width + place_mm[0]), _number(0.5 * height - place_mm[1])

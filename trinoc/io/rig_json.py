@@ -39,7 +39,7 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     if not cameras:
         raise document.error("cameras", "names no camera: add at least one.")
     status_of_document(document)
-    parameters, covariance = covariance_of(document, cameras)
+    parameters, covariance = parse_covariance(document, cameras)
     expect_apart(cameras, document.file)
     rig = Rig(cameras, parameters=parameters, covariance=covariance)
     for name, block in document.block("cameras").blocks():
@@ -172,7 +172,7 @@ def _check_consistent(block: Block, camera: Camera, other: Camera) -> None:
         )
 
 
-def covariance_of(
+def parse_covariance(
     document: Block, cameras: Mapping[str, Camera]
 ) -> tuple[tuple[str, ...], np.ndarray | None]:
     """The parameters and the matrix under "covariance", where it stands. Raises InputError."""

@@ -27,7 +27,7 @@ _DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_}
 
 def save_npz(table: Table, path: str | os.PathLike[str]) -> None:
     """Write a table as npz, whole or not at all; fields that are None are left out."""
-    write_arrays(path, f"trinoc-{table.KIND}", VERSION, arrays_of(table))
+    write_arrays(path, f"trinoc-{table.KIND}", VERSION, list_arrays(table))
 
 
 def load_npz(kind: type[_Value], path: str | os.PathLike[str]) -> _Value:
@@ -36,17 +36,17 @@ def load_npz(kind: type[_Value], path: str | os.PathLike[str]) -> _Value:
     Raises InputError for another file, and, with the field and the first row, for what the columns
     of the kind cannot hold.
     """
-    return table_of(kind, ArrayFields(read_arrays(path, f"trinoc-{kind.KIND}", VERSION), path))
+    return build_table(kind, ArrayFields(read_arrays(path, f"trinoc-{kind.KIND}", VERSION), path))
 
 
-def arrays_of(table: Table, prefix: str = "") -> dict[str, np.ndarray]:
+def list_arrays(table: Table, prefix: str = "") -> dict[str, np.ndarray]:
     """The arrays that stand for a table in a file, by name."""
     arrays: dict[str, np.ndarray] = {}
     for field in list_fields(type(table)):
         name, value = prefix + field.name, getattr(table, field.name)
         match value:
             case Table():
-                arrays |= arrays_of(value, prefix + field.below)
+                arrays |= list_arrays(value, prefix + field.below)
             case dict() if field.type == dict[str, int]:
                 for own, array in zip(_names_of_counts(name), (list(value), list(value.values()))):
                     arrays[own] = _array(array, "iU"[own.endswith("names")])
@@ -64,7 +64,7 @@ def arrays_of(table: Table, prefix: str = "") -> dict[str, np.ndarray]:
     return arrays
 
 
-def table_of(kind: type[_Value], fields: "ArrayFields") -> _Value:
+def build_table(kind: type[_Value], fields: "ArrayFields") -> _Value:
     """The table of a kind in the arrays of a file. Raises InputError as `load_npz` does."""
     read = Content({}, {})
     # What stands beside the columns is what these leave; blocks are as large as these say.
@@ -84,7 +84,7 @@ def _read(field: Field, fields: "ArrayFields", read: Content, words: Mapping[str
     """The value of one field. Raises InputError where its array is missing or another."""
     name, column = field.name, field.column
     if isinstance(field.type, type) and issubclass(field.type, Table):
-        return table_of(field.type, fields.below(field.below))
+        return build_table(field.type, fields.below(field.below))
     if field.type == dict[str, int]:
         names, values = _names_of_counts(name)
         texts = fields.take(names, "U", (None,), name)
@@ -93,8 +93,8 @@ def _read(field: Field, fields: "ArrayFields", read: Content, words: Mapping[str
     if typing.get_origin(field.type) is dict:
         inner, sides = fields.below(field.below), typing.get_args(field.type)[1].dim_str.split()
         if "..." in sides:
-            return {own: inner.arrays[inner.prefix + own] for own in inner.left()}
-        return {own: inner.take(own, "U", (None,), "words") for own in inner.left()}
+            return {own: inner.arrays[inner.prefix + own] for own in inner.remaining()}
+        return {own: inner.take(own, "U", (None,), "words") for own in inner.remaining()}
     if column.blocks:
         sizes = column.blocks(read)
         ends = np.cumsum([0, *(size**2 for size in sizes)])
@@ -152,7 +152,7 @@ class ArrayFields:
         """The arrays whose names begin so."""
         return ArrayFields(self.arrays, self.file, self.prefix + prefix) if prefix else self
 
-    def left(self) -> list[str]:
+    def remaining(self) -> list[str]:
         """The names that were not taken, and that are not below another."""
         own = (n.removeprefix(self.prefix) for n in self.arrays if n.startswith(self.prefix))
         return [name for name in own if name not in self._taken and "/" not in name]
@@ -171,7 +171,7 @@ class ArrayFields:
         if len(shape) != array.ndim or any(
             want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
         ):
-            raise self.error(name, f"has shape {array.shape}, but {what} need {_shown(shape)}")
+            raise self.error(name, f"has shape {array.shape}, but {what} need {_show_shape(shape)}")
         if array.dtype.kind not in {"f": "fiu", "i": "iu", "b": "b", "U": "U"}[kind]:
             if not (array.size == 0 and array.dtype.kind in "fiubU"):
                 raise self.error(name, f"must be {_IN_WORDS[kind]}, but is {array.dtype}")
@@ -196,5 +196,5 @@ class ArrayFields:
         return InputError(f'{self.file}: "{self.prefix}{name}" {problem}: {REMEDY}.')
 
 
-def _shown(shape: tuple[int | None, ...]) -> str:
+def _show_shape(shape: tuple[int | None, ...]) -> str:
     return f"({', '.join('n' if side is None else str(side) for side in shape)})"

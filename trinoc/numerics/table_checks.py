@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.numerics.tables import Check
+from trinoc.numerics.tables import ColumnCheck
 
 # Larger numbers are no places: no picture has so many pixels, no scene so many mm.
 LARGEST_PX, LARGEST_MM = 1e6, 1e9
@@ -11,31 +11,33 @@ LARGEST_PX, LARGEST_MM = 1e6, 1e9
 _LEAST_EIGENVALUE = -1e-6
 _ROUNDING = 1e-9
 
-IN_SCENE = Check(
+IN_SCENE = ColumnCheck(
     "is not finite or beyond all scenes", lambda values, _: np.abs(values) < LARGEST_MM
 )
-IN_PICTURE = Check(
+IN_PICTURE = ColumnCheck(
     "is not finite or beyond all pictures", lambda values, _: np.abs(values) < LARGEST_PX
 )
-PICTURE_SIZE = Check(
+PICTURE_SIZE = ColumnCheck(
     "must be a width and a height in pixels",
     lambda size, _: len(size) == 2 and all(0 < side < LARGEST_PX for side in size),
 )
-RADIUS = Check("is no radius", lambda values, _: (values > 0) & (values < LARGEST_MM))
-FINITE = Check("is not finite", lambda values, _: np.isfinite(values))
-NOT_INFINITE = Check("is infinite", lambda values, _: ~np.isinf(values))
-NOT_NEGATIVE = Check("is negative", lambda values, _: values >= 0)
-SEGMENT_NUMBER = Check("is no segment", lambda values, _: values >= 0)
-PROBABILITY = Check(
+RADIUS = ColumnCheck("is no radius", lambda values, _: (values > 0) & (values < LARGEST_MM))
+FINITE = ColumnCheck("is not finite", lambda values, _: np.isfinite(values))
+NOT_INFINITE = ColumnCheck("is infinite", lambda values, _: ~np.isinf(values))
+NOT_NEGATIVE = ColumnCheck("is negative", lambda values, _: values >= 0)
+SEGMENT_NUMBER = ColumnCheck("is no segment", lambda values, _: values >= 0)
+PROBABILITY = ColumnCheck(
     "is no probability", lambda values, _: (values >= 0) & (values <= 1 + _ROUNDING)
 )
-CHI_SQUARE = Check("is no chi-square", lambda values, _: ~(values < 0) & ~np.isinf(values))
-COVARIANCE = Check("is no covariance", lambda values, _: is_covariance(values))
+CHI_SQUARE = ColumnCheck("is no chi-square", lambda values, _: ~(values < 0) & ~np.isinf(values))
+COVARIANCE = ColumnCheck("is no covariance", lambda values, _: is_covariance(values))
 
 
-def check_number(side: str, problem: str, *, least: int = 0) -> Check:
+def check_number(side: str, problem: str, *, least: int = 0) -> ColumnCheck:
     """A row along a side, or -1 for none where `least` is."""
-    return Check(problem, lambda values, table: (values >= least) & (values < table.sides[side]))
+    return ColumnCheck(
+        problem, lambda values, table: (values >= least) & (values < table.sides[side])
+    )
 
 
 def is_covariance(matrices: Float[np.ndarray, "n k k"]) -> Bool[np.ndarray, "n"]:

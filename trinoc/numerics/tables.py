@@ -34,7 +34,7 @@ class Content(NamedTuple):
     sides: dict[str, int]
 
 
-class Check(NamedTuple):
+class ColumnCheck(NamedTuple):
     """`good` says of each entry of a value, or of the whole, whether it can be. `problem` is said
     of the first row that cannot."""
 
@@ -58,7 +58,7 @@ class Column:
 
     def __init__(
         self,
-        *checks: Check,
+        *checks: ColumnCheck,
         parts: Sequence[str] | Callable[[Any], Sequence[str]] = (),
         side: str = "",
         beside: bool = False,

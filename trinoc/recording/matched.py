@@ -27,7 +27,7 @@ def match_part_frames(
             batch = match_many([usable[n] for n in names], rig, depth_range_mm=depth_range_mm)
         except Exception as error:
             if len(names) == 1:
-                return [FrameMatches(names[0], failure_sentence(error), None)]
+                return [FrameMatches(names[0], matcher_failure(error), None)]
             return [result for name in names for result in match_all([name])]
         outcomes = zip(names, batch.matches, batch.status, strict=True)
         return [FrameMatches(n, OK if m is not None else str(why), m) for n, m, why in outcomes]
@@ -37,7 +37,7 @@ def match_part_frames(
     return [of_name[name] for name in found]
 
 
-def failure_sentence(error: Exception) -> str:
+def matcher_failure(error: Exception) -> str:
     """The sentence for a failure that nobody foresaw."""
     if isinstance(error, MemoryError):
         return "The memory does not suffice for this frame: give smaller pictures or fewer threads."

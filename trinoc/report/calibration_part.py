@@ -11,7 +11,7 @@ from trinoc.calib.result.status import Status
 from trinoc.calib.rig_from_shots import RigFromShots
 from trinoc.geometry.rig import Rig
 from trinoc.report.coverage import Coverage
-from trinoc.report.numbers import signed, with_decimals
+from trinoc.report.numbers import with_decimals, with_sign
 from trinoc.report.parameter_table import (
     Rows,
     parameter_rows,
@@ -24,7 +24,7 @@ from trinoc.report.pictures import Arrows, PagePicture, Window, clip_line
 ARROW_REACH = 0.09
 
 
-class CameraStatus(NamedTuple):
+class StatusRow(NamedTuple):
     """What one camera's fit says about itself, in sentences and in figures.
 
     verdict : "good", "suspect" or "failed".
@@ -98,7 +98,7 @@ class CamerasPart(NamedTuple):
     rows: Rows
     remarks: tuple[str, ...]
     reference: str = ""
-    status: tuple[CameraStatus, ...] = ()
+    status: tuple[StatusRow, ...] = ()
     meanings: tuple[tuple[str, str], ...] = ()
     boards: Rows = ()
     fixed: tuple[str, ...] = ()
@@ -125,7 +125,7 @@ def cameras_part(
     name = reference_name if rows[0][1][0].reference else ""
     if result is None:
         return CamerasPart(rig.names, rows, remarks, name)
-    remarks += (_included(result), *result.notes)
+    remarks += (_sigmas_sentence(result), *result.notes)
     status = tuple(_status(result, name) for name in result.status)
     meanings = MEANINGS if result.fits else ()
     return CamerasPart(rig.names, rows, remarks, name, status, meanings)
@@ -136,13 +136,13 @@ def cameras_part_of_shots(result: RigFromShots) -> CamerasPart:
     return CamerasPart(
         result.cameras,
         parameter_rows_of_shots(result),
-        (_DIGITS, _included(result), f"The world is {result.world}.", *result.notes),
+        (_DIGITS, _sigmas_sentence(result), f"The world is {result.world}.", *result.notes),
         boards=parameter_rows_of_boards(result),
         fixed=tuple(f"{said.replace('+-', '±')}." for said in result.fixed_boards),
     )
 
 
-def _included(result: CalibrationResult | RigFromShots) -> str:
+def _sigmas_sentence(result: CalibrationResult | RigFromShots) -> str:
     return f"Sigmas include {', '.join(('noise', *result.systematics))}."
 
 
@@ -172,10 +172,10 @@ def sheet_part(
     )
 
 
-def _status(result: CalibrationResult, name: str) -> CameraStatus:
+def _status(result: CalibrationResult, name: str) -> StatusRow:
     status, failure = result.status[name], result.failures.get(name, "")
     if name not in result.fits:
-        return CameraStatus(name, failure or status.value, "failed", (), ())
+        return StatusRow(name, failure or status.value, "failed", (), ())
     fit = result.fits[name]
     lines = int(np.isfinite(fit.detection.lines_px).all(axis=1).sum())
     used = int(fit.used.sum())
@@ -191,7 +191,7 @@ def _status(result: CalibrationResult, name: str) -> CameraStatus:
     gauge = (f"Left free by the picture: {', '.join(fit.gauge)}.",) if fit.gauge else ()
     more = (failure,) if failure and failure != status.value else ()
     verdict = {Status.CONVERGED: "good", Status.SUSPECT: "suspect"}.get(status, "failed")
-    return CameraStatus(name, status.value, verdict, more + gauge + fit.notes, figures)
+    return StatusRow(name, status.value, verdict, more + gauge + fit.notes, figures)
 
 
 def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, str], ...]:
@@ -246,8 +246,8 @@ def _ellipse(fit: CameraFit, row: int, arrows: Arrows) -> Ellipse:
     squared, axes = np.linalg.eigh(np.asarray(detection.shape_px2[row]))
     semi_minor, semi_major = (float(value) for value in np.sqrt(np.maximum(squared, 0)))
     words = (
-        f"circle {int(detection.circle_index[row])}: residual ({signed(du, 4)}, {signed(dv, 4)}) "
-        f"px at ({u:.2f}, {v:.2f}){'' if used else ', not used'}"
+        f"circle {int(detection.circle_index[row])}: residual ({with_sign(du, 4)}, "
+        f"{with_sign(dv, 4)}) px at ({u:.2f}, {v:.2f}){'' if used else ', not used'}"
     )
     return Ellipse(
         u,

@@ -51,7 +51,7 @@ class Answer(NamedTuple):
     remedy: str = ""
 
 
-class Check(NamedTuple):
+class ReportCheck(NamedTuple):
     """One question, its answer in a figure and in words, and what to do where it is not good."""
 
     question: str
@@ -81,7 +81,7 @@ class Limits(NamedTuple):
     bad: float = np.inf
     at_least: bool = False
 
-    def check(self, subject: Subject) -> Check | None:
+    def check(self, subject: Subject) -> ReportCheck | None:
         """The check, or None where nothing answers it."""
         answer = self.answer(subject)
         if answer is None:
@@ -89,7 +89,7 @@ class Limits(NamedTuple):
         level = self._level(answer.value)
         remedy = "" if level is Level.GOOD else answer.remedy or self.remedy
         part = answer.part or self.part
-        return Check(self.question, level, answer.figure, answer.words, remedy, part)
+        return ReportCheck(self.question, level, answer.figure, answer.words, remedy, part)
 
     def _level(self, value: float) -> Level:
         if self.good is None:

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.rig_from_shots import RigFromShots
-from trinoc.report.numbers import percent, signed, with_decimals
+from trinoc.report.numbers import percent, with_decimals, with_sign
 from trinoc.report.pictures import Arrows, PagePicture
 
 # Parts of the picture, along each side, over which residuals are averaged.
@@ -60,7 +60,7 @@ class MeanResiduals(NamedTuple):
     caption: str
 
 
-class Seen(NamedTuple):
+class CameraPlaces(NamedTuple):
     """All places of one camera over its shots that took part, and their residuals."""
 
     picture: PagePicture
@@ -85,7 +85,7 @@ def coverage_by_circles(
     )
 
 
-def coverage_by_boards(seen: dict[str, Seen]) -> tuple[Coverage, ...]:
+def coverage_by_boards(seen: dict[str, CameraPlaces]) -> tuple[Coverage, ...]:
     """For each camera, over all shots."""
     return tuple(
         _coverage(name, own.picture, own.places_px, f"{len(own.places_px):,} places")
@@ -105,7 +105,7 @@ def _coverage(
     return Coverage(name, picture, places_px, outline, share, caption)
 
 
-def places_seen(result: RigFromShots) -> dict[str, Seen]:
+def places_seen(result: RigFromShots) -> dict[str, CameraPlaces]:
     """By camera; those that saw no board are left out."""
     found = {}
     for number, name in enumerate(result.cameras):
@@ -119,11 +119,11 @@ def places_seen(result: RigFromShots) -> dict[str, Seen]:
             places = [np.asarray(uv)[v.kept] for uv, (v, _) in zip(shown, own, strict=True)]
             picture = PagePicture(name, *own[0][0].detection.image_size_px, "")
             errors = np.concatenate([residuals for _, residuals in own])
-            found[name] = Seen(picture, np.concatenate(places), errors)
+            found[name] = CameraPlaces(picture, np.concatenate(places), errors)
     return found
 
 
-def mean_residuals(seen: dict[str, Seen]) -> tuple[tuple[MeanResiduals, ...], Arrows]:
+def mean_residuals(seen: dict[str, CameraPlaces]) -> tuple[tuple[MeanResiduals, ...], Arrows]:
     """Of each camera, and the scale of the arrows, one for all."""
     averages = {name: _averages(own) for name, own in seen.items()}
     arrows = Arrows.reaching(
@@ -150,7 +150,7 @@ class _Averages(NamedTuple):
     over_chance: float
 
 
-def _averages(seen: Seen) -> _Averages:
+def _averages(seen: CameraPlaces) -> _Averages:
     part = np.array([seen.picture.width_px, seen.picture.height_px]) / PARTS
     column, row = np.clip(((seen.places_px + 0.5) // part).astype(int), 0, PARTS - 1).T
     key = row * PARTS + column
@@ -179,7 +179,7 @@ def _mean_residuals(
                 float(u),
                 float(v),
                 arrows.tip((u, v), (du, dv)),
-                f"mean residual ({signed(du, 4)}, {signed(dv, 4)}) px of {n:.0f} places",
+                f"mean residual ({with_sign(du, 4)}, {with_sign(dv, 4)}) px of {n:.0f} places",
             )
             for (u, v), (du, dv), n in zip(*of[:3], strict=True)
         ),

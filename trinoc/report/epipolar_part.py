@@ -28,7 +28,7 @@ SHOWN = 6
 PLACES, PLACES_OF_STRAIGHT = 25, 2
 
 
-class Curve(NamedTuple):
+class EpipolarCurve(NamedTuple):
     """An epipolar line as the lens shows it, and the view whose point it belongs to."""
 
     points_px: Float[np.ndarray, "n 2"]
@@ -52,7 +52,7 @@ class EpipolarFigure(NamedTuple):
     name: str
     picture: PagePicture
     marks: tuple[Mark, ...]
-    curves: tuple[Curve, ...]
+    curves: tuple[EpipolarCurve, ...]
 
 
 class EpipolarPart(NamedTuple):
@@ -121,7 +121,7 @@ def epipolar_part(
             for plane, mark in zip(planes, marks, strict=True):
                 curve = _curve(grids[name], plane, camera.image_size_px)
                 if curve is not None:
-                    curves.append(Curve(curve, rig.names[other], mark.colour, order > 0))
+                    curves.append(EpipolarCurve(curve, rig.names[other], mark.colour, order > 0))
         figures.append(EpipolarFigure(name, pictures[name], marks, tuple(curves)))
     distances = {
         (first, second): _rms_distance_px(rig[first], rig[second], everywhere[:, [a, b]])

@@ -30,7 +30,7 @@ SHARE_WITHIN = 0.95
 COLUMNS = 2
 
 
-class Curve(NamedTuple):
+class PlotCurve(NamedTuple):
     """Points of one quantity: what it is, its colour's number, dashed or not, joined or not."""
 
     name: str
@@ -47,7 +47,7 @@ class Panel(NamedTuple):
     title: str
     x_label: str
     y_label: str
-    curves: list[Curve]
+    curves: list[PlotCurve]
     log_x: bool = False
     log_y: bool = False
     level: float | None = None
@@ -97,7 +97,7 @@ def draw_panel(axes: "Axes", panel: Panel) -> None:
     axes.legend(fontsize=8, framealpha=0.6)
 
 
-def _round_ticks(curves: list[Curve]) -> list[float]:
+def _round_ticks(curves: list[PlotCurve]) -> list[float]:
     """One, two and five times the powers of ten from below the least value to above the largest."""
     values = [y for curve in curves for y in curve.y if np.isfinite(y) and y > 0] or [1.0]
     low, high = np.floor(np.log10(min(values))), np.ceil(np.log10(max(values)))
@@ -144,9 +144,9 @@ def _over_knob(
         group.sort(key=lambda record: record[knob])
     low, high = min(tolerances_mm), max(tolerances_mm)
 
-    def curves(*columns: tuple[str, str]) -> list[Curve]:
+    def curves(*columns: tuple[str, str]) -> list[PlotCurve]:
         return [
-            Curve(
+            PlotCurve(
                 f"{label}{', ' if name else ''}{name}",
                 [record[knob] for record in group],
                 [record[column] for record in group],
@@ -197,13 +197,15 @@ def _over_distance(done: list[Row]) -> list[Panel]:
             continue
         name = "".join(f", {_in_words(each, getattr(row.choice, each))}" for each in differ)
         within = list(found.tolerances_mm)
-        shares.append(Curve(f"precision{name}", within, list(found.precision), number))
+        shares.append(PlotCurve(f"precision{name}", within, list(found.precision), number))
         shares.append(
-            Curve(f"completeness{name}", within, list(found.completeness), number, dashed=True)
+            PlotCurve(f"completeness{name}", within, list(found.completeness), number, dashed=True)
         )
         measured = np.isfinite(found.lengths.measured_mm)
         true, error = found.lengths.true_mm[measured], found.lengths.error_mm[measured]
-        lengths.append(Curve(f"edges{name}", true.tolist(), error.tolist(), number, joined=False))
+        lengths.append(
+            PlotCurve(f"edges{name}", true.tolist(), error.tolist(), number, joined=False)
+        )
     return [
         Panel("what is right, and what was found", "within (mm)", "share of length", shares, True),
         Panel(

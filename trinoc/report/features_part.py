@@ -10,7 +10,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.report.numbers import in_words, with_decimals, with_sigma
 from trinoc.report.space_content import Box
-from trinoc.report.space_part import Layer, SpaceFigure, View, cameras_in_space
+from trinoc.report.space_part import LineLayer, SpaceFigure, SpaceView, cameras_in_space
 
 # Room about the features, as a share of their extent.
 ROOM = 0.1
@@ -21,21 +21,21 @@ def features_figure(features: Feature, rig: Rig | None = None) -> SpaceFigure:
     """The features, and the cameras of `rig`."""
     figure = SpaceFigure(tuple(features_layers(features)), (), ())
     if rig is not None:
-        figure = figure.joined(cameras_in_space(rig))
+        figure = figure.join(cameras_in_space(rig))
     places = features.wires().places_mm
     if len(places) == 0:
         return figure
     name = features.IN_WORDS.removeprefix("a ").capitalize()
-    return figure._replace(views=(View(name, Box.around(places, ROOM)),))
+    return figure._replace(views=(SpaceView(name, Box.around(places, ROOM)),))
 
 
 def with_features(figure: SpaceFigure, kinds: Iterable[Feature]) -> SpaceFigure:
     """A figure of the segments, and features in it."""
     more = tuple(layer for features in kinds for layer in features_layers(features))
-    return figure.joined(SpaceFigure(more, (), ()))
+    return figure.join(SpaceFigure(more, (), ()))
 
 
-def features_layers(features: Feature) -> list[Layer]:
+def features_layers(features: Feature) -> list[LineLayer]:
     """One layer of the lines of all of them, with words; a wire frame has more."""
     if isinstance(features, Wireframe):
         return wireframe_layers(features)
@@ -44,7 +44,7 @@ def features_layers(features: Feature) -> list[Layer]:
     rows, lines = zip(*features.wires().lines(), strict=True)
     words = tuple(feature_words(features, row) for row in rows)
     name = f"{features.IN_WORDS} ({len(features)})"
-    return [Layer(name, "joined", list(lines), True, (), words)]
+    return [LineLayer(name, "joined", list(lines), True, (), words)]
 
 
 def feature_words(features: Feature, row: int) -> str:
@@ -63,7 +63,7 @@ def feature_numbers(features: Feature, row: int) -> dict[str, str]:
     """By name, what people read first of a feature."""
     found = {}
     for column in features.READ_FIRST:
-        stem, unit = _unit_of(column)
+        stem, unit = _split_unit(column)
         value = np.asarray(getattr(features, column))[row]
         sigma = getattr(features, f"{stem}_sigma{unit and '_' + unit}", None)
         text = with_decimals(float(value), 3)
@@ -104,7 +104,7 @@ def features_record(features: Feature) -> dict[str, Any]:
     return {**own, **features.record()}
 
 
-def _unit_of(column: str) -> tuple[str, str]:
+def _split_unit(column: str) -> tuple[str, str]:
     stem, _, last = column.rpartition("_")
     return (stem, last) if last in _UNITS else (column, "")
 
@@ -113,7 +113,7 @@ def _unit_of(column: str) -> tuple[str, str]:
 INSET = 0.93
 
 
-def wireframe_layers(frame: Wireframe) -> list[Layer]:
+def wireframe_layers(frame: Wireframe) -> list[LineLayer]:
     """Layers of what there is; edges and corners say how well they are known."""
     lines, points = frame.lines_mm, frame.vertices_mm
     layers = []
@@ -125,16 +125,18 @@ def wireframe_layers(frame: Wireframe) -> list[Layer]:
         if chosen:
             words = tuple(edge_words(frame, edge) for edge in chosen)
             parts = [lines[edge] for edge in chosen]
-            layers.append(Layer(f"{said} ({len(chosen)})", role, parts, True, (), words))
+            layers.append(LineLayer(f"{said} ({len(chosen)})", role, parts, True, (), words))
     if len(frame.planes):
         parts = [_outline(points[loop]) for loop in frame.faces]
-        layers.append(Layer(f"planar faces ({len(parts)})", "sheet", parts))
+        layers.append(LineLayer(f"planar faces ({len(parts)})", "sheet", parts))
     for corner, said in ((True, "corners"), (False, "free ends")):
         chosen = np.flatnonzero(frame.corner == corner).tolist()
         if chosen:
             words = tuple(_vertex_words(frame, vertex) for vertex in chosen)
             parts = [points[vertex][None] for vertex in chosen]
-            layers.append(Layer(f"{said} ({len(chosen)})", "ellipsoids", parts, corner, (), words))
+            layers.append(
+                LineLayer(f"{said} ({len(chosen)})", "ellipsoids", parts, corner, (), words)
+            )
     return layers
 
 

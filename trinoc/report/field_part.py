@@ -13,7 +13,7 @@ from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.propagation import epipolar_sigma, point_covariance, projection_sigma
 from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import Matches
-from trinoc.report.numbers import decimals_for, with_decimals
+from trinoc.report.numbers import significant_decimals, with_decimals
 from trinoc.report.pictures import PagePicture, Window
 from trinoc.report.space_content import content_box
 
@@ -36,7 +36,7 @@ class Scale(NamedTuple):
         finite = values[np.isfinite(values)]
         largest = max(float(finite.max()), 1e-12) if len(finite) else 1.0
         small = largest < 0.05
-        return cls(largest, small, min(2, decimals_for(largest * (1000 if small else 1))))
+        return cls(largest, small, min(2, significant_decimals(largest * (1000 if small else 1))))
 
     @property
     def px(self) -> str:

@@ -33,13 +33,13 @@ from trinoc.report.features_part import feature_table, with_features
 from trinoc.report.field_part import field_part, halves_maps, uncertainty_maps
 from trinoc.report.matches_part import matches_part
 from trinoc.report.pictures import PagePicture, page_pictures
-from trinoc.report.plan_part import plans_of
+from trinoc.report.plan_part import draw_plans
 from trinoc.report.shots_part import boards_in_space, shot_table
 from trinoc.report.space_part import SpaceFigure, space_figure
-from trinoc.report.verdict import verdict_of
+from trinoc.report.verdict import find_verdict
 
 
-class Part(NamedTuple):
+class ReportPart(NamedTuple):
     """A section of the page: its anchor and title, and the template that draws its values."""
 
     anchor: str
@@ -164,33 +164,33 @@ def render_report(
         field=field_part(rig, pattern, matches, sheet if result is not None else scene),
     )
     cameras = cameras_part(rig, result, reference, reference_name)
-    parts = [Part("cameras", "Cameras", "cameras", cameras)]
+    parts = [ReportPart("cameras", "Cameras", "cameras", cameras)]
     if result is not None and result.fits:
         found = sheet_part(result, subject.coverage, sheet)
-        parts.append(Part("detection", "The sheet: coverage and residuals", "sheet", found))
+        parts.append(ReportPart("detection", "The sheet: coverage and residuals", "sheet", found))
     if subject.field is not None:
-        parts.append(Part("field", "Uncertainty over the field", "field", subject.field))
+        parts.append(ReportPart("field", "Uncertainty over the field", "field", subject.field))
     if subject.epipolar:
-        parts.append(Part("epipolar", "Epipolar check", "epipolar", subject.epipolar))
+        parts.append(ReportPart("epipolar", "Epipolar check", "epipolar", subject.epipolar))
     if segments or matches is not None:
         views = rig.names if matches is None else matches.views
         lines = matches_part(views, segments or {}, matches, scene)
         if lines.segments:
-            parts.append(Part("segments", "Segments found", "segments", lines))
+            parts.append(ReportPart("segments", "Segments found", "segments", lines))
         if matches is not None:
-            parts.append(Part("matches", "Matched segments", "matches", lines))
-            parts.append(Part("counts", "Counts, and why not", "counts", lines))
+            parts.append(ReportPart("matches", "Matched segments", "matches", lines))
+            parts.append(ReportPart("counts", "Counts, and why not", "counts", lines))
     read = [own for own in features if own.READ_FIRST]
     own_tables = [ExtraTable(own.IN_WORDS.capitalize(), *feature_table(own)) for own in read]
     for number, table in enumerate((*own_tables, *tables), 1):
-        parts.append(Part(f"table-{number}", table.title, "table", table))
+        parts.append(ReportPart(f"table-{number}", table.title, "table", table))
     space = space_figure(rig, pattern, matches)
     parts.append(_space_part(with_features(space, features), tracks=matches is not None))
     pictures = [picture for picture in (*sheet.values(), *scene.values()) if picture.uri]
     return _render(title, parts, subject, provenance, pictures, " with Z up out of the sheet")
 
 
-def _parts_of_shots(shots: RigFromShots, advice: str) -> tuple[list[Part], Subject]:
+def _parts_of_shots(shots: RigFromShots, advice: str) -> tuple[list[ReportPart], Subject]:
     seen = places_seen(shots)
     coverage, (residuals, arrows) = coverage_by_boards(seen), mean_residuals(seen)
     subject = Subject(
@@ -201,19 +201,21 @@ def _parts_of_shots(shots: RigFromShots, advice: str) -> tuple[list[Part], Subje
     )
     table = {"result": shots, "table": shot_table(shots), "advice": advice}
     parts = [
-        Part("cameras", "Lenses and cameras", "cameras", cameras_part_of_shots(shots)),
-        Part("shots", "Shots", "shots", table),
+        ReportPart("cameras", "Lenses and cameras", "cameras", cameras_part_of_shots(shots)),
+        ReportPart("shots", "Shots", "shots", table),
     ]
     if coverage:
         values = {"coverage": coverage, "residuals": residuals, "arrows": arrows}
         title = "Places and residuals over the field"
-        parts.append(Part("field-of-board", title, "places", values))
+        parts.append(ReportPart("field-of-board", title, "places", values))
     halves = halves_maps(shots)
     if halves:
-        parts.append(Part("halves", "Two halves of the shots over the field", "halves", halves))
+        parts.append(
+            ReportPart("halves", "Two halves of the shots over the field", "halves", halves)
+        )
     if subject.uncertainty is not None:
         title = "Uncertainty over the field"
-        parts.append(Part("uncertainty", title, "uncertainty", subject.uncertainty))
+        parts.append(ReportPart("uncertainty", title, "uncertainty", subject.uncertainty))
     if shots.rig is not None:
         parts.append(_space_part(boards_in_space(shots, shots.rig), tracks=False))
     return parts, subject
@@ -236,19 +238,19 @@ def _epipolar_parts(
     return tuple(part for part in found if part is not None)
 
 
-def _space_part(figure: SpaceFigure, *, tracks: bool) -> Part:
+def _space_part(figure: SpaceFigure, *, tracks: bool) -> ReportPart:
     values = {
         "figure": figure,
         "numbers": figure.numbers(),
-        "plans": plans_of(figure),
+        "plans": draw_plans(figure),
         "tracks": tracks,
     }
-    return Part("space", "In space", "space", values)
+    return ReportPart("space", "In space", "space", values)
 
 
 def _render(
     title: str,
-    parts: Sequence[Part],
+    parts: Sequence[ReportPart],
     subject: Subject,
     provenance: Mapping[str, str] | None,
     pictures: Sequence[PagePicture] = (),
@@ -264,7 +266,7 @@ def _render(
     )
     return environment.get_template("page.html.j2").render(
         title=title,
-        verdict=verdict_of(subject),
+        verdict=find_verdict(subject),
         parts=parts,
         pictures=pictures,
         provenance=dict(provenance or {}),

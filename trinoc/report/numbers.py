@@ -3,7 +3,7 @@
 import math
 
 
-def decimals_for(sigma: float, *, fallback: int = 4) -> int:
+def significant_decimals(sigma: float, *, fallback: int = 4) -> int:
     """Decimals that show two significant digits of `sigma`; `fallback` where it is not known."""
     if not math.isfinite(sigma) or sigma <= 0:
         return fallback
@@ -21,12 +21,12 @@ def with_decimals(value: float, decimals: int) -> str:
 
 def with_sigma(value: float, sigma: float) -> str:
     """ "23.5681 ± 0.0010": the value to two significant digits of its sigma."""
-    decimals = decimals_for(sigma)
+    decimals = significant_decimals(sigma)
     text = with_decimals(value, decimals)
     return f"{text} ± {sigma:.{decimals}f}" if math.isfinite(sigma) else text
 
 
-def signed(value: float, decimals: int) -> str:
+def with_sign(value: float, decimals: int) -> str:
     """A difference: always with its sign."""
     text = with_decimals(value, decimals)
     return f"+{text}" if math.isfinite(value) and value >= 0 else text
@@ -53,7 +53,7 @@ def millimetres(value: float) -> str:
     if not math.isfinite(value):
         return "not known"
     number, unit = (1000 * value, "µm") if value < 0.01 else (value, "mm")
-    decimals = decimals_for(number, fallback=0)
+    decimals = significant_decimals(number, fallback=0)
     return f"{number:.{min(decimals, 3)}f} {unit}"
 
 

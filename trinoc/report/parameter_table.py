@@ -8,7 +8,7 @@ from trinoc.calib.rig_from_shots import RigFromShots
 from trinoc.calib.targets.board_set import board_names
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
-from trinoc.report.numbers import decimals_for, signed, with_decimals, with_sigma
+from trinoc.report.numbers import significant_decimals, with_decimals, with_sigma, with_sign
 
 LABELS = {
     "pan_deg": "pan (deg)",
@@ -95,8 +95,8 @@ def _cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> Paramet
         words,
         text,
         with_decimals(found.known, 3),
-        signed(found.error, decimals_for(sigma)),
-        signed(found.over_sigma, 1),
+        with_sign(found.error, significant_decimals(sigma)),
+        with_sign(found.over_sigma, 1),
         abs(found.over_sigma) > 3,
     )
 

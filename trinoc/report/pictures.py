@@ -102,7 +102,7 @@ def page_picture(key: str, picture: np.ndarray | None, size_px: tuple[int, int])
         )
     height, width = array.shape[:2]
     if array.dtype != np.uint8:
-        array = _stretched(array.astype(np.float64))
+        array = _stretch_levels(array.astype(np.float64))
     if array.ndim == 3:
         array = array[..., 0] if array.shape[2] == 1 else array[..., 2::-1]
     shrink = LONGEST_SIDE_PX / max(width, height)
@@ -129,7 +129,7 @@ def page_pictures(
     }
 
 
-def _stretched(array: np.ndarray) -> np.ndarray:
+def _stretch_levels(array: np.ndarray) -> np.ndarray:
     low, high = float(np.nanmin(array)), float(np.nanmax(array))
     scaled = (array - low) * (255.0 / (high - low)) if high > low else np.zeros_like(array)
     return np.nan_to_num(scaled).round().astype(np.uint8)

@@ -46,7 +46,7 @@ class Drawing(NamedTuple):
     upward: tuple[Tick, ...]
 
 
-def plans_of(figure: SpaceFigure) -> tuple[Drawing, ...]:
+def draw_plans(figure: SpaceFigure) -> tuple[Drawing, ...]:
     """Plan (X, Y) and elevation (X, Z) of the segments, or of the rig where there are none."""
     tracks = [layer for layer in figure.layers if layer.tracks]
     cameras = [layer for layer in figure.layers if layer.role == "cameras" and not tracks]

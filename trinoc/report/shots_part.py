@@ -9,7 +9,13 @@ from trinoc.calib.targets.board_set import board_names, list_boards
 from trinoc.geometry.rig import Rig
 from trinoc.report.numbers import with_decimals
 from trinoc.report.space_content import Box, frusta
-from trinoc.report.space_part import Layer, SpaceFigure, View, axes_in_space, cameras_in_space
+from trinoc.report.space_part import (
+    LineLayer,
+    SpaceFigure,
+    SpaceView,
+    axes_in_space,
+    cameras_in_space,
+)
 
 
 class ShotCell(NamedTuple):
@@ -37,7 +43,7 @@ def shot_table(result: RigFromShots) -> ShotTable:
     rows: dict[tuple[str, str], list[int]] = {}
     for k, view in enumerate(result.views):
         rows.setdefault((result.cameras[view.camera], result.shots[view.shot]), []).append(k)
-    cells = {place: _seen(result, own) for place, own in rows.items()}
+    cells = {place: _shot_cell(result, own) for place, own in rows.items()}
     for picture, why in result.failures.items():
         camera = max((c for c in result.cameras if picture.startswith(f"{c} ")), key=len)
         place = camera, picture.removeprefix(f"{camera} ")
@@ -51,7 +57,7 @@ def shot_table(result: RigFromShots) -> ShotTable:
     return ShotTable(result.cameras, table)
 
 
-def _seen(result: RigFromShots, rows: list[int]) -> ShotCell:
+def _shot_cell(result: RigFromShots, rows: list[int]) -> ShotCell:
     """One picture, which may show several boards."""
     views = [result.views[row] for row in rows]
     used = sum(int(view.used.sum()) for view in views)
@@ -71,10 +77,12 @@ def boards_in_space(result: RigFromShots, rig: Rig) -> SpaceFigure:
     names = board_names(result.target)
     which = [f"board {name}" for name in names] if len(names) > 1 else ["board"]
     words = tuple(f"{each} in shot {shot}" for shot in result.shots for each in which)
-    layer = Layer(f"boards ({len(result.world_from_board)})", "sheet", outlines, True, (), words)
+    layer = LineLayer(
+        f"boards ({len(result.world_from_board)})", "sheet", outlines, True, (), words
+    )
     axes = axes_in_space(0.1 * float(np.max(box.high_mm - box.low_mm)))
-    figure = SpaceFigure((layer,), (), (View("Whole rig", box),))
-    return figure.joined(axes).joined(cameras_in_space(rig))
+    figure = SpaceFigure((layer,), (), (SpaceView("Whole rig", box),))
+    return figure.join(axes).join(cameras_in_space(rig))
 
 
 def _boards(result: RigFromShots) -> list[np.ndarray]:

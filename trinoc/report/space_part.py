@@ -14,7 +14,7 @@ from trinoc.report.numbers import with_decimals, with_sigma
 from trinoc.report.space_content import Box, content_box, frusta, sheet_outlines, whole_box
 
 
-class Layer(NamedTuple):
+class LineLayer(NamedTuple):
     """Lines of one kind, which the figure shows or hides together.
 
     Fields
@@ -44,7 +44,7 @@ class Label(NamedTuple):
     role: str
 
 
-class View(NamedTuple):
+class SpaceView(NamedTuple):
     """A named box to fill the figure, and the azimuth of the eye, from X toward Y, in radians."""
 
     name: str
@@ -55,18 +55,18 @@ class View(NamedTuple):
 class SpaceFigure(NamedTuple):
     """Everything that a figure in space needs; the first of `views` is the one to begin with."""
 
-    layers: tuple[Layer, ...]
+    layers: tuple[LineLayer, ...]
     labels: tuple[Label, ...]
-    views: tuple[View, ...]
+    views: tuple[SpaceView, ...]
 
     @classmethod
     def of_tracks(cls, matches: Matches) -> "SpaceFigure":
         """The segments and their error bars alone."""
         content = content_box(None, matches)
-        views = () if content is None else (View("Segments", content),)
+        views = () if content is None else (SpaceView("Segments", content),)
         return cls(tuple(_track_layers(matches)), (), views)
 
-    def joined(self, more: "SpaceFigure") -> "SpaceFigure":
+    def join(self, more: "SpaceFigure") -> "SpaceFigure":
         """With the layers, labels and views of another figure behind its own."""
         return SpaceFigure(
             self.layers + more.layers, self.labels + more.labels, self.views + more.views
@@ -108,11 +108,11 @@ def space_figure(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> 
         if matches.fragments_covariance_px2 is not None:
             layers += _joined_layers(matches, rig)
     if pattern is not None:
-        layers.append(Layer("sheet", "sheet", sheet_outlines(pattern)))
+        layers.append(LineLayer("sheet", "sheet", sheet_outlines(pattern)))
     box = content_box(pattern, matches)
     axes = axes_in_space(0.25 * float(np.max(box.high_mm - box.low_mm)) if box else 50.0)
     views = _views(rig, box, matches is not None and len(matches) > 0)
-    return SpaceFigure(tuple(layers), (), views).joined(axes).joined(cameras_in_space(rig))
+    return SpaceFigure(tuple(layers), (), views).join(axes).join(cameras_in_space(rig))
 
 
 def axes_in_space(reach_mm: float) -> SpaceFigure:
@@ -121,17 +121,17 @@ def axes_in_space(reach_mm: float) -> SpaceFigure:
     labels = tuple(
         Label(1.08 * part[1], axis, "axes") for part, axis in zip(parts, "XYZ", strict=True)
     )
-    layer = Layer(f"world axes, {reach_mm:.0f} mm long", "axes", parts)
+    layer = LineLayer(f"world axes, {reach_mm:.0f} mm long", "axes", parts)
     return SpaceFigure((layer,), labels, ())
 
 
 def cameras_in_space(rig: Rig) -> SpaceFigure:
     """The frusta of the cameras with their names."""
     labels = tuple(Label(camera.centre_world_mm, name, "cameras") for name, camera in rig.items())
-    return SpaceFigure((Layer("cameras", "cameras", frusta(rig)),), labels, ())
+    return SpaceFigure((LineLayer("cameras", "cameras", frusta(rig)),), labels, ())
 
 
-def _track_layers(matches: Matches) -> list[Layer]:
+def _track_layers(matches: Matches) -> list[LineLayer]:
     sigmas, stage = line_sigmas(matches.lines_mm, matches.covariance_mm2), np.asarray(matches.stage)
     layers = []
     for name, role, said in (
@@ -142,8 +142,8 @@ def _track_layers(matches: Matches) -> list[Layer]:
         if tracks:
             parts = [np.asarray(matches.lines_mm[track]) for track in tracks]
             words = tuple(track_words(matches, sigmas, track) for track in tracks)
-            layers.append(Layer(f"{said} ({len(tracks)})", role, parts, True, tracks, words))
-    layers.append(Layer("error bars (1 sigma)", "bars", _error_bars(matches), shown=False))
+            layers.append(LineLayer(f"{said} ({len(tracks)})", role, parts, True, tracks, words))
+    layers.append(LineLayer("error bars (1 sigma)", "bars", _error_bars(matches), shown=False))
     return layers
 
 
@@ -190,7 +190,7 @@ def _error_bars(matches: Matches) -> list[np.ndarray]:
     return parts
 
 
-def _joined_layers(matches: Matches, rig: Rig) -> list[Layer]:
+def _joined_layers(matches: Matches, rig: Rig) -> list[LineLayer]:
     """Collinear tracks as one line each, and the corners where lines meet; hidden at first."""
     joined = join_collinear(matches, rig)
     corners = snap_corners(joined)
@@ -207,8 +207,10 @@ def _joined_layers(matches: Matches, rig: Rig) -> list[Layer]:
         )
         words.append(f"corner of {members} lines: {place} mm")
     return [
-        Layer(f"collinear tracks joined ({len(joined)})", "joined", list(corners.lines_mm), False),
-        Layer(
+        LineLayer(
+            f"collinear tracks joined ({len(joined)})", "joined", list(corners.lines_mm), False
+        ),
+        LineLayer(
             f"corners ({len(corners)})",
             "corners",
             [point[None] for point in np.asarray(corners.points_mm)],
@@ -219,11 +221,15 @@ def _joined_layers(matches: Matches, rig: Rig) -> list[Layer]:
     ]
 
 
-def _views(rig: Rig, content: Box | None, segments: bool) -> tuple[View, ...]:
+def _views(rig: Rig, content: Box | None, segments: bool) -> tuple[SpaceView, ...]:
     """The content near the world's origin, and everything with the cameras."""
     # From the side, so that no camera stands before what all of them look at.
     x, y, _ = np.mean([camera.centre_world_mm for _, camera in rig.items()], axis=0)
-    whole = View("Whole rig", whole_box(rig, content), float(np.arctan2(y, x)) + 1.25)
+    whole = SpaceView("Whole rig", whole_box(rig, content), float(np.arctan2(y, x)) + 1.25)
     if content is None:
         return (whole,)
-    return (View("Segments", content), whole) if segments else (whole, View("Sheet", content))
+    return (
+        (SpaceView("Segments", content), whole)
+        if segments
+        else (whole, SpaceView("Sheet", content))
+    )

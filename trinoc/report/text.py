@@ -6,7 +6,7 @@ import numpy as np
 
 from trinoc.match.tracks.matches import Matches
 from trinoc.report.matches_part import counts_of_steps, reasons_by_view
-from trinoc.report.numbers import decimals_for, signed, with_decimals, with_sigma
+from trinoc.report.numbers import significant_decimals, with_decimals, with_sigma, with_sign
 from trinoc.report.parameter_table import LABELS, ParameterError
 
 
@@ -34,8 +34,8 @@ def errors_text(errors: Sequence[ParameterError], reference_name: str) -> str:
                 LABELS[found.parameter],
                 with_sigma(found.value, found.sigma),
                 with_decimals(found.known, 3),
-                signed(found.error, decimals_for(found.sigma)),
-                signed(found.over_sigma, 1),
+                with_sign(found.error, significant_decimals(found.sigma)),
+                with_sign(found.over_sigma, 1),
             )
         )
     head = ("camera", "parameter", "found", reference_name, "error", "error/sigma")

@@ -10,7 +10,7 @@ import numpy as np
 
 from trinoc.calib.result.status import Status
 from trinoc.match.tracks.matches import TRINOCULAR
-from trinoc.report.checks import Answer, Check, Level, Limits, Subject
+from trinoc.report.checks import Answer, Level, Limits, ReportCheck, Subject
 from trinoc.report.matches_part import share_matched
 from trinoc.report.numbers import millimetres, percent, with_decimals
 from trinoc.report.shots_part import shot_table
@@ -22,10 +22,10 @@ class Verdict(NamedTuple):
     level: Level
     sentence: str
     reason: str
-    checks: tuple[Check, ...]
+    checks: tuple[ReportCheck, ...]
 
 
-def verdict_of(subject: Subject) -> Verdict | None:
+def find_verdict(subject: Subject) -> Verdict | None:
     """None where there is neither a calibration nor a matching to judge."""
     calibration = subject.result is not None or subject.shots is not None
     if not calibration and subject.matches is None:
@@ -43,7 +43,7 @@ def verdict_of(subject: Subject) -> Verdict | None:
     return Verdict(level, sentence, f"{worst.figure}: {worst.words}", checks)
 
 
-def _calibrated(subject: Subject) -> Answer | None:
+def _answer_on_calibration(subject: Subject) -> Answer | None:
     result = subject.result
     if result is None:
         return None
@@ -62,7 +62,7 @@ def _calibrated(subject: Subject) -> Answer | None:
     return Answer(0, figure, "all fits converged.")
 
 
-def _doubted(subject: Subject) -> Answer | None:
+def _answer_on_doubts(subject: Subject) -> Answer | None:
     if subject.result is not None or not subject.doubts:
         return None
     name, why = next(iter(subject.doubts.items()))
@@ -70,7 +70,7 @@ def _doubted(subject: Subject) -> Answer | None:
     return Answer(len(subject.doubts), f"{len(subject.doubts)} suspect", words)
 
 
-def _determined(subject: Subject) -> Answer | None:
+def _answer_on_rank(subject: Subject) -> Answer | None:
     shots = subject.shots
     if shots is None:
         return None
@@ -95,7 +95,7 @@ def _together(subject: Subject) -> Answer | None:
     return Answer(left_out, f"{used} of {used + missing + left_out} pictures", words)
 
 
-def _covered(subject: Subject, *, by_shots: bool) -> Answer | None:
+def _answer_on_coverage(subject: Subject, *, by_shots: bool) -> Answer | None:
     if not subject.coverage or (subject.shots is not None) != by_shots:
         return None
     least = min(subject.coverage, key=lambda figure: figure.share)
@@ -114,7 +114,7 @@ def _noisy(subject: Subject) -> Answer | None:
     return _worst_ratio(ratios, words)
 
 
-def _scattered(subject: Subject) -> Answer | None:
+def _answer_on_scatter(subject: Subject) -> Answer | None:
     factors = {} if subject.shots is None else subject.shots.sigma_factor
     words = "the scatter of the places in {}; all sigmas have grown by it."
     return _worst_ratio(factors, words)
@@ -204,7 +204,7 @@ def _pixel(subject: Subject) -> Answer | None:
     return Answer(known.worst_at_boards_px, figure, words)
 
 
-def _matched(subject: Subject) -> Answer | None:
+def _answer_on_matches(subject: Subject) -> Answer | None:
     matches = subject.matches
     if matches is None:
         return None
@@ -232,7 +232,7 @@ def _agreeing(subject: Subject) -> Answer | None:
     return Answer(scale, f"{with_decimals(scale, 2)} times their sigma", words)
 
 
-def _located(subject: Subject) -> Answer | None:
+def _answer_on_sigmas(subject: Subject) -> Answer | None:
     matches = subject.matches
     if matches is None or not len(matches):
         return None
@@ -252,20 +252,20 @@ CHECKS = (
         "Is every camera calibrated?", "cameras", 0,
         "The picture is not what the model says, so its sigmas are too small: check the pattern "
         "file, the lens, focus and light, and calibrate again.",
-        _calibrated,
+        _answer_on_calibration,
         Level.BAD,
     ),
     Limits(
         "Was the rig calibrated well?", "cameras", 0,
         "The segments in space inherit this error, and their sigmas do not hold it: calibrate "
         "again.",
-        _doubted,
+        _answer_on_doubts,
         Level.BAD,
     ),
     Limits(
         "Is everything determined?", "cameras", 0,
         "Show the board in more places, nearer and tilted, and let cameras share shots.",
-        _determined,
+        _answer_on_rank,
         Level.BAD,
     ),
     Limits(
@@ -277,13 +277,13 @@ CHECKS = (
         "Does the sheet fill the pictures?", "detection", 0.1,
         "Beyond the circles lens and angles are extrapolated: bring the sheet nearer or print it "
         "larger.",
-        lambda subject: _covered(subject, by_shots=False),
+        lambda subject: _answer_on_coverage(subject, by_shots=False),
         at_least=True,
     ),
     Limits(
         "Was the board all over the pictures?", "field-of-board", 0.4,
         "Beyond them the lens is extrapolated: show the board near the edges and corners.",
-        lambda subject: _covered(subject, by_shots=True),
+        lambda subject: _answer_on_coverage(subject, by_shots=True),
         at_least=True,
     ),
     Limits(
@@ -297,7 +297,7 @@ CHECKS = (
         "Are the residuals mere noise?", "shots", NOISY,
         "The board may not be as drawn (measure it), or it moved while pictures were taken; look "
         "at the shots with the largest rms.",
-        _scattered,
+        _answer_on_scatter,
     ),
     Limits(
         "Does the lens fit everywhere?", "field-of-board", 3,
@@ -339,7 +339,7 @@ CHECKS = (
         "Were the segments matched?", "matches", 0.25,
         "Too few for a rig that took these pictures: check that each name stands before its own "
         "picture and that no camera was moved (trinoc check).",
-        _matched,
+        _answer_on_matches,
         Level.BAD,
         at_least=True,
     ),
@@ -352,6 +352,6 @@ CHECKS = (
     Limits(
         "How well are the segments known?", "matches", None,
         "If that is too much: more light and focus, a longer lens, or cameras farther apart.",
-        _located,
+        _answer_on_sigmas,
     ),
 )  # fmt: skip

@@ -13,11 +13,11 @@ from trinoc.segments.nevatia_babu.endpoints import (
     endpoint_crossings,
     lines_near_ends,
 )
-from trinoc.segments.tuning import DEFAULT, JunctionTuning
+from trinoc.segments.tuning import DEFAULT, SegmentEndTuning
 
 
 def with_junctions(
-    segments: Segments, near: NearEnds | None = None, tuning: JunctionTuning = DEFAULT.junctions
+    segments: Segments, near: NearEnds | None = None, tuning: SegmentEndTuning = DEFAULT.junctions
 ) -> Segments:
     """The same segments with their junctions and chains; `near` as for `find_junctions`."""
     return eqx.tree_at(
@@ -29,7 +29,7 @@ def with_junctions(
 
 
 def find_junctions(
-    segments: Segments, near: NearEnds | None = None, tuning: JunctionTuning = DEFAULT.junctions
+    segments: Segments, near: NearEnds | None = None, tuning: SegmentEndTuning = DEFAULT.junctions
 ) -> Junctions:
     """Where segments meet: ends that agree within their uncertainty, and ends on bodies.
 
@@ -69,7 +69,7 @@ def find_junctions(
 
 
 def collinear_chains(
-    segments: Segments, tuning: JunctionTuning = DEFAULT.junctions
+    segments: Segments, tuning: SegmentEndTuning = DEFAULT.junctions
 ) -> Int[np.ndarray, "n"]:
     """(n,) a number per segment, equal for pieces that continue each other across a gap.
 
@@ -144,7 +144,7 @@ def _assemble(
     end: Int[np.ndarray, "m"],
     pieces: Pieces,
     across: Float[np.ndarray, "n"],
-    tuning: JunctionTuning,
+    tuning: SegmentEndTuning,
 ) -> Junctions:
     """Junctions from groups of ends and bodies of segments, sorted by group."""
     centre, direction, _ = pieces

@@ -9,7 +9,7 @@ from jaxtyping import Float, Shaped
 from trinoc.geometry.segments import Segments
 from trinoc.image.light import Light
 from trinoc.image.strip import nearest_levels
-from trinoc.segments.tuning import DEFAULT, JunctionTuning
+from trinoc.segments.tuning import DEFAULT, SegmentEndTuning
 
 # Not near its ends.
 _ALONG = np.linspace(0.1, 0.9, 16)  # numerical: samples of a median
@@ -29,7 +29,7 @@ def side_levels(
     grey: Float[np.ndarray, "h w"],
     endpoints_px: Float[np.ndarray, "n 2 2"],
     to_image: Callable[[Float[np.ndarray, "p 2"]], np.ndarray] = np.asarray,
-    tuning: JunctionTuning = DEFAULT.junctions,
+    tuning: SegmentEndTuning = DEFAULT.junctions,
 ) -> Float[np.ndarray, "n 2"]:
     """(n, 2) median grey level on the right and on the left of each segment.
 

@@ -191,7 +191,7 @@ class SaturationTuning:
 
 
 @dataclass(frozen=True)
-class JunctionTuning:
+class SegmentEndTuning:
     """Where segments meet and continue each other, and the levels beside them. By hand; shown by
     matching of rendered scenes."""
 
@@ -217,7 +217,7 @@ class SegmentTuning:
     ends: EndpointTuning = field(default_factory=EndpointTuning)
     errors: ErrorTuning = field(default_factory=ErrorTuning)
     saturation: SaturationTuning = field(default_factory=SaturationTuning)
-    junctions: JunctionTuning = field(default_factory=JunctionTuning)
+    junctions: SegmentEndTuning = field(default_factory=SegmentEndTuning)
 
 
 DEFAULT = SegmentTuning()

@@ -25,7 +25,7 @@ _SECURITY = {
 }
 
 
-class Page(NamedTuple):
+class PageContent(NamedTuple):
     """What is sent: its media type and its bytes."""
 
     media_type: str
@@ -33,7 +33,7 @@ class Page(NamedTuple):
 
 
 @contextlib.contextmanager
-def serve_pages(pages: Mapping[str, Callable[[], Page]], *, port: int = 0) -> Iterator[str]:
+def serve_pages(pages: Mapping[str, Callable[[], PageContent]], *, port: int = 0) -> Iterator[str]:
     """Serve pages by their paths, such as "/", as long as the block runs; no file is served.
 
     Yields the address to look at. Raises InputError where the port is taken.
@@ -61,20 +61,20 @@ def serve_pages(pages: Mapping[str, Callable[[], Page]], *, port: int = 0) -> It
 class _Handler(http.server.BaseHTTPRequestHandler):
     """One request. Only GET is answered."""
 
-    pages: Mapping[str, Callable[[], Page]]
+    pages: Mapping[str, Callable[[], PageContent]]
     server_version, sys_version = "trinoc", ""
     timeout = _STALLED_S
 
     def do_GET(self) -> None:
         make = self.pages.get(self.path.partition("?")[0])
         if not may_ask(self.headers.get_all("Host") or [], self.headers.get_all("Origin") or []):
-            self._send(403, Page(_TEXT, REFUSAL.encode()))
+            self._send(403, PageContent(_TEXT, REFUSAL.encode()))
         elif make is None:
-            self._send(404, Page(_TEXT, b"There is no such page.\n"))
+            self._send(404, PageContent(_TEXT, b"There is no such page.\n"))
         else:
             self._send(200, make())
 
-    def _send(self, status: int, page: Page) -> None:
+    def _send(self, status: int, page: PageContent) -> None:
         self.send_response(status)
         for name, value in _SECURITY.items():
             self.send_header(name, value)

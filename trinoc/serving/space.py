@@ -13,7 +13,7 @@ from trinoc.errors import InputError
 from trinoc.report.colours import COLOUR_OF_ROLE
 from trinoc.report.ellipsoids import Ellipsoids, visible_factor
 from trinoc.report.notebook.extras import expect_extra
-from trinoc.report.space_part import Layer, SpaceFigure
+from trinoc.report.space_part import LineLayer, SpaceFigure
 from trinoc.serving.loopback import ADDRESS, REFUSAL, may_ask
 
 _LINE_PX = 2.5
@@ -111,7 +111,7 @@ def _colour(role: str) -> UInt8[np.ndarray, "3"]:
     return np.array(list(bytes.fromhex(COLOUR_OF_ROLE.get(role, _GREY)[1:7])), dtype=np.uint8)
 
 
-def _add_layer(scene: Any, name: str, layer: Layer) -> Any:
+def _add_layer(scene: Any, name: str, layer: LineLayer) -> Any:
     """Its lines, or its dots where parts are single points."""
     lines, colour = [part for part in layer.parts if len(part) > 1], _colour(layer.role)
     if not lines:

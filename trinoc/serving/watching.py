@@ -11,7 +11,7 @@ from trinoc.capture.advice import field, field_share, next_step
 from trinoc.capture.judgement import Judgement
 from trinoc.capture.measures import GRID
 from trinoc.image.grey import grey_image
-from trinoc.serving.pages import Page
+from trinoc.serving.pages import PageContent
 
 _LONGEST_SIDE_PX = 720
 _MOST_ROWS = 40
@@ -30,7 +30,7 @@ class WatchState(NamedTuple):
     thumbnail: bytes = b""
 
 
-def watch_page(watched: WatchState) -> Page:
+def watch_page(watched: WatchState) -> PageContent:
     """The page as HTML."""
     cells = field(watched.judgements)
     rows, columns = GRID
@@ -46,12 +46,12 @@ def watch_page(watched: WatchState) -> Page:
         cells=[(r, c, bool(cells[r, c])) for r in range(rows) for c in range(columns)],
         grid=GRID,
     )
-    return Page("text/html; charset=utf-8", html.encode("utf-8", errors="replace"))
+    return PageContent("text/html; charset=utf-8", html.encode("utf-8", errors="replace"))
 
 
-def picture_page(watched: WatchState) -> Page:
+def picture_page(watched: WatchState) -> PageContent:
     """The last picture."""
-    return Page("image/jpeg", watched.thumbnail)
+    return PageContent("image/jpeg", watched.thumbnail)
 
 
 def thumbnail(image: Shaped[np.ndarray, "..."], judgement: Judgement) -> bytes:

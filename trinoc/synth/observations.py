@@ -59,7 +59,7 @@ def simulate_segments(
     for number, (name, camera) in enumerate(rig.items()):
         parts = scene.seen_by(camera)
         shown = blind_view[parts.segment] != number
-        owner, part = _broken(parts.segment[shown], parts.extent[shown], detector, generator)
+        owner, part = _break_edges(parts.segment[shown], parts.extent[shown], detector, generator)
         ends_mm = points_along(scene.edges_mm[owner], part)
         outlines = scene.silhouettes_seen_by(camera)
         owner = np.concatenate([owner, np.full(len(outlines), NOT_SCORED)])
@@ -85,7 +85,7 @@ def simulate_segments(
     return segments, SegmentTruth(scene.edges_mm, edge_of, extent)
 
 
-def _broken(
+def _break_edges(
     owner: np.ndarray, extent: np.ndarray, detector: Detector, generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Parts of edges, some of them replaced by their two or three pieces with gaps between."""

@@ -74,19 +74,19 @@ def points_along(
 def demo_scene(*, cylinder_sides: int = 96) -> Scene:
     """Three boxes, a wedge, an L-shaped block and a cylinder on a table, all within 170 mm."""
 
-    def at(x: float, y: float, z: float = 0.0) -> Float[np.ndarray, "3"]:
+    def point(x: float, y: float, z: float = 0.0) -> Float[np.ndarray, "3"]:
         return np.array([x, y, z])
 
     return Scene.of_solids(
         (
-            box((52.0, 36.0, 30.0)).placed(turn_deg=24.0, shift_mm=at(-42.0, 22.0)),
-            box((24.0, 20.0, 18.0)).placed(turn_deg=52.0, shift_mm=at(-43.0, 23.0, 30.0)),
-            box((22.0, 46.0, 22.0)).placed(turn_deg=-33.0, shift_mm=at(62.0, -28.0)),
-            wedge((48.0, 30.0, 26.0)).placed(turn_deg=-17.0, shift_mm=at(24.0, 42.0)),
-            l_block((52.0, 44.0, 20.0), 18.0, standing=False).placed(
-                turn_deg=12.0, shift_mm=at(2.0, -30.0)
+            box((52.0, 36.0, 30.0)).place(turn_deg=24.0, shift_mm=point(-42.0, 22.0)),
+            box((24.0, 20.0, 18.0)).place(turn_deg=52.0, shift_mm=point(-43.0, 23.0, 30.0)),
+            box((22.0, 46.0, 22.0)).place(turn_deg=-33.0, shift_mm=point(62.0, -28.0)),
+            wedge((48.0, 30.0, 26.0)).place(turn_deg=-17.0, shift_mm=point(24.0, 42.0)),
+            l_block((52.0, 44.0, 20.0), 18.0, standing=False).place(
+                turn_deg=12.0, shift_mm=point(2.0, -30.0)
             ),
-            Cylinder(at(-58.0, -36.0), 15.0, 32.0, cylinder_sides),
+            Cylinder(point(-58.0, -36.0), 15.0, 32.0, cylinder_sides),
         )
     )
 
@@ -111,12 +111,12 @@ def block_scene(
             continue
         taken.append((place, radius))
         turn = float(generator.uniform(0.0, 360.0))
-        solids.append(solid.placed(turn_deg=turn, shift_mm=np.append(place, 0.0)))
+        solids.append(solid.place(turn_deg=turn, shift_mm=np.append(place, 0.0)))
         if top is not None and generator.random() < 0.4:
             size = generator.uniform(0.5, 0.8, 3) * min(top[:2])
             upper = box((float(size[0]), float(size[1]), float(size[2])))
             turn += float(generator.uniform(20.0, 70.0))
-            solids.append(upper.placed(turn_deg=turn, shift_mm=np.append(place, top[2])))
+            solids.append(upper.place(turn_deg=turn, shift_mm=np.append(place, top[2])))
     return Scene.of_solids(tuple(solids))
 
 
@@ -129,7 +129,7 @@ def see_through_boxes(seed: int, *, count: int, reach_mm: float = 80.0) -> Scene
         shift = np.append(generator.uniform(-reach_mm, reach_mm, 2), generator.uniform(0.0, 40.0))
         turn = float(generator.uniform(0.0, 90.0))
         solid = box((float(size[0]), float(size[1]), float(size[2])))
-        edges.append(solid.placed(turn_deg=turn, shift_mm=shift).edges_mm)
+        edges.append(solid.place(turn_deg=turn, shift_mm=shift).edges_mm)
     return Scene.of_edges(np.concatenate(edges))
 
 

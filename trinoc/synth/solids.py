@@ -59,7 +59,7 @@ class Polyhedron(eqx.Module):
         """Lines that only look like edges from one viewpoint: none."""
         return np.zeros((0, 2, 3))
 
-    def placed(self, *, turn_deg: float, shift_mm: Float[np.ndarray, "3"]) -> "Polyhedron":
+    def place(self, *, turn_deg: float, shift_mm: Float[np.ndarray, "3"]) -> "Polyhedron":
         """The solid turned about the vertical through the origin, then moved."""
         vertices = self.vertices_mm @ _turn(turn_deg).T + shift_mm
         return Polyhedron(self.kind, vertices, self.faces)
@@ -117,7 +117,7 @@ class Cylinder(eqx.Module):
             lines.append(np.stack([foot, foot + np.array([0.0, 0.0, self.height_mm])]))
         return np.stack(lines)
 
-    def placed(self, *, turn_deg: float, shift_mm: Float[np.ndarray, "3"]) -> "Cylinder":
+    def place(self, *, turn_deg: float, shift_mm: Float[np.ndarray, "3"]) -> "Cylinder":
         """The cylinder with its base turned about the vertical through the origin, then moved."""
         base = _turn(turn_deg) @ self.base_centre_mm + shift_mm
         return Cylinder(base, self.radius_mm, self.height_mm, self.sides)

@@ -102,7 +102,7 @@ def parts_in_views_mm(
     found: list[Float[np.ndarray, "2 3"]] = []
     for index, edge in enumerate(edges_mm):
         per_view = [_union(extent[owner == index]) for owner, extent in parts.values()]
-        for start, end in _covered(per_view, views):
+        for start, end in _intersect_intervals(per_view, views):
             ends = np.array([[start], [end]])
             found.append(edge[0] + ends * (edge[1] - edge[0]))
     return np.array(found).reshape(-1, 2, 3)
@@ -119,7 +119,9 @@ def _union(intervals: Float[np.ndarray, "k 2"]) -> list[tuple[float, float]]:
     return merged
 
 
-def _covered(per_view: list[list[tuple[float, float]]], views: int) -> list[tuple[float, float]]:
+def _intersect_intervals(
+    per_view: list[list[tuple[float, float]]], views: int
+) -> list[tuple[float, float]]:
     """Where the disjoint intervals of at least `views` views lie over each other."""
     events = sorted(
         [(start, 1) for intervals in per_view for start, _ in intervals]

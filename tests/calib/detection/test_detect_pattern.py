@@ -11,8 +11,8 @@ from trinoc.errors import DetectionError, InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.synth import table1_lens, table1_rig
-from trinoc.synth.camera_picture.layers import card
-from trinoc.synth.camera_picture.light import Light
+from trinoc.synth.camera_picture.layers import cover_card
+from trinoc.synth.camera_picture.light import Illumination
 from trinoc.synth.camera_picture.render import render_sheet
 
 SHEET = Pattern.default()
@@ -168,7 +168,7 @@ def test_a_corner_too_small_to_name_its_place_is_refused(picture, found):
 def test_a_covered_sheet_keeps_right_labels(seed):
     random = np.random.default_rng(seed)
     cards = tuple(
-        card(random.uniform(-60, 60, 2), turn_deg=random.uniform(0, 180), grey=150.0)
+        cover_card(random.uniform(-60, 60, 2), turn_deg=random.uniform(0, 180), grey=150.0)
         for _ in range(2)
     )
     covered = render_sheet(SHEET, CAMERA, noise_sigma=2.0, supersampling=4, covers=cards, seed=seed)
@@ -199,7 +199,7 @@ def test_bad_pictures_still_show_the_sheet(blur_px, noise_sigma, ink):
 
 
 def test_slanting_light_does_not_move_the_centres():
-    light = Light(slope=(0.4, -0.3))
+    light = Illumination(slope=(0.4, -0.3))
     lit = render_sheet(SHEET, CAMERA, paper=150.0, noise_sigma=1.0, light=light)
     error = errors_px(detect_pattern(lit, SHEET), CAMERA, SHEET)
     assert np.abs(error.mean(axis=0)).max() < 3e-3

@@ -16,7 +16,7 @@ from trinoc.synth.camera_picture.delivery import SRGB
 
 
 def srgb(light: np.ndarray) -> np.ndarray:
-    return 255 * np.asarray(SRGB().encoded(np.clip(light / 255, 0, 1)))
+    return 255 * np.asarray(SRGB().encode(np.clip(light / 255, 0, 1)))
 
 
 def overexposed(light: np.ndarray) -> np.ndarray:

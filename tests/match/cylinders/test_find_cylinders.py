@@ -111,7 +111,7 @@ def test_order_of_views_segments_and_ends_changes_the_numbering_alone(rig) -> No
 
 def test_edges_of_boxes_are_no_cylinder(rig) -> None:
     boxes = [
-        box((30.0, 22.0, 25.0)).placed(turn_deg=turn, shift_mm=np.array(place)).edges_mm
+        box((30.0, 22.0, 25.0)).place(turn_deg=turn, shift_mm=np.array(place)).edges_mm
         for turn, place in ((20.0, (-30.0, 20.0, 0.0)), (-35.0, (30.0, -10.0, 0.0)))
     ]
     segments = seen_by(rig, [], np.concatenate(boxes), sigma_px=0.2, seed=5)

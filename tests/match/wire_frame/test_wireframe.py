@@ -15,7 +15,7 @@ from trinoc.match import Wireframe, wireframe
 from trinoc.match.tracks.matches import Matches
 from trinoc.synth.solids import Polyhedron, box
 
-CUBE = box((40.0, 40.0, 40.0)).placed(turn_deg=27.0, shift_mm=np.array([3.0, -4.0, 0.0]))
+CUBE = box((40.0, 40.0, 40.0)).place(turn_deg=27.0, shift_mm=np.array([3.0, -4.0, 0.0]))
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ from trinoc.synth.camera_picture.delivery import (
     SRGB,
     Processing,
     Sharpening,
-    delivered,
+    deliver_picture,
     jpeg,
-    quantised,
-    sharpened,
+    quantise,
+    sharpen,
 )
 
 
@@ -20,7 +20,7 @@ def waves(frequency, size=128):
 
 def test_sharpening_lifts_a_wave_by_what_the_gaussian_takes():
     radius, amount, frequency = 1.2, 0.7, 0.125
-    lifted = sharpened(waves(frequency), Sharpening(radius, amount))[20, 32:-32]
+    lifted = sharpen(waves(frequency), Sharpening(radius, amount))[20, 32:-32]
     passed = np.exp(-2 * (np.pi * radius * frequency) ** 2)
     expected = 0.5 + (waves(frequency)[20, 32:-32] - 0.5) * (1 + amount * (1 - passed))
     # OpenCV samples its Gaussian at whole pixels and cuts it off.
@@ -30,10 +30,10 @@ def test_sharpening_lifts_a_wave_by_what_the_gaussian_takes():
 @pytest.mark.parametrize(("bits", "dtype"), [(8, np.uint8), (10, np.uint16), (16, np.uint16)])
 def test_bits_round_to_half_a_step(bits, dtype):
     grey = np.random.default_rng(0).uniform(size=(20, 20))
-    picture = quantised(grey, bits)
+    picture = quantise(grey, bits)
     assert picture.dtype == dtype
     assert np.abs(picture / (2**bits - 1) - grey).max() <= 0.5 / (2**bits - 1) + 1e-12
-    assert quantised(np.array([[-0.2, 1.3]]), bits).tolist() == [[0, 2**bits - 1]]
+    assert quantise(np.array([[-0.2, 1.3]]), bits).tolist() == [[0, 2**bits - 1]]
 
 
 def test_jpeg_loses_more_at_less_quality_and_keeps_colours_apart():
@@ -48,6 +48,6 @@ def test_jpeg_loses_more_at_less_quality_and_keeps_colours_apart():
 
 def test_processing_runs_in_its_order():
     signal = np.array([[-0.05, 0.0, 0.2, 1.0]]) * np.ones((4, 1))
-    picture = delivered(signal, None, Processing(response=SRGB()))
-    expected = np.rint(255 * SRGB().encoded(np.array([0.0, 0.0, 0.2, 1.0])))
+    picture = deliver_picture(signal, None, Processing(response=SRGB()))
+    expected = np.rint(255 * SRGB().encode(np.array([0.0, 0.0, 0.2, 1.0])))
     np.testing.assert_array_equal(picture[0], expected)

@@ -5,8 +5,8 @@ import pytest
 
 from tests.synth.camera_picture.views import camera_of
 from trinoc.synth.camera_picture.light import (
-    Lamp,
-    Light,
+    GlareLamp,
+    Illumination,
     light_on_sheet,
     passed_by_lens,
     reflection,
@@ -23,7 +23,7 @@ def seen_in_world(camera):
 def test_the_lamp_is_brightest_where_a_mirror_would_show_it():
     camera = camera_of()
     world = seen_in_world(camera)
-    lamp = Lamp((12.0, -7.0), roughness=0.02, strength=0.6)
+    lamp = GlareLamp((12.0, -7.0), roughness=0.02, strength=0.6)
     spot = reflection(lamp, camera, world)
     row, column = np.unravel_index(spot.argmax(), spot.shape)
     assert np.hypot(*(world[row, column, :2] - lamp.spot_mm)) < 2.0
@@ -34,26 +34,26 @@ def test_a_rougher_sheet_spreads_the_lamp_and_a_tilted_one_moves_it():
     camera = camera_of()
     world = seen_in_world(camera)
     narrow, wide = (
-        reflection(Lamp((0.0, 0.0), roughness=roughness), camera, world)
+        reflection(GlareLamp((0.0, 0.0), roughness=roughness), camera, world)
         for roughness in (0.03, 0.06)
     )
     # Areas grow with the square of the width.
     assert wide.sum() / narrow.sum() == pytest.approx(4.0, rel=0.2)
     tilted = world.copy()
     tilted[..., 2] += 0.02 * tilted[..., 0]
-    moved = reflection(Lamp((0.0, 0.0), roughness=0.03), camera, tilted)
+    moved = reflection(GlareLamp((0.0, 0.0), roughness=0.03), camera, tilted)
     middle, there = (np.average(world[..., 0], weights=spot) for spot in (narrow, moved))
     # A normal that leans to -X sees the lamp's mirror image further along X.
     assert abs(there - middle) > 2.0
 
 
 def test_the_lens_dims_the_corners_and_not_the_middle():
-    passed = passed_by_lens(Light(vignetting=0.4), (97, 91), 0)
+    passed = passed_by_lens(Illumination(vignetting=0.4), (97, 91), 0)
     assert passed[45, 48] == 1.0
     np.testing.assert_allclose(passed[[0, 0, -1, -1], [0, -1, 0, -1]], 0.6)
 
 
 def test_a_quadratic_field_is_one_in_the_middle_and_where_there_is_no_sheet():
-    light = Light((0.2, 0.0), (0.1, 0.0, -0.3))
+    light = Illumination((0.2, 0.0), (0.1, 0.0, -0.3))
     points = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, -100.0], [np.nan, np.nan]])
     np.testing.assert_allclose(light_on_sheet(light, points), [1.0, 1.3, 0.7, 1.0])

@@ -5,9 +5,9 @@ import pytest
 
 from tests.synth.camera_picture.views import SHEET, camera_of
 from trinoc.synth.camera_picture.layers import Paint
-from trinoc.synth.camera_picture.paper import Paper, Table, printed_layers
+from trinoc.synth.camera_picture.paper import Paper, TableTop, printed_layers
 from trinoc.synth.camera_picture.scene import SheetScene, radiance
-from trinoc.synth.camera_picture.shapes import ConvexPolygon, Disc
+from trinoc.synth.camera_picture.shapes import ConvexPolygon, FilledCircle
 
 
 def figures(kind, gain_mm: float) -> list:
@@ -23,7 +23,7 @@ def test_ink_gains_on_every_edge():
     for drawn, inked in lines:
         grown = np.ptp(inked.corners_mm, axis=0) - np.ptp(drawn.corners_mm, axis=0)
         np.testing.assert_allclose(grown, 0.4)
-    discs = zip(figures(Disc, 0.0), figures(Disc, 0.2), strict=True)
+    discs = zip(figures(FilledCircle, 0.0), figures(FilledCircle, 0.2), strict=True)
     change = [inked.radius_mm - drawn.radius_mm for drawn, inked in discs]
     # Circles grow; their holes and the white that ends the lines before them shrink.
     gaps = len(change) - len(SHEET) - rings
@@ -36,7 +36,7 @@ def test_ink_gains_on_every_edge():
 def test_a_stretched_sheet_is_as_large_as_it_was():
     paper = Paper(print_scale=(1.02, 0.99), size_mm=(200.0, 100.0))
     table = paper.layers(SHEET)[0]
-    assert isinstance(table, Table)
+    assert isinstance(table, TableTop)
     assert isinstance(table.sheet, ConvexPolygon)
     size = np.ptp(table.sheet.corners_mm, axis=0) * paper.print_scale
     np.testing.assert_allclose(size, [200.0, 100.0])

@@ -10,8 +10,8 @@ from trinoc.geometry import project
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.camera_picture.layers import card
-from trinoc.synth.camera_picture.light import Light
+from trinoc.synth.camera_picture.layers import cover_card
+from trinoc.synth.camera_picture.light import Illumination
 from trinoc.synth.camera_picture.render import render_sheet
 
 LENS = Intrinsics(focal_length_px=(410.0, 500.0), image_size_px=(160, 150))
@@ -121,8 +121,8 @@ def test_line_styles(style, inside, before):
 
 def test_grey_levels_are_rounded_and_scaled_and_noise_has_its_sigma():
     camera, pattern = camera_of(), one_disc()
-    light = clean(pattern, camera, covers=(card((0.0, 0.0), grey=300.0),))
-    given = {"paper": PAPER, "ink": INK, "covers": (card((0.0, 0.0), grey=300.0),)}
+    light = clean(pattern, camera, covers=(cover_card((0.0, 0.0), grey=300.0),))
+    given = {"paper": PAPER, "ink": INK, "covers": (cover_card((0.0, 0.0), grey=300.0),)}
     for bits, dtype in ((8, np.uint8), (16, np.uint16)):
         picture = render_sheet(pattern, camera, **given, bits=bits)
         assert picture.dtype == dtype
@@ -141,9 +141,9 @@ def test_grey_levels_are_rounded_and_scaled_and_noise_has_its_sigma():
 def test_what_covers_and_lights_changes_what_it_should():
     camera, pattern = camera_of(), one_disc()
     plain = clean(pattern, camera)
-    covered = clean(pattern, camera, covers=(card((0.0, 0.0), turn_deg=30, grey=150.0),))
+    covered = clean(pattern, camera, covers=(cover_card((0.0, 0.0), turn_deg=30, grey=150.0),))
     assert grey_at(covered, camera, 1, 1) == pytest.approx(150.0)
-    lit = clean(pattern, camera, light=Light(slope=(1.0, 0.0)))
+    lit = clean(pattern, camera, light=Illumination(slope=(1.0, 0.0)))
     assert grey_at(lit, camera, -25, 0) < grey_at(plain, camera, -25, 0) < lit.max()
     on_table = clean(pattern, camera, table=80.0)
     assert grey_at(on_table, camera, 25, 0) == pytest.approx(PAPER)

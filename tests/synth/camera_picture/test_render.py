@@ -13,14 +13,14 @@ from trinoc.synth.camera_picture.optics import Optics, irradiance
 from trinoc.synth.camera_picture.paper import Paper
 from trinoc.synth.camera_picture.render import camera_picture, delivered_picture
 from trinoc.synth.camera_picture.scene import SheetScene, radiance
-from trinoc.synth.camera_picture.surfaces import Cylinder
+from trinoc.synth.camera_picture.surfaces import RolledPaper
 
 POSE = (25.0, 40.0, 3.0, 300.0)
 ENDLESS = (1e4, 1e4)
 
 
 def test_a_circle_on_bent_paper_lies_where_its_points_project():
-    surface = Cylinder.from_sagitta(6.0, direction_deg=35.0)
+    surface = RolledPaper.from_sagitta(6.0, direction_deg=35.0)
     disc = Pattern.cross_grid(
         rows=1, columns=1, pitch_mm=40.0, radius_mm=20.0, line_width_mm=0.0, rings="none"
     )

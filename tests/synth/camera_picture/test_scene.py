@@ -10,8 +10,8 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry import project
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.camera_picture.layers import card, coverage_of_cells, finger
-from trinoc.synth.camera_picture.light import Light, Shadow
+from trinoc.synth.camera_picture.layers import cover_card, coverage_of_cells, finger
+from trinoc.synth.camera_picture.light import Illumination, Shadow
 from trinoc.synth.camera_picture.paper import Paper
 from trinoc.synth.camera_picture.scene import MARGIN_PX, SheetScene, radiance
 
@@ -82,8 +82,8 @@ def test_paper_ink_and_table_have_their_reflectance():
 
 def test_light_covers_and_shadows_lie_where_they_are_put():
     camera, paper = camera_of(), Paper(paper=PAPER, ink=INK)
-    light = Light(slope=(0.5, 0.0), shadows=(Shadow((-30.0, 0.0), 180.0, light_left=0.25),))
-    covers = (finger((4.0, -30.0), -90.0, grey=0.5), card((35.0, 10.0), size_mm=(6.0, 8.0)))
+    light = Illumination(slope=(0.5, 0.0), shadows=(Shadow((-30.0, 0.0), 180.0, light_left=0.25),))
+    covers = (finger((4.0, -30.0), -90.0, grey=0.5), cover_card((35.0, 10.0), size_mm=(6.0, 8.0)))
     fine = cells_of(radiance(SHEET, camera, SheetScene(paper, light, covers)))
     # The light over a whole pixel is that at its centre.
     assert level_at(fine, camera, 11.0, -11.0) == pytest.approx(PAPER * 1.055, rel=0.02)

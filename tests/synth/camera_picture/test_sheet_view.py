@@ -9,7 +9,7 @@ from trinoc.geometry import project, sheet_from_pixel
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.synth.camera_picture.paper import Paper
 from trinoc.synth.camera_picture.sheet_view import SheetView, cell_offsets_px, pixel_grid_px
-from trinoc.synth.camera_picture.surfaces import Cone, Cylinder, Twisted
+from trinoc.synth.camera_picture.surfaces import ConePaper, RolledPaper, TwistedPaper
 
 DISTORTED = Intrinsics(
     focal_length_px=(190.0, 230.0), image_size_px=(96, 90), distortion=(-0.3, 0.1, 2e-3, -1e-3)
@@ -17,9 +17,9 @@ DISTORTED = Intrinsics(
 PAPERS = {
     "flat": Paper(),
     "rolled and stretched": Paper(
-        Cylinder.from_sagitta(4.0, direction_deg=25.0), print_scale=(1.003, 0.998)
+        RolledPaper.from_sagitta(4.0, direction_deg=25.0), print_scale=(1.003, 0.998)
     ),
-    "twisted cornet": Paper(Twisted(Cone.from_sagitta(3.0), 0.5)),
+    "twisted cornet": Paper(TwistedPaper(ConePaper.from_sagitta(3.0), 0.5)),
 }
 VIEWS = {name: SheetView(camera_of(DISTORTED), paper) for name, paper in PAPERS.items()}
 MARGIN_PX = 3

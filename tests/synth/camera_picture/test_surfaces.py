@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from trinoc.synth.camera_picture.surfaces import Cone, Cylinder, Twisted
+from trinoc.synth.camera_picture.surfaces import ConePaper, RolledPaper, TwistedPaper
 
 BENDS = {
-    "cylinder": Cylinder.from_sagitta(1.0, direction_deg=30.0),
-    "deep cylinder": Cylinder.from_sagitta(-12.0, direction_deg=110.0),
-    "cone": Cone.from_sagitta(1.0, apex_mm=200.0, direction_deg=-40.0),
-    "deep cone": Cone.from_sagitta(-9.0, apex_mm=150.0, direction_deg=75.0),
+    "cylinder": RolledPaper.from_sagitta(1.0, direction_deg=30.0),
+    "deep cylinder": RolledPaper.from_sagitta(-12.0, direction_deg=110.0),
+    "cone": ConePaper.from_sagitta(1.0, apex_mm=200.0, direction_deg=-40.0),
+    "deep cone": ConePaper.from_sagitta(-9.0, apex_mm=150.0, direction_deg=75.0),
 }
 PLACES = np.random.default_rng(0).uniform(-90.0, 90.0, (40, 2))
 
@@ -44,7 +44,7 @@ def test_the_sheet_touches_its_plane_at_the_origin(surface):
     np.testing.assert_allclose(jax.jacfwd(surface.point_world_mm)(zero), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("make", [Cylinder.from_sagitta, Cone.from_sagitta])
+@pytest.mark.parametrize("make", [RolledPaper.from_sagitta, ConePaper.from_sagitta])
 @pytest.mark.parametrize("sagitta_mm", [-3.0, 0.0, 0.1, 5.0])
 def test_the_rise_at_the_reach_is_the_sagitta(make, sagitta_mm):
     surface = make(sagitta_mm, direction_deg=50.0, reach_mm=80.0)
@@ -55,22 +55,22 @@ def test_the_rise_at_the_reach_is_the_sagitta(make, sagitta_mm):
 
 
 def test_across_the_bend_paper_stays_straight():
-    surface = Cylinder.from_sagitta(4.0, direction_deg=90.0)
-    cone = Cone.from_sagitta(4.0, apex_mm=200.0, direction_deg=90.0)
+    surface = RolledPaper.from_sagitta(4.0, direction_deg=90.0)
+    cone = ConePaper.from_sagitta(4.0, apex_mm=200.0, direction_deg=90.0)
     for bent in (surface, cone):
         point = bent.point_world_mm(np.array([70.0, 0.0]))
         np.testing.assert_allclose(point, [70.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_a_cone_with_its_apex_far_away_is_a_cylinder():
-    cylinder = Cylinder.from_sagitta(2.0, direction_deg=20.0)
-    cone = Cone.from_sagitta(2.0, apex_mm=1e7, direction_deg=20.0)
+    cylinder = RolledPaper.from_sagitta(2.0, direction_deg=20.0)
+    cone = ConePaper.from_sagitta(2.0, apex_mm=1e7, direction_deg=20.0)
     first, second = (jax.vmap(surface.point_world_mm)(PLACES) for surface in (cylinder, cone))
     np.testing.assert_allclose(first, second, atol=1e-4)
 
 
 def test_a_twist_stretches_no_more_than_it_says():
-    surface = Twisted(Cylinder(), 0.3, reach_mm=75.0)
+    surface = TwistedPaper(RolledPaper(), 0.3, reach_mm=75.0)
     corners = 75.0 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
     heights = jax.vmap(surface.point_world_mm)(corners)[:, 2]
     np.testing.assert_allclose(heights, [0.3, -0.3, 0.3, -0.3])

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from trinoc.errors import InputError
 from trinoc.io.formats.colmap_records import ColmapCamera, ColmapImage, ColmapRecords
-from trinoc.io.formats.text_files import MOST_BYTES_OF_MODEL, read_bytes
+from trinoc.io.formats.text_files import MOST_BYTES_OF_MODEL
+from trinoc.io.whole_files import read_bytes
 
 # (number of the model in the file, how many numbers it has).
 MODELS = {
@@ -59,7 +60,9 @@ def binary_records(folder: Path) -> ColmapRecords:
     for _ in range(reader.take("<Q")[0]):
         number, model, width, height = reader.take("<IiQQ")
         if model not in names or number in cameras:
-            raise reader.broken(f"camera {number} is there twice, or of the unknown model {model}")
+            raise reader.damage_error(
+                f"camera {number} is there twice, or of the unknown model {model}"
+            )
         name, count = names[model]
         cameras[number] = ColmapCamera(name, (width, height), list(reader.take(f"<{count}d")))
     images = []
@@ -87,21 +90,21 @@ class _Reader:
     def skip(self, size: int) -> None:
         """Leave the next bytes out."""
         if self.place + size > len(self.content):
-            raise self.broken("it ends too early")
+            raise self.damage_error("it ends too early")
         self.place += size
 
     def text(self) -> str:
         """The next text, which ends with a zero."""
         end = self.content.find(b"\0", self.place)
         if end < 0:
-            raise self.broken("a name does not end")
+            raise self.damage_error("a name does not end")
         try:
             text = self.content[self.place : end].decode("utf-8")
         except UnicodeDecodeError as error:
-            raise self.broken("a name is no text") from error
+            raise self.damage_error("a name is no text") from error
         self.place = end + 1
         return text
 
-    def broken(self, why: str) -> InputError:
+    def damage_error(self, why: str) -> InputError:
         """The error that says so."""
         return InputError(f"{self.file} is no file of COLMAP, or damaged ({why}): write it again.")

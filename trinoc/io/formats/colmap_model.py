@@ -20,7 +20,7 @@ from trinoc.io.formats.colmap_records import ColmapCamera, ColmapImage, ColmapRe
 from trinoc.io.formats.colmap_text_files import text_files, text_records
 from trinoc.io.formats.folders import atomic_folder
 from trinoc.io.formats.format import Format, Lenses
-from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
 from trinoc.io.formats.motions import motion, quaternion_wxyz, rotation_of_quaternion
 
@@ -46,7 +46,7 @@ def write_binary(rig: Rig, path: Path, unit_mm: float) -> None:
     _write(path, binary_files(_records(rig, unit_mm)))
 
 
-def write_text(rig: Rig, path: Path, unit_mm: float) -> None:
+def write_text_model(rig: Rig, path: Path, unit_mm: float) -> None:
     """Write the text files."""
     for name in rig:
         if any(letter.isspace() for letter in name):
@@ -89,7 +89,7 @@ def read_colmap(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
 def _records(rig: Rig, unit_mm: float) -> ColmapRecords:
     cameras, images = {}, []
     for number, (name, camera) in enumerate(rig.items(), 1):
-        numbers = numbers_of(camera.intrinsics, ROWS, TITLE, name, origin_px=HALF_PX)
+        numbers = list_lens_numbers(camera.intrinsics, ROWS, TITLE, name, origin_px=HALF_PX)
         parameters = [*numbers.focal_px, *numbers.centre_px, *numbers.coefficients]
         cameras[number] = ColmapCamera(numbers.called, camera.image_size_px, parameters)
         pose = np.asarray(camera.cam_from_world)
@@ -114,7 +114,7 @@ def _lens(camera: ColmapCamera, where: str) -> Intrinsics:
     if len(rest) < 2:
         focal, rest = [1.0, 1.0], [0.0, 0.0]  # of a model that is not known, and refused below
     numbers = LensNumbers(camera.model, (focal[0], focal[1]), (rest[0], rest[1]), 0.0, rest[2:])
-    return lens_of(numbers, camera.size, ROWS, where, origin_px=HALF_PX)
+    return make_lens(numbers, camera.size, ROWS, where, origin_px=HALF_PX)
 
 
 def _write(path: Path, files: dict[str, bytes]) -> None:
@@ -150,6 +150,6 @@ colmap_text = Format(
     unit_is_fixed=False,
     frames=colmap.frames,
     loses=(COVARIANCE, PIXEL_PITCH),
-    write=write_text,
+    write=write_text_model,
     read=read_colmap,
 )

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.io.formats.motions import (
-    chained,
+    chain_motions,
     inverse,
     motion,
     quaternion_wxyz,
@@ -45,7 +45,7 @@ class ColmapRecords(NamedTuple):
         ]
         found = []
         for image, pose in zip(self.images[1:], poses[1:], strict=True):
-            step = chained(pose, inverse(poses[0]))
+            step = chain_motions(pose, inverse(poses[0]))
             numbers = [*quaternion_wxyz(step[:, :3]).tolist(), *step[:, 3].tolist()]
             found.append((image.camera, numbers))
         return found

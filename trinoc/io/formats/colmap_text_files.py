@@ -5,24 +5,28 @@ from pathlib import Path
 
 from trinoc.errors import InputError
 from trinoc.io.formats.colmap_records import ColmapCamera, ColmapImage, ColmapRecords
-from trinoc.io.formats.text_files import MOST_BYTES_OF_MODEL, read_text
+from trinoc.io.formats.text_files import MOST_BYTES_OF_MODEL
+from trinoc.io.whole_files import read_text
 
 
 def text_files(records: ColmapRecords) -> dict[str, str]:
     """The five files, by name."""
     cameras = [
-        f"{number} {model} {width} {height} {_joined(parameters)}"
+        f"{number} {model} {width} {height} {_join_numbers(parameters)}"
         for number, (model, (width, height), parameters) in records.cameras.items()
     ]
     images = [
-        f"{image.number} {_joined([*image.wxyz, *image.translation])} {image.camera} {image.name}\n"
+        f"{image.number} {_join_numbers([*image.wxyz, *image.translation])} {image.camera} "
+        f"{image.name}\n"
         for image in records.images
     ]
     first = records.images[0]
-    sensors = [f"CAMERA {camera} 1 {_joined(pose)}" for camera, pose in records.sensor_poses()]
+    sensors = [
+        f"CAMERA {camera} 1 {_join_numbers(pose)}" for camera, pose in records.sensor_poses()
+    ]
     rig = ["1", str(len(records.images)), f"CAMERA {first.camera}", *sensors]
     data = [f"CAMERA {image.camera} {image.number}" for image in records.images]
-    frame = ["1 1", _joined([*first.wxyz, *first.translation]), str(len(data)), *data]
+    frame = ["1 1", _join_numbers([*first.wxyz, *first.translation]), str(len(data)), *data]
     return {
         "cameras.txt": _file("CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", cameras),
         "images.txt": _file(
@@ -81,5 +85,5 @@ def _file(what: str, lines: list[str]) -> str:
     return f"# {what}\n" + "".join(f"{line}\n" for line in lines)
 
 
-def _joined(numbers: list[float]) -> str:
+def _join_numbers(numbers: list[float]) -> str:
     return " ".join(map(repr, numbers))

@@ -22,13 +22,14 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format, Lenses
-from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.losses import PIXEL_PITCH
-from trinoc.io.formats.motions import chained, inverse, motion
-from trinoc.io.formats.text_files import block_of, read_text
+from trinoc.io.formats.motions import chain_motions, inverse, motion
+from trinoc.io.formats.text_files import make_block
 from trinoc.io.formats.yaml_text import scalar_or_list
 from trinoc.io.json_document import Block
-from trinoc.io.rig_json import covariance_of
+from trinoc.io.rig_json import parse_covariance
+from trinoc.io.whole_files import read_text
 
 TITLE = "OpenCV's FileStorage"
 # cv2.projectPoints takes 4, 5, 8, 12 or 14 coefficients in this order.
@@ -70,7 +71,7 @@ def read_opencv(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intr
     """A lens, where the file has no poses; a rig otherwise."""
     document = read_storage(path)
     if "cameras" in document.values:
-        return _listed(document, unit_mm)
+        return _list_cameras(document, unit_mm)
     for keys in _STEREO:
         if keys[0] in document.values:
             return _pair(document, keys, unit_mm)
@@ -82,7 +83,7 @@ def read_opencv(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intr
 
 
 def _lens_to_map(lens: Intrinsics, camera: str) -> dict[str, Any]:
-    numbers = numbers_of(lens, WRITTEN, TITLE, camera)
+    numbers = list_lens_numbers(lens, WRITTEN, TITLE, camera)
     return {
         "image_width": lens.image_size_px[0],
         "image_height": lens.image_size_px[1],
@@ -103,7 +104,7 @@ def _stereo(rig: Rig, cameras: list[dict[str, Any]], unit_mm: float) -> dict[str
     if len(cameras) != 2 or any("fisheye_model" in camera for camera in cameras):
         return {}
     poses = [np.asarray(camera.cam_from_world) for camera in rig.cameras]
-    second_from_first = chained(poses[1], inverse(poses[0]))
+    second_from_first = chain_motions(poses[1], inverse(poses[0]))
     return {
         "M1": cameras[0]["camera_matrix"],
         "D1": cameras[0]["distortion_coefficients"],
@@ -123,7 +124,7 @@ def _covariance(rig: Rig) -> dict[str, Any]:
     return {"covariance": {"parameters": list(rig.parameters), "matrix": matrix}}
 
 
-def _listed(document: Block, unit_mm: float) -> Rig:
+def _list_cameras(document: Block, unit_mm: float) -> Rig:
     entries = document.values["cameras"]
     if not isinstance(entries, list) or not entries:
         raise document.error("cameras", "must be a list of cameras: add one at least.")
@@ -136,7 +137,7 @@ def _listed(document: Block, unit_mm: float) -> Rig:
             raise block.error("name", f'is "{name}" as of a camera before it: rename one.')
         lens = _lens_from_map(block, "camera_matrix", "distortion_coefficients")
         cameras[name] = Camera(lens, Pose(_pose(block, unit_mm)))
-    parameters, covariance = covariance_of(document, cameras)
+    parameters, covariance = parse_covariance(document, cameras)
     return Rig(cameras, parameters=parameters, covariance=covariance)
 
 
@@ -168,7 +169,7 @@ def _lens_from_map(block: Block, matrix_key: str, distortion_key: str) -> Intrin
     numbers = LensNumbers(
         called, (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2]), 0.0, coefficients
     )
-    return lens_of(numbers, size, READ, block.file)
+    return make_lens(numbers, size, READ, block.file)
 
 
 opencv = Format(
@@ -209,7 +210,7 @@ def read_storage(path: Path) -> Block:
         ) from error
     finally:
         cv2.utils.logging.setLogLevel(level)
-    return block_of(values, path)
+    return make_block(values, path)
 
 
 def _plain(node: Any) -> Any:

@@ -17,7 +17,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import expect_place
-from trinoc.io.formats.losses import COVARIANCE, LOSSES, lost_of
+from trinoc.io.formats.losses import COVARIANCE, LOSSES, say_losses
 from trinoc.io.usable_cameras import expect_apart, expect_lens
 from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
@@ -80,7 +80,7 @@ class Format:
         than it knows, and for a name with another ending.
         """
         value = _plain(value)
-        kind = _kind_of(value)
+        kind = _find_kind(value)
         if kind not in self.kinds:
             words = {"rig": "a rig", "lens": "a lens"}
             words |= {each.KIND: each.IN_WORDS for each in (Matches, Segments, *FEATURES)}
@@ -122,11 +122,11 @@ class Format:
             raise InputError(f"{source} does not exist: check the name.")
         value = self.read(source, self._unit(unit_mm), lenses)
         _expect_usable(value, source)
-        return value if names is None else _renamed(value, tuple(names), source)
+        return value if names is None else _rename_cameras(value, tuple(names), source)
 
     def lost(self, value: object) -> tuple[str, ...]:
         """What of this value the format cannot hold, in words; projections stay the same."""
-        lost = lost_of(_plain(value), self.loses)
+        lost = say_losses(_plain(value), self.loses)
         of_lens = isinstance(value, IntrinsicsResult) and value.covariance is not None
         return (LOSSES[COVARIANCE], *lost) if of_lens else lost
 
@@ -153,7 +153,7 @@ def expect_new_folder(target: Path) -> None:
         raise InputError(f"The folder {target.parent} does not exist: create it first.")
 
 
-def _kind_of(value: object) -> str:
+def _find_kind(value: object) -> str:
     match value:
         case Rig():
             return "rig"
@@ -208,7 +208,7 @@ def _expect_usable(value: object, source: Path) -> None:
             expect_lens(value, f"{source}: the lens")
 
 
-def _renamed(value: object, names: tuple[str, ...], source: Path) -> Rig:
+def _rename_cameras(value: object, names: tuple[str, ...], source: Path) -> Rig:
     if not isinstance(value, Rig):
         raise InputError(f"{source} holds no cameras with names: leave the names out.")
     if len(names) != len(value) or len(set(names)) < len(names) or not all(names):

@@ -16,9 +16,9 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format, Lenses
-from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.losses import COVARIANCE, NAMES, PIXEL_PITCH, WORLD
-from trinoc.io.formats.motions import chained, from_homogeneous, homogeneous, inverse
+from trinoc.io.formats.motions import chain_motions, from_homogeneous, homogeneous, inverse
 from trinoc.io.formats.yaml_text import read_yaml, yaml_text
 from trinoc.io.json_document import Block
 
@@ -35,11 +35,11 @@ def write_kalibr(rig: Rig, path: Path, unit_mm: float) -> None:
     """Write the chain, in metres."""
     document, before = {}, None
     for number, (name, camera) in enumerate(rig.items()):
-        numbers = numbers_of(camera.intrinsics, ROWS, TITLE, name)
+        numbers = list_lens_numbers(camera.intrinsics, ROWS, TITLE, name)
         entry: dict[str, Any] = {}
         pose = np.asarray(camera.cam_from_world)
         if before is not None:
-            entry["T_cn_cnm1"] = homogeneous(chained(pose, inverse(before)), unit_mm).tolist()
+            entry["T_cn_cnm1"] = homogeneous(chain_motions(pose, inverse(before)), unit_mm).tolist()
         entry |= {
             "camera_model": "pinhole",
             "distortion_coeffs": numbers.coefficients,
@@ -66,7 +66,7 @@ def read_kalibr(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
         if number:
             step = block.numbers("T_cn_cnm1", (4, 4))
             where = f'{document.file}: "{name}.T_cn_cnm1"'
-            pose = chained(from_homogeneous(step, unit_mm, where), pose)
+            pose = chain_motions(from_homogeneous(step, unit_mm, where), pose)
         cameras[name] = Camera(_lens(block), Pose(pose))
     return Rig(cameras)
 
@@ -84,7 +84,7 @@ def _lens(block: Block) -> Intrinsics:
         raise block.error("distortion_coeffs", f"must be the four of {called}.")
     numbers = LensNumbers(called, (fx, fy), (cx, cy), 0.0, coefficients)
     where = f'{block.file}: "{block.place}"'
-    return lens_of(numbers, block.image_size_px("resolution"), ROWS, where)
+    return make_lens(numbers, block.image_size_px("resolution"), ROWS, where)
 
 
 kalibr = Format(

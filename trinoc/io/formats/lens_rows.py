@@ -42,12 +42,12 @@ class LensNumbers(NamedTuple):
     coefficients: list[float]
 
 
-def cameras_of(rig: Rig) -> dict[str, Intrinsics]:
+def list_lenses(rig: Rig) -> dict[str, Intrinsics]:
     """The lens of each camera."""
     return {name: camera.intrinsics for name, camera in rig.items()}
 
 
-def numbers_of(
+def list_lens_numbers(
     lens: Intrinsics,
     rows: Sequence[LensRow],
     title: str,
@@ -105,7 +105,7 @@ def numbers_of(
     )
 
 
-def lens_of(
+def make_lens(
     numbers: LensNumbers,
     image_size_px: tuple[int, int],
     rows: Sequence[LensRow],

@@ -24,18 +24,18 @@ def write_limap(matches: Matches, path: Path, unit_mm: float) -> None:
             images = np.flatnonzero(matches.index[track] >= 0)
             fragments = matches.fragments_px[track, images].reshape(-1, 4) + HALF_PX
             lines = [
-                _joined(ends.ravel()),
+                _join_numbers(ends.ravel()),
                 f"{len(images)} {len(images)}",
-                f"image_id_list {_joined(images)}",
-                f"line_id_list {_joined(matches.index[track, images])}",
+                f"image_id_list {_join_numbers(images)}",
+                f"line_id_list {_join_numbers(matches.index[track, images])}",
                 "line2d_list",
-                *map(_joined, fragments),
+                *map(_join_numbers, fragments),
                 "END",
             ]
             write_text(folder / f"track_{track}.txt", "\n".join(lines) + "\n")
 
 
-def _joined(numbers: np.ndarray) -> str:
+def _join_numbers(numbers: np.ndarray) -> str:
     return " ".join(map(repr, numbers.tolist()))
 
 

@@ -26,7 +26,7 @@ LOSSES = {
 }
 
 
-def lost_of(value: object, loses: tuple[str, ...]) -> tuple[str, ...]:
+def say_losses(value: object, loses: tuple[str, ...]) -> tuple[str, ...]:
     """Of `loses`, in words, what this value really has."""
     return tuple(LOSSES[loss] for loss in loses if _has(value, loss))
 

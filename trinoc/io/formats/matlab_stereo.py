@@ -24,12 +24,13 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import atomic_write
 from trinoc.io.formats.format import Format, Lenses
-from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.losses import PIXEL_PITCH
-from trinoc.io.formats.motions import chained, from_homogeneous, homogeneous, inverse, motion
-from trinoc.io.formats.text_files import MOST_BYTES, block_of, read_bytes
+from trinoc.io.formats.motions import chain_motions, from_homogeneous, homogeneous, inverse, motion
+from trinoc.io.formats.text_files import make_block
 from trinoc.io.json_document import Block
-from trinoc.io.rig_json import covariance_of
+from trinoc.io.rig_json import parse_covariance
+from trinoc.io.whole_files import MOST_BYTES, read_bytes
 
 TITLE = "MATLAB's stereoParameters"
 FIRST_PX = 1.0
@@ -49,7 +50,7 @@ def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
         "cam1_from_world": homogeneous(poses[0], unit_mm),
     }
     for number in range(2, len(rig) + 1):
-        second_from_first = chained(poses[number - 1], inverse(poses[0]))
+        second_from_first = chain_motions(poses[number - 1], inverse(poses[0]))
         name = VARIABLE if len(rig) == 2 else f"{VARIABLE}_{number}"
         variables[name] = {
             "CameraParameters1": lenses[0],
@@ -67,7 +68,7 @@ def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
 def read_matlab(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     """The rig of one or several structs of stereoParameters; without `cam1_from_world` the world
     is the first camera."""
-    document = block_of(mat_variables(path), path)
+    document = make_block(mat_variables(path), path)
     pairs = [name for name in document.values if name.startswith(VARIABLE)]
     if not pairs:
         raise document.error(VARIABLE, "is missing: save toStruct(stereoParams) under that name.")
@@ -84,7 +85,7 @@ def read_matlab(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
         rotation = block.numbers("RotationOfCamera2", (3, 3)).T
         translation = block.numbers("TranslationOfCamera2", (1, 3))[0] * unit_mm
         where = f'{path}: "{block.place}.RotationOfCamera2"'
-        pose = chained(motion(rotation, translation, where), first_pose)
+        pose = chain_motions(motion(rotation, translation, where), first_pose)
         cameras.append(Camera(_lens(block.block("CameraParameters2")), Pose(pose)))
     names = [f"camera{number}" for number in range(1, len(cameras) + 1)]
     if "camera_names" in document.values:
@@ -92,12 +93,12 @@ def read_matlab(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
         if len(set(names)) != len(cameras):
             raise document.error("camera_names", f"must be {len(cameras)} different names.")
     named = dict(zip(names, cameras, strict=True))
-    parameters, covariance = covariance_of(document, named)
+    parameters, covariance = parse_covariance(document, named)
     return Rig(named, parameters=parameters, covariance=covariance)
 
 
 def _to_struct(lens: Intrinsics, camera: str) -> dict[str, Any]:
-    numbers = numbers_of(lens, ROWS, TITLE, camera, origin_px=FIRST_PX, skew=True)
+    numbers = list_lens_numbers(lens, ROWS, TITLE, camera, origin_px=FIRST_PX, skew=True)
     (fx, fy), (cx, cy) = numbers.focal_px, numbers.centre_px
     radial, tangential = numbers.coefficients[:3], numbers.coefficients[3:]
     terms = 3 if radial[2] else 2
@@ -134,7 +135,7 @@ def _lens(block: Block) -> Intrinsics:
     numbers = LensNumbers(
         "", (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2]), matrix[0, 1], coefficients
     )
-    return lens_of(numbers, size_px, ROWS, f'{block.file}: "{block.place}"', origin_px=FIRST_PX)
+    return make_lens(numbers, size_px, ROWS, f'{block.file}: "{block.place}"', origin_px=FIRST_PX)
 
 
 def _alike(lens: Intrinsics, other: Intrinsics) -> bool:
@@ -199,7 +200,7 @@ def mat_variables(path: Path) -> dict[str, Any]:
         while body:
             kind, data, body = _element(body)
             if kind == COMPRESSED:
-                kind, data, _ = _element(_unpacked(data))
+                kind, data, _ = _element(_unpack(data))
             if kind == MATRIX:
                 name, value = _matrix(data, 0)
                 variables[name] = value
@@ -228,7 +229,7 @@ def _element(content: bytes) -> tuple[int, bytes, bytes]:
     return kind, content[start : start + size], content[end:]
 
 
-def _unpacked(data: bytes) -> bytes:
+def _unpack(data: bytes) -> bytes:
     stream = zlib.decompressobj()
     content = stream.decompress(data, MOST_BYTES)
     if stream.unconsumed_tail:

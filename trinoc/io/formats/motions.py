@@ -53,7 +53,7 @@ def homogeneous(pose: Float[np.ndarray, "3 4"], unit_mm: float = 1.0) -> Float[n
     return matrix
 
 
-def chained(
+def chain_motions(
     second: Float[np.ndarray, "3 4"], first: Float[np.ndarray, "3 4"]
 ) -> Float[np.ndarray, "3 4"]:
     """The motion that does `first` and then `second`."""

@@ -18,11 +18,12 @@ from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.folders import atomic_folder
 from trinoc.io.formats.format import Format, Lenses
-from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
 from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
-from trinoc.io.formats.text_files import block_of, expect_file_name, read_text
+from trinoc.io.formats.text_files import expect_file_name, make_block
 from trinoc.io.json_document import Block
+from trinoc.io.whole_files import read_text
 
 TITLE = "mrcal's .cameramodel"
 ENDING = ".cameramodel"
@@ -65,7 +66,7 @@ def read_mrcal(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intri
 
 
 def _text(lens: Intrinsics, pose: np.ndarray, camera: str, unit_mm: float) -> str:
-    numbers = numbers_of(lens, ROWS, TITLE, camera)
+    numbers = list_lens_numbers(lens, ROWS, TITLE, camera)
     intrinsics = [*numbers.focal_px, *numbers.centre_px, *numbers.coefficients]
     extrinsics = [*rotation_vector(pose[:, :3]).tolist(), *(pose[:, 3] / unit_mm).tolist()]
     return (
@@ -81,7 +82,7 @@ def _text(lens: Intrinsics, pose: np.ndarray, camera: str, unit_mm: float) -> st
 
 
 def _camera(path: Path, unit_mm: float) -> Camera:
-    block = _parsed(path)
+    block = _parse_literal(path)
     intrinsics = block.numbers("intrinsics", (None,)).tolist()
     if len(intrinsics) < 4:
         raise block.error("intrinsics", "must begin with fx, fy, cx, cy: correct it.")
@@ -89,7 +90,7 @@ def _camera(path: Path, unit_mm: float) -> Camera:
     numbers = LensNumbers(
         called, (intrinsics[0], intrinsics[1]), (intrinsics[2], intrinsics[3]), 0.0, intrinsics[4:]
     )
-    lens = lens_of(numbers, block.image_size_px("imagersize"), ROWS, str(path))
+    lens = make_lens(numbers, block.image_size_px("imagersize"), ROWS, str(path))
     key = next((key for key in POSE_KEYS if key in block.values), POSE_KEYS[0])
     vector = block.numbers(key, (6,))
     where = f'{path}: "{key}"'
@@ -97,7 +98,7 @@ def _camera(path: Path, unit_mm: float) -> Camera:
     return Camera(lens, Pose(pose))
 
 
-def _parsed(path: Path) -> Block:
+def _parse_literal(path: Path) -> Block:
     """The literal of a file: nothing in it is run."""
     try:
         values = ast.literal_eval(read_text(path))
@@ -105,7 +106,7 @@ def _parsed(path: Path) -> Block:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path} is no {ENDING} of mrcal: give another file.") from error
-    block = block_of(values, path)
+    block = make_block(values, path)
     # The optimization inputs are binary; nothing here reads them.
     plain = {key: _lists(value) for key, value in values.items() if isinstance(key, str)}
     return Block({k: v for k, v in plain.items() if not isinstance(v, bytes)}, block.file, "")

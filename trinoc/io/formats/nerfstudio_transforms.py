@@ -18,7 +18,7 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format, Lenses
-from trinoc.io.formats.lens_rows import LensNumbers, LensRow, lens_of, numbers_of
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
 from trinoc.io.formats.motions import from_homogeneous, homogeneous, inverse
 from trinoc.io.formats.text_files import expect_file_name, read_json
@@ -41,7 +41,7 @@ def write_nerfstudio(rig: Rig, path: Path, unit_mm: float) -> None:
     """Write the frames."""
     frames = []
     for name, camera in rig.items():
-        numbers = numbers_of(camera.intrinsics, ROWS, TITLE, name, origin_px=HALF_PX)
+        numbers = list_lens_numbers(camera.intrinsics, ROWS, TITLE, name, origin_px=HALF_PX)
         world_from_cam = homogeneous(inverse(np.asarray(camera.cam_from_world)), unit_mm)
         row = next(row for row in ROWS if row.called == numbers.called)
         frames.append(
@@ -96,7 +96,7 @@ def _lens(block: Block) -> Intrinsics:
     )
     size = Block({"size": [block.number("w"), block.number("h")]}, block.file, block.place)
     where = f'{block.file}: "{block.place}"'
-    return lens_of(numbers, size.image_size_px("size"), ROWS, where, origin_px=HALF_PX)
+    return make_lens(numbers, size.image_size_px("size"), ROWS, where, origin_px=HALF_PX)
 
 
 nerfstudio = Format(

@@ -32,7 +32,7 @@ def write_ply(value: Matches | Feature, path: Path, unit_mm: float) -> None:
     edges: dict[str, np.ndarray] = dict(zip(("vertex1", "vertex2"), wires.pairs.T, strict=True))
     if len(wires.owner) != len(value):
         edges |= {value.KIND.removesuffix("s"): wires.owner}
-    edges |= {name: column[wires.owner] for name, column in _known(value).items()}
+    edges |= {name: column[wires.owner] for name, column in _number_columns(value).items()}
     elements = (
         _element("vertex", columns_in_unit(vertices, unit_mm)),
         _faces([loop.tolist() for loop in wires.loops]),
@@ -45,7 +45,7 @@ def write_ply(value: Matches | Feature, path: Path, unit_mm: float) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _known(value: Matches | Feature) -> dict[str, np.ndarray]:
+def _number_columns(value: Matches | Feature) -> dict[str, np.ndarray]:
     """The numbers of each row that are no words and not of pictures."""
     columns = value.named_columns(brief=not isinstance(value, Matches))
     if isinstance(value, Matches):

@@ -17,7 +17,13 @@ from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.folders import atomic_folder
 from trinoc.io.formats.format import Format, Lenses
-from trinoc.io.formats.lens_rows import LensNumbers, LensRow, cameras_of, lens_of, numbers_of
+from trinoc.io.formats.lens_rows import (
+    LensNumbers,
+    LensRow,
+    list_lens_numbers,
+    list_lenses,
+    make_lens,
+)
 from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
 from trinoc.io.formats.tf_static import METRE_MM, read_tf, write_tf
 from trinoc.io.formats.yaml_text import read_yaml, yaml_text
@@ -43,7 +49,7 @@ def write_ros(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
         return
     for name in value:
         expect_ros_name(name)
-    texts = {name: _text(lens, name) for name, lens in cameras_of(value).items()}
+    texts = {name: _text(lens, name) for name, lens in list_lenses(value).items()}
     with atomic_folder(path) as folder:
         for name, text in texts.items():
             write_text(folder / f"{name}.yaml", text)
@@ -72,7 +78,7 @@ def expect_ros_name(name: str) -> None:
 
 
 def _text(lens: Intrinsics, camera: str) -> str:
-    numbers = numbers_of(lens, ROWS, TITLE, camera)
+    numbers = list_lens_numbers(lens, ROWS, TITLE, camera)
     (fx, fy), (cx, cy) = numbers.focal_px, numbers.centre_px
     matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
     document = {
@@ -112,7 +118,7 @@ def _lens(path: Path) -> Intrinsics:
         document.text("distortion_model"), (fx, fy), (cx, cy), 0.0, coefficients.tolist()
     )
     size_px = Block({"size": size}, document.file, "").image_size_px("size")
-    return lens_of(numbers, size_px, ROWS, str(path))
+    return make_lens(numbers, size_px, ROWS, str(path))
 
 
 ros = Format(

@@ -5,31 +5,21 @@ import re
 from typing import Any
 
 from trinoc.errors import InputError
-from trinoc.io import whole_files
 from trinoc.io.json_document import Block
 from trinoc.io.json_text import parsed_json
+from trinoc.io.whole_files import read_text
 
-# No calibration is longer. A model of thousands of pictures is, with what they show.
-MOST_BYTES, MOST_BYTES_OF_MODEL = 16_000_000, 1_000_000_000
-
-
-def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
-    """The content of a file. Raises InputError where it is missing, unreadable or huge."""
-    return whole_files.read_bytes(path, most)
-
-
-def read_text(path: str | os.PathLike[str], most: int = MOST_BYTES) -> str:
-    """The text of a file. Raises InputError, also for what is no UTF-8."""
-    return whole_files.read_text(path, most)
+# A model of thousands of pictures, with what they show.
+MOST_BYTES_OF_MODEL = 1_000_000_000
 
 
 def read_json(path: str | os.PathLike[str]) -> Block:
     """The object of a JSON file. Raises InputError for other content and for a key given twice."""
     values = parsed_json(read_text(path), path)
-    return block_of(values, path)
+    return make_block(values, path)
 
 
-def block_of(values: Any, path: str | os.PathLike[str]) -> Block:
+def make_block(values: Any, path: str | os.PathLike[str]) -> Block:
     """A parsed object with the file's name, for checks. Raises InputError for anything else."""
     if not isinstance(values, dict):
         raise InputError(f"{path} holds no named values: give another file.")

@@ -21,7 +21,7 @@ from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import Format, Lenses
 from trinoc.io.formats.losses import COVARIANCE, LENSES
 from trinoc.io.formats.motions import (
-    chained,
+    chain_motions,
     inverse,
     motion,
     quaternion_wxyz,
@@ -60,11 +60,11 @@ def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     document = read_json(path) if path.suffix.lower() == ".json" else read_yaml(path)
     parents = _parents(document, unit_mm)
     cameras, roots = {}, set()
-    for name, frame in _frames_of(lenses, parents, path).items():
+    for name, frame in _find_frames(lenses, parents, path).items():
         world_from_cam = np.eye(3, 4)
         for _ in parents:
             frame, parent_from_frame = parents[frame]
-            world_from_cam = chained(parent_from_frame, world_from_cam)
+            world_from_cam = chain_motions(parent_from_frame, world_from_cam)
             if frame not in parents:
                 break
         else:
@@ -79,7 +79,7 @@ def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     return Rig(cameras)
 
 
-def _frames_of(lenses: Lenses, parents: Collection[str], path: Path) -> dict[str, str]:
+def _find_frames(lenses: Lenses, parents: Collection[str], path: Path) -> dict[str, str]:
     """The frame of each camera, in the order of the file."""
     frames = {}
     for name in lenses:

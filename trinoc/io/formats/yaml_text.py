@@ -5,8 +5,12 @@ import os
 from typing import Any
 
 from trinoc.errors import InputError
-from trinoc.io.formats.text_files import block_of, read_text
+from trinoc.io.formats.text_files import make_block
 from trinoc.io.json_document import Block
+from trinoc.io.whole_files import read_text
+
+# Parsing takes some hundred times as long as reading.
+MOST_BYTES_OF_YAML = 16_000_000
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Block:
@@ -22,7 +26,7 @@ def read_yaml(path: str | os.PathLike[str]) -> Block:
         raise InputError(
             f"{path} is YAML, which needs ruamel.yaml: pip install 'trinoc[export]'."
         ) from error
-    text = read_text(path)
+    text = read_text(path, MOST_BYTES_OF_YAML)
     parser = YAML(typ="safe", pure=True)
     try:
         for event in parser.parse(text):
@@ -38,7 +42,7 @@ def read_yaml(path: str | os.PathLike[str]) -> Block:
         mark = getattr(error, "problem_mark", None)
         line = "" if mark is None else f" (line {mark.line + 1}: {getattr(error, 'problem', '')})"
         raise InputError(f"{path} is not YAML{line}: correct it there.") from error
-    return block_of(_only_json(values, path), path)
+    return make_block(_only_json(values, path), path)
 
 
 def yaml_text(values: Any, indent: str = "") -> str:

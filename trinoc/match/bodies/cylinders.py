@@ -18,7 +18,7 @@ from trinoc.numerics.table_checks import (
     SEGMENT_NUMBER,
     check_number,
 )
-from trinoc.numerics.tables import Check, Column
+from trinoc.numerics.tables import Column, ColumnCheck
 from trinoc.numerics.vectors import complete_axes
 
 _ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
@@ -76,7 +76,7 @@ class Cylinders(Feature):
     segment: Annotated[Int[np.ndarray, "m"], Column(SEGMENT_NUMBER)]
     side: Annotated[
         Int[np.ndarray, "m"],
-        Column(Check("is no side", lambda side, _: np.abs(side) == 1)),
+        Column(ColumnCheck("is no side", lambda side, _: np.abs(side) == 1)),
     ]
     silhouette: Annotated[Float[np.ndarray, "t"], Column(PROBABILITY)]
     counts: dict[str, int]

@@ -17,7 +17,7 @@ from trinoc.numerics.table_checks import (
     SEGMENT_NUMBER,
     check_number,
 )
-from trinoc.numerics.tables import Check, Column
+from trinoc.numerics.tables import Column, ColumnCheck
 
 _CENTRE, _NORMAL = ("x_mm", "y_mm", "z_mm"), ("normal_x", "normal_y", "normal_z")
 # numerical: what rounding leaves of the length of a normal, and of a share.
@@ -59,7 +59,7 @@ class Rims(Feature):
     views: Annotated[
         tuple[str, ...],
         Column(
-            Check(
+            ColumnCheck(
                 "are not those of the matches",
                 lambda views, table: views == table.values["matches"].views,
             ),
@@ -70,7 +70,7 @@ class Rims(Feature):
     normal: Annotated[
         Float[np.ndarray, "c 3"],
         Column(
-            Check(
+            ColumnCheck(
                 "is no unit vector",
                 lambda normal, _: np.abs(np.linalg.norm(normal, axis=1) - 1) < _ROUNDING,
             ),
@@ -83,7 +83,9 @@ class Rims(Feature):
     ]
     covered: Annotated[
         Float[np.ndarray, "c"],
-        Column(Check("is no share", lambda share, _: (share >= 0) & (share <= 1 + _OF_SHARE))),
+        Column(
+            ColumnCheck("is no share", lambda share, _: (share >= 0) & (share <= 1 + _OF_SHARE))
+        ),
     ]
     rim: Annotated[Int[np.ndarray, "m"], Column(check_number("c", "is no rim"))]
     view: Annotated[Int[np.ndarray, "m"], Column(check_number("v", "is no view"))]
@@ -92,7 +94,7 @@ class Rims(Feature):
     kept: Annotated[
         Int[np.ndarray, "k"],
         Column(
-            Check(
+            ColumnCheck(
                 "is no track",
                 lambda kept, table: (kept >= 0) & (len(kept) <= len(table.values["matches"])),
             )

@@ -23,8 +23,8 @@ from trinoc.numerics.table_checks import (
     is_covariance,
 )
 from trinoc.numerics.tables import (
-    Check,
     Column,
+    ColumnCheck,
     Content,
     Table,
 )
@@ -128,7 +128,7 @@ class Matches(Displayable, Table):
     views: Annotated[
         tuple[str, ...],
         Column(
-            Check(
+            ColumnCheck(
                 "must be two or more different ones",
                 lambda views, _: len(set(views)) >= max(len(views), 2),
             ),
@@ -138,18 +138,20 @@ class Matches(Displayable, Table):
     index: Annotated[
         Int[np.ndarray, "t v"],
         Column(
-            Check(
+            ColumnCheck(
                 "names a segment that is not there",
                 lambda index, table: (index >= -1) & (index < _segments_of_views(table)),
             ),
-            Check("names fewer than two segments", lambda index, _: (index >= 0).sum(axis=1) >= 2),
+            ColumnCheck(
+                "names fewer than two segments", lambda index, _: (index >= 0).sum(axis=1) >= 2
+            ),
             parts=lambda matches: [f"{view}_segment" for view in matches.views],
         ),
     ]
     fragments_px: Annotated[
         Float[np.ndarray, "t v 2 2"],
         Column(
-            Check(
+            ColumnCheck(
                 "is no part of a segment where one is seen, or one where none is",
                 lambda ends, table: np.where(
                     _is_seen(table)[..., None, None], np.abs(ends) < LARGEST_PX, np.isnan(ends)
@@ -165,7 +167,7 @@ class Matches(Displayable, Table):
     stage: Annotated[
         Shaped[np.ndarray, "t"],
         Column(
-            Check(
+            ColumnCheck(
                 f"is not {TRINOCULAR} or {BINOCULAR} as its views say",
                 lambda stage, table: (
                     stage == np.where(_is_seen(table).sum(axis=1) > 2, TRINOCULAR, BINOCULAR)
@@ -178,7 +180,7 @@ class Matches(Displayable, Table):
     reasons: Annotated[
         dict[str, Shaped[np.ndarray, "_"]],
         Column(
-            Check(
+            ColumnCheck(
                 "are not those of the views",
                 lambda reasons, table: set(reasons) == set(table.values["views"]),
             )
@@ -187,21 +189,24 @@ class Matches(Displayable, Table):
     counts: dict[str, int]
     fragments_covariance_px2: Annotated[
         Float[np.ndarray, "t v 4 4"] | None,
-        Column(Check("is no covariance where a view sees the line", _are_covariances_where_seen)),
+        Column(
+            ColumnCheck("is no covariance where a view sees the line", _are_covariances_where_seen)
+        ),
     ] = None
     misfit: Annotated[Float[np.ndarray, "t"] | None, Column(CHI_SQUARE)] = None
     viewpoint_dependent: Bool[np.ndarray, "t"] | None = None
     noise_scale: Annotated[
-        float, Column(Check("is no scale", lambda scale, _: 0 < scale < np.inf))
+        float, Column(ColumnCheck("is no scale", lambda scale, _: 0 < scale < np.inf))
     ] = eqx.field(static=True, default=1.0)
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     noise_tail: Annotated[
-        float, Column(Check("is no tail", lambda tail, _: 0 <= tail < np.inf))
+        float, Column(ColumnCheck("is no tail", lambda tail, _: 0 <= tail < np.inf))
     ] = eqx.field(static=True, default=0.0)
     marks: Annotated[
         dict[str, Shaped[np.ndarray, "..."]],
         Column(
-            Check("are no truth values, probabilities or words of tracks", _are_marks), beside=True
+            ColumnCheck("are no truth values, probabilities or words of tracks", _are_marks),
+            beside=True,
         ),
     ] = field(default_factory=dict)
 

@@ -18,8 +18,8 @@ from trinoc.numerics.table_checks import (
     is_covariance,
 )
 from trinoc.numerics.tables import (
-    Check,
     Column,
+    ColumnCheck,
     Content,
     Table,
 )
@@ -110,8 +110,8 @@ class Wireframe(Feature):
     part: Annotated[
         Int[np.ndarray, "n"],
         Column(
-            Check("is no part", lambda part, _: part >= 0),
-            Check(
+            ColumnCheck("is no part", lambda part, _: part >= 0),
+            ColumnCheck(
                 "leaves a part without a vertex",
                 lambda part, _: (np.bincount(part) > 0).all(),
             ),
@@ -120,7 +120,7 @@ class Wireframe(Feature):
     joint_covariance_mm2: Annotated[
         tuple[Float[np.ndarray, "_ _"], ...],
         Column(
-            Check(
+            ColumnCheck(
                 "is no covariance",
                 lambda blocks, _: [bool(is_covariance(block[None])[0]) for block in blocks],
             ),

@@ -16,7 +16,7 @@ from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.tables import Table
 from trinoc.report.colours import BLUE, GREEN, VERMILION
-from trinoc.report.notebook.tables import columns_of
+from trinoc.report.notebook.tables import list_columns
 from trinoc.report.numbers import with_decimals, with_sigma
 from trinoc.report.space_content import frusta, sheet_outlines
 
@@ -28,9 +28,9 @@ MOST_LINES = 400
 Strokes = list[tuple[list[np.ndarray], str]]
 
 
-def card(value: object) -> str:
+def make_card(value: object) -> str:
     """HTML that needs nothing but itself."""
-    brief = value.named_columns(brief=True) if isinstance(value, Table) else columns_of(value)
+    brief = value.named_columns(brief=True) if isinstance(value, Table) else list_columns(value)
     columns = {name: np.asarray(column) for name, column in brief.items()}
     picture = _svg(small_picture(value))
     return (

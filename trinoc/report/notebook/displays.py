@@ -3,10 +3,10 @@
 from typing import Any
 
 from trinoc.report.notebook.axes import plot_value
-from trinoc.report.notebook.cards import card
+from trinoc.report.notebook.cards import make_card
 from trinoc.report.notebook.extras import expect_extra
-from trinoc.report.notebook.figures import figure_of
-from trinoc.report.notebook.tables import columns_of
+from trinoc.report.notebook.figures import make_figure
+from trinoc.report.notebook.tables import list_columns
 
 
 class NotebookDisplays:
@@ -14,7 +14,7 @@ class NotebookDisplays:
 
     def html(self, value: Any) -> str:
         """A table and a small picture, as HTML."""
-        return card(value)
+        return make_card(value)
 
     def plot(self, value: Any, axes: Any, **options: Any) -> Any:
         """On axes of matplotlib, which are returned."""
@@ -22,16 +22,16 @@ class NotebookDisplays:
 
     def show(self, value: Any, **options: Any) -> Any:
         """A figure of plotly."""
-        return figure_of(value, **options)
+        return make_figure(value, **options)
 
     def to_frame(self, value: Any) -> Any:
         """A table of pandas."""
-        return frame_of(value)
+        return make_frame(value)
 
 
-def frame_of(value: object) -> Any:
+def make_frame(value: object) -> Any:
     """A DataFrame, a row for each item. Raises InputError where pandas is missing."""
     expect_extra("pandas", "notebook")
     import pandas
 
-    return pandas.DataFrame(columns_of(value))
+    return pandas.DataFrame(list_columns(value))

@@ -17,10 +17,10 @@ from trinoc.report.colours import BLACK, COLOUR_OF_ROLE
 from trinoc.report.features_part import features_figure
 from trinoc.report.notebook.extras import expect_extra
 from trinoc.report.space_content import frusta, polyline, sheet_outlines
-from trinoc.report.space_part import Layer, SpaceFigure, space_figure
+from trinoc.report.space_part import LineLayer, SpaceFigure, space_figure
 
 
-def figure_of(value: object, **options: Any) -> Any:
+def make_figure(value: object, **options: Any) -> Any:
     """A Figure of plotly. Raises InputError where plotly is missing."""
     expect_extra("plotly", "notebook")
     return _figure(value, **options)
@@ -57,8 +57,8 @@ def _(features: Feature, *, rig: Rig | None = None) -> Any:
 
 @_figure.register
 def _(result: RefineResult) -> Any:
-    lines = Layer("lines", "three", list(np.asarray(result.lines.ends_mm)))
-    return _in_space((lines, Layer("cameras", "cameras", frusta(result.rig))))
+    lines = LineLayer("lines", "three", list(np.asarray(result.lines.ends_mm)))
+    return _in_space((lines, LineLayer("cameras", "cameras", frusta(result.rig))))
 
 
 @_figure.register
@@ -86,7 +86,7 @@ def _(evaluation: Evaluation) -> Any:
     return go.Figure(traces, labels)
 
 
-def _in_space(layers: tuple[Layer, ...]) -> Any:
+def _in_space(layers: tuple[LineLayer, ...]) -> Any:
     import plotly.graph_objects as go
 
     traces = []

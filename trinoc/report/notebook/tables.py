@@ -17,12 +17,12 @@ Columns = dict[str, Any]
 
 
 @singledispatch
-def columns_of(value: object) -> Columns:
+def list_columns(value: object) -> Columns:
     """Names and values of columns, all of one length; degrees, mm and px as the names say."""
     raise TypeError(f"{type(value).__name__} has no table.")
 
 
-@columns_of.register
+@list_columns.register
 def _rig(rig: Rig) -> Columns:
     rows = [(name, parameter) for name in rig for parameter in shown_parameters(rig)]
     return {
@@ -33,13 +33,13 @@ def _rig(rig: Rig) -> Columns:
     }
 
 
-@columns_of.register
+@list_columns.register
 def _calibration(result: CalibrationResult) -> Columns:
     columns = _rig(result.rig)
     return {**columns, "status": [result.status[name].name for name in columns["camera"]]}
 
 
-@columns_of.register
+@list_columns.register
 def _refinement(result: RefineResult) -> Columns:
     sigmas = np.sqrt(np.maximum(np.diagonal(result.covariance), 0.0))
     return {
@@ -49,7 +49,7 @@ def _refinement(result: RefineResult) -> Columns:
     }
 
 
-@columns_of.register
+@list_columns.register
 def _pattern(pattern: Pattern) -> Columns:
     return {
         "x_mm": np.asarray(pattern.centres_mm)[:, 0],
@@ -59,11 +59,11 @@ def _pattern(pattern: Pattern) -> Columns:
     }
 
 
-@columns_of.register
+@list_columns.register
 def _table(table: Table) -> Columns:
     return table.named_columns()
 
 
-@columns_of.register
+@list_columns.register
 def _evaluation(evaluation: Evaluation) -> Columns:
     return {name: [value] for name, value in evaluation.record().items()}

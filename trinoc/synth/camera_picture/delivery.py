@@ -14,7 +14,7 @@ from trinoc.synth.camera_picture.sensor import BLACK, GREY_LEVELS, Mosaic, gain_
 class Response(Protocol):
     """A monotone curve through (0, 0) and (1, 1)."""
 
-    def encoded(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    def encode(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """The grey level of a signal from 0 to 1."""
         ...
 
@@ -22,7 +22,7 @@ class Response(Protocol):
 class Linear(eqx.Module):
     """An industrial camera."""
 
-    def encoded(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    def encode(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """The signal."""
         return signal
 
@@ -32,7 +32,7 @@ class Gamma(eqx.Module):
 
     gamma: float
 
-    def encoded(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    def encode(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """The power."""
         return signal ** (1 / self.gamma)
 
@@ -40,7 +40,7 @@ class Gamma(eqx.Module):
 class SRGB(eqx.Module):
     """IEC 61966-2-1: a power of 1 / 2.4 with a straight start."""
 
-    def encoded(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    def encode(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """The standard's curve."""
         power = 1.055 * np.maximum(signal, 0.0031308) ** (1 / 2.4) - 0.055
         return np.where(signal <= 0.0031308, 12.92 * signal, power)
@@ -55,9 +55,9 @@ class SCurve(eqx.Module):
     below: Response = SRGB()
     contrast: float = 0.4
 
-    def encoded(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    def encode(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """The response below, bent."""
-        x = self.below.encoded(signal)
+        x = self.below.encode(signal)
         return (1 - self.contrast) * x + self.contrast * x * x * (3 - 2 * x)
 
 
@@ -114,7 +114,7 @@ class NonLocalMeans(eqx.Module):
         return smooth.astype(np.float64) / _FULL * (1 + BLACK) - BLACK
 
 
-def denoised(
+def remove_noise(
     signal: Float[np.ndarray, "h w *channels"], denoiser: Denoiser | None
 ) -> Float[np.ndarray, "h w *channels"]:
     """The signal with less noise; as it is without a denoiser."""
@@ -134,7 +134,7 @@ _CODES = {
 }
 
 
-def demosaiced(
+def demosaic(
     signal: Float[np.ndarray, "h w"], mosaic: Mosaic, interpolation: Interpolation
 ) -> Float[np.ndarray, "h w 3"]:
     """Red, green and blue of each pixel, balanced so that white has equal parts.
@@ -177,20 +177,20 @@ class Processing(eqx.Module):
     jpeg_quality: int | None = None
 
 
-def delivered(
+def deliver_picture(
     signal: Float[np.ndarray, "h w"], mosaic: Mosaic | None, processing: Processing
 ) -> Shaped[np.ndarray, "h w *channels"]:
     """The picture, (h, w) grey or (h, w, 3) red, green, blue, of 8 bits or in 16."""
     colour = signal
     if mosaic is not None and processing.interpolation is not None:
-        colour = demosaiced(signal, mosaic, processing.interpolation)
-    linear = np.clip(denoised(colour, processing.denoiser), 0.0, 1.0)
-    grey = sharpened(processing.response.encoded(linear), processing.sharpening)
-    image = quantised(grey, processing.bits)
+        colour = demosaic(signal, mosaic, processing.interpolation)
+    linear = np.clip(remove_noise(colour, processing.denoiser), 0.0, 1.0)
+    grey = sharpen(processing.response.encode(linear), processing.sharpening)
+    image = quantise(grey, processing.bits)
     return image if processing.jpeg_quality is None else jpeg(image, processing.jpeg_quality)
 
 
-def sharpened(
+def sharpen(
     grey: Float[np.ndarray, "h w *channels"], sharpening: Sharpening | None
 ) -> Float[np.ndarray, "h w *channels"]:
     """The picture with its edges lifted; as it is without sharpening."""
@@ -200,7 +200,7 @@ def sharpened(
     return grey + sharpening.amount * (grey - soft)
 
 
-def quantised(
+def quantise(
     grey: Float[np.ndarray, "h w *channels"], bits: int
 ) -> Shaped[np.ndarray, "h w *channels"]:
     """Grey levels from 0 to 1 as whole numbers from 0 to 2^bits - 1, uint8 or uint16."""

@@ -57,7 +57,7 @@ class Paint(eqx.Module):
         cells: bool = False,
     ) -> Float[np.ndarray, "*n"]:
         """The figure's grey where it lies, what was below elsewhere."""
-        share = covered(self.shape, points_mm, cells=cells)
+        share = coverage_share(self.shape, points_mm, cells=cells)
         return grey + share * (self.grey - grey)
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
@@ -65,7 +65,7 @@ class Paint(eqx.Module):
         return self.shape.outline_mm(step_mm)
 
 
-def card(
+def cover_card(
     centre_mm: Sequence[float] | np.ndarray,
     *,
     turn_deg: float = 0.0,
@@ -92,7 +92,7 @@ def finger(
     return Paint(Capsule(ends, width_mm / 2), grey)
 
 
-def covered(
+def coverage_share(
     shape: Shape, points_mm: Float[np.ndarray, "*n 2"], *, cells: bool
 ) -> Float[np.ndarray, "*n"]:
     """Share that a figure covers of the cells round points, see `Layer.over`, or of the points."""

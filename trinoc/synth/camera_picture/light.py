@@ -56,7 +56,7 @@ class Shadow(eqx.Module):
         return np.array([np.cos(angle), np.sin(angle)])
 
 
-class Lamp(eqx.Module):
+class GlareLamp(eqx.Module):
     """A lamp whose reflection the sheet shows, in paper and ink alike.
 
     Fields
@@ -73,7 +73,7 @@ class Lamp(eqx.Module):
     strength: float = 0.5
 
 
-class Light(eqx.Module):
+class Illumination(eqx.Module):
     """Light as it differs over the sheet and over the picture.
 
     Fields
@@ -88,11 +88,13 @@ class Light(eqx.Module):
     slope: tuple[float, float] = (0.0, 0.0)
     curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
     vignetting: float = 0.0
-    lamp: Lamp | None = None
+    lamp: GlareLamp | None = None
     shadows: tuple[Shadow, ...] = ()
 
 
-def light_on_sheet(light: Light, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+def light_on_sheet(
+    light: Illumination, points_mm: Float[np.ndarray, "*n 2"]
+) -> Float[np.ndarray, "*n"]:
     """Light at points of the sheet over that at its middle, shadows apart; 1 where NaN."""
     x, y = points_mm[..., 0] / 100.0, points_mm[..., 1] / 100.0
     (a, b), (xx, xy, yy) = light.slope, light.curvature
@@ -101,7 +103,7 @@ def light_on_sheet(light: Light, points_mm: Float[np.ndarray, "*n 2"]) -> Float[
 
 
 def passed_by_lens(
-    light: Light, image_size_px: tuple[int, int], margin_px: int
+    light: Illumination, image_size_px: tuple[int, int], margin_px: int
 ) -> Float[np.ndarray, "h w"]:
     """Share of the light that the lens lets through at each pixel, falling with radius^2."""
     width, height = image_size_px
@@ -111,7 +113,7 @@ def passed_by_lens(
 
 
 def reflection(
-    lamp: Lamp, camera: Camera, points_world_mm: Float[np.ndarray, "h w 3"]
+    lamp: GlareLamp, camera: Camera, points_world_mm: Float[np.ndarray, "h w 3"]
 ) -> Float[np.ndarray, "h w"]:
     """Radiance of the lamp's reflection where pixels see the points of the world.
 

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.numerics.arrays import ScalarLike
-from trinoc.synth.camera_picture.layers import Layer, Paint, covered
-from trinoc.synth.camera_picture.shapes import ConvexPolygon, Disc, Intersection, Shape
-from trinoc.synth.camera_picture.surfaces import Cylinder, Surface
+from trinoc.synth.camera_picture.layers import Layer, Paint, coverage_share
+from trinoc.synth.camera_picture.shapes import ConvexPolygon, FilledCircle, Intersection, Shape
+from trinoc.synth.camera_picture.surfaces import RolledPaper, Surface
 
 # Wave numbers (rad/mm) across and along the grain, and phases: nothing repeats within a picture.
 _GRAIN = np.array(
@@ -18,7 +18,7 @@ _GRAIN = np.array(
 
 
 @runtime_checkable
-class PrintedSheet(Protocol):
+class SheetFigures(Protocol):
     """Circles and crossed lines in mm on Z = 0; the fields mean what `trinoc.Pattern`'s do."""
 
     centres_mm: Float[np.ndarray, "n 2"]
@@ -43,7 +43,7 @@ class Paper(eqx.Module):
     size_mm : width and height of the sheet, centred on the origin.
     """
 
-    surface: Surface = Cylinder()
+    surface: Surface = RolledPaper()
     print_scale: tuple[ScalarLike, ScalarLike] = (1.0, 1.0)
     ink_gain_mm: float = 0.0
     paper: float = 0.85
@@ -51,7 +51,7 @@ class Paper(eqx.Module):
     table: float | None = 0.3
     size_mm: tuple[float, float] = (210.0, 297.0)
 
-    def layers(self, pattern: PrintedSheet) -> tuple[Layer, ...]:
+    def layers(self, pattern: SheetFigures) -> tuple[Layer, ...]:
         """Table, paper and ink as reflectances, in the nominal millimetres of the layout."""
         printed = printed_layers(
             pattern, paper=self.paper, ink=self.ink, ink_gain_mm=self.ink_gain_mm
@@ -60,10 +60,10 @@ class Paper(eqx.Module):
             return printed
         nominal = (self.size_mm[0] / self.print_scale[0], self.size_mm[1] / self.print_scale[1])
         sheet = ConvexPolygon.rectangle(np.zeros(2), (float(nominal[0]), float(nominal[1])))
-        return (Table(sheet, self.table), *printed)
+        return (TableTop(sheet, self.table), *printed)
 
 
-class Table(eqx.Module):
+class TableTop(eqx.Module):
     """Wood outside a figure, its reflectance changing by a tenth along the grain."""
 
     sheet: Shape
@@ -82,7 +82,7 @@ class Table(eqx.Module):
         cells: bool = False,
     ) -> Float[np.ndarray, "*n"]:
         """What was below inside the sheet, wood elsewhere."""
-        share = covered(self.sheet, points_mm, cells=cells)
+        share = coverage_share(self.sheet, points_mm, cells=cells)
         wood = np.full(grey.shape, self.reflectance)
         seen = np.isfinite(points_mm).all(axis=-1) & (share < 1.0)
         phase = points_mm[seen] @ _GRAIN[:, 1::-1].T + _GRAIN[:, 2]
@@ -95,18 +95,18 @@ class Table(eqx.Module):
 
 
 def printed_layers(
-    pattern: PrintedSheet, *, paper: float, ink: float, ink_gain_mm: float = 0.0
+    pattern: SheetFigures, *, paper: float, ink: float, ink_gain_mm: float = 0.0
 ) -> tuple[Layer, ...]:
     """The print as layers of paint, lowest first, every edge of ink `ink_gain_mm` further out.
 
     Lines that are white inside circles stay as wide as they were drawn.
     """
     discs = [
-        Disc(centre, float(radius) + ink_gain_mm)
+        FilledCircle(centre, float(radius) + ink_gain_mm)
         for centre, radius in zip(pattern.centres_mm, pattern.radius_mm, strict=True)
     ]
     circles = [Paint(disc, ink) for disc in discs] + [
-        Paint(Disc(disc.centre_mm, float(inner) - ink_gain_mm), paper)
+        Paint(FilledCircle(disc.centre_mm, float(inner) - ink_gain_mm), paper)
         for disc, inner in zip(discs, pattern.inner_radius_mm, strict=True)
         if inner > ink_gain_mm
     ]
@@ -120,11 +120,11 @@ def printed_layers(
         return (*inked, *circles, *white)
     # The white before a circle ends where the line's ink begins, which has come nearer as well.
     beyond = pattern.line_gap_mm - 2 * ink_gain_mm
-    gaps = [Paint(Disc(disc.centre_mm, disc.radius_mm + beyond), paper) for disc in crossed]
+    gaps = [Paint(FilledCircle(disc.centre_mm, disc.radius_mm + beyond), paper) for disc in crossed]
     return (*inked, *gaps, *circles)
 
 
-def _lines(pattern: PrintedSheet, ink_gain_mm: float) -> list[ConvexPolygon]:
+def _lines(pattern: SheetFigures, ink_gain_mm: float) -> list[ConvexPolygon]:
     if not pattern.line_width_mm > 0:
         return []
     along_x, along_y = (2 * (half + ink_gain_mm) for half in pattern.line_half_length_mm)
@@ -135,7 +135,7 @@ def _lines(pattern: PrintedSheet, ink_gain_mm: float) -> list[ConvexPolygon]:
     ]
 
 
-def _meets_a_line(pattern: PrintedSheet, disc: Disc) -> bool:
+def _meets_a_line(pattern: SheetFigures, disc: FilledCircle) -> bool:
     """Whether a line comes within the gap of a circle."""
     reach = disc.radius_mm + max(pattern.line_gap_mm, 0.0) + pattern.line_width_mm / 2
     return bool((np.abs(disc.centre_mm) < reach).any())

@@ -5,15 +5,15 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from trinoc.geometry.camera import Camera
-from trinoc.synth.camera_picture.delivery import Processing, delivered
+from trinoc.synth.camera_picture.delivery import Processing, deliver_picture
 from trinoc.synth.camera_picture.layers import Layer
-from trinoc.synth.camera_picture.light import Light
+from trinoc.synth.camera_picture.light import Illumination
 from trinoc.synth.camera_picture.optics import Optics, irradiance
-from trinoc.synth.camera_picture.paper import Paper, PrintedSheet
+from trinoc.synth.camera_picture.paper import Paper, SheetFigures
 from trinoc.synth.camera_picture.scene import SheetScene, radiance
 from trinoc.synth.camera_picture.sensor import GREY_LEVELS, Sensor, read_out
 
-_EVEN = Light()
+_EVEN = Illumination()
 
 
 class Condition(eqx.Module):
@@ -26,7 +26,7 @@ class Condition(eqx.Module):
 
 
 def camera_picture(
-    pattern: PrintedSheet, camera: Camera, condition: Condition, *, seed: int = 0
+    pattern: SheetFigures, camera: Camera, condition: Condition, *, seed: int = 0
 ) -> Shaped[np.ndarray, "h w *channels"]:
     """The picture that a camera delivers: (h, w) grey or (h, w, 3) red, green, blue.
 
@@ -44,17 +44,17 @@ def delivered_picture(
 ) -> Shaped[np.ndarray, "h w *channels"]:
     """What sensor and processing make of the light on each pixel; noise is drawn by `seed`."""
     signal = read_out(irradiance, sensor, seed=seed)
-    return delivered(signal, sensor.mosaic, processing)
+    return deliver_picture(signal, sensor.mosaic, processing)
 
 
 def render_sheet(
-    pattern: PrintedSheet,
+    pattern: SheetFigures,
     camera: Camera,
     *,
     paper: float = 230.0,
     ink: float = 25.0,
     table: float | None = None,
-    light: Light = _EVEN,
+    light: Illumination = _EVEN,
     covers: tuple[Layer, ...] = (),
     blur_px: float = 0.7,
     noise_sigma: float = 0.0,

@@ -10,8 +10,13 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.camera import Camera
 from trinoc.synth.camera_picture.layers import Layer
-from trinoc.synth.camera_picture.light import Light, light_on_sheet, passed_by_lens, reflection
-from trinoc.synth.camera_picture.paper import Paper, PrintedSheet
+from trinoc.synth.camera_picture.light import (
+    Illumination,
+    light_on_sheet,
+    passed_by_lens,
+    reflection,
+)
+from trinoc.synth.camera_picture.paper import Paper, SheetFigures
 from trinoc.synth.camera_picture.sheet_view import SheetView
 
 # Edges reach pixels this far outside the picture, unless a caller knows how far light spreads.
@@ -22,7 +27,7 @@ class SheetScene(eqx.Module):
     """What is before the camera; `covers` lie on the sheet, the lowest first."""
 
     paper: Paper = Paper()
-    light: Light = Light()
+    light: Illumination = Illumination()
     covers: tuple[Layer, ...] = ()
 
 
@@ -44,7 +49,7 @@ class Radiance(eqx.Module):
 
 
 def radiance(
-    pattern: PrintedSheet,
+    pattern: SheetFigures,
     camera: Camera,
     scene: SheetScene,
     *,
@@ -55,7 +60,7 @@ def radiance(
     view, light = SheetView(camera, scene.paper), scene.light
     layers = (*scene.paper.layers(pattern), *scene.covers, *light.shadows)
     centres = view.centres_mm(margin_px)
-    divided, boxes = _crossed(view, layers, centres, margin_px)
+    divided, boxes = _find_edge_pixels(view, layers, centres, margin_px)
     cells = view.cells_mm(centres, divided, supersampling)
     by_pixel = np.full(centres.shape[:2], scene.paper.paper)
     by_cell = np.full(cells.shape[:3], scene.paper.paper)
@@ -78,7 +83,7 @@ def radiance(
     return Radiance(by_pixel, divided, by_cell, margin_px)
 
 
-def _crossed(
+def _find_edge_pixels(
     view: SheetView,
     layers: tuple[Layer, ...],
     centres_mm: Float[np.ndarray, "h w 2"],
@@ -100,7 +105,9 @@ def _crossed(
         _box(outline, shape) if is_whole and layer.local else np.array([(0, 0), shape])
         for layer, outline, is_whole in zip(layers, outlines_px, whole, strict=True)
     ]
-    return np.argwhere(_widened(_marked(np.concatenate(outlines_px), shape))), np.array(boxes)
+    return np.argwhere(_widen_marks(_mark_pixels(np.concatenate(outlines_px), shape))), np.array(
+        boxes
+    )
 
 
 def _outlines_in_view(
@@ -123,7 +130,9 @@ def _outlines_in_view(
     return outlines, whole
 
 
-def _marked(uv_px: Float[np.ndarray, "n 2"], shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+def _mark_pixels(
+    uv_px: Float[np.ndarray, "n 2"], shape: tuple[int, int]
+) -> Bool[np.ndarray, "h w"]:
     """The pixels that hold one of the points."""
     height, width = shape
     inside = ((uv_px > -0.5) & (uv_px < (width - 0.5, height - 0.5))).all(axis=1)
@@ -133,7 +142,7 @@ def _marked(uv_px: Float[np.ndarray, "n 2"], shape: tuple[int, int]) -> Bool[np.
     return marked
 
 
-def _widened(crossed: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+def _widen_marks(crossed: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Marked pixels and their eight neighbours: a curve may clip a corner between two points."""
     rows = crossed.copy()
     rows[1:] |= crossed[:-1]

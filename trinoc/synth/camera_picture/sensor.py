@@ -63,7 +63,7 @@ def read_out(
         levels = generator.poisson(np.maximum(levels, 0.0) * electrons) / electrons
     noise = generator.normal(size=signal.shape)
     if sensor.correlation_px:
-        noise = _smoothed(noise, sensor.correlation_px)
+        noise = _smooth_noise(noise, sensor.correlation_px)
     levels = levels + sensor.read_levels * noise
     return np.clip(levels / GREY_LEVELS, -BLACK, 1.0)
 
@@ -76,7 +76,7 @@ def gain_of_pixels(mosaic: Mosaic, shape: tuple[int, int]) -> Float[np.ndarray, 
     return tile[rows, columns]
 
 
-def _smoothed(noise: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarray, "h w"]:
+def _smooth_noise(noise: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarray, "h w"]:
     """White noise through a Gaussian, scaled back to a variance of one."""
     reach = int(np.ceil(4 * sigma_px))
     impulse = np.zeros(2 * reach + 1)

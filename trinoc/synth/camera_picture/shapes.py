@@ -25,7 +25,7 @@ class Shape(Protocol):
         ...
 
 
-class Disc(eqx.Module):
+class FilledCircle(eqx.Module):
     """A full circle."""
 
     centre_mm: Float[np.ndarray, "2"]
@@ -95,7 +95,7 @@ class Capsule(eqx.Module):
         across = self.radius_mm * np.array([-along[1], along[0]]) / np.hypot(*along)
         first, second = self.ends_mm
         sides = [_along(first + off, second + off, step_mm) for off in (across, -across)]
-        rounds = [Disc(end, self.radius_mm).outline_mm(step_mm) for end in self.ends_mm]
+        rounds = [FilledCircle(end, self.radius_mm).outline_mm(step_mm) for end in self.ends_mm]
         return np.concatenate(sides + rounds)
 
 

@@ -56,17 +56,23 @@ class SheetView(eqx.Module):
         # The outermost pixels have no neighbours: they borrow the differences of the next.
         row, column = np.clip(divided, 1, (height - 2, width - 2)).T
 
-        def at(down: int, across: int) -> Float[np.ndarray, "m 2"]:
+        def neighbour(down: int, across: int) -> Float[np.ndarray, "m 2"]:
             return centres_mm[row + down, column + across]
 
-        middle, left, right, above, below = at(0, 0), at(0, -1), at(0, 1), at(-1, 0), at(1, 0)
+        middle, left, right, above, below = (
+            neighbour(0, 0),
+            neighbour(0, -1),
+            neighbour(0, 1),
+            neighbour(-1, 0),
+            neighbour(1, 0),
+        )
         terms = [
             centres_mm[divided[:, 0], divided[:, 1]],
             (right - left) / 2,
             (below - above) / 2,
             (right - 2 * middle + left) / 2,
             (below - 2 * middle + above) / 2,
-            (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / 4,
+            (neighbour(1, 1) - neighbour(1, -1) - neighbour(-1, 1) + neighbour(-1, -1)) / 4,
         ]
         s, t = np.moveaxis(cell_offsets_px(supersampling).reshape(-1, 2), -1, 0)
         powers = np.stack([np.ones_like(s), s, t, s * s, t * t, s * t])
@@ -115,7 +121,7 @@ def _places_seen(
             place = place - jnp.stack([d * u - b * v, a * v - c * u]) / (a * d - b * c)
             return count + 1, place, image(place) - uv
 
-        def unfinished(state: tuple) -> ArrayLike:
+        def is_far(state: tuple) -> ArrayLike:
             count, _, residual = state
             return (count < _NEWTON_STEPS) & (jnp.abs(residual).max() > _NEWTON_PX)
 
@@ -123,7 +129,7 @@ def _places_seen(
         meets = viewing_direction(camera, uv)[2] * camera.pose.centre_world_mm[2] < 0
         scale = jnp.stack([jnp.asarray(factor) for factor in paper.print_scale])
         start = jnp.where(meets, sheet_from_pixel(camera, uv) / scale, jnp.nan)
-        return jax.lax.while_loop(unfinished, step, (0, start, image(start) - uv))[1]
+        return jax.lax.while_loop(is_far, step, (0, start, image(start) - uv))[1]
 
     return jax.vmap(one)(uv_px)
 

@@ -25,7 +25,7 @@ class Surface(Protocol):
         ...
 
 
-class Cylinder(eqx.Module):
+class RolledPaper(eqx.Module):
     """Paper bent like a sheet that was rolled up; flat with a curvature of zero.
 
     Fields
@@ -40,7 +40,7 @@ class Cylinder(eqx.Module):
     @classmethod
     def from_sagitta(
         cls, sagitta_mm: float, *, direction_deg: float = 0.0, reach_mm: float = 75.0
-    ) -> "Cylinder":
+    ) -> "RolledPaper":
         """The bend that lifts what lies `reach_mm` along the paper from its middle."""
 
         def excess(angle: float) -> float:
@@ -61,7 +61,7 @@ class Cylinder(eqx.Module):
         return _in_world(across, forward, height, self.direction_rad)
 
 
-class Cone(eqx.Module):
+class ConePaper(eqx.Module):
     """Paper bent like a cornet: more strongly towards the apex, whose rulings meet there.
 
     Fields
@@ -83,7 +83,7 @@ class Cone(eqx.Module):
         apex_mm: float = 300.0,
         direction_deg: float = 0.0,
         reach_mm: float = 75.0,
-    ) -> "Cone":
+    ) -> "ConePaper":
         """The bend that lifts what lies `reach_mm` along the paper from its middle."""
         from_apex, angle = np.hypot(apex_mm, reach_mm), np.arctan2(reach_mm, apex_mm)
 
@@ -114,7 +114,7 @@ class Cone(eqx.Module):
         return _in_world(ruling, forward, height, self.direction_rad)
 
 
-class Twisted(eqx.Module):
+class TwistedPaper(eqx.Module):
     """A surface with two opposite corners raised and two lowered, by rise X Y / reach^2.
 
     No bending of paper does that without stretching it: by a share of (rise / reach)^2 at the
