@@ -10,10 +10,6 @@ import pytest
 import trinoc
 
 ROOT = Path(trinoc.__file__).parent
-# Rooms whose names are not yet in order.
-NOT_YET = {
-    *("cli",),
-}
 ROOMS = sorted(path.parent.name for path in ROOT.glob("*/__init__.py"))
 
 PARTICIPLE = re.compile(r"(?!need|feed|speed|seed|embed|shed|red|bed|proceed|succeed|exceed)\w+ed")
@@ -57,7 +53,7 @@ def is_participle(word):
     return word in IRREGULAR or PARTICIPLE.fullmatch(word) is not None
 
 
-@pytest.mark.parametrize("room", [room for room in ROOMS if room not in NOT_YET])
+@pytest.mark.parametrize("room", ROOMS)
 def test_no_function_is_named_by_a_participle_or_ends_in_a_preposition(room):
     """A participle may describe a noun, as in `signed_distance`; a method's preposition goes with
     its argument, as in `edges_at(vertex)`."""
@@ -72,7 +68,7 @@ def test_no_function_is_named_by_a_participle_or_ends_in_a_preposition(room):
     assert wrong == []
 
 
-@pytest.mark.parametrize("room", [room for room in ROOMS if room not in NOT_YET])
+@pytest.mark.parametrize("room", ROOMS)
 def test_no_class_is_a_participle_and_no_name_uses_words_that_are_not_used(room):
     wrong = []
     for file, node, _ in definitions(room):
@@ -84,7 +80,6 @@ def test_no_class_is_a_participle_and_no_name_uses_words_that_are_not_used(room)
     assert wrong == []
 
 
-@pytest.mark.skipif(bool(NOT_YET), reason="names of some rooms are not yet in order")
 def test_no_class_and_no_public_function_stands_twice():
     places = defaultdict(list)
     for path in sorted(ROOT.rglob("*.py")):

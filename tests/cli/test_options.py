@@ -13,7 +13,7 @@ import tyro
 from hypothesis import given, strategies as st
 
 import trinoc
-from trinoc.cli.calibrate import Calibrate
+from trinoc.cli.calibrate import CalibrateCommand
 from trinoc.cli.command import UsageError
 from trinoc.cli.lens_options import LensOptions
 from trinoc.cli.main import COMMANDS, main
@@ -125,8 +125,8 @@ def test_pictures_may_follow_the_options(lens):
     """An option that takes any number of values would swallow them."""
     options, pictures = ("--pattern", "p.json", *lens), ("upper=u.png", "left=l.png")
     config = (tyro.conf.OmitArgPrefixes,)
-    before = tyro.cli(Calibrate, args=[*pictures, *options], config=config)
-    after = tyro.cli(Calibrate, args=[*options, *pictures], config=config)
+    before = tyro.cli(CalibrateCommand, args=[*pictures, *options], config=config)
+    after = tyro.cli(CalibrateCommand, args=[*options, *pictures], config=config)
     assert before == after
     assert after.images == pictures
 
@@ -145,7 +145,7 @@ def test_pictures_may_follow_the_options(lens):
     ],
 )
 def test_files_between_options_are_taken(typed, meant):
-    assert put_files_first(Calibrate, typed.split()) == meant.split()
+    assert put_files_first(CalibrateCommand, typed.split()) == meant.split()
 
 
 def test_what_a_board_has_may_stand_behind_its_options(tmp_path):

@@ -13,7 +13,7 @@ import trinoc
 from tests.io.formats.bench import bench_matches
 from trinoc.cli.command import expect_places, in_options
 from trinoc.cli.main import AnyCommand, main
-from trinoc.cli.match import Match, remarks
+from trinoc.cli.match import MatchCommand, remarks
 from trinoc.synth import table1_rig
 
 VIEWS = ("upper", "left", "right")
@@ -127,6 +127,6 @@ def test_depths_that_leave_nothing_are_named():
 
 def test_a_remedy_that_no_option_has_is_not_said():
     note = "covariances are of the errors found; give a sigma_px that is as much smaller to have "
-    command = Match(images=(), rig=Path("rig.json"))
+    command = MatchCommand(images=(), rig=Path("rig.json"))
     said = in_options(f"{note}candidates judged by it too.", command)
     assert said == "covariances are of the errors found."

@@ -27,7 +27,7 @@ _BY_ITSELF = "(default: found by itself)"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Batch(FindOption, Command):
+class BatchCommand(FindOption, Command):
     """Match every frame of a recording. Stopped or killed, the same command goes on."""
 
     frames: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER|TABLE.csv")]

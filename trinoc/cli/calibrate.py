@@ -41,7 +41,7 @@ MEASURED = (5e-4, 5e-4)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Calibrate(DryRunOption, ReportOption, Command):
+class CalibrateCommand(DryRunOption, ReportOption, Command):
     """Calibrate cameras from one picture of the printed sheet each."""
 
     settings: ClassVar[Mapping[str, Collection[str]]] = {"sigma": SIGMA}

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class CalibrateRig(ReportOption, Command):
+class CalibrateRigCommand(ReportOption, Command):
     """Calibrate lenses and cameras together from many shots of a board that is moved about."""
 
     settings: ClassVar[Mapping[str, Collection[str]]] = {"sigma": BOARD_SIGMA}

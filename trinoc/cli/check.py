@@ -12,7 +12,7 @@ from trinoc.cli.views import read_rig
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Check(Command):
+class CheckCommand(Command):
     """Say by how many sigma each camera has moved since its calibration, from a scene alone."""
 
     images: Annotated[

@@ -119,8 +119,9 @@ class Command(abc.ABC):
 
     @classmethod
     def command_name(cls) -> str:
-        """What the user types: the name of the class in small letters, with hyphens."""
-        return re.sub("(?<!^)(?=[A-Z])", "-", cls.__name__).lower()
+        """What the user types: `CalibrateRigCommand` is `calibrate-rig`."""
+        name = cls.__name__.removesuffix("Command")
+        return re.sub("(?<!^)(?=[A-Z])", "-", name).lower()
 
     @abc.abstractmethod
     def run(self, command_line: str) -> Outcome:

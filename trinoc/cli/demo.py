@@ -35,7 +35,7 @@ TITLE = "trinoc demo: three cameras and a scene of blocks"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Demo(Command):
+class DemoCommand(Command):
     """Calibrate three bundled pictures, match a scene of blocks, and write a report."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="DIR")] = Path("trinoc-demo")

@@ -33,7 +33,7 @@ SHAPE = {"unit_mm": parse_number, "crease_deg": parse_number, "grey_step": parse
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Evaluate(Command):
+class EvaluateCommand(Command):
     """Compare 3-D segments with a known shape, for one or many settings of the segmentation."""
 
     settings: ClassVar[Mapping[str, Collection[str]]] = {"find": TRIED_FIND, "shape": SHAPE}

@@ -60,7 +60,7 @@ _NONE = "(default: none)"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Export(Command):
+class ExportCommand(Command):
     """Write cameras, 3-D segments, features or segments of a picture as another tool reads them
     (--to), or read what another tool wrote (--from)."""
 

@@ -19,7 +19,7 @@ NO_PITCH = (0.0, 0.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Intrinsics(Command):
+class IntrinsicsCommand(Command):
     """Find focal length, principal point and distortion from several pictures of the sheet."""
 
     images: Annotated[
@@ -78,14 +78,14 @@ class Intrinsics(Command):
 
         from trinoc.calib.lens_calibration import calibrate_intrinsics
         from trinoc.cli.progress import provenance
-        from trinoc.geometry.intrinsics import Intrinsics as Lens
+        from trinoc.geometry.intrinsics import Intrinsics
         from trinoc.io.atomic import expect_place
         from trinoc.io.images import read_image
         from trinoc.io.pattern_json import load_pattern
         from trinoc.io.saving import expect_ending, save
 
         expect_place(self.out)
-        expect_ending(self.out, Lens)
+        expect_ending(self.out, Intrinsics)
         pattern = load_pattern(self.board)
         images = [read_image(path) for path in each(self.images, "reading", quiet=self.quiet)]
         LOGGER.info("calibrating the lens of %d pictures", len(images))

@@ -15,24 +15,24 @@ from typing import Annotated, Any, Union
 
 import tyro
 
-from trinoc.cli.batch import Batch
-from trinoc.cli.calibrate import Calibrate
-from trinoc.cli.calibrate_rig import CalibrateRig
-from trinoc.cli.check import Check
+from trinoc.cli.batch import BatchCommand
+from trinoc.cli.calibrate import CalibrateCommand
+from trinoc.cli.calibrate_rig import CalibrateRigCommand
+from trinoc.cli.check import CheckCommand
 from trinoc.cli.command import Command, UsageError, expect_numbers, expect_places, in_options
-from trinoc.cli.demo import Demo
-from trinoc.cli.evaluate import Evaluate
-from trinoc.cli.export import Export
-from trinoc.cli.intrinsics import Intrinsics
-from trinoc.cli.match import Match
+from trinoc.cli.demo import DemoCommand
+from trinoc.cli.evaluate import EvaluateCommand
+from trinoc.cli.export import ExportCommand
+from trinoc.cli.intrinsics import IntrinsicsCommand
+from trinoc.cli.match import MatchCommand
 from trinoc.cli.old_names import refuse_old_names
-from trinoc.cli.pattern import Pattern
-from trinoc.cli.refine import Refine
+from trinoc.cli.pattern import PatternCommand
+from trinoc.cli.refine import RefineCommand
 from trinoc.cli.rig_toml import with_file
-from trinoc.cli.segments import Segments
+from trinoc.cli.segments import SegmentsCommand
 from trinoc.cli.settings import put_files_first
-from trinoc.cli.view import View
-from trinoc.cli.watch import Watch
+from trinoc.cli.view import ViewCommand
+from trinoc.cli.watch import WatchCommand
 from trinoc.errors import TrinocError
 
 LIBRARIES = (
@@ -118,8 +118,19 @@ DESCRIPTION = (
 )
 
 COMMANDS: tuple[type[Command], ...] = (
-    *(Demo, Pattern, Watch, Intrinsics, Calibrate, CalibrateRig, Segments, Match, Batch, Refine),
-    *(Check, Evaluate, View, Export),
+    *(
+        DemoCommand,
+        PatternCommand,
+        WatchCommand,
+        IntrinsicsCommand,
+        CalibrateCommand,
+        CalibrateRigCommand,
+        SegmentsCommand,
+        MatchCommand,
+        BatchCommand,
+        RefineCommand,
+    ),
+    *(CheckCommand, EvaluateCommand, ViewCommand, ExportCommand),
 )
 AnyCommand: Any = Union[  # noqa: UP007, tyro reads a union that is made here
     tuple(Annotated[each, tyro.conf.subcommand(each.command_name())] for each in COMMANDS)

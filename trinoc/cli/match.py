@@ -61,7 +61,7 @@ LEAST_SHARE = 0.25
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Match(MatchOptions, DryRunOption, ReportOption, Command):
+class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
     """Match line segments across the pictures of a calibrated rig."""
 
     images: Annotated[

@@ -92,7 +92,7 @@ def read_screen(words: tuple[tuple[str, ...], ...], *, is_meant: bool) -> Screen
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Pattern(Command):
+class PatternCommand(Command):
     """Make a sheet of circles and crossed lines, or a board: its layout, and drawings to print."""
 
     layout: Annotated[
@@ -309,7 +309,7 @@ class Pattern(Command):
     def _sheet(
         self, rows: int, columns: int, words: list[str], proposal: "SheetProposal | None"
     ) -> "AbstractBoard":
-        from trinoc.calib.targets.pattern import Pattern as Sheet
+        from trinoc.calib.targets.pattern import Pattern
 
         parsers = {"line_style": parse_word("stop", "through", "white")}
         sizes = {
@@ -325,4 +325,4 @@ class Pattern(Command):
                 "pitch_mm": proposal.pitch_mm,
                 "radius_mm": proposal.radius_mm,
             }
-        return Sheet.cross_grid(**sizes, **read_settings(SHEET, [words], parsers))
+        return Pattern.cross_grid(**sizes, **read_settings(SHEET, [words], parsers))

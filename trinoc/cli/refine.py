@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Refine(Command):
+class RefineCommand(Command):
     """Refine a rig jointly against its calibration and matched segments."""
 
     images: Annotated[

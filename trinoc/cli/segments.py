@@ -50,7 +50,7 @@ def expect_find(settings: Mapping[str, Any], spell: Callable[[str], str]) -> Non
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Segments(Command):
+class SegmentsCommand(Command):
     """Find the line segments of a picture (Nevatia and Babu)."""
 
     image: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IMG")]
@@ -80,7 +80,7 @@ class Segments(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Find the segments and write them."""
-        from trinoc.geometry.segments import Segments as Found
+        from trinoc.geometry.segments import Segments
         from trinoc.io.atomic import expect_place
         from trinoc.io.images import read_image
         from trinoc.io.saving import expect_ending, save
@@ -90,7 +90,7 @@ class Segments(Command):
         settings = {name: getattr(self, name) for name in FIND}
         expect_find(settings, lambda name: f"--{name.replace('_', '-')}")
         expect_place(self.out)
-        expect_ending(self.out, Found)
+        expect_ending(self.out, Segments)
         image = read_image(self.image)
         segments = find_segments(image, **settings)
         save(segments, self.out)
@@ -108,7 +108,7 @@ class Segments(Command):
 
 def usual_find() -> dict[str, Any]:
     """The settings where nothing is said."""
-    return {name: getattr(Segments, name) for name in FIND}
+    return {name: getattr(SegmentsCommand, name) for name in FIND}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ def show(url: str, browser: bool) -> None:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class View(Command):
+class ViewCommand(Command):
     """Turn cameras, sheet and 3-D segments in a browser, until Ctrl-C. Needs trinoc[view]."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]

@@ -160,7 +160,7 @@ def camera_frames(number: int, every_s: float) -> "Iterator[np.ndarray]":
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Watch(Command):
+class WatchCommand(Command):
     """Judge pictures of a board as they arrive, and say what to show next, until Ctrl-C."""
 
     source: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="FOLDER|CAMERA")]
