@@ -51,7 +51,7 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.io import save_scene_truth
-from trinoc.io.pattern_json import save_pattern
+from trinoc.io.board_json import save_pattern
 from trinoc.io.rig_json import save_rig
 from trinoc.synth import block_scene, table1_rig
 from trinoc.synth.camera_picture.delivery import quantise

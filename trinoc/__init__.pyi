@@ -16,8 +16,8 @@ from .geometry.camera import Camera as Camera
 from .geometry.intrinsics import Intrinsics as Intrinsics
 from .geometry.rig import Rig as Rig
 from .geometry.segments import Segments as Segments
-from .io.pattern_json import load_pattern as load_pattern
-from .io.recordings import load_recording as load_recording
+from .io.board_json import load_pattern as load_pattern
+from .io.frames_files import load_recording as load_recording
 from .io.rig_json import load_rig as load_rig
 from .io.saving import load as load, load_matches as load_matches, save as save
 from .io.segment_table import load_segments as load_segments

@@ -14,7 +14,7 @@ from trinoc.batch import folder as folder_file
 from trinoc.cli.main import main
 from trinoc.errors import InputError, MatchError
 from trinoc.match.batch import MatchBatch
-from trinoc.recording import matched
+from trinoc.recording import parts
 from trinoc.synth import table1_rig
 
 RIG = table1_rig()
@@ -69,7 +69,7 @@ def quick_matching(segments, rig, **_):
 
 @pytest.fixture
 def quick(monkeypatch):
-    monkeypatch.setattr(matched, "match_many", quick_matching)
+    monkeypatch.setattr(parts, "match_many", quick_matching)
 
 
 def contents(out):
@@ -188,7 +188,7 @@ def test_a_defect_in_one_frame_is_that_frame_s_alone(recording, tmp_path, monkey
 
     ends = trinoc.load_segments(recording / "frames" / "8_upper.csv").endpoints_px
     marked = float(np.asarray(ends)[0, 0, 0])
-    monkeypatch.setattr(matched, "match_many", defective)
+    monkeypatch.setattr(parts, "match_many", defective)
     match(recording, tmp_path / "out")
     failures = trinoc.load_recording(tmp_path / "out").failures
     assert "ZeroDivisionError: a defect" in failures["9"]

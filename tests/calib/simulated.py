@@ -10,7 +10,7 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 # Made pictures are of what is said of them.
 EXACT = Systematics()

@@ -16,7 +16,7 @@ from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.lenses.registry import LENS_MODELS
 from trinoc.io import load_intrinsics
 from trinoc.io.intrinsics_json import save_intrinsics
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 
 class Equidistant(AbstractLens):

@@ -17,8 +17,8 @@ from trinoc.cli.calibrate import CalibrateCommand
 from trinoc.cli.command import UsageError
 from trinoc.cli.lens_options import LensOptions
 from trinoc.cli.main import COMMANDS, main
-from trinoc.cli.old_names import OPTIONS, refuse_old_names
 from trinoc.cli.settings import (
+    OLD_OPTIONS,
     parse_integer,
     parse_list,
     parse_number,
@@ -26,6 +26,7 @@ from trinoc.cli.settings import (
     parse_truth,
     put_files_first,
     read_settings,
+    refuse_old_names,
 )
 from trinoc.cli.views import files_of_views
 from trinoc.io.intrinsics_json import save_intrinsics
@@ -264,10 +265,10 @@ def offered(command: str) -> set[str]:
     return set(re.findall(r"(?<![\w-])--([a-z][a-z0-9-]*)", help_text(command)))
 
 
-@pytest.mark.parametrize("command", OPTIONS)
+@pytest.mark.parametrize("command", OLD_OPTIONS)
 def test_an_option_of_before_is_refused_with_what_is_typed_now(command, capsys):
     now = offered(command)
-    for old, new in OPTIONS[command].items():
+    for old, new in OLD_OPTIONS[command].items():
         assert old not in now
         assert set(re.findall(r"(?<![\w-])--([a-z-]+)", new)) <= now
         for word in (f"--{old}", f"--{old.replace('-', '_')}=3"):

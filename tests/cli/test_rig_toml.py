@@ -6,7 +6,7 @@ import pytest
 
 from trinoc.cli.command import UsageError
 from trinoc.cli.main import main
-from trinoc.cli.rig_toml import with_file
+from trinoc.cli.settings import with_file
 
 TEXT = """
 [calibrate]

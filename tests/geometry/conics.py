@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.geometry.camera import Camera, projection_matrix
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import ArrayLike, ScalarLike
 
 
 def pixel_from_sheet_homography(camera: Camera) -> Float[ArrayLike, "3 3"]:

@@ -24,8 +24,8 @@ from trinoc.geometry.lenses.splined import (
     surface,
 )
 from trinoc.io import load_intrinsics
+from trinoc.io.intrinsics_json import expect_lens
 from trinoc.io.saving import save
-from trinoc.io.usable_cameras import expect_lens
 
 SIZE_PX = (640, 480)
 AFFINE = np.array([620.0, 625.0, 325.0, 236.0])

@@ -6,7 +6,7 @@ Source: Hartley and Zisserman, chapter 15 and equation 17.12.
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 
 def normalised_line(line: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3"]:

@@ -11,7 +11,7 @@ import pytest
 from trinoc.errors import InputError
 from trinoc.io.atomic import atomic_write, expect_place, write_text
 from trinoc.io.frames_files import save_frames
-from trinoc.recording.frame import FrameMatches
+from trinoc.recording.frame_table import FrameMatches
 
 
 def test_failure_leaves_the_old_file_and_nothing_beside_it(tmp_path):

@@ -9,8 +9,7 @@ from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.io import load_shots, load_target
-from trinoc.io.pattern_page import Polygon, lay_out
-from trinoc.io.pattern_svg import pattern_svg
+from trinoc.io.pattern_page import Polygon, lay_out, pattern_svg
 from trinoc.io.saving import save
 
 BOARDS = [

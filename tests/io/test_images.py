@@ -6,7 +6,7 @@ import pytest
 
 from trinoc.errors import InputError
 from trinoc.io import read_image, read_views
-from trinoc.io.whole_picture import is_whole_picture
+from trinoc.io.images import is_whole_picture
 
 RANDOM = np.random.default_rng(5)
 GREY = RANDOM.integers(0, 256, (12, 17), dtype=np.uint8)

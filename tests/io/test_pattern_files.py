@@ -11,10 +11,8 @@ from hypothesis import given, strategies as st
 
 from trinoc.calib.targets.pattern import LINE_STYLES, Pattern
 from trinoc.errors import InputError
-from trinoc.io.pattern_json import load_pattern, save_pattern
-from trinoc.io.pattern_page import Polygon, lay_out
-from trinoc.io.pattern_pdf import pattern_pdf
-from trinoc.io.pattern_svg import pattern_svg
+from trinoc.io.board_json import load_pattern, save_pattern
+from trinoc.io.pattern_page import Polygon, lay_out, pattern_pdf, pattern_svg
 
 READY = Path(__file__).parents[2] / "patterns"
 FIELDS = ("centres_mm", "radius_mm", "inner_radius_mm", "lattice")

@@ -20,7 +20,7 @@ from trinoc.io.demo import demo_folder
 from trinoc.io.frames_files import save_frames
 from trinoc.io.frames_table import Frames
 from trinoc.io.saving import _DOCUMENTS, tables
-from trinoc.recording.frame import OK, FrameMatches
+from trinoc.recording.frame_table import OK, FrameMatches
 from trinoc.synth.truth import SceneTruth
 
 

@@ -26,8 +26,7 @@ from trinoc.io import (
 )
 from trinoc.io.frames_files import save_frames
 from trinoc.io.rig_json import load_rig_status
-from trinoc.recording.frame import FrameMatches
-from trinoc.recording.frame_table import frames_of_table
+from trinoc.recording.frame_table import FrameMatches, frames_of_table
 
 RIG = bench_rig()
 

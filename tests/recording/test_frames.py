@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from trinoc.errors import InputError
-from trinoc.recording.frame import Frame
-from trinoc.recording.frame_table import frames_of_table
+from trinoc.recording.frame_table import Frame, frames_of_table
 from trinoc.recording.name_templates import fitting_template, frames_of_names
 from trinoc.recording.parts import cut_into_parts, share_parts
 

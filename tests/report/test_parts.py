@@ -14,7 +14,6 @@ from trinoc.errors import InputError
 from trinoc.geometry.line_lengths import line_sigmas
 from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import Matches
-from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import (
     millimetres,
     plain,
@@ -25,7 +24,7 @@ from trinoc.report.numbers import (
     with_sign,
 )
 from trinoc.report.pictures import LONGEST_SIDE_PX, Window, clip_line, page_picture
-from trinoc.report.space_content import content_box, frusta
+from trinoc.report.space_content import PALETTE, content_box, distinct_neighbours, frusta
 
 FINITE = st.floats(-1e4, 1e4, allow_nan=False)
 

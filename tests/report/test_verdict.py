@@ -13,8 +13,8 @@ from trinoc.match.tracks.matches import Matches
 from trinoc.report.checks import Level, Subject
 from trinoc.report.coverage import Coverage, coverage_by_circles
 from trinoc.report.field_part import FieldPart, field_part
+from trinoc.report.matches_part import HEIGHT, LETTER, place_labels
 from trinoc.report.pictures import PagePicture, Window
-from trinoc.report.segments_figures import HEIGHT, LETTER, place_labels
 from trinoc.report.verdict import CHECKS, Verdict, find_verdict
 
 

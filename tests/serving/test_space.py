@@ -8,7 +8,7 @@ import pytest
 
 from tests.serving.asking import ask
 from trinoc.errors import InputError
-from trinoc.report.ellipsoids import error_ellipsoids, visible_factor
+from trinoc.report.space_content import error_ellipsoids, visible_factor
 from trinoc.report.space_part import space_figure
 from trinoc.serving import space
 from trinoc.serving.space import serve_space

@@ -19,11 +19,16 @@ from typing import Any
 
 from trinoc.errors import InputError
 from trinoc.io.atomic import write_text
-from trinoc.io.frames_files import load_frames, save_frames
-from trinoc.io.json_text import parsed_json
-from trinoc.io.recordings import manifest_lines, manifest_text, read_lines
+from trinoc.io.frames_files import (
+    load_frames,
+    manifest_lines,
+    manifest_text,
+    read_lines,
+    save_frames,
+)
+from trinoc.io.json_document import parsed_json
 from trinoc.io.whole_files import read_text
-from trinoc.recording.frame import OK, FrameMatches
+from trinoc.recording.frame_table import OK, FrameMatches
 from trinoc.recording.parts import RecordingPart
 
 DESCRIPTION = "recording.json"

@@ -17,7 +17,7 @@ from trinoc.errors import InputError, TrinocError
 from trinoc.geometry.rig import Rig
 from trinoc.io.frames_files import frames_ending
 from trinoc.io.rig_json import rig_text
-from trinoc.recording.frame import FrameMatches
+from trinoc.recording.frame_table import FrameMatches
 from trinoc.recording.parts import RecordingPart, cut_into_parts, share_parts
 
 

@@ -8,8 +8,7 @@ from typing import NamedTuple
 from trinoc.errors import InputError
 from trinoc.io.images import IMAGE_SUFFIXES
 from trinoc.io.whole_files import read_text
-from trinoc.recording.frame import Frame
-from trinoc.recording.frame_table import frames_of_table
+from trinoc.recording.frame_table import Frame, frames_of_table
 from trinoc.recording.name_templates import fitting_template, folder_depth, frames_of_names
 
 SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")

@@ -10,12 +10,10 @@ from trinoc.batch.source import SEGMENT_SUFFIXES
 from trinoc.errors import InputError, TrinocError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.io.images import picture_digest, read_image
+from trinoc.io.images import expect_inside, expect_size, picture_digest, read_image
 from trinoc.io.segment_table import load_segments
-from trinoc.io.views_of_rig import expect_inside, expect_size
-from trinoc.recording.frame import Frame, FrameMatches
-from trinoc.recording.matched import match_part_frames, matcher_failure
-from trinoc.recording.parts import RecordingPart
+from trinoc.recording.frame_table import Frame, FrameMatches
+from trinoc.recording.parts import RecordingPart, match_part_frames, matcher_failure
 from trinoc.segments.find import find_segments
 
 

@@ -17,8 +17,7 @@ from trinoc.errors import DetectionError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
 from trinoc.image.grey import grey_image
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 
 
 @in_float64

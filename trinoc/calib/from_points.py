@@ -24,8 +24,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, promote_lens, simplify_lens
 from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 
 # A direction whose sigma exceeds this (rad, share of the distance or focal length) is free.
 _LARGEST_SIGMA = 0.1

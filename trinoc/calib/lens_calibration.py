@@ -43,8 +43,7 @@ from trinoc.geometry.lenses import registry
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, simplify_lens
 from trinoc.geometry.lenses.splined import AbstractSplinedLens, SplinedBrownConrady
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 
 # Names that stand for models.
 _CALLED = {"splined": SplinedBrownConrady.model}

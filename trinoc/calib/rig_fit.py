@@ -5,10 +5,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from trinoc.calib.adjustment.agreement import probability_of_agreement
+from trinoc.calib.adjustment.agreement import probability_of_agreement, scatter_of_blocks
 from trinoc.calib.adjustment.each_camera import PoseEstimate, fit_camera
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
-from trinoc.calib.adjustment.jackknife import scatter_of_blocks
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.photometric.encoding import Encoding
 from trinoc.calib.photometric.scene import ShiftOfPlaces

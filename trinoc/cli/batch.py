@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Interruption, Out, Outcome, UsageError
-from trinoc.cli.progress import LOGGER
+from trinoc.cli.command import LOGGER, Command, Interruption, Out, Outcome, UsageError
 from trinoc.cli.segments import FindOption
 from trinoc.cli.views import read_rig
 

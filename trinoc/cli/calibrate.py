@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from trinoc.cli.command import (
+    LOGGER,
     BoardFile,
     Command,
     DryRunOption,
@@ -16,7 +17,6 @@ from trinoc.cli.command import (
     UsageError,
 )
 from trinoc.cli.lens_options import SIGMA, LensOptions, print_systematics
-from trinoc.cli.progress import LOGGER
 from trinoc.cli.settings import Settings, read_settings
 from trinoc.cli.views import files_of_views
 from trinoc.errors import CalibrationError
@@ -117,11 +117,11 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
             )
 
         from trinoc.calib.from_images import calibrate
-        from trinoc.cli.progress import provenance
+        from trinoc.cli.command import provenance
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
+        from trinoc.io.board_json import load_pattern
         from trinoc.io.images import read_views
-        from trinoc.io.pattern_json import load_pattern
         from trinoc.io.rig_json import load_rig
         from trinoc.io.saving import expect_ending, save
 

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from trinoc.cli.command import Command, Out, Outcome, ReportOption, UsageError
+from trinoc.cli.command import LOGGER, Bar, Command, Out, Outcome, ReportOption, UsageError
 from trinoc.cli.lens_options import BOARD_SIGMA, LensFiles, print_systematics
-from trinoc.cli.progress import LOGGER, Bar
 from trinoc.cli.settings import Settings, read_settings
 from trinoc.cli.views import files_of_views
 
@@ -97,13 +96,13 @@ class CalibrateRigCommand(ReportOption, Command):
         from trinoc.calib.rig_calibration import calibrate_rig
         from trinoc.calib.rig_from_shots import next_shot
         from trinoc.calib.uncertainty.systematics import Systematics
-        from trinoc.cli.progress import provenance
+        from trinoc.cli.command import provenance
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
         from trinoc.io.board_json import load_target
+        from trinoc.io.images import load_shots
         from trinoc.io.intrinsics_json import load_intrinsics
         from trinoc.io.saving import expect_ending, save
-        from trinoc.io.shots import load_shots
 
         expect_place(self.out, self.report)
         expect_ending(self.out, Rig)

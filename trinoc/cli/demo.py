@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import tyro
 
 from trinoc.cli.calibrate import calibration_record
-from trinoc.cli.command import Command, Outcome
+from trinoc.cli.command import LOGGER, Command, Outcome
 from trinoc.cli.match import match_record
-from trinoc.cli.progress import LOGGER
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
@@ -135,7 +134,7 @@ def _score(matches: "Matches") -> Score:
 def _write(
     folder: Path, work: DemoWork, score: Score, command_line: str
 ) -> tuple[Path, Path, Path]:
-    from trinoc.cli.progress import for_people, provenance
+    from trinoc.cli.command import for_people, provenance
     from trinoc.io.demo import demo_paths
     from trinoc.io.saving import save
     from trinoc.report.html import ExtraTable, write_report

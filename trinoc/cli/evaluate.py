@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
-from trinoc.cli.command import Command, FileOrNone, Out, Outcome, UsageError
-from trinoc.cli.progress import LOGGER
+from trinoc.cli.command import LOGGER, Command, FileOrNone, Out, Outcome, UsageError
 from trinoc.cli.segments import FIND, usual_find
 from trinoc.cli.settings import Settings, parse_list, parse_number, parse_word, read_settings
 from trinoc.cli.views import SEGMENT_SUFFIXES, check_views, files_of_views, read_rig
@@ -82,10 +81,9 @@ class EvaluateCommand(Command):
         self._check_usage()
         files = files_of_views(self.images, guess=True)
 
-        from trinoc.io.atomic import expect_place
+        from trinoc.io.atomic import expect_place, save_table
         from trinoc.io.known_shape import load_shape
-        from trinoc.io.table_csv import save_table
-        from trinoc.report.text_of_evaluation import evaluation_text
+        from trinoc.report.text import evaluation_text
 
         expect_place(self.out, self.plot)
         if self.plot is not None:
@@ -150,8 +148,7 @@ class EvaluateCommand(Command):
                 matches, rig, shape, choices, tolerances_mm=self.within_mm, aligned=self.align
             )
             return
-        from trinoc.io.images import read_views
-        from trinoc.io.views_of_rig import expect_size
+        from trinoc.io.images import expect_size, read_views
 
         if rig is None or self.rig is None:
             raise UsageError("The rig that took the pictures is not given: add --rig rig.json.")

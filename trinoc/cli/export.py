@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from trinoc.cli.command import Command, Outcome, UsageError
-from trinoc.cli.progress import LOGGER
+from trinoc.cli.command import LOGGER, Command, Outcome, UsageError
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 
@@ -109,7 +108,7 @@ class ExportCommand(Command):
 
     def _write(self, name: str) -> Outcome:
         from trinoc.geometry.intrinsics import Intrinsics
-        from trinoc.io.formats.losses import LOSSES
+        from trinoc.io.formats.format import LOSSES
         from trinoc.io.formats.registry import FORMATS
         from trinoc.io.intrinsics_json import load_lens_covariance
         from trinoc.io.saving import load
@@ -128,7 +127,7 @@ class ExportCommand(Command):
         return Outcome(f"{target.title}: {target.frames}", record, written=(self.out,))
 
     def _read(self, command_line: str) -> Outcome:
-        from trinoc.cli.progress import provenance
+        from trinoc.cli.command import provenance
         from trinoc.geometry.rig import Rig
         from trinoc.geometry.segments import Segments
         from trinoc.io.atomic import expect_place

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import BoardFile, Command, Out, Outcome, UsageError
+from trinoc.cli.command import LOGGER, BoardFile, Command, Out, Outcome, UsageError, each
 from trinoc.cli.lens_options import expect_pixel_pitch
-from trinoc.cli.progress import LOGGER, each
 
 if TYPE_CHECKING:
     from trinoc.calib.intrinsics_result import IntrinsicsResult
@@ -77,11 +76,11 @@ class IntrinsicsCommand(Command):
         expect_pixel_pitch(pitch_mm, "--pixel-pitch-mm is")
 
         from trinoc.calib.lens_calibration import calibrate_intrinsics
-        from trinoc.cli.progress import provenance
+        from trinoc.cli.command import provenance
         from trinoc.geometry.intrinsics import Intrinsics
         from trinoc.io.atomic import expect_place
+        from trinoc.io.board_json import load_pattern
         from trinoc.io.images import read_image
-        from trinoc.io.pattern_json import load_pattern
         from trinoc.io.saving import expect_ending, save
 
         expect_place(self.out)

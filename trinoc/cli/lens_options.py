@@ -66,7 +66,7 @@ def expect_pixel_pitch(pitch_mm: tuple[float, float] | None, where: str) -> None
 
     where : the beginning of the sentence.
     """
-    from trinoc.io.usable_cameras import expect_pitch
+    from trinoc.io.intrinsics_json import expect_pitch
 
     try:
         expect_pitch(pitch_mm, where)
@@ -118,8 +118,7 @@ class LensOptions:
         Raises UsageError where the options do not say it, InputError for a file that does not.
         """
         from trinoc.geometry.intrinsics import Intrinsics
-        from trinoc.io.intrinsics_json import load_intrinsics
-        from trinoc.io.usable_cameras import expect_lens
+        from trinoc.io.intrinsics_json import expect_lens, load_intrinsics
 
         by_numbers = self.lens_mm != NO_NUMBERS
         if by_numbers == bool(self.lens):

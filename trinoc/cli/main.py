@@ -18,19 +18,16 @@ import tyro
 from trinoc.cli.batch import BatchCommand
 from trinoc.cli.calibrate import CalibrateCommand
 from trinoc.cli.calibrate_rig import CalibrateRigCommand
-from trinoc.cli.check import CheckCommand
 from trinoc.cli.command import Command, UsageError, expect_numbers, expect_places, in_options
 from trinoc.cli.demo import DemoCommand
 from trinoc.cli.evaluate import EvaluateCommand
 from trinoc.cli.export import ExportCommand
 from trinoc.cli.intrinsics import IntrinsicsCommand
 from trinoc.cli.match import MatchCommand
-from trinoc.cli.old_names import refuse_old_names
 from trinoc.cli.pattern import PatternCommand
-from trinoc.cli.refine import RefineCommand
-from trinoc.cli.rig_toml import with_file
+from trinoc.cli.refine import CheckCommand, RefineCommand
 from trinoc.cli.segments import SegmentsCommand
-from trinoc.cli.settings import put_files_first
+from trinoc.cli.settings import put_files_first, refuse_old_names, with_file
 from trinoc.cli.view import ViewCommand
 from trinoc.cli.watch import WatchCommand
 from trinoc.errors import TrinocError
@@ -172,8 +169,8 @@ def _run(command: Command, command_line: str) -> int:
     # Small LAPACK calls are many times slower when their threads fight over busy cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+    from trinoc.cli.command import set_up_logging
     from trinoc.cli.main import compile_quickly
-    from trinoc.cli.progress import set_up_logging
     from trinoc.io.compile_cache import enable_compile_cache
 
     compile_quickly()

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from trinoc.cli.command import Command, DryRunOption, Out, Outcome, ReportOption, UsageError
-from trinoc.cli.progress import LOGGER
+from trinoc.cli.command import LOGGER, Command, DryRunOption, Out, Outcome, ReportOption, UsageError
 from trinoc.cli.views import (
     SEGMENT_SUFFIXES,
     check_views,
@@ -90,7 +89,7 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
                 "greatest, in mm."
             )
 
-        from trinoc.cli.progress import provenance
+        from trinoc.cli.command import provenance
         from trinoc.io.atomic import expect_place
         from trinoc.io.saving import expect_ending, save
         from trinoc.match.features import FEATURES

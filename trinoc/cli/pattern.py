@@ -167,8 +167,7 @@ class PatternCommand(Command):
     def _print(self, sheet: "AbstractBoard") -> tuple[list[Path], list[str]]:
         """Layout and drawings on paper: the files, and what to do with them."""
         from trinoc.io.board_json import save_target
-        from trinoc.io.pattern_pdf import save_pattern_pdf
-        from trinoc.io.pattern_svg import save_pattern_svg
+        from trinoc.io.pattern_page import save_pattern_pdf, save_pattern_svg
 
         drawing, page = self.out.with_suffix(".svg"), self.out.with_suffix(".pdf")
         # First the drawing, which fails where the sheet is larger than the paper.

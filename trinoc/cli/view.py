@@ -12,7 +12,7 @@ from trinoc.cli.command import BoardFileOrNone, Command, FileOrNone, Outcome, Us
 from trinoc.cli.views import read_rig
 
 if TYPE_CHECKING:
-    from trinoc.report.ellipsoids import Ellipsoids
+    from trinoc.report.space_content import Ellipsoids
     from trinoc.report.space_part import SpaceFigure
 
 
@@ -72,12 +72,12 @@ class ViewCommand(Command):
     def _content(self) -> "tuple[SpaceFigure, Ellipsoids | None, str]":
         from trinoc.geometry.features import Feature
         from trinoc.geometry.rig import Rig
-        from trinoc.io.pattern_json import load_pattern
+        from trinoc.io.board_json import load_pattern
         from trinoc.io.saving import load
         from trinoc.match.tracks.matches import Matches
         from trinoc.match.wire_frame.frame import Wireframe
-        from trinoc.report.ellipsoids import error_ellipsoids
         from trinoc.report.features_part import features_figure
+        from trinoc.report.space_content import error_ellipsoids
         from trinoc.report.space_part import SpaceFigure, space_figure
 
         value = load(self.file)

@@ -5,8 +5,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trinoc.cli.command import UsageError
-from trinoc.cli.progress import LOGGER
+from trinoc.cli.command import LOGGER, UsageError
 
 if TYPE_CHECKING:
     from trinoc.geometry.rig import Rig
@@ -14,7 +13,7 @@ if TYPE_CHECKING:
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from trinoc.cli.progress import each
+from trinoc.cli.command import each
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
@@ -153,9 +152,8 @@ def read_segments(
     quiet: bool,
 ) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
     """(the pictures among the files, the segments of all): read, or found in the pictures."""
-    from trinoc.io.images import read_views
+    from trinoc.io.images import expect_inside, expect_size, read_views
     from trinoc.io.segment_table import load_segments
-    from trinoc.io.views_of_rig import expect_inside, expect_size
 
     tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
     images = read_views({name: file for name, file in files.items() if name not in tables})

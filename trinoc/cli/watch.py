@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from trinoc.cli.command import BoardFile, Command, Outcome, UsageError
-from trinoc.cli.progress import LOGGER
+from trinoc.cli.command import LOGGER, BoardFile, Command, Outcome, UsageError
 from trinoc.cli.view import expect_port, show
 from trinoc.errors import InputError
 
@@ -116,8 +115,7 @@ class FolderArrivals:
 
         at_once : also those seen for the first time.
         """
-        from trinoc.io.images import IMAGE_SUFFIXES
-        from trinoc.io.whole_picture import is_whole_picture
+        from trinoc.io.images import IMAGE_SUFFIXES, is_whole_picture
 
         found = []
         for path in self._folder.iterdir():

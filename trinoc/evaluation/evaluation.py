@@ -19,8 +19,8 @@ from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_err
 from trinoc.evaluation.wire_frames import WireframeScore, score_wireframe
 from trinoc.geometry.uncertain_lines import UncertainLines
 from trinoc.match.wire_frame.frame import Wireframe
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.display import Displayable
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.tails import MAD_TO_SIGMA
 from trinoc.synth.truth import SceneTruth
 

@@ -27,9 +27,8 @@ from trinoc.match.line_map.corners import snap_corners
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.wire_frame.build import wireframe
 from trinoc.match.wire_frame.frame import Wireframe
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import in_blocks
-from trinoc.numerics.precision import as_numpy, in_float64
+from trinoc.numerics.precision import ArrayLike, as_numpy, in_float64
 
 # Tracks go through the kernel so many at a time, so that one size compiles.
 BLOCK = 128

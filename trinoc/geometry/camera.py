@@ -13,13 +13,14 @@ from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point
-from trinoc.numerics.arrays import (
+from trinoc.numerics.precision import (
     ArrayLike,
     FloatOrTraced,
     NumpyOrTraced,
     ScalarLike,
+    as_float,
+    in_float64,
 )
-from trinoc.numerics.precision import as_float, in_float64
 
 
 class Camera(eqx.Module):

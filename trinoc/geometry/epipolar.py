@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.geometry.rotation import skew
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.small_matrices import inverse_3x3
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.camera import Camera, project
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import ArrayLike, ScalarLike
 
 # The image of an edge is smooth, so that its first harmonics determine the centroid: to 1e-11 px
 # with so many points, for a circle of 25 mm seen obliquely from 250 mm.

@@ -13,9 +13,11 @@ from trinoc.errors import InputError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.pinhole import Pinhole
 from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, lens_model
-from trinoc.numerics.arrays import ArrayLike, FloatOrTraced, ScalarLike
 from trinoc.numerics.buckets import in_bucket
 from trinoc.numerics.precision import (
+    ArrayLike,
+    FloatOrTraced,
+    ScalarLike,
     array_namespace,
     as_float,
     in_float64,

@@ -7,7 +7,7 @@ distance is meant. Distances are in pixels, points in undistorted pixels.
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 
 def line_through(

@@ -15,8 +15,7 @@ from trinoc.geometry.rotation import (
     rotation_from_vector,
     vector_from_rotation,
 )
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
 
 
 class PoseModel(Enum):

@@ -12,9 +12,8 @@ from jaxtyping import Float
 
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
-from trinoc.numerics.arrays import ArrayLike, NumpyOrTraced
 from trinoc.numerics.buckets import in_bucket
-from trinoc.numerics.precision import array_namespace, is_traced
+from trinoc.numerics.precision import ArrayLike, NumpyOrTraced, array_namespace, is_traced
 from trinoc.numerics.vectors import (
     Scalar,
     Vector2,

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.display import Displayable
+from trinoc.numerics.precision import ArrayLike
 
 # Centres nearer to each other than this share of their distance from the sheet are one place.
 _ONE_PLACE = 1e-6

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import ArrayLike, ScalarLike
 
 
 def skew(vector: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:

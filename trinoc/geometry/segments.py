@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.display import Displayable
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.table_checks import (
     COVARIANCE,
     IN_PICTURE,

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.geometry.epipolar import centre_of_matrix
 from trinoc.geometry.projection import project_with_jacobian
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.small_matrices import (
     inverse_3x3,
     inverse_positive_definite,

@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
 
 # Elementwise, NumPy where nothing is traced.
 Values = Float[ArrayLike, "..."]

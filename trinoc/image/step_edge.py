@@ -13,8 +13,7 @@ import scipy.special
 from jax.scipy.special import ndtr
 from jaxtyping import Bool, Float, Int
 
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
-from trinoc.numerics.precision import is_traced
+from trinoc.numerics.precision import ArrayLike, ScalarLike, is_traced
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton
 from trinoc.numerics.small_matrices import solve_positive_definite
 

@@ -1,3 +1,6 @@
+from .atomic import (
+    save_table as save_table,
+)
 from .board_json import (
     load_target as load_target,
 )
@@ -19,6 +22,7 @@ from .frames_files import (
     load_frames as load_frames,
 )
 from .images import (
+    load_shots as load_shots,
     read_image as read_image,
     read_views as read_views,
     write_picture as write_picture,
@@ -29,18 +33,10 @@ from .intrinsics_json import (
 from .known_shape import (
     load_shape as load_shape,
 )
-from .pattern_pdf import (
+from .pattern_page import (
     save_pattern_pdf as save_pattern_pdf,
+    save_pattern_svg as save_pattern_svg,
 )
 from .pattern_png import (
     save_pattern_png as save_pattern_png,
-)
-from .pattern_svg import (
-    save_pattern_svg as save_pattern_svg,
-)
-from .shots import (
-    load_shots as load_shots,
-)
-from .table_csv import (
-    save_table as save_table,
 )

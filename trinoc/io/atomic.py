@@ -1,14 +1,17 @@
 """Files that are either whole or not there, whatever stops the program."""
 
 import contextlib
+import csv
 import errno
+import io
+import math
 import os
 import re
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from trinoc.errors import InputError
 
@@ -102,3 +105,25 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a UTF-8 text file as `atomic_write` does."""
     with atomic_write(path) as file:
         file.write(text.encode("utf-8"))
+
+
+def save_table(rows: Sequence[Mapping[str, Any]], path: str | os.PathLike[str]) -> None:
+    """Write rows under the names of all their columns; what a row lacks, and NaN, stays empty.
+
+    The file is whole or not there, so that it may be written again after every row.
+    """
+    # The longest row has them all in order; one that failed has fewer.
+    fullest = max(rows, key=len, default={})
+    names = list(dict.fromkeys(name for row in (fullest, *rows) for name in row))
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(names)
+    for row in rows:
+        writer.writerow([_cell(row.get(name)) for name in names])
+    write_text(path, out.getvalue())
+
+
+def _cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

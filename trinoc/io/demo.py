@@ -9,9 +9,9 @@ import numpy as np
 
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
+from trinoc.io.board_json import load_pattern
 from trinoc.io.images import read_image
 from trinoc.io.json_document import Block, read_document, write_document
-from trinoc.io.pattern_json import load_pattern
 from trinoc.synth.truth import SceneTruth, SeenParts
 
 FORMAT, VERSION = "trinoc-scene-truth", 1

@@ -1,10 +1,13 @@
-"""Files of the matches of many frames: npz, or Parquet with a row for each track."""
+"""Files of the matches of many frames: npz, Parquet with a row for each track, and the folder that
+`trinoc batch` fills.
+"""
 
 import importlib.util
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +21,7 @@ from trinoc.io.frames_table import (
     results_of_frames,
     sides_of_row,
 )
-from trinoc.io.json_text import parsed_json
+from trinoc.io.json_document import parsed_json
 from trinoc.io.tables_npz import (
     REMEDY,
     VERSION,
@@ -28,8 +31,9 @@ from trinoc.io.tables_npz import (
     load_npz,
     save_npz,
 )
+from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.tables import list_fields
-from trinoc.recording.frame import FrameMatches
+from trinoc.recording.frame_table import FrameMatches
 
 FORMAT = f"trinoc-{Frames.KIND}"
 _DTYPES = {"f": np.float64, "i": np.int64}
@@ -165,3 +169,93 @@ def _pyarrow(path: Path):
             f"{path} is Parquet, which needs pyarrow: pip install 'trinoc[parquet]', or write npz."
         ) from error
     return pyarrow, pyarrow.parquet
+
+
+def manifest_lines(results: Sequence[FrameMatches], file: str) -> list[dict[str, Any]]:
+    """The lines of the frames of one file of results; equal results give equal lines."""
+    return [{"frame": r.name, **_fate(r), "file": file, "row": k} for k, r in enumerate(results)]
+
+
+def manifest_text(lines: Iterable[Mapping[str, Any]]) -> str:
+    """Lines as they stand in a file."""
+    return "".join(json.dumps(line, ensure_ascii=False) + "\n" for line in lines)
+
+
+def read_lines(manifest: Path) -> dict[str, list[dict[str, Any]]]:
+    """The lines of each file of results, in the order of its rows.
+
+    Lines that are damaged are left out: the files have all that they said.
+    """
+    found: dict[str, dict[int, dict[str, Any]]] = {}
+    for text in manifest.read_bytes().splitlines():
+        try:
+            line = json.loads(text)
+            found.setdefault(str(line["file"]), {})[int(line["row"])] = line
+        except (ValueError, TypeError, KeyError, RecursionError):
+            continue
+    return {file: [rows[k] for k in sorted(rows)] for file, rows in found.items()}
+
+
+def _fate(result: FrameMatches) -> dict[str, Any]:
+    if result.matches is None:
+        return {"status": "failed", "why": result.status}
+    stage = result.matches.stage
+    return {
+        "status": result.status,
+        "segments": {view: len(words) for view, words in result.matches.reasons.items()},
+        "tracks": {name: int((stage == name).sum()) for name in ("trinocular", "binocular")},
+    }
+
+
+class RecordingMatches(Mapping):
+    """Frame names to matches, None for a frame that failed; one file is in memory at a time.
+
+    failures : (frame name, why) of those that failed, in order.
+    """
+
+    def __init__(
+        self, folder: Path, places: Mapping[str, tuple[str, int]], failures: dict[str, str]
+    ) -> None:
+        self.folder, self._places, self.failures = folder, places, failures
+        self._last: tuple[str, list[FrameMatches]] = ("", [])
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __getitem__(self, frame: str) -> Matches | None:
+        file, row = self._places[frame]
+        if self._last[0] != file:
+            self._last = file, load_frames(self.folder / file)
+        results = self._last[1]
+        if not row < len(results) or results[row].name != frame:
+            raise InputError(
+                f'{self.folder / file} has no frame "{frame}" in row {row}, where the manifest '
+                "says so: run the batch again."
+            )
+        return results[row].matches
+
+
+def load_recording(folder: str | os.PathLike[str]) -> RecordingMatches:
+    """The results of `match_recording`, of all jobs that wrote to the folder.
+
+    Frames come in the order of the recording. Raises InputError where there are none.
+    """
+    place = Path(folder)
+    lines: dict[str, list[dict]] = {}
+    for manifest in sorted(place.glob("manifest*.jsonl")):
+        lines |= read_lines(manifest)
+    if not lines:
+        raise InputError(f"{place} holds no results of trinoc batch: give its output folder.")
+    places, failures = {}, {}
+    for file in sorted(lines):
+        if Path(file).name != file:
+            raise InputError(f'A manifest in {place} names "{file}", which is outside: remove it.')
+        for line in lines[file]:
+            name = str(line.get("frame"))
+            places[name] = file, int(line["row"])
+            if line.get("status") == "failed":
+                failures[name] = str(line.get("why"))
+    return RecordingMatches(place, places, failures)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from trinoc.errors import InputError
-from trinoc.io.json_text import parsed_json
+from trinoc.io.json_document import parsed_json
 from trinoc.io.tables_npz import REMEDY, ArrayFields, build_table, list_arrays
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.tables import (
@@ -25,7 +25,7 @@ from trinoc.numerics.tables import (
     Table,
     list_fields,
 )
-from trinoc.recording.frame import OK, FrameMatches
+from trinoc.recording.frame_table import OK, FrameMatches
 
 # The columns of tracks, with the sides of a row.
 OF_TRACKS = {

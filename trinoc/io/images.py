@@ -1,11 +1,17 @@
-"""Pictures from files, at the depth that the camera recorded."""
+"""Pictures from files, at the depth that the camera recorded: one, by view, and by shot.
 
+Sources of the marks at a file's end: the PNG specification; T.81 for JPEG.
+"""
+
+import glob
 import hashlib
 import io
+import itertools
 import os
 import struct
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -13,9 +19,35 @@ import numpy as np
 from PIL import Image
 
 from trinoc.errors import InputError
+from trinoc.geometry.rig import Rig
+from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import atomic_write
 from trinoc.io.whole_files import read_bytes
-from trinoc.io.whole_picture import ends_as_it_should
+
+_PNG, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
+_JPEG, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
+# Cameras may add something behind the end.
+_TAIL = 4096
+
+
+def is_whole_picture(path: str | os.PathLike[str]) -> bool:
+    """Whether a file that is a PNG or JPEG has its end mark; others are whole where not empty.
+
+    Raises OSError.
+    """
+    with Path(path).open("rb") as file:
+        start = file.read(8)
+        file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL))
+        return bool(start) and ends_as_it_should(start, file.read())
+
+
+def ends_as_it_should(start: bytes, tail: bytes | None = None) -> bool:
+    """The same of the content; `tail` is its last part where `start` is not all of it."""
+    end = start if tail is None else tail
+    if start.startswith(_PNG):
+        return _PNG_END in end
+    return _JPEG_END in end if start.startswith(_JPEG) else True
+
 
 # What Pillow reads, and so the most that a file may announce: no sensor has more.
 MOST_PIXELS = 178_956_970
@@ -156,3 +188,100 @@ def _decode(file: Path, content: bytes) -> np.ndarray:
     if image.shape[2] == 4:
         return cv2.cvtColor(image, cv2.COLOR_BGRA2RGB)
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def expect_inside(name: str, segments: Segments, rig: Rig, file: str | os.PathLike[str]) -> None:
+    """Raise InputError for segments more than a picture's width beyond the picture."""
+    size = np.array(rig[name].image_size_px)
+    ends = np.asarray(segments.endpoints_px)
+    outside = np.flatnonzero(((ends < -size) | (ends > 2 * size)).any(axis=(1, 2)))
+    if len(outside):
+        raise InputError(
+            f'{file}: segment {outside[0]} lies far outside the pictures of "{name}", which are '
+            f"{size[0]} x {size[1]} px: give ends in pixels of that camera."
+        )
+
+
+def expect_size(name: str, image: np.ndarray, rig: Rig) -> None:
+    """Raise InputError where a picture has not the size that the rig was calibrated for."""
+    size = (image.shape[1], image.shape[0])
+    if size != rig[name].image_size_px:
+        raise InputError(
+            f'The picture of "{name}" is {size[0]} x {size[1]} px, but the rig was calibrated for '
+            f"{rig[name].image_size_px[0]} x {rig[name].image_size_px[1]} px: give a picture of "
+            "that size."
+        )
+
+
+Shots = dict[str, dict[str, Callable[[], np.ndarray]]]
+
+
+def load_shots(places: Mapping[str, str | os.PathLike[str]]) -> Shots:
+    """For each camera by name, functions that read its pictures, by the name of the shot.
+
+    A place is a folder of pictures or a pattern such as "shots/left*.png". Pictures are of one shot
+    where their names agree, apart from what all names of a camera begin and end with: left_07.png
+    and right_07.png are of the shot "07". Nothing is read yet. Raises InputError for a place
+    without pictures, and for two cameras that were given one place.
+    """
+    files = {camera: _files(camera, os.fspath(place)) for camera, place in places.items()}
+    owner: dict[Path, str] = {}
+    for camera, own in files.items():
+        for file in own:
+            other = owner.setdefault(file.resolve(), camera)
+            if other != camera:
+                raise InputError(
+                    f'{file} is a picture of "{other}" and of "{camera}": give each camera its own.'
+                )
+    names = _names({camera: [file.stem for file in own] for camera, own in files.items()})
+    return {
+        camera: {
+            name: partial(read_image, file) for name, file in zip(names[camera], own, strict=True)
+        }
+        for camera, own in files.items()
+    }
+
+
+def _files(camera: str, place: str) -> list[Path]:
+    if os.path.isdir(place):
+        found = [file for file in Path(place).iterdir() if file.suffix.lower() in IMAGE_SUFFIXES]
+    else:
+        found = [Path(file) for file in glob.glob(place) if os.path.isfile(file)]
+    if not found:
+        raise InputError(
+            f'{place} holds no picture of "{camera}": give a folder of pictures, or a pattern such '
+            "as 'shots/left*.png' in quotes."
+        )
+    return sorted(found)
+
+
+def _names(stems: dict[str, list[str]]) -> dict[str, list[str]]:
+    """Names of the shots: the stems where cameras share some, else what differs in them."""
+    whole = [set(own) for own in stems.values()]
+    if len(stems) == 1 or set.intersection(*whole):
+        return stems
+    return {camera: _without_common(own) for camera, own in stems.items()}
+
+
+def _without_common(stems: list[str]) -> list[str]:
+    """What is left of texts without what all of them begin and end with.
+
+    Digits are kept whole: of 09 and 10, as of 10 and 11, both digits are left.
+    """
+    if len(stems) == 1:
+        return ["".join(letter for letter in stems[0] if letter.isdigit()) or stems[0]]
+    start = _common_length(stems)
+    while start and stems[0][start - 1].isdigit():
+        start -= 1
+    left = [stem[start:] for stem in stems]
+    end = _common_length([stem[::-1] for stem in left])
+    while end and left[0][-end].isdigit():
+        end -= 1
+    cut = [stem[: len(stem) - end] for stem in left]
+    return cut if all(cut) else left
+
+
+def _common_length(texts: list[str]) -> int:
+    """How many letters all texts begin with."""
+    columns = zip(*texts, strict=False)
+    return sum(1 for _ in itertools.takewhile(lambda column: len(set(column)) == 1, columns))

@@ -1,12 +1,16 @@
-"""A sheet laid out on a page: figures in mm, from which SVG and PDF are drawn alike."""
+"""A sheet laid out on a page: figures in mm, drawn alike as SVG and as PDF."""
 
+import io
+import os
 from typing import NamedTuple
+from xml.sax.saxutils import escape
 
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Polygon
 from trinoc.errors import InputError
+from trinoc.io.atomic import atomic_write, write_text
 
 # (width, height) in mm, upright.
 PAPER_SIZES_MM = {
@@ -155,3 +159,112 @@ def _shift_figure(figure: Disc | Polygon, shift: Float[np.ndarray, "2"]) -> Disc
 
 def _pair(point: np.ndarray) -> tuple[float, float]:
     return float(point[0]), float(point[1])
+
+
+def save_pattern_svg(
+    pattern: AbstractBoard, path: str | os.PathLike[str], *, paper: str = "a4"
+) -> None:
+    """Draw the sheet in true scale. Raises InputError where it does not fit the paper."""
+    write_text(path, pattern_svg(lay_out(pattern, paper)))
+
+
+def pattern_svg(page: PatternPage) -> str:
+    """The SVG text of a page; one user unit is one millimetre."""
+    width, height = page.size_mm
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm"'
+        f' viewBox="0 0 {width:g} {height:g}">',
+        f"<title>{escape(page.title)}</title>",
+        f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
+    ]
+    for figure in page.figures:
+        if isinstance(figure, Disc):
+            x, y = _from_top_left(figure.centre_mm, page)
+            fill = _fill(figure.is_ink)
+            lines.append(f'<circle cx="{x}" cy="{y}" r="{_number(figure.radius_mm)}" {fill}/>')
+        elif isinstance(figure, Polygon):
+            corners = " ".join(",".join(_from_top_left(c, page)) for c in figure.corners_mm)
+            lines.append(f'<polygon points="{corners}" {_fill(figure.is_ink)}/>')
+        else:
+            x, y = _from_top_left(figure.place_mm, page)
+            turn = f' transform="rotate(-90 {x} {y})"' if figure.is_upright else ""
+            lines.append(
+                f'<text x="{x}" y="{y}" font-family="sans-serif" font-size="{LETTER_MM:g}"'
+                f' text-anchor="middle"{turn}>{escape(figure.words)}</text>'
+            )
+    return "\n".join([*lines, "</svg>", ""])
+
+
+def _from_top_left(place_mm, page: PatternPage) -> tuple[str, str]:
+    """SVG counts from the top left, downward."""
+    width, height = page.size_mm
+    return _number(0.5 * width + place_mm[0]), _number(0.5 * height - place_mm[1])
+
+
+def _fill(is_ink: bool) -> str:
+    return 'fill="black"' if is_ink else 'fill="white"'
+
+
+def _number(value: float) -> str:
+    return f"{float(value):.5f}".rstrip("0").rstrip(".")
+
+
+_POINTS_PER_MM = 72.0 / 25.4
+
+
+def save_pattern_pdf(
+    pattern: AbstractBoard, path: str | os.PathLike[str], *, paper: str = "a4"
+) -> None:
+    """Draw the sheet in true scale.
+
+    The page box is the paper's exactly, and viewers are told not to scale when printing.
+    Raises InputError where the sheet does not fit the paper, or reportlab is not installed.
+    """
+    content = pattern_pdf(lay_out(pattern, paper))
+    with atomic_write(path) as file:
+        file.write(content)
+
+
+def pattern_pdf(page: PatternPage) -> bytes:
+    """The PDF file of a page, the same bytes for the same page."""
+    try:
+        from reportlab.pdfgen.canvas import Canvas
+    except ImportError as error:
+        raise InputError(
+            "Drawing a PDF needs reportlab; install it with pip install 'trinoc[print]', or"
+            " write an SVG."
+        ) from error
+    width, height = page.size_mm
+    buffer = io.BytesIO()
+    canvas = Canvas(
+        buffer,
+        pagesize=(width * _POINTS_PER_MM, height * _POINTS_PER_MM),
+        invariant=1,
+    )
+    canvas.setTitle(page.title)
+    canvas.setViewerPreference("PrintScaling", "None")
+    canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)
+    canvas.translate(0.5 * width, 0.5 * height)
+    for figure in page.figures:
+        if isinstance(figure, Disc):
+            canvas.setFillGray(0.0 if figure.is_ink else 1.0)
+            canvas.circle(*figure.centre_mm, figure.radius_mm, stroke=0, fill=1)
+        elif isinstance(figure, Polygon):
+            canvas.setFillGray(0.0 if figure.is_ink else 1.0)
+            outline = canvas.beginPath()
+            outline.moveTo(*figure.corners_mm[0])
+            for corner in figure.corners_mm[1:]:
+                outline.lineTo(*corner)
+            outline.close()
+            canvas.drawPath(outline, stroke=0, fill=1)
+        else:
+            canvas.saveState()
+            canvas.setFillGray(0.0)
+            canvas.setFont("Helvetica", LETTER_MM)
+            canvas.translate(*figure.place_mm)
+            canvas.rotate(90 if figure.is_upright else 0)
+            canvas.drawCentredString(0, 0, figure.words)
+            canvas.restoreState()
+    canvas.showPage()
+    canvas.save()
+    return buffer.getvalue()

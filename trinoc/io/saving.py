@@ -12,14 +12,13 @@ from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.io import board_json, demo, intrinsics_json, pattern_json, rig_json
+from trinoc.io import board_json, demo, intrinsics_json, rig_json
 from trinoc.io.arrays_npz import format_of_arrays
 from trinoc.io.board_json import load_target, save_target
-from trinoc.io.frames_files import FORMAT as FRAMES_FORMAT, load_frames
-from trinoc.io.json_text import parsed_json
+from trinoc.io.frames_files import FORMAT as FRAMES_FORMAT, load_frames, load_recording
+from trinoc.io.json_document import parsed_json
 from trinoc.io.known_shape import load_shape
-from trinoc.io.recordings import load_recording
-from trinoc.io.rig_status import status_of_shots, status_to_block
+from trinoc.io.rig_json import status_of_shots, status_to_block
 from trinoc.io.tables_npz import load_npz, save_npz
 from trinoc.io.whole_files import read_text
 from trinoc.match.features import FEATURES
@@ -116,7 +115,7 @@ _Reader = Callable[[Path], Any]
 _BY_FORMAT: dict[str, tuple[str, _Reader]] = {
     rig_json.FORMAT: ("a rig.json", rig_json.load_rig),
     intrinsics_json.FORMAT: ("camera.json", intrinsics_json.load_intrinsics),
-    pattern_json.FORMAT: ("sheet.json", load_target),
+    board_json.PATTERN_FORMAT: ("sheet.json", load_target),
     board_json.FORMAT: ("board.json", load_target),
     demo.FORMAT: ("truth.json", demo.load_scene_truth),
 }

@@ -23,9 +23,8 @@ from trinoc.match.observations.match_input import (
 from trinoc.match.selection.messages import FRAMES_AT_ONCE
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import bucket
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.programs import one_compiles
 
 OK = "ok"

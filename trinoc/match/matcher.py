@@ -27,8 +27,7 @@ from trinoc.match.tracks.assembly import assemble
 from trinoc.match.tracks.consolidation import tracks_through_views
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 
 
 @in_float64

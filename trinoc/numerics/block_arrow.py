@@ -20,7 +20,7 @@ import jax.scipy.linalg as jsl
 import lineax as lx
 from jaxtyping import Array, Float, PyTree
 
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import ArrayLike, ScalarLike
 from trinoc.numerics.small_matrices import inverse_positive_definite
 
 Unknowns = tuple[Float[ArrayLike, "q"], Float[ArrayLike, "k w"]]

@@ -13,8 +13,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
 
 
 class AbstractRobustLoss(eqx.Module):

@@ -7,7 +7,7 @@ LAPACK, which `jnp.linalg` calls once per item, costs tens of times more for a 6
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 
 def _cholesky(matrix: Float[ArrayLike, "n n"]) -> list[list[ArrayLike]]:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 Scalar = Float[ArrayLike, "..."]
 Vector2 = tuple[Scalar, Scalar]

@@ -2,6 +2,5 @@
 
 1. `name_templates`, `frame_table`: names of files to frames, one file for each camera.
 2. `parts`: some frames in a row are a part, the unit of work and one file of results; a share of
-   the parts is a job.
-3. `matched`: the segments of the frames of a part to their matches, where no frame ends the rest.
+   the parts is a job. The segments of its frames become matches, and no frame ends the rest.
 """

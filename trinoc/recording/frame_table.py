@@ -1,11 +1,31 @@
-"""A table that lists frames: a column "frame", and a column for each camera."""
+"""One moment of a recording: its files, and what was found in them. The table that lists frames has
+a column "frame" and a column for each camera.
+"""
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from trinoc.errors import InputError
-from trinoc.recording.frame import Frame
+from trinoc.match.tracks.matches import Matches
+
+OK = "ok"
+
+
+class Frame(NamedTuple):
+    """A name, and for each camera that has one its file, relative to the recording's folder."""
+
+    name: str
+    files: Mapping[str, str]
+
+
+class FrameMatches(NamedTuple):
+    """What became of a frame: matches and the status "ok", or None and the sentence why not."""
+
+    name: str
+    status: str
+    matches: Matches | None
 
 
 def frames_of_table(text: str, cameras: Sequence[str], where: str) -> list[Frame]:

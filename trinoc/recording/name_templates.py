@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 from trinoc.errors import InputError
-from trinoc.recording.frame import Frame
+from trinoc.recording.frame_table import Frame
 
 # How recorders name files, tried in this order where nobody says.
 USUAL = (

@@ -4,6 +4,6 @@ from .parameter_table import parameter_errors as parameter_errors
 from .text import (
     counts_text as counts_text,
     errors_text as errors_text,
+    evaluation_text as evaluation_text,
     reasons_text as reasons_text,
 )
-from .text_of_evaluation import evaluation_text as evaluation_text

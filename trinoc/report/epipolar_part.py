@@ -15,12 +15,11 @@ from trinoc.geometry.camera import Camera, project
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import TRINOCULAR, Matches
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import bucket, pad_rows
-from trinoc.numerics.precision import in_float64
-from trinoc.report.colours import PALETTE
+from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.report.numbers import with_decimals
 from trinoc.report.pictures import PagePicture
+from trinoc.report.space_content import PALETTE
 
 SHOWN = 6
 # Rays of a bent picture are kept at so many places along each side: between them the curves are

@@ -12,8 +12,8 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.evaluation.sweep import Row
 from trinoc.io.atomic import atomic_write
-from trinoc.report.colours import PALETTE
 from trinoc.report.notebook.extras import expect_extra
+from trinoc.report.space_content import PALETTE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

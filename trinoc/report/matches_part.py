@@ -1,10 +1,11 @@
-"""What the page shows of segments and matches: figures, counts, reasons and tracks."""
+"""What the page shows of segments and matches: pictures with them, counts, reasons and tracks."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.geometry.line_lengths import LineSigmas, line_sigmas
 from trinoc.geometry.segments import Segments
@@ -14,10 +15,162 @@ from trinoc.match.tracks.matches import (
     TRINOCULAR,
     Matches,
 )
-from trinoc.report.colours import PALETTE, distinct_neighbours
 from trinoc.report.numbers import in_words, percent, with_decimals, with_sigma
-from trinoc.report.pictures import PagePicture
-from trinoc.report.segments_figures import SegmentsFigure, segments_figure, tracks_figures
+from trinoc.report.pictures import PagePicture, Window
+from trinoc.report.space_content import PALETTE, distinct_neighbours
+
+# In 1/512 of the picture's width: height of a word, width of a letter, distance from its line.
+HEIGHT, LETTER, AWAY = 15.0, 9.0, 12.0
+# Where along its line a word may stand, the best place first.
+PLACES = (0.5, 0.3, 0.7, 0.15, 0.85)
+
+
+class PlacedLabel(NamedTuple):
+    """A word and the place of its middle, in pixels of the picture."""
+
+    u: float
+    v: float
+    text: str
+
+
+def place_labels(
+    texts: Sequence[str], lines_px: Float[np.ndarray, "n 2 2"], window: Window
+) -> list[PlacedLabel]:
+    """A place beside each line where no earlier word stands; words that find none are left out."""
+    taken: list[tuple[float, float, float, float]] = []
+    placed = []
+    for text, (first, second) in zip(texts, lines_px, strict=True):
+        along = second - first
+        length = float(np.hypot(*along))
+        across = np.array([-along[1], along[0]]) / (length + 1e-9) * AWAY * window.unit
+        half = np.array([len(text) * LETTER, HEIGHT]) * window.unit / 2
+        for share, side in ((share, side) for share in PLACES for side in (1, -1)):
+            middle = first + share * along + side * across
+            low, high = middle - half, middle + half
+            box = (*low.tolist(), *high.tolist())
+            if _inside(box, window) and not any(_overlap(box, other) for other in taken):
+                taken.append(box)
+                placed.append(PlacedLabel(float(middle[0]), float(middle[1]), text))
+                break
+    return placed
+
+
+def _inside(box: tuple[float, float, float, float], window: Window) -> bool:
+    left, top, right, bottom = box
+    return (
+        left >= window.left
+        and top >= window.top
+        and right <= window.left + window.width
+        and bottom <= window.top + window.height
+    )
+
+
+def _overlap(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+
+
+NUMBERED = 14
+
+
+class Stroke(NamedTuple):
+    """A segment or a fragment on a picture; `track` is -1 where it belongs to none.
+
+    matched : None where nothing was matched.
+    """
+
+    u1: float
+    v1: float
+    u2: float
+    v2: float
+    track: int
+    colour: str
+    words: str
+    matched: bool | None = None
+
+
+class SegmentsFigure(NamedTuple):
+    """The strokes over one picture, and the ends of segments that only stand behind them."""
+
+    name: str
+    picture: PagePicture
+    strokes: tuple[Stroke, ...]
+    faint: Float[np.ndarray, "n 2 2"]
+    caption: str
+    labels: tuple[PlacedLabel, ...] = ()
+
+
+def segments_figure(
+    name: str, segments: Segments, matches: Matches | None, picture: PagePicture
+) -> SegmentsFigure:
+    """All segments of one view, each with its longest track or the reason why it is on none."""
+    reasons = None if matches is None else matches.reasons.get(name)
+    track_of = {} if matches is None else _longest_tracks(matches, name)
+    strokes = []
+    for row, ((u1, v1), (u2, v2)) in enumerate(np.asarray(segments.endpoints_px).tolist()):
+        words = f"segment {row} of {name}: {np.hypot(u2 - u1, v2 - v1):.1f} px"
+        contrast = float(segments.contrast[row])
+        if np.isfinite(contrast):
+            words += f", step of {contrast:.0f} grey levels"
+        if reasons is not None:
+            words += f", {in_words(str(reasons[row]))}"
+        track = track_of.get(row, -1)
+        words += f" (track {track})" if track >= 0 else ""
+        matched = None if matches is None else track >= 0
+        strokes.append(Stroke(u1, v1, u2, v2, track, "", words, matched))
+    length = float(np.sum(segments.length_px))
+    caption = f"{len(segments):,} segments, {length:,.0f} px in all"
+    if matches is not None:
+        caption = f"{len(segments):,} segments, {len(track_of):,} matched"
+    return SegmentsFigure(name, picture, tuple(strokes), np.zeros((0, 2, 2)), caption)
+
+
+def _longest_tracks(matches: Matches, name: str) -> dict[int, int]:
+    """The longest track that each matched segment of a view is on."""
+    lengths = np.linalg.norm(np.diff(np.asarray(matches.lines_mm), axis=1)[:, 0], axis=-1)
+    column = np.asarray(matches.index)[:, matches.views.index(name)]
+    order = [track for track in np.argsort(lengths, kind="stable").tolist() if column[track] >= 0]
+    return {int(column[track]): track for track in order}
+
+
+def tracks_figures(
+    stage: str,
+    matches: Matches,
+    segments: Mapping[str, Segments],
+    pictures: Mapping[str, PagePicture],
+    colours: list[str],
+    sigmas: LineSigmas,
+) -> tuple[SegmentsFigure, ...]:
+    """The tracks of one stage in every view, over the segments that are on none of them."""
+    tracks = np.flatnonzero(np.asarray(matches.stage) == stage)
+    if len(tracks) == 0:
+        return ()
+    longest = tracks[np.argsort(-sigmas.length_mm[tracks], kind="stable")][:NUMBERED]
+    figures = []
+    for view, name in enumerate(matches.views):
+        strokes = []
+        for track in tracks.tolist():
+            segment = int(matches.index[track, view])
+            if segment < 0:
+                continue
+            (u1, v1), (u2, v2) = np.asarray(matches.fragments_px[track, view]).tolist()
+            length = with_sigma(
+                float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])
+            )
+            words = f"track {track}: segment {segment} of {name}, {length} mm"
+            strokes.append(Stroke(u1, v1, u2, v2, track, colours[track], words))
+        ends = np.asarray(segments[name].endpoints_px) if name in segments else np.zeros((0, 2, 2))
+        faint = ends[~np.isin(np.arange(len(ends)), matches.index[tracks, view])]
+        picture, caption = pictures[name], f"{len(strokes):,} tracks"
+        by_track = {stroke.track: stroke for stroke in strokes}
+        named = [(str(t), by_track[t]) for t in longest.tolist() if t in by_track]
+        labels = place_labels(
+            [text for text, _ in named],
+            np.array([((s.u1, s.v1), (s.u2, s.v2)) for _, s in named]).reshape(-1, 2, 2),
+            picture.window,
+        )
+        figures.append(SegmentsFigure(name, picture, tuple(strokes), faint, caption, tuple(labels)))
+    return tuple(figures)
+
 
 TABLE_ROWS = 300
 MATCHED = "matched"

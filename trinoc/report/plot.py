@@ -10,9 +10,16 @@ from trinoc.calib.result.calibration import CameraFit
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
-from trinoc.report.colours import BLUE, GREEN, PALETTE, VERMILION, distinct_neighbours
 from trinoc.report.pictures import clip_line
-from trinoc.report.space_content import content_box, frusta
+from trinoc.report.space_content import (
+    BLUE,
+    GREEN,
+    PALETTE,
+    VERMILION,
+    content_box,
+    distinct_neighbours,
+    frusta,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

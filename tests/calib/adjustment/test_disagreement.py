@@ -7,9 +7,9 @@ from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, made_vie
 from trinoc.calib.adjustment.agreement import (
     difference_of_answers,
     probability_of_agreement,
+    scatter_of_blocks,
 )
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
-from trinoc.calib.adjustment.jackknife import scatter_of_blocks
 from trinoc.calib.adjustment.model_tests import information_left
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.views import SheetPoints

@@ -20,7 +20,7 @@ from trinoc.calib.photometric.pixel_selection import SelectedPixels
 from trinoc.calib.photometric.scene import PixelScene, Point, scene_of_picture
 from trinoc.calib.photometric.unknowns import PictureState, delivered_state
 from trinoc.geometry.pose import PoseModel
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 STATE = with_look(state_at(RIGHT), spread_mm=0.01)
 FREE = np.ones(4 + STATE.unknowns.size, dtype=bool)

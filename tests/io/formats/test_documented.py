@@ -7,7 +7,7 @@ import pytest
 
 import trinoc
 from trinoc.io import FORMATS
-from trinoc.io.formats.losses import LOSSES
+from trinoc.io.formats.format import LOSSES
 
 PAGE = (Path(trinoc.__file__).parent.parent / "docs" / "formats.md").read_text(encoding="utf-8")
 

@@ -12,7 +12,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.registry import LENS_MODELS
 from trinoc.geometry.rig import Rig
 from trinoc.io import FORMATS
-from trinoc.io.formats.losses import NAMES
+from trinoc.io.formats.format import NAMES
 from trinoc.io.rig_json import load_rig
 from trinoc.io.saving import save
 

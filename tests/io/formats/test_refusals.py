@@ -21,7 +21,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io import FORMATS
-from trinoc.io.formats.losses import LOSSES
+from trinoc.io.formats.format import LOSSES
 
 RIG = bench_rig(coefficients=4)
 POSE = np.asarray(RIG.cameras[0].cam_from_world)

@@ -13,7 +13,7 @@ from tests.io.formats.strategies import CORNERS, in_frame_of, lenses, pixels, ri
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io import FORMATS
-from trinoc.io.formats.losses import LENSES, NAMES, WORLD
+from trinoc.io.formats.format import LENSES, NAMES, WORLD
 
 SAME = {"rtol": 0, "atol": 1e-9}
 # What differs from a rig of one to four cameras with five coefficients and no skew.

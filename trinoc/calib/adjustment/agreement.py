@@ -1,11 +1,15 @@
-"""Do the grey levels of a picture and the centres of its circles tell of one camera?
+"""Do the circles of one picture agree, with each other and with its grey levels?
 
-Both are fitted to one picture, the grey levels better. If the model of the grey levels is right,
-the circles' answer differs from theirs by no more than the circles' own noise; where they are
-farther apart, the grey levels are of another picture than the model's: J. A. Hausman,
-"Specification tests in econometrics", Econometrica 46(6), 1978. His covariance is the difference of
-both, here with the sheet and the lens as the grey levels have them: the priors, which make both
-answers nearly as uncertain as each other, then drop out.
+Errors that neighbouring circles share (glare, a bend of no known shape) make a pose err more than
+circles that err one by one would. Leaving out whole blocks shows it: B. Efron and C. Stein, "The
+jackknife estimate of variance", Annals of Statistics 9(3), 1981.
+
+Both circles and grey levels are fitted to one picture, the grey levels better. If the model of
+the grey levels is right, the circles' answer differs from theirs by no more than the circles' own
+noise; where they are farther apart, the grey levels are of another picture than the model's: J.
+A. Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978. His covariance is the
+difference of both, here with the sheet and the lens as the grey levels have them: the priors,
+which make both answers nearly as uncertain as each other, then drop out.
 """
 
 import numpy as np
@@ -15,6 +19,40 @@ from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.tails import chi_square_tail
+
+
+def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
+    """By how much blocks scatter beyond the noise that the circles of a camera claim; at least 1.
+
+    The circles of the camera's detection err one by one as far as they claim.
+    """
+    own, problem = adjustment.rows(view), adjustment.problem
+    jacobian = adjustment.near.jacobian[view][:, adjustment.free]
+    residuals, covariance = adjustment.near.residual[view], adjustment.covariance
+    place_mm = problem.target.centres_mm[problem.views[view].detection.circle_index]
+    steps, expected = [], []
+    for block in _blocks(place_mm, adjustment.used[view]):
+        rows = np.concatenate([2 * block, 2 * block + 1])
+        # The answer without the block, by its rows alone (M. A. Woodbury): what they fit of
+        # themselves is the leverage.
+        taken = jacobian[rows] @ covariance
+        left = np.eye(len(rows)) - taken @ jacobian[rows].T
+        steps.append(np.linalg.solve(left, residuals[rows]) @ taken[:, own])
+        # What independent noise makes of such a step, the residuals being less than the noise.
+        expected.append(taken[:, own].T @ np.linalg.solve(left, taken[:, own]))
+    if len(steps) < TUNING.adjustment.fewest_blocks:
+        return 1.0
+    spread = np.stack(steps)
+    ratio = np.linalg.solve(np.sum(expected, axis=0), spread.T @ spread)
+    return float(np.sqrt(max(1.0, np.trace(ratio) / len(own))))
+
+
+def _blocks(place_mm: np.ndarray, used: np.ndarray) -> list[np.ndarray]:
+    """Rows of `place_mm` that took part, by the block of the sheet that they lie in."""
+    blocks, low, high = TUNING.adjustment.blocks, place_mm.min(axis=0), place_mm.max(axis=0)
+    cell = np.floor((place_mm - low) / (high - low + 1e-9) * blocks).astype(int)
+    number = np.where(used, cell[:, 0] * blocks + cell[:, 1], -1)
+    return [np.flatnonzero(number == k) for k in range(blocks**2) if (number == k).any()]
 
 
 def probability_of_agreement(circles: Adjustment, image: Adjustment, view: int) -> float:

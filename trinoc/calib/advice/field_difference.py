@@ -22,7 +22,7 @@ from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.propagation import MAP_PLACES
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point, project_points, unproject_pixels
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 # numerical: rounds that converge, of weights and of a motion.
 _ALIGNMENTS, _MOVES = 2, 5

@@ -15,7 +15,7 @@ from trinoc.calib.problem.problem import Problem, lens_number, with_head_held, w
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.targets.board_set import board_prefixes
 from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 # numerical: a half of one shot has nothing left to compare.
 FEWEST_SHOTS = 4

@@ -11,8 +11,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.registry import stack_lenses
 from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, array_namespace
 
 # A step of one in focal length doubles it; in the principal point it is this many pixels.
 PRINCIPAL_POINT_STEP_PX = 1000.0

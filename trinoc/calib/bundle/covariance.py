@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.bundle.camera import CameraState
 from trinoc.geometry.projection import project_by_matrix
 from trinoc.geometry.triangulation import triangulate_segment
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.small_matrices import inverse_positive_definite
 
 # Share of the largest eigenvalue of the unit-diagonal information below which a direction is

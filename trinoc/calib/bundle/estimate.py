@@ -45,9 +45,8 @@ from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import LineObservations
 from trinoc.geometry.uncertain_lines import UncertainLines
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import bucket, pad_rows
-from trinoc.numerics.precision import as_numpy
+from trinoc.numerics.precision import ArrayLike, as_numpy
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 

@@ -27,7 +27,7 @@ from trinoc.geometry.lines import (
     signed_distance,
 )
 from trinoc.geometry.projection import project_by_matrix
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 ANGLES = 3
 

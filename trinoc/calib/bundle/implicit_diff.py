@@ -24,8 +24,8 @@ from trinoc.calib.bundle.joint_problem import (
     with_lines_of_two_views,
 )
 from trinoc.calib.problem.solver import solve
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.block_arrow import BlockArrowSolver
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.robust_loss import AbstractRobustLoss
 
 # Newton's steps take the minimum, known to a share of a sigma, to rounding error. Steps are of

@@ -24,8 +24,8 @@ from trinoc.calib.bundle.factors import (
     retract_line,
 )
 from trinoc.calib.problem.solver import AbstractSeparableProblem, ArrowEquations, Costs
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.block_arrow import BlockArrow
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.robust_loss import AbstractRobustLoss
 from trinoc.numerics.small_matrices import log_determinant_positive_definite
 

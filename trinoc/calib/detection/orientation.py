@@ -19,7 +19,7 @@ from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.rig import Rig
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 Orientation = Literal["upright"] | Rig | None
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.calib.photometric.sheet_places import Ray, SheetPoint, sheet_point
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
 

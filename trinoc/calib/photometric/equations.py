@@ -23,8 +23,7 @@ from trinoc.calib.photometric.unknowns import (
     step_unit_mm,
 )
 from trinoc.geometry.pose import PoseModel
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.robust_loss import GemanMcClure
 
 CHUNK = 512  # numerical: a block size

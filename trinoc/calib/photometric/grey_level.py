@@ -19,7 +19,7 @@ from trinoc.calib.photometric.ink import Circle, Cross, InkDrawing, PixelView, S
 from trinoc.calib.photometric.sheet_places import Ray, SheetPoint, sheet_point
 from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.image.response import PowerResponse
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
 

@@ -23,7 +23,7 @@ from trinoc.calib.photometric.edges import (
     straight_edge,
 )
 from trinoc.calib.photometric.sheet_places import Ray, SheetPoint
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 Scalar = Float[ArrayLike, ""]
 # (displacement on the sheet X, Y in mm, ink spread in mm, kernel) -> share of ink.

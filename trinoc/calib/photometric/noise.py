@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.special import ndtr
 
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
 # numerical: so many sigmas below, saturation does nothing.

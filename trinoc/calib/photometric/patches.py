@@ -19,7 +19,7 @@ from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 # numerical: size of a block: pieces along each half of the two lines.
 _PIECES = 8

@@ -44,8 +44,8 @@ from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.image.noise import noise_sigma
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.joins import point_tree
+from trinoc.numerics.precision import ArrayLike
 
 # numerical: of an iteration that converges.
 _SHIFT_ROUNDS = 3

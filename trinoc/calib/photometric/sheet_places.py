@@ -13,7 +13,7 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.small_matrices import inverse_3x3
 
 # numerical: pieces of one length, so that another number of pixels does not compile again.

@@ -18,7 +18,7 @@ from trinoc.calib.photometric.equations import Equations, Picture, build_equatio
 from trinoc.calib.photometric.ink import InkDrawing
 from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.geometry.pose import PoseModel
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 

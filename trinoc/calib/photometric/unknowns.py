@@ -16,7 +16,7 @@ from jaxtyping import Float
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.image.response import PowerResponse
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import ArrayLike, ScalarLike
 
 # numerical: terms of polynomials of degree 4 and 2.
 LIGHT_TERMS, QUADRATIC_TERMS = 15, 6

@@ -14,9 +14,9 @@ from trinoc.calib.problem.views import View
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.joins import point_tree
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 
 # Places at a time, so that another number of them does not compile again.

@@ -11,8 +11,8 @@ from trinoc.calib.problem.places import linearise, whitened_residuals
 from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, evaluate_prior, retract
 from trinoc.calib.problem.views import ViewTable
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.block_arrow import BlockArrow
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.robust_loss import AbstractRobustLoss
 
 

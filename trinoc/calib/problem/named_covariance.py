@@ -13,7 +13,7 @@ from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract
 from trinoc.calib.targets.board_set import board_prefixes
 from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 
 # Of a board fixed to others: its turn about the axes of their frame from where it stands, and where

@@ -15,7 +15,7 @@ from trinoc.geometry.image_of_circle import circle_centre_offset
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.geometry.pose import Pose
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.robust_loss import AbstractRobustLoss
 
 

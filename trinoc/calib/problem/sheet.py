@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 # Heights of each degree against those of second, at the reach: paper that was rolled or has lain
 # in a drawer changes its curvature by a part of it over a sheet.

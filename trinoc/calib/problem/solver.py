@@ -16,8 +16,8 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
 from trinoc.numerics.block_arrow import BlockArrow, BlockArrowSolver
+from trinoc.numerics.precision import ArrayLike, ScalarLike
 from trinoc.numerics.programs import kept_jit
 
 State = TypeVar("State")

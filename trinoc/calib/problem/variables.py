@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from trinoc.calib.problem.sheet import AbstractSheet
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 POSE_SIZE = PoseModel.RIGID.size
 _AIM_STEPS = np.eye(POSE_SIZE)[4:]

@@ -9,9 +9,9 @@ from scipy.linalg import block_diag
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import bucket
 from trinoc.numerics.joins import point_tree
+from trinoc.numerics.precision import ArrayLike
 
 # Views and shots are padded to these numbers, so that one more seldom compiles anew; few views, as
 # of one camera that looks for its lens, and those of one shot to fewer. Padding costs its time.

@@ -7,9 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
 from trinoc.numerics.information import LARGEST_SIGMA
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, ScalarLike, in_float64
 from trinoc.numerics.programs import kept_jit
 
 # numerical: from (rad, rad, rad, mm, mm, mm), in which fits run, to degrees.

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Int
 from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Marks, Polygon
 from trinoc.calib.targets.ring_code import ring_code
 from trinoc.errors import InputError
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.display import Displayable
+from trinoc.numerics.precision import ArrayLike
 
 LINE_STYLES = ("stop", "through", "white")
 

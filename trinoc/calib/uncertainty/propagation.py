@@ -19,8 +19,7 @@ from trinoc.geometry.projection import project_by_matrix, project_point
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.geometry.triangulation import triangulate_point
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 
 # numerical: places across the picture, along each side, of maps for people.
 MAP_PLACES = 5

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.lenses.newton import inverse_in_plane
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, array_namespace
 
 # Type checkers know this one by the name that it has in a class that is not abstract.
 if TYPE_CHECKING:

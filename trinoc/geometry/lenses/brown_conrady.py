@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractPlaneLens, RadialPart
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 
 class BrownConrady(AbstractPlaneLens):

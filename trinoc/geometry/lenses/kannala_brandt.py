@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens, RadialPart
 from trinoc.geometry.lenses.newton import newton_iterations
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 _NEWTON_STEPS = 20
 # Below this square of the angle's tangent, series replace quotients of two small numbers.

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 NEWTON_STEPS = 8
 # A step from the solution doubles the order up to which derivatives are those of the inverse, so

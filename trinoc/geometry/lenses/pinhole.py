@@ -5,7 +5,7 @@ from typing import ClassVar
 from jaxtyping import Float
 
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens, ray_of_normalised
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 
 class Pinhole(AbstractLens):

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractPlaneLens, RadialPart
 from trinoc.geometry.lenses.brown_conrady import radial_and_tangential
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 _RATIONAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _POWERS = (2, 4, 1, 1, 6, 2, 4, 6)

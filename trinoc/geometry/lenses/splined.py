@@ -17,8 +17,7 @@ from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.newton import inverse_in_plane
 from trinoc.geometry.lenses.rational import Rational
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, array_namespace
 
 if TYPE_CHECKING:
     from typing import ClassVar as AbstractClassVar

@@ -15,14 +15,19 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import atomic_write
-from trinoc.io.formats.colmap_binary import binary_files, binary_records
-from trinoc.io.formats.colmap_records import ColmapCamera, ColmapImage, ColmapRecords
-from trinoc.io.formats.colmap_text_files import text_files, text_records
-from trinoc.io.formats.folders import atomic_folder
-from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.colmap_files import (
+    ColmapCamera,
+    ColmapImage,
+    ColmapRecords,
+    binary_files,
+    binary_records,
+    text_files,
+    text_records,
+)
+from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
-from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
 from trinoc.io.formats.motions import motion, quaternion_wxyz, rotation_of_quaternion
+from trinoc.io.formats.text_files import atomic_folder
 
 TITLE = "COLMAP"
 HALF_PX = 0.5

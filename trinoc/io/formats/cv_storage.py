@@ -21,12 +21,10 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.format import PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
-from trinoc.io.formats.losses import PIXEL_PITCH
 from trinoc.io.formats.motions import chain_motions, inverse, motion
-from trinoc.io.formats.text_files import make_block
-from trinoc.io.formats.yaml_text import scalar_or_list
+from trinoc.io.formats.text_files import make_block, scalar_or_list
 from trinoc.io.json_document import Block
 from trinoc.io.rig_json import parse_covariance
 from trinoc.io.whole_files import read_text

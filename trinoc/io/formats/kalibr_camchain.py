@@ -15,11 +15,10 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, NAMES, PIXEL_PITCH, WORLD, Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
-from trinoc.io.formats.losses import COVARIANCE, NAMES, PIXEL_PITCH, WORLD
 from trinoc.io.formats.motions import chain_motions, from_homogeneous, homogeneous, inverse
-from trinoc.io.formats.yaml_text import read_yaml, yaml_text
+from trinoc.io.formats.text_files import read_yaml, yaml_text
 from trinoc.io.json_document import Block
 
 TITLE = "Kalibr's camchain"

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.folders import atomic_folder
-from trinoc.io.formats.format import Format
-from trinoc.io.formats.losses import COVARIANCE, NAMES
+from trinoc.io.formats.format import COVARIANCE, NAMES, Format
+from trinoc.io.formats.text_files import atomic_folder
 from trinoc.match.tracks.matches import Matches
 
 HALF_PX = 0.5

@@ -17,9 +17,8 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
-from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
 from trinoc.io.formats.motions import from_homogeneous, homogeneous, inverse
 from trinoc.io.formats.text_files import expect_file_name, read_json
 from trinoc.io.json_document import Block

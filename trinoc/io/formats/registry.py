@@ -2,18 +2,15 @@
 
 from trinoc.io.formats.colmap_model import colmap, colmap_text
 from trinoc.io.formats.cv_storage import opencv
-from trinoc.io.formats.dxf_lines import dxf
 from trinoc.io.formats.format import Format
-from trinoc.io.formats.gltf_lines import gltf
 from trinoc.io.formats.json_of_wireframe import wireframe_json
 from trinoc.io.formats.kalibr_camchain import kalibr
 from trinoc.io.formats.limap_tracks import limap
-from trinoc.io.formats.lines_tables import csv, parquet
+from trinoc.io.formats.line_drawings import dxf, gltf, obj
+from trinoc.io.formats.lines_tables import csv, parquet, ply
 from trinoc.io.formats.matlab_stereo import matlab
 from trinoc.io.formats.mrcal_cameramodel import mrcal
 from trinoc.io.formats.nerfstudio_transforms import nerfstudio
-from trinoc.io.formats.obj_lines import obj
-from trinoc.io.formats.ply_edges import ply
 from trinoc.io.formats.ros_camera_info import ros
 from trinoc.io.formats.segments_text import elsed, limap_segments, lsd
 from trinoc.io.formats.tf_static import tf

@@ -15,8 +15,7 @@ from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.folders import atomic_folder
-from trinoc.io.formats.format import Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.lens_rows import (
     LensNumbers,
     LensRow,
@@ -24,9 +23,8 @@ from trinoc.io.formats.lens_rows import (
     list_lenses,
     make_lens,
 )
-from trinoc.io.formats.losses import COVARIANCE, PIXEL_PITCH
+from trinoc.io.formats.text_files import atomic_folder, read_yaml, yaml_text
 from trinoc.io.formats.tf_static import METRE_MM, read_tf, write_tf
-from trinoc.io.formats.yaml_text import read_yaml, yaml_text
 from trinoc.io.json_document import Block
 
 TITLE = "ROS camera_info"

@@ -1,13 +1,44 @@
-"""Reading text of other tools: whole, of a bounded size, and parsed without running anything."""
+"""Text of other tools (JSON, YAML), read whole up to a bounded size and parsed without running
+anything; folders that are whole or not there.
+"""
 
+import contextlib
+import json
 import os
 import re
+import secrets
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from trinoc.errors import InputError
-from trinoc.io.json_document import Block
-from trinoc.io.json_text import parsed_json
+from trinoc.io.json_document import Block, parsed_json
 from trinoc.io.whole_files import read_text
+
+
+@contextlib.contextmanager
+def atomic_folder(target: Path) -> Iterator[Path]:
+    """A scratch folder that takes the name `target` when the block ends, and vanishes if it fails.
+
+    `target` is new or empty. Raises InputError where it cannot be written.
+    """
+    scratch = target.absolute().with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        scratch.mkdir()
+    except OSError as error:
+        raise InputError(
+            f"{target} cannot be written ({error.strerror}): choose another place."
+        ) from error
+    try:
+        yield scratch
+        if target.is_dir():
+            target.rmdir()  # fails unless empty
+        os.replace(scratch, target)
+    except BaseException:
+        shutil.rmtree(scratch, ignore_errors=True)
+        raise
+
 
 # A model of thousands of pictures, with what they show.
 MOST_BYTES_OF_MODEL = 1_000_000_000
@@ -34,3 +65,87 @@ def expect_file_name(name: str, title: str) -> str:
             "and without dots and blanks at its ends."
         )
     return name
+
+
+# Parsing takes some hundred times as long as reading.
+MOST_BYTES_OF_YAML = 16_000_000
+
+
+def read_yaml(path: str | os.PathLike[str]) -> Block:
+    """The map of a YAML file.
+
+    Tags, anchors and aliases are refused: no calibration needs them. Raises InputError, also
+    where ruamel.yaml is not installed.
+    """
+    try:
+        from ruamel.yaml import YAML
+        from ruamel.yaml.error import YAMLError
+    except ImportError as error:
+        raise InputError(
+            f"{path} is YAML, which needs ruamel.yaml: pip install 'trinoc[export]'."
+        ) from error
+    text = read_text(path, MOST_BYTES_OF_YAML)
+    parser = YAML(typ="safe", pure=True)
+    try:
+        for event in parser.parse(text):
+            if getattr(event, "tag", None) is not None or getattr(event, "anchor", None):
+                raise InputError(
+                    f"{path} has a tag or an anchor in line {event.start_mark.line + 1}, which "
+                    "trinoc does not follow: write plain numbers and texts."
+                )
+        values = parser.load(text)
+    except (YAMLError, ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        mark = getattr(error, "problem_mark", None)
+        line = "" if mark is None else f" (line {mark.line + 1}: {getattr(error, 'problem', '')})"
+        raise InputError(f"{path} is not YAML{line}: correct it there.") from error
+    return make_block(_only_json(values, path), path)
+
+
+def yaml_text(values: Any, indent: str = "") -> str:
+    """Maps in block style, lists of numbers in one line, lists of others below each other.
+
+    Texts are quoted, and numbers have a point, so that every version of YAML reads them alike.
+    """
+    if isinstance(values, dict):
+        return "".join(f"{indent}{key}:{_item(value, indent)}" for key, value in values.items())
+    lines = []
+    for value in values:
+        if isinstance(value, dict):
+            inner = yaml_text(value, indent + "  ")
+            lines.append(f"{indent}- {inner.removeprefix(indent + '  ')}")
+        else:
+            lines.append(f"{indent}- {scalar_or_list(value)}\n")
+    return "".join(lines)
+
+
+def scalar_or_list(value: Any) -> str:
+    """A number, a text, or a list of them on one line."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(scalar_or_list, value))}]"
+    if isinstance(value, float):
+        digits = repr(value)
+        mantissa, mark, exponent = digits.partition("e")
+        # PyYAML takes 1e-05 for a text.
+        return digits if "." in mantissa else f"{mantissa}.0{mark}{exponent}"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _item(value: Any, indent: str) -> str:
+    if isinstance(value, dict) or (
+        isinstance(value, list) and any(isinstance(item, dict | list) for item in value)
+    ):
+        return "\n" + yaml_text(value, indent + "  ")
+    return f" {scalar_or_list(value)}\n"
+
+
+def _only_json(value: Any, path: str | os.PathLike[str]) -> Any:
+    """What JSON could hold, too. Raises InputError for dates, binary data and the like."""
+    if isinstance(value, dict):
+        return {str(key): _only_json(item, path) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_only_json(item, path) for item in value]
+    if value is None or isinstance(value, str | int | float):
+        return value
+    raise InputError(f"{path} holds a {type(value).__name__}, but only numbers and texts are read.")

@@ -18,8 +18,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import Format, Lenses
-from trinoc.io.formats.losses import COVARIANCE, LENSES
+from trinoc.io.formats.format import COVARIANCE, LENSES, Format, Lenses
 from trinoc.io.formats.motions import (
     chain_motions,
     inverse,
@@ -27,8 +26,7 @@ from trinoc.io.formats.motions import (
     quaternion_wxyz,
     rotation_of_quaternion,
 )
-from trinoc.io.formats.text_files import read_json
-from trinoc.io.formats.yaml_text import read_yaml, yaml_text
+from trinoc.io.formats.text_files import read_json, read_yaml, yaml_text
 from trinoc.io.json_document import Block
 
 METRE_MM = 1000.0

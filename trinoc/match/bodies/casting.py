@@ -19,7 +19,7 @@ from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.shadows import ShadowTuning
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.vectors import complete_axes, cross_3d
 
 

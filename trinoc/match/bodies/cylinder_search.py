@@ -20,8 +20,7 @@ from trinoc.match.observations.pictures_of_views import segments_of_views
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.cylinders import CylinderTuning
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.tables import take_rows
 from trinoc.numerics.tails import chi_square_limit
 from trinoc.numerics.vectors import complete_axes

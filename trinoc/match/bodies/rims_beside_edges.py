@@ -26,8 +26,7 @@ from trinoc.match.observations.pictures_of_views import segments_of_views
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.rims import RimTuning
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 
 _ROWS = (
     "index",

@@ -23,8 +23,7 @@ from trinoc.match.observations.pictures_of_views import segments_of_views
 from trinoc.match.tracks.matches import EVEN, Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.shadows import ShadowTuning
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 
 
 class Shadows(eqx.Module):

@@ -24,14 +24,13 @@ from trinoc.match.candidates.single_precision import Prediction, rounding_px
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning.candidates import CandidateTuning
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.joins import (
     broadcast_groups,
     expand_ranges,
     group_medians,
     group_sums,
 )
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.vectors import Scalar, Vector2
 
 

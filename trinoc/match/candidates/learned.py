@@ -36,8 +36,8 @@ from trinoc.match.two_view.epipolar_pencil import (
     take_segments,
 )
 from trinoc.match.two_view.planes import segment_planes
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import in_blocks
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.vectors import add3, times_matrix, vector3
 

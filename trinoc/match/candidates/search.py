@@ -31,8 +31,8 @@ from trinoc.match.observations.table import PAIRS_IN_BLOCK, SegmentTable, block_
 from trinoc.match.tuning.candidates import CandidateTuning
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.two_view.epipolar_pencil import Pencil, PencilSegments, take_segments
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import blocks, in_blocks, pad_rows
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.vectors import Scalar, interpolated_covariance
 

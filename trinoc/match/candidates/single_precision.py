@@ -25,8 +25,7 @@ from trinoc.match.two_view.epipolar_pencil import (
     cut_pair,
     pencil,
 )
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.vectors import (
     Scalar,
     Vector3,

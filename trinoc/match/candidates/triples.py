@@ -43,8 +43,8 @@ from trinoc.match.two_view.epipolar_pencil import (
     take_segments,
 )
 from trinoc.match.two_view.planes import SegmentPlanes, segment_planes
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import as_columns, blocks, select_in_blocks, split_columns
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.tables import concatenate_rows
 from trinoc.numerics.vectors import Vector3

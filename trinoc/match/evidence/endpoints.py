@@ -13,7 +13,7 @@ from jaxtyping import Float
 from trinoc.match.tuning.candidates import ScoutTuning
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import EndTuning
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.vectors import Scalar, largest, total
 
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.

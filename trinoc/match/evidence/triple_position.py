@@ -44,7 +44,7 @@ from trinoc.match.two_view.planes import (
     segment_planes,
     variance_mm2,
 )
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.vectors import (
     Scalar,
     Symmetric3,

@@ -9,8 +9,8 @@ from scipy.spatial import KDTree
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import ClutterTuning
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.joins import group_medians, group_sums
+from trinoc.numerics.precision import ArrayLike
 
 # numerical: of frames with so many segments at most, all distances are computed: sooner than by a
 # tree.

@@ -23,8 +23,8 @@ from trinoc.match.observations.side_intensity import side_table
 from trinoc.match.observations.table import SegmentTable, segment_table
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import SideTuning
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import bucket, pad_rows
+from trinoc.numerics.precision import ArrayLike
 
 # Two views of a scene may have one segment at the same place by chance, but not all of so many.
 # numerical: a count, not a threshold: below it nothing can be told.

@@ -7,7 +7,7 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 
 
 def as_segments(given: Segments | ArrayLike) -> Segments:

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.match.observations.side_intensity import SIDE_COLUMNS
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import bucket, pad_rows
+from trinoc.numerics.precision import ArrayLike
 
 
 class BlockSize(NamedTuple):

@@ -50,8 +50,8 @@ from trinoc.match.selection.messages import (
     with_log_share,
 )
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.joins import broadcast_groups, group_sums
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.tables import concatenate_rows
 
 # What is known of each frame before its pairs are judged.

@@ -30,9 +30,9 @@ from trinoc.match.two_view.epipolar_pencil import (
     take_pencil,
     take_segments,
 )
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import as_columns, select_in_blocks, split_columns
 from trinoc.numerics.joins import broadcast_groups
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.tables import take_rows
 

@@ -30,8 +30,7 @@ from trinoc.match.tracks.unequal_errors import (
 )
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.guided import GuidedTuning
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 
 MATCHED = "matched"
 

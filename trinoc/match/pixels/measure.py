@@ -20,8 +20,7 @@ from trinoc.match.pixels.view_fit import PIXELS, ViewFit, fit_view
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tracks.unequal_errors import degrees_of_misfit, fit_tail, variance_factor
 from trinoc.match.tuning.selection import NoiseTuning
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.tails import chi_square_limit, chi_square_tail
 from trinoc.numerics.vectors import complete_axes

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float, Int
 from trinoc.image.step_edge import BlockFit, fit_block
 from trinoc.match.pixels.strips import Strips, outward
 from trinoc.match.pixels.tuning import PixelTuning
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.joins import group_medians, group_sums
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.small_least_squares import NormalEquations
 

@@ -19,9 +19,9 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.selection import SelectionTuning
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import bucket, pad_rows
 from trinoc.numerics.joins import expand_ranges, pairs_of_equal_keys
+from trinoc.numerics.precision import ArrayLike
 
 
 class ConflictGraph(NamedTuple):

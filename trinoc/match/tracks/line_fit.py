@@ -26,9 +26,9 @@ from trinoc.geometry.projection import homogeneous_pixel, project_by_matrix
 from trinoc.geometry.triangulation import Segment3D, triangulate_segment
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.observations.table import SegmentTable, look_up_frames, take_matrices
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.joins import take_groups
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.tails import chi_square_limit, chi_square_tail
 

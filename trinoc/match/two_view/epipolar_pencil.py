@@ -24,9 +24,8 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning.candidates import CandidateTuning
-from trinoc.numerics.arrays import ArrayLike
 from trinoc.numerics.joins import blocks_of_overlapping, overlapping
-from trinoc.numerics.precision import array_namespace
+from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.vectors import (
     Scalar,
     Vector3,

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from trinoc.geometry.projection import image_of_point
 from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.observations.table import SegmentTable
-from trinoc.numerics.arrays import ArrayLike
+from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.vectors import (
     Vector3,
     add3,

@@ -16,10 +16,9 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import TRINOCULAR, Matches
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.report import plot
-from trinoc.report.colours import BLACK, BLUE, GREEN, VERMILION
 from trinoc.report.notebook.extras import expect_extra
 from trinoc.report.numbers import plain, round_scale
-from trinoc.report.space_content import frusta, sheet_outlines
+from trinoc.report.space_content import BLACK, BLUE, GREEN, VERMILION, frusta, sheet_outlines
 
 # The longest residual arrow, as a share of the picture's width.
 ARROW_SHARE = 0.09

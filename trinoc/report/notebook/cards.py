@@ -15,10 +15,9 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.tables import Table
-from trinoc.report.colours import BLUE, GREEN, VERMILION
 from trinoc.report.notebook.tables import list_columns
 from trinoc.report.numbers import with_decimals, with_sigma
-from trinoc.report.space_content import frusta, sheet_outlines
+from trinoc.report.space_content import BLUE, GREEN, VERMILION, frusta, sheet_outlines
 
 ROWS = 8
 SIDE_PX = 220

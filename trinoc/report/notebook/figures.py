@@ -13,10 +13,9 @@ from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import Matches
-from trinoc.report.colours import BLACK, COLOUR_OF_ROLE
 from trinoc.report.features_part import features_figure
 from trinoc.report.notebook.extras import expect_extra
-from trinoc.report.space_content import frusta, polyline, sheet_outlines
+from trinoc.report.space_content import BLACK, COLOUR_OF_ROLE, frusta, polyline, sheet_outlines
 from trinoc.report.space_part import LineLayer, SpaceFigure, space_figure
 
 

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.numerics.arrays import ScalarLike
+from trinoc.numerics.precision import ScalarLike
 from trinoc.synth.camera_picture.layers import Layer, Paint, coverage_share
 from trinoc.synth.camera_picture.shapes import ConvexPolygon, FilledCircle, Intersection, Shape
 from trinoc.synth.camera_picture.surfaces import RolledPaper, Surface

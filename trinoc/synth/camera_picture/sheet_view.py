@@ -20,8 +20,7 @@ from trinoc.geometry.camera import (
     sheet_from_pixel,
     viewing_direction,
 )
-from trinoc.numerics.arrays import ArrayLike
-from trinoc.numerics.precision import in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.synth.camera_picture.paper import Paper
 
 _CHUNK = 16384

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import root_scalar
 
-from trinoc.numerics.arrays import ArrayLike, ScalarLike
+from trinoc.numerics.precision import ArrayLike, ScalarLike
 
 
 @runtime_checkable

@@ -1,0 +1,182 @@
+"""3-D segments and features as drawings: OBJ, glTF 2.0 and DXF.
+
+glTF counts in metres with y up: (x, y, z) of the world becomes (x, z, -y) / 1000, in single
+precision, which is finer than .1 um on a bench.
+
+DXF is R12, which every CAD reads: LINE entities, a layer for each stage. A wire frame has its edges
+on two layers, those of three views and those of two, and its faces as 3DFACE on a third, in
+triangles where they have more than four corners. Other features have a layer of their kind. R12 has
+no unit of its own: tell the program that reads it millimetres.
+"""
+
+import base64
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry.features import Feature
+from trinoc.io.atomic import atomic_write, write_text
+from trinoc.io.formats.format import COVARIANCE, TRACKS, Format
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.wire_frame.frame import Wireframe
+
+METRE_MM = 1000.0
+# Of the specification: line segments, single precision, the target of vertices, and chunks.
+LINES, FLOAT, ARRAY_BUFFER = 1, 5126, 34962
+JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
+
+
+def write_gltf(value: Matches | Feature, path: Path, unit_mm: float) -> None:
+    """Write one mesh of lines. Raises InputError where there is none: glTF has no empty mesh."""
+    if len(value) == 0:
+        raise InputError(f"{path} was not written: there is no 3-D segment, and glTF needs one.")
+    wires = value.wires()
+    x, y, z = (wires.places_mm[wires.pairs.reshape(-1)] / unit_mm).T
+    vertices = np.stack([x, z, -y], axis=1).astype("<f4")
+    content = vertices.tobytes()
+    if path.suffix.lower() == ".gltf":
+        data = base64.b64encode(content).decode("ascii")
+        document = _document(vertices, {"uri": f"data:application/octet-stream;base64,{data}"})
+        write_text(path, json.dumps(document, indent=2) + "\n")
+        return
+    text = json.dumps(_document(vertices, {})).encode("ascii")
+    text += b" " * (-len(text) % 4)
+    size = 12 + 8 + len(text) + 8 + len(content)
+    with atomic_write(path) as file:
+        file.write(b"glTF" + struct.pack("<II", 2, size))
+        file.write(struct.pack("<I", len(text)) + JSON_CHUNK + text)
+        file.write(struct.pack("<I", len(content)) + BINARY_CHUNK + content)
+
+
+def _document(vertices: np.ndarray, source: dict[str, str]) -> dict[str, Any]:
+    size = vertices.nbytes
+    return {
+        "asset": {"version": "2.0", "generator": "trinoc"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": "segments"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": LINES}]}],
+        "accessors": [
+            {
+                "bufferView": 0,
+                "componentType": FLOAT,
+                "count": len(vertices),
+                "type": "VEC3",
+                "min": vertices.min(axis=0).tolist(),
+                "max": vertices.max(axis=0).tolist(),
+            }
+        ],
+        "bufferViews": [{"buffer": 0, "byteLength": size, "target": ARRAY_BUFFER}],
+        "buffers": [{"byteLength": size, **source}],
+    }
+
+
+gltf = Format(
+    name="gltf",
+    title="glTF",
+    holds=("matches", "features"),
+    reads=(),
+    place="file",
+    endings=(".glb", ".gltf"),
+    unit_mm=METRE_MM,
+    unit_is_fixed=True,
+    frames="x right, y up (the world's Z), z back (the world's -Y)",
+    loses=(COVARIANCE, TRACKS),
+    write=write_gltf,
+)
+
+
+def write_obj(value: Matches | Feature, path: Path, unit_mm: float) -> None:
+    """Write vertices, lines and faces."""
+    places, pairs, _, loops = value.wires()
+    lines = [f"# unit {unit_mm!r} mm, Z up"]
+    lines.extend("v " + " ".join(map(repr, place)) for place in (places / unit_mm).tolist())
+    lines.extend(f"l {one + 1} {other + 1}" for one, other in pairs.tolist())
+    lines.extend("f " + " ".join(str(v + 1) for v in loop.tolist()) for loop in loops)
+    write_text(path, "\n".join(lines) + "\n")
+
+
+obj = Format(
+    name="obj",
+    title="OBJ",
+    holds=("matches", "features"),
+    reads=(),
+    place="file",
+    endings=(".obj",),
+    unit_mm=1.0,
+    unit_is_fixed=False,
+    frames="the world of the rig, Z up",
+    loses=(COVARIANCE, TRACKS),
+    write=write_obj,
+)
+
+
+# Of 3DFACE, a bit for each edge that is not drawn.
+HIDDEN_FIRST, HIDDEN_THIRD = 1, 4
+
+
+def write_dxf(value: Matches | Feature, path: Path, unit_mm: float) -> None:
+    """Write the lines and the faces, on a layer for each stage or kind."""
+    pairs: list[tuple[int, Any]] = [
+        (999, f"trinoc: unit {unit_mm!r} mm, Z up"),
+        *((0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (0, "ENDSEC")),
+        *((0, "SECTION"), (2, "ENTITIES")),
+    ]
+    wires = value.wires()
+    places = wires.places_mm / unit_mm
+    layers = _layers(value)
+    for row, (start, end) in zip(wires.owner, places[wires.pairs].tolist(), strict=True):
+        pairs += [(0, "LINE"), (8, layers[row].upper())]
+        pairs += zip((10, 20, 30), start, strict=True)
+        pairs += zip((11, 21, 31), end, strict=True)
+    for loop in wires.loops:
+        pairs += _face(places[loop].tolist())
+    pairs += [(0, "ENDSEC"), (0, "EOF")]
+    write_text(path, "".join(f"{code}\n{value}\n" for code, value in pairs))
+
+
+def _layers(value: Matches | Feature) -> list[str]:
+    match value:
+        case Matches():
+            return list(map(str, value.stage))
+        case Wireframe():
+            return [TRINOCULAR if checked else BINOCULAR for checked in value.checked]
+    return [value.KIND] * len(value)
+
+
+def _face(corners: list[list[float]]) -> list[tuple[int, Any]]:
+    """One 3DFACE of three corners or four, or a fan of triangles."""
+    count = len(corners)
+    parts = [(list(range(count)), 0)]
+    if count > 4:
+        parts = [
+            ([0, k, k + 1], HIDDEN_FIRST * (k > 1) + HIDDEN_THIRD * (k < count - 2))
+            for k in range(1, count - 1)
+        ]
+    pairs: list[tuple[int, Any]] = []
+    for chosen, hidden in parts:
+        pairs += [(0, "3DFACE"), (8, "FACES")]
+        # A triangle has its last corner twice.
+        for number, vertex in enumerate((*chosen, chosen[-1])[:4]):
+            pairs += zip((10 + number, 20 + number, 30 + number), corners[vertex], strict=True)
+        pairs.append((70, hidden))
+    return pairs
+
+
+dxf = Format(
+    name="dxf",
+    title="DXF",
+    holds=("matches", "features"),
+    reads=(),
+    place="file",
+    endings=(".dxf",),
+    unit_mm=1.0,
+    unit_is_fixed=False,
+    frames="the world of the rig, Z up",
+    loses=(COVARIANCE, TRACKS),
+    write=write_dxf,
+)
