@@ -62,7 +62,7 @@ def make_inputs(folder: Path) -> None:
                 shots[f"{name}.{shot}.index"] = own.circle_index
                 shots[f"{name}.{shot}.px"] = own.centres_px
     np.savez(folder / "shots.npz", **shots)
-    sheet = trinoc.calibrate(demo_images("sheet"), demo_pattern(), table1_lens(), method="circles")
+    sheet = trinoc.calibrate(demo_images("sheet"), demo_pattern(), table1_lens(), method="points")
     trinoc.save(sheet.rig, folder / "rig.json")
     scene = {view: trinoc.find_segments(image) for view, image in demo_images("scene").items()}
     for view, own in scene.items():

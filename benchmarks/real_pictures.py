@@ -1,7 +1,7 @@
 """Calibration of pictures as cameras deliver them: do the error bars hold, and who notices?
 
     python benchmarks/real_pictures.py [--pictures 8] [--conditions NAME ...]
-        [--method picture circles] [--processes 2] [--output FILE.json] [--against FILE.json]
+        [--method pixels points] [--processes 2] [--output FILE.json] [--against FILE.json]
 
 The conditions are those of `benchmarks/picture_conditions.py`; --conditions takes names or
 beginnings of names. Poses alternate, three near the paper's Table 1 and one further round the
@@ -44,7 +44,7 @@ from trinoc.synth.camera_picture.scene import radiance
 from trinoc.synth.rigs import TABLE_1
 
 NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
-METHODS = ("picture", "circles")
+METHODS = ("pixels", "points")
 LENS = table1_lens()
 # Rounding to whole grey levels of 8 bits adds this variance to the noise.
 ROUNDING = 1 / 12
@@ -148,7 +148,7 @@ def fit_of(picture: np.ndarray, condition: Case, pose: Pose, method: str) -> Rec
             {"a": picture},
             pattern_of(condition.sheet).rescale(*told.print_scale),
             lens,
-            parameters=told.parameters,
+            pose_model="aimed" if told.parameters == 4 else "aim-free",
             method=method,  # pyright: ignore[reportArgumentType]
             systematics=systematics_of(told.exact, lens),
             bayer=told.bayer,

@@ -1,6 +1,6 @@
 """A real stereo rig: does the relative pose scatter between shots as every shot claims?
 
-    TRINOC_DATA=... python benchmarks/real_rig.py [--shots N] [--method picture circles]
+    TRINOC_DATA=... python benchmarks/real_rig.py [--shots N] [--method pixels points]
 
 The data are `stereo_circle_plate`: 15 synchronous shots of a plate of 10 x 10 dark circles at
 30 mm, back-lit. Each camera's lens comes from all of its pictures; then every shot is calibrated
@@ -113,7 +113,7 @@ def report(label: str, found: list[tuple[np.ndarray, np.ndarray]], used: Counter
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--shots", type=int, default=15)
-    parser.add_argument("--method", nargs="*", default=["picture", "circles"])
+    parser.add_argument("--method", nargs="*", default=["pixels", "points"])
     given = parser.parse_args()
     folder = Path(os.environ["TRINOC_DATA"]) / "stereo_circle_plate"
     images = {camera: pictures(folder, camera, given.shots) for camera in CAMERAS}

@@ -32,7 +32,7 @@ def calibrate_circles() -> Values:
     }.items():
         results[label] = calibrate_detections(found, pattern, lens, **options)
         yield from records.calibration(label, results[label])
-    given = {"systematics": EXACT, "method": "circles"}
+    given = {"systematics": EXACT, "method": "points"}
     from_images = trinoc.calibrate(images, pattern, lens, **given)
     yield from records.calibration("images", from_images)
     carried = trinoc.calib.with_systematics(results["exact"], TERMS)
@@ -72,7 +72,7 @@ def _plain_grid() -> Values:
     yield "grid.inputs", digest(*images.values())
     for label, orientation in {"open": None, "upright": "upright", "earlier": rig}.items():
         call = partial(
-            trinoc.calibrate, images, grid, table1_lens(), method="circles", orientation=orientation
+            trinoc.calibrate, images, grid, table1_lens(), method="points", orientation=orientation
         )
         yield from attempt(f"grid {label}", call, records.calibration)
 

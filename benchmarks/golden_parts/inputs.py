@@ -39,7 +39,7 @@ def digest(*pictures: np.ndarray) -> int:
 def calibrated_demo() -> CalibrationResult:
     """The demo's rig by its circles, all else exact."""
     return trinoc.calibrate(
-        demo_images("sheet"), demo_pattern(), table1_lens(), systematics=EXACT, method="circles"
+        demo_images("sheet"), demo_pattern(), table1_lens(), systematics=EXACT, method="points"
     )
 
 

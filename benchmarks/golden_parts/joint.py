@@ -28,9 +28,7 @@ from trinoc.synth.scenes import see_through_boxes
 def refine() -> Values:
     """Joint refinement: with a sheet, a prior or neither, a free lens, a knocked camera, pairs."""
     calibrated, matches = calibrated_demo(), demo_matches()
-    typical = trinoc.calibrate(
-        demo_images("sheet"), demo_pattern(), table1_lens(), method="circles"
-    )
+    typical = trinoc.calibrate(demo_images("sheet"), demo_pattern(), table1_lens(), method="points")
     bare = trinoc.Rig(dict(calibrated.rig.items()))
     for label, rig, options in (
         ("sheet", calibrated, {}),
@@ -66,7 +64,7 @@ def refine_made() -> Values:
     call = partial(trinoc.refine, five, trinoc.match_segments(segments, five))
     yield from attempt("five views", call, records.refinement)
     two = {view: demo_images("sheet")[view] for view in ("upper", "left")}
-    sheet = trinoc.calibrate(two, demo_pattern(), table1_lens(), method="circles")
+    sheet = trinoc.calibrate(two, demo_pattern(), table1_lens(), method="points")
     pairs = trinoc.match_segments({view: demo_segments()[view] for view in two}, sheet.rig)
     call = partial(trinoc.refine, sheet, pairs)
     yield from attempt("two cameras", call, records.refinement)

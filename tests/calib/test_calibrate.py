@@ -35,7 +35,7 @@ def errors_in_sigmas(result: CalibrationResult) -> np.ndarray:
 @pytest.mark.slow
 def test_the_paper_s_rig_is_recovered() -> None:
     by_image = calibrate(pictures(), SHEET, LENS, systematics=EXACT)
-    by_circles = calibrate(pictures(), SHEET, LENS, method="circles", systematics=EXACT)
+    by_circles = calibrate(pictures(), SHEET, LENS, method="points", systematics=EXACT)
     for result in (by_image, by_circles):
         assert set(result.status.values()) == {Status.CONVERGED}
         assert np.abs(errors_in_sigmas(result)).max() < 5.0
@@ -89,7 +89,7 @@ def test_a_wrong_focal_length_is_named() -> None:
     wrong = Intrinsics(
         focal_length_mm=16.1, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480)
     )
-    result = calibrate({"left": picture("left")}, SHEET, wrong, method="circles", systematics=EXACT)
+    result = calibrate({"left": picture("left")}, SHEET, wrong, method="points", systematics=EXACT)
     assert "focal length" in result.fits["left"].notes[0]
 
 
@@ -97,7 +97,7 @@ def test_colours_may_come_in_either_order() -> None:
     tint = np.random.default_rng(2).integers(-9, 10, (*picture("upper").shape, 3))
     colour = np.clip(picture("upper")[..., None] + tint, 0, 255).astype(np.uint8)
     answers = [
-        calibrate({"upper": image}, SHEET, LENS, method="circles", systematics=EXACT).values
+        calibrate({"upper": image}, SHEET, LENS, method="points", systematics=EXACT).values
         for image in (colour, colour[..., ::-1])
     ]
     np.testing.assert_array_equal(answers[0], answers[1])

@@ -27,7 +27,7 @@ def by_points(points_mm):
 
 
 def calibrated(**images):
-    return trinoc.calibrate(images, PATTERN, LENS, method="circles")
+    return trinoc.calibrate(images, PATTERN, LENS, method="points")
 
 
 def edge_on():

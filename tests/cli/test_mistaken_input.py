@@ -55,12 +55,13 @@ def test_names_of_python_are_said_as_options():
     @dataclasses.dataclass
     class Options:
         settings: ClassVar = {"sigma": ("flatness_mm",)}
-        method: str = "picture"
+        method: str = "pixels"
+        pose_model: str = "aimed"
         tolerance_px: float = 1.0
 
-    said = in_options('use method="circles"; tolerance_px is -1, flatness_mm 0', Options())
-    assert said == "use --method circles; --tolerance-px is -1, --sigma flatness_mm 0"
-    assert in_options("use parameters=6", Options()) == "use --pose-model aim-free"
+    said = in_options('use method="points"; tolerance_px is -1, flatness_mm 0', Options())
+    assert said == "use --method points; --tolerance-px is -1, --sigma flatness_mm 0"
+    assert in_options('use pose_model="aim-free"', Options()) == "use --pose-model aim-free"
     of_a_file = 'a.json: "lens.tolerance_px" must be a number'
     assert in_options(of_a_file, Options()) == of_a_file
 

@@ -66,7 +66,7 @@ def test_what_a_data_sheet_gives_is_read_by_every_command(run, folder):
     assert "print size (0.2 %)" in (folder / "report.html").read_text(encoding="utf-8")
     for name, camera in RIG.items():
         told = record["cameras"][name]
-        assert told["method"] in ("picture", "circles")
+        assert told["method"] in ("pixels", "points")
         # The paper's four are told; the rig also holds the aim and the lens.
         assert set(told["parameters"]) == {"pan_deg", "tilt_deg", "swing_deg", "distance_mm"}
         for key, found in told["parameters"].items():
@@ -90,7 +90,7 @@ def test_what_a_data_sheet_gives_is_read_by_every_command(run, folder):
 
 
 def test_all_that_is_exact_is_the_model_of_the_paper(run, folder):
-    status, out, _ = run(*calibrate("--method", "circles", *EXACT, "-o", "exact.json", "--json"))
+    status, out, _ = run(*calibrate("--method", "points", *EXACT, "-o", "exact.json", "--json"))
     assert status == 0
     record = json.loads(out)
     assert record["sigmas_include"] == ["noise"]
@@ -100,14 +100,14 @@ def test_all_that_is_exact_is_the_model_of_the_paper(run, folder):
         focal_length_mm=16.0, pixel_pitch_mm=(0.0162, 0.0134), image_size_px=(512, 480)
     )
     exact = trinoc.Systematics()
-    result = trinoc.calibrate(images, pattern, lens, method="circles", systematics=exact)
+    result = trinoc.calibrate(images, pattern, lens, method="points", systematics=exact)
     for parameter, value in zip(result.parameters, result.values, strict=True):
         name, _, key = parameter.partition(".")
         found = record["cameras"][name]["parameters"][key]
         assert found["value"] == pytest.approx(value, rel=1e-12)
         assert found["sigma"] == pytest.approx(result.sigma(parameter), rel=1e-9)
     assert trinoc.load_rig(folder / "exact.json").parameters == result.parameters
-    assert all(record["cameras"][name]["method"] == "circles" for name in RIG)
+    assert all(record["cameras"][name]["method"] == "points" for name in RIG)
 
 
 @pytest.mark.parametrize("value", ["-1", "nan", "inf"])

@@ -79,23 +79,17 @@ def test_an_aimed_pose_looks_at_the_origin_from_the_same_place_of_the_sheet(came
     np.testing.assert_allclose(aimed.centre_world_mm, camera.centre_world_mm, atol=1e-9)
 
 
-def test_a_model_is_said_by_itself_by_its_word_or_over_a_sheet_by_its_size():
+def test_a_model_is_said_by_itself_or_by_its_word():
     for model in PoseModel:
         assert PoseModel.of(model) is PoseModel.of(model.word) is model
         assert len(model.parameter_names) == model.size
-    assert pose_model_over_sheet(None, None) is PoseModel.AIMED
-    assert pose_model_over_sheet(None, 6) is pose_model_over_sheet("aim-free", None)
+    assert pose_model_over_sheet("aim-free") is PoseModel.AIM_FREE
 
 
 @pytest.mark.parametrize(
-    ("pose_model", "parameters", "words"),
-    [
-        ("free", None, "must be one of"),
-        ("rigid", None, "aim-free"),
-        ("aimed", 6, "give one of the two"),
-        (None, 5, "must be 4"),
-    ],
+    ("pose_model", "words"),
+    [("free", "must be one of"), ("rigid", "aim-free")],
 )
-def test_what_is_no_model_over_a_sheet_is_refused(pose_model, parameters, words):
+def test_what_is_no_model_over_a_sheet_is_refused(pose_model, words):
     with pytest.raises(InputError, match=words):
-        pose_model_over_sheet(pose_model, parameters)
+        pose_model_over_sheet(pose_model)

@@ -125,7 +125,7 @@ def _camera_fit(
     """What is said of one camera, and whether it is suspect."""
     choice, of_circles = fit.cameras[view], fit.of_circles
     used = of_circles.used[view]
-    source = fit.adjustment if choice.method == "picture" else of_circles
+    source = fit.adjustment if choice.method == "pixels" else of_circles
     tests = alternatives(
         source,
         view,
@@ -138,7 +138,7 @@ def _camera_fit(
     strain = lens_strain(fit.adjustment, view, choice)
     notes = notes_of_camera(choice, known.pattern, used, tests, reduced, gauge)
     by_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
-    picture = choice.picture if choice.method == "picture" else None
+    picture = choice.picture if choice.method == "pixels" else None
     result = CameraFit(
         detection=choice.camera.detection,
         residuals_px=errors_px(by_answer)[view],

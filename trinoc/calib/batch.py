@@ -49,8 +49,7 @@ def calibrate_batch(
     pattern: Pattern,
     lens: Intrinsics | Mapping[str, Intrinsics],
     *,
-    parameters: int | None = None,
-    pose_model: PoseModel | str | None = None,
+    pose_model: PoseModel | str = PoseModel.AIMED,
     orientation: Orientation = None,
     systematics: Systematics | None = None,
 ) -> BatchCalibration:
@@ -65,7 +64,7 @@ def calibrate_batch(
     """
     names = tuple(dict.fromkeys(name for frame in frames for name in frame))
     lenses = lens_of_each(lens, dict.fromkeys(names))
-    model = pose_model_over_sheet(pose_model, parameters)
+    model = pose_model_over_sheet(pose_model)
     known = Knowledge(pattern, model, systematics or Systematics.typical(lenses))
     known.systematics.check()
     known.systematics.lens_factors(lenses)  # names that no camera has are refused

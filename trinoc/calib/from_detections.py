@@ -47,15 +47,14 @@ def calibrate_detections(
     pattern: Pattern,
     lens: Intrinsics | Mapping[str, Intrinsics],
     *,
-    parameters: int | None = None,
-    pose_model: PoseModel | str | None = None,
+    pose_model: PoseModel | str = PoseModel.AIMED,
     throw: bool = True,
     systematics: Systematics | None = None,
     orientation: Orientation = None,
 ) -> CalibrationResult:
     """`trinoc.calibrate` from circles that are already found. Raises as it does."""
     lenses = lens_of_each(lens, detections)
-    model = pose_model_over_sheet(pose_model, parameters)
+    model = pose_model_over_sheet(pose_model)
     search = Search(tuple(detections), detections, {}, {})
     known = Knowledge(pattern, model, systematics or Systematics.typical(lenses))
     return calibration_of_search(search, lenses, known, orientation, throw=throw)

@@ -26,9 +26,8 @@ def calibrate(
     pattern: Pattern,
     lens: Intrinsics | Mapping[str, Intrinsics],
     *,
-    parameters: int | None = None,
-    pose_model: PoseModel | str | None = None,
-    method: Literal["picture", "circles"] = "picture",
+    pose_model: PoseModel | str = PoseModel.AIMED,
+    method: Literal["pixels", "points"] = "pixels",
     throw: bool = True,
     systematics: Systematics | None = None,
     orientation: Orientation = None,
@@ -41,10 +40,9 @@ def calibrate(
     lens : the intrinsics of all cameras, or of each by name.
     pose_model : "aimed" (pan, tilt, swing, distance; the optical axis meets the origin of the
         sheet), the default, or "aim-free" (the point it meets is free), or a PoseModel.
-    parameters : the same by the number of parameters, 4 or 6.
-    method : "picture" goes on from the circles to a fit of the grey levels near every edge of
+    method : "pixels" goes on from the circles to a fit of the grey levels near every edge of
         the sheet, which reaches the Cramer-Rao bound, and uses it for each camera whose circles
-        agree with it; "circles" stops at their centres. `fits[name].method` says what was used.
+        agree with it; "points" stops at their centres. `fits[name].method` says what was used.
     throw : whether a camera that fails raises; without it the failed cameras are left out of
         the rig and `failures` says why.
     systematics : what is known of the errors of the sheet, the lens and the aim: by default what
@@ -65,10 +63,10 @@ def calibrate(
     CalibrationError : some camera failed; the error holds the sentence of each, and the
         result of the others. Raised without `throw`, too, where no camera is left.
     """
-    if method not in ("picture", "circles"):
-        raise InputError(f'method is {method!r}, but must be "picture" or "circles".')
+    if method not in ("pixels", "points"):
+        raise InputError(f'method is {method!r}, but must be "pixels" or "points".')
     expect_pictures(images, pattern)
-    model = pose_model_over_sheet(pose_model, parameters)
+    model = pose_model_over_sheet(pose_model)
     lenses = lens_of_each(lens, images)
     _check_images(images, lenses)
     encoding = Encoding(bayer, response)
@@ -83,7 +81,7 @@ def calibrate(
         except DetectionError as error:
             failures[name] = str(error)
     images = {name: grey_image(np.asarray(images[name])).grey for name in detections}
-    search = Search(tuple(lenses), detections, images if method == "picture" else {}, failures)
+    search = Search(tuple(lenses), detections, images if method == "pixels" else {}, failures)
     return calibration_of_search(search, lenses, known, orientation, throw=throw)
 
 

@@ -57,7 +57,7 @@ def failure_sentence(
         # With the aim held, a principal point that is off by so much moves every circle.
         largest_px += LARGEST_STRAIN * float(np.linalg.norm(lens_factor[_PRINCIPAL_POINT]))
     if misfit_px > largest_px:
-        free = "" if model is PoseModel.AIM_FREE else ", or free the aim with parameters=6"
+        free = "" if model is PoseModel.AIM_FREE else ', or free the aim with pose_model="aim-free"'
         return (
             f"the circles miss their predicted places by {misfit_px:.1f} px: check the focal "
             f"length and the pattern{free}."
@@ -146,7 +146,7 @@ def notes_of_camera(
         notes.append(tests[0].sentence)
     if picture is not None and picture.note is not None:
         notes.append(f"{picture.note} Its circles alone were used.")
-    elif picture is not None and choice.method == "circles":
+    elif picture is not None and choice.method == "points":
         notes.append(
             "the grey levels disagree with the circles' centres more than noise can explain: the "
             "picture is processed, uneven or covered in a way that the model does not know. Its "
@@ -181,7 +181,7 @@ def notes_of_camera(
             f"the picture departs from the model by {quality.noise:.1f} grey levels, where its "
             f"own noise is {quality.noise_floor:.1f}; its sigmas are those of the larger."
         )
-    if choice.method == "circles" and reduced_chi_square > _LARGE_CHI_SQUARE:
+    if choice.method == "points" and reduced_chi_square > _LARGE_CHI_SQUARE:
         notes.append(
             f"the circles scatter {np.sqrt(reduced_chi_square):.1f} times as much as their "
             "own sigmas say; the parameters' sigmas are enlarged by that factor."

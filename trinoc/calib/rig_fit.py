@@ -30,7 +30,7 @@ _LARGEST_SCATTER = 1.5
 # Ink that spreads less moves the centres of circles by less than they are known to.
 _LEAST_SPREAD_MM = 0.01
 
-Method = Literal["picture", "circles"]
+Method = Literal["pixels", "points"]
 
 
 class Knowledge(NamedTuple):
@@ -133,11 +133,11 @@ def fit_rig(cameras: Sequence[SheetCamera], known: Knowledge) -> RigFit:
         _choose(k, camera, picture, of_circles, of_pictures)
         for k, (camera, picture) in enumerate(zip(either, pictures, strict=True))
     ]
-    final = of_pictures if any(one.method == "picture" for one in choices) else of_circles
+    final = of_pictures if any(one.method == "pixels" for one in choices) else of_circles
     # Some cameras by their pictures and some not, or circles that know less than they say.
     if len({one.method for one in choices}) > 1 or max(one.scatter for one in choices) > 1.0:
         views = [
-            one.camera if one.method == "picture" else _scale_sigmas(camera, one.scatter)
+            one.camera if one.method == "pixels" else _scale_sigmas(camera, one.scatter)
             for one, camera in zip(choices, cameras, strict=True)
         ]
         final = known.adjust(views, of_circles)
@@ -156,11 +156,11 @@ def _choose(
     if is_shown:
         agreement = probability_of_agreement(of_circles, of_pictures, view)
         if agreement >= LEAST_PROBABILITY or _circles_are_wrong(of_circles, of_pictures, view):
-            return CameraChoice(camera, picture, "picture", agreement, 1.0)
+            return CameraChoice(camera, picture, "pixels", agreement, 1.0)
     # By all that blocks say where the model is wrong.
     scatter = scatter_of_blocks(of_circles, view)
     scatter = scatter if is_shown or scatter > _LARGEST_SCATTER else 1.0
-    return CameraChoice(camera, picture, "circles", agreement, scatter)
+    return CameraChoice(camera, picture, "points", agreement, scatter)
 
 
 def _fit_pictures(

@@ -66,8 +66,8 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
     sheet's origin to the optical axes, with the pose model aimed; 0 as in the paper), lens=0 (for a
     lens that is exactly what is said of it)."""
 
-    method: Literal["picture", "circles"] = "picture"
-    """picture: the grey levels of each picture count where its circles agree; circles: the circles
+    method: Literal["pixels", "points"] = "pixels"
+    """pixels: the grey levels of each picture count where its circles agree; points: the circles
     alone."""
 
     bayer: Annotated[
@@ -86,10 +86,7 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
     """Which way round a sheet lies that looks the same turned: upright, where X points right in
     every picture, or as the cameras of an earlier rig.json saw it."""
 
-    pose_model: Annotated[
-        Literal["aimed", "aim-free"] | None,
-        tyro.conf.arg(metavar="aimed|aim-free", help_behavior_hint="(default: aimed)"),
-    ] = None
+    pose_model: Literal["aimed", "aim-free"] = "aimed"
     """aimed: the optical axis meets the origin of the sheet; aim-free: where it meets the sheet is
     free."""
 

@@ -219,7 +219,6 @@ class Command(abc.ABC):
 
 # What no option of one command says by its own name.
 _PHRASES = {
-    "parameters=6": "--pose-model aim-free",
     "leave out aspect": "leave out --hold aspect",
     "give `rings=` yourself or": "choose a sheet with",
     "; give a sigma_px that is as much smaller to have candidates judged by it too": "",
@@ -238,7 +237,7 @@ def in_options(sentence: str, command: object) -> str:
     for name in _names(command):
         option = f"--{name.replace('_', '-')}"
         given = rf"(?<![\w\".`/-]){re.escape(name)}="
-        sentence = re.sub(rf'{given}(?:(?=\w)|"(\w+)")', rf"{option} \1", sentence)
+        sentence = re.sub(rf'{given}(?:(?=\w)|"([\w-]+)")', rf"{option} \1", sentence)
         if "_" in name:
             sentence = _replace_name(name, option, sentence)
     for option, settings in getattr(command, "settings", {}).items():

@@ -58,26 +58,13 @@ class PoseModel(Enum):
         raise InputError(f"pose_model is {given!r}, but must be one of {words}, or a PoseModel.")
 
 
-def pose_model_over_sheet(pose_model: PoseModel | str | None, parameters: int | None) -> PoseModel:
-    """The model of cameras that a sheet places, by itself or by its number of parameters.
-
-    AIMED unless one is given. Raises InputError for RIGID, another number, or two that differ.
-    """
-    by_count = {model.size: model for model in (PoseModel.AIMED, PoseModel.AIM_FREE)}
-    if parameters is not None and parameters not in by_count:
-        raise InputError(f"parameters is {parameters}, but must be 4 (aim held) or 6 (free).")
-    if pose_model is None:
-        return PoseModel.AIMED if parameters is None else by_count[parameters]
+def pose_model_over_sheet(pose_model: PoseModel | str) -> PoseModel:
+    """The model of cameras that a sheet places. Raises InputError for RIGID and for no model."""
     model = PoseModel.of(pose_model)
     if model is PoseModel.RIGID:
         raise InputError(
             'pose_model is "rigid", but a camera over the sheet is described by its aim: give '
             '"aim-free", which is any pose that looks at the sheet.'
-        )
-    if parameters not in (None, model.size):
-        raise InputError(
-            f'pose_model "{model.word}" has {model.size} parameters, but parameters is '
-            f"{parameters}: give one of the two."
         )
     return model
 

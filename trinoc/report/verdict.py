@@ -107,7 +107,7 @@ def _answer_on_coverage(subject: Subject, *, by_shots: bool) -> Answer | None:
 def _noisy(subject: Subject) -> Answer | None:
     ratios = {}
     for name, fit in subject.result.fits.items() if subject.result is not None else ():
-        picture = fit.image if fit.method == "picture" else None
+        picture = fit.image if fit.method == "pixels" else None
         chi_square = (fit if picture is None else picture).reduced_chi_square
         ratios[name] = float(np.sqrt(max(chi_square, 0.0)))
     words = "the largest residuals, those of {}; 1 or less is noise and nothing else."

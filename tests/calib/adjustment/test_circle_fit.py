@@ -73,7 +73,7 @@ def test_without_noise_the_camera_is_recovered(
     camera = camera_of((pan, tilt, swing, distance), LENS, aim)
     detection = simulated_detection(camera, SHEET, seed=0, sigma_px=1e-9)
     result = calibrate_detections(
-        {"a": detection}, SHEET, LENS, parameters=6 if free else 4, systematics=EXACT
+        {"a": detection}, SHEET, LENS, pose_model="aim-free" if free else "aimed", systematics=EXACT
     )
     np.testing.assert_allclose(
         result.rig["a"].cam_from_world, camera.cam_from_world, rtol=1e-7, atol=1e-7
@@ -135,11 +135,11 @@ def test_turning_the_sheet_turns_the_pan() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [4, 6])
-def test_errors_scatter_as_the_covariance_says(count: int) -> None:
+@pytest.mark.parametrize(("pose_model", "count"), [("aimed", 4), ("aim-free", 6)])
+def test_errors_scatter_as_the_covariance_says(pose_model: str, count: int) -> None:
     camera, trials = camera_of(TABLE_1["right"]), 300
     detections = {str(k): simulated_detection(camera, SHEET, seed=100 + k) for k in range(trials)}
-    result = calibrate_detections(detections, SHEET, LENS, parameters=count, systematics=EXACT)
+    result = calibrate_detections(detections, SHEET, LENS, pose_model=pose_model, systematics=EXACT)
     errors = result.values.reshape(trials, count)
     errors = errors - np.array([*TABLE_1["right"], 0.0, 0.0])[:count]
     blocks = result.covariance.reshape(trials, count, trials, count)

@@ -108,11 +108,6 @@ def test_sigmas_grow_with_the_residuals() -> None:
     assert ratio == pytest.approx(np.sqrt(expected.fits["a"].reduced_chi_square), rel=1e-3)
 
 
-def test_the_number_of_parameters_is_four_or_six() -> None:
-    with pytest.raises(InputError, match="4"):
-        calibrate_detections({"a": detect()}, SHEET, LENS, parameters=5, systematics=EXACT)
-
-
 def test_a_missing_lens_is_named() -> None:
     lenses: dict[str, Intrinsics] = {"a": LENS}
     with pytest.raises(InputError, match='"b"'):

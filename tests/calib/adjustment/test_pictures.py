@@ -38,10 +38,10 @@ BENCH = Systematics.typical({})
 @pytest.mark.parametrize(
     ("name", "known", "method"),
     [
-        ("sRGB, dark ink", EXACT, "picture"),
-        ("overexposed", EXACT, "picture"),
-        ("bent .1 mm", BENCH, "picture"),
-        ("print .1 % longer along X", BENCH, "picture"),
+        ("sRGB, dark ink", EXACT, "pixels"),
+        ("overexposed", EXACT, "pixels"),
+        ("bent .1 mm", BENCH, "pixels"),
+        ("print .1 % longer along X", BENCH, "pixels"),
     ],
 )
 def test_no_error_beyond_four_sigmas_is_silent(name, known, method) -> None:
@@ -49,7 +49,7 @@ def test_no_error_beyond_four_sigmas_is_silent(name, known, method) -> None:
     assert result.status["a"] is Status.CONVERGED
     assert result.fits["a"].method == method
     assert np.abs(z).max() < 4
-    assert (method == "circles") == any(
+    assert (method == "points") == any(
         "Its circles alone were used" in note for note in result.fits["a"].notes
     )
 

@@ -23,7 +23,7 @@ def test_double_precision_moves_no_parameter_beyond_the_stopping_rule(monkeypatc
 
     monkeypatch.setattr(scene, "group_of", in_double_precision)
     double = calibrate(*known, systematics=Systematics())
-    assert {fit.method for fit in double.fits.values()} == {"picture"}
+    assert {fit.method for fit in double.fits.values()} == {"pixels"}
     sigma = np.sqrt(np.diag(double.covariance))
     # A fit stops where the chi-square gains no more than this, the square of a share of a sigma.
     stops_apart = 2.0 * np.sqrt(CONVERGED_GAIN)

@@ -85,7 +85,8 @@ def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarr
     if name == "aim":
         return (
             f"the optical axis misses the origin of the sheet by ({estimate[0]:.2f}, "
-            f"{estimate[1]:.2f}) +- ({sigma[0]:.1g}, {sigma[1]:.1g}) mm: use parameters=6."
+            f"{estimate[1]:.2f}) +- ({sigma[0]:.1g}, {sigma[1]:.1g}) mm: "
+            'use pose_model="aim-free".'
         )
     if name == "focal length":
         return (

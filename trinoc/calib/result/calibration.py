@@ -60,7 +60,8 @@ class CameraFit(eqx.Module):
     used : (m,) circles that took part in the fit; the others were located wrongly.
     image : of the fit to the grey levels, or None where the circles alone were fitted.
     alternatives : what the residuals say of everything that the model holds fixed.
-    method : whether the answer is that of the "picture" or of its "circles" alone.
+    method : whether the answer is that of the grey levels ("pixels") or of the circles alone
+        ("points").
     """
 
     detection: Detection
@@ -72,7 +73,7 @@ class CameraFit(eqx.Module):
     used: Bool[np.ndarray, "m"]
     image: ImageQuality | None = None
     alternatives: tuple[Alternative, ...] = ()
-    method: str = eqx.field(static=True, default="circles")
+    method: str = eqx.field(static=True, default="points")
 
     @property
     def rms_px(self) -> float:
