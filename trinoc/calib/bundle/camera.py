@@ -13,7 +13,7 @@ from trinoc.geometry.lenses.registry import stack_lenses
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.precision import ArrayLike, array_namespace
 
-# A step of one in focal length doubles it; in the principal point it is this many pixels.
+# numerical: a step of one in focal length doubles it; in the principal point it is so many pixels.
 PRINCIPAL_POINT_STEP_PX = 1000.0
 
 

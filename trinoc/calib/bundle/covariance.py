@@ -23,20 +23,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.bundle.camera import CameraState
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.projection import project_by_matrix
 from trinoc.geometry.triangulation import triangulate_segment
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.small_matrices import inverse_positive_definite
+from trinoc.numerics.tails import chi_square_limit
 
-# Share of the largest eigenvalue of the unit-diagonal information below which a direction is
-# free: rounding leaves 1e-13 or so, and anything real stays far above.
+# numerical: share of the largest eigenvalue of the unit-diagonal information below which a
+# direction is free: rounding leaves 1e-13 or so, and anything real stays far above.
 FREE_EIGENVALUE = 1e-10
 RIGID_GAUGE = "position, orientation and scale of the whole rig"
 AIMED_GAUGE = "orientation and scale of the whole rig"
-# 99.9 % of the squared distances of right fragments, chi-square with two degrees of freedom.
-INLIER_SQUARED = 13.816
-# Redundancy below which the sheet's claim is kept: the estimate would be off by 13 % or more.
-FEWEST_FOR_SHEET = 30
+# numerical: of the two ends' distances of a fragment.
+INLIER_SQUARED = chi_square_limit(TUNING.bundle.outlier_chance, 2)
 
 
 class DeterminedPart(NamedTuple):
@@ -153,4 +153,8 @@ def sheet_factor(chi_square: float, redundancy: float) -> float:
     With too little redundancy the claimed sigmas are kept: a factor from a handful of numbers
     would be noise itself.
     """
-    return float(np.sqrt(chi_square / redundancy)) if redundancy >= FEWEST_FOR_SHEET else 1.0
+    return (
+        float(np.sqrt(chi_square / redundancy))
+        if redundancy >= TUNING.bundle.fewest_for_sheet
+        else 1.0
+    )

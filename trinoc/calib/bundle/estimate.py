@@ -39,6 +39,7 @@ from trinoc.calib.bundle.joint_problem import (
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.problem.solver import solve
 from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.pose import Pose, PoseModel
@@ -50,15 +51,10 @@ from trinoc.numerics.precision import ArrayLike, as_numpy
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
-# What a fragment can cost, in sigmas squared.
-LOSS = GemanMcClure.from_scale(np.asarray(4.0))
-# It is first so much wider that everything speaks, then only what fits within a few sigmas.
-WIDENINGS = np.array([16.0, 4.0, 1.0])
-# What a calibration held in its place, such as the aim of a camera of four parameters, stays
-# there in the cameras that did not move: to a micrometre, which no segment can tell from zero.
-HELD_SIGMA_MM = 1e-3
-# The same of a lens, and the least that errors which several cameras share differ by.
-HELD_SIGMA_PX = 1e-3
+LOSS = GemanMcClure.from_scale(np.asarray(TUNING.bundle.loss_sigmas))
+# numerical: sigma, in mm or px, of what a calibration held in its place, such as an aim or a lens:
+# it stays there in the cameras that did not move. No segment can tell it from zero.
+HELD_SIGMA = 1e-3
 
 
 class FreeParameters(NamedTuple):
@@ -196,16 +192,16 @@ def prior_information(
                 "The covariance of the rig is not finite: calibrate so that all parameters are "
                 "determined, or give the rig without a covariance."
             )
-        covariance = covariance + np.diag(HELD_SIGMA_PX**2 * of_lens[known])
+        covariance = covariance + np.diag(HELD_SIGMA**2 * of_lens[known])
         scale = np.sqrt(np.diag(covariance))
         inverse = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
         information[np.ix_(known, known)] = inverse
     if choice.aim_held:
         aims = [i for i, name in enumerate(names) if trusted[i] and ".aim_" in name]
-        information[aims, aims] = HELD_SIGMA_MM**-2
+        information[aims, aims] = HELD_SIGMA**-2
     if choice.lens_held:
         held = np.flatnonzero(of_lens & ~stated)
-        information[held, held] = HELD_SIGMA_PX**-2
+        information[held, held] = HELD_SIGMA**-2
     return information
 
 
@@ -257,7 +253,7 @@ def _fit(
         solution = solve(wide, state)
         return solution.state, (solution.cost, solution.converged)
 
-    end, (costs, converged) = jax.lax.scan(narrower, start, jnp.asarray(WIDENINGS))
+    end, (costs, converged) = jax.lax.scan(narrower, start, jnp.asarray(TUNING.bundle.widenings))
     end = with_lines_of_two_views(end, tracks)
     scaled = _restore_scale(start, end)
     without_sheet = ~jnp.any(jnp.asarray(information) != 0)

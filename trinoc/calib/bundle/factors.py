@@ -29,6 +29,7 @@ from trinoc.geometry.lines import (
 from trinoc.geometry.projection import project_by_matrix
 from trinoc.numerics.precision import ArrayLike
 
+# numerical: how many parameters of a pose are angles.
 ANGLES = 3
 
 

@@ -28,10 +28,9 @@ from trinoc.numerics.block_arrow import BlockArrowSolver
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.robust_loss import AbstractRobustLoss
 
-# Newton's steps take the minimum, known to a share of a sigma, to rounding error. Steps are of
-# radians, shares of the distance, and mm.
-STEP_TOLERANCE = 1e-9
-MOST_NEWTON_STEPS = 8
+# numerical: Newton's steps take the minimum, known to a share of a sigma, to rounding error. Steps
+# are of radians, shares of the distance, and mm.
+STEP_TOLERANCE, MOST_NEWTON_STEPS = 1e-9, 8
 
 
 class Offsets(NamedTuple):

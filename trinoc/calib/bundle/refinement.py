@@ -18,6 +18,7 @@ from jaxtyping import Float
 from trinoc.calib.bundle.estimate import FreeParameters, joint_estimate, squared_distances_with_rig
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.result.calibration import CalibrationResult
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.pose import Pose, PoseModel
@@ -26,21 +27,8 @@ from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.geometry.segments import LineObservations
 from trinoc.numerics.precision import as_numpy, in_float64
 
+# numerical: rounds of matching and refining, which end once nothing is gained.
 MOST_ROUNDS = 8
-# How far a camera is turned: the largest knock that the search is meant for.
-TURN_DEG = 1.2
-# How far one that aims at the origin is taken round it, where pictures of what lies near stay.
-ROUND_DEG = 5.0
-# A camera whose orientation the sheet knows to a quarter of that cannot stand elsewhere.
-KNOWN_DEG = TURN_DEG / 4
-# Two answers are one where the lines of one miss each other by less with the other.
-SAME_SIGMAS = 3.5
-# Where the best answer was wrong, one that ends elsewhere came within a factor of 1.35 in log
-# posterior in five cases of six (1.8 in the other); where it was right, none came nearer than
-# 1.52 in 45 (made tables, boxes and loose segments, seeds from 150,000 on, one camera knocked by
-# 1 or 2 degrees, or all by 0.2 to 1). Both sides grow with the ceiling of the loss; the factor
-# between them was measured under that of `joint_estimate`.
-CLEAR_FACTOR = 1.45
 
 
 @runtime_checkable
@@ -211,16 +199,19 @@ def start_rigs(rig: Rig, moved: Collection[str], pose_model: PoseModel) -> list[
     knows its orientation. A camera that must aim at the origin is taken round it instead.
     """
     name = next(camera for camera in reversed(rig.names) if camera in moved or not moved)
-    if not moved and (_angle_sigmas_deg(rig, name) < KNOWN_DEG).all():
+    known_deg = TUNING.bundle.known_share * TUNING.bundle.turn_deg
+    if not moved and (_angle_sigmas_deg(rig, name) < known_deg).all():
         return []
     pose, poses = rig[name].pose, []
     for axis in (*np.eye(3)[:2], *-np.eye(3)[:2]):
         if pose_model is PoseModel.AIMED:
-            rotation = rotation_from_vector(np.radians(ROUND_DEG) * axis) @ pose.rotation
+            rotation = (
+                rotation_from_vector(np.radians(TUNING.bundle.round_deg) * axis) @ pose.rotation
+            )
             distance = jnp.linalg.norm(pose.centre_world_mm)
             poses.append(Pose.from_aim(rotation, distance, np.zeros(2)))
         else:
-            turn = np.append(np.radians(TURN_DEG) * axis, np.zeros(3))
+            turn = np.append(np.radians(TUNING.bundle.turn_deg) * axis, np.zeros(3))
             poses.append(pose.retract(turn, PoseModel.RIGID, 1.0))
     return [eqx.tree_at(lambda each: each[name].pose, rig, as_numpy(turned)) for turned in poses]
 
@@ -244,8 +235,8 @@ def is_unambiguous(
 ) -> bool:
     """Whether the best answer is clear of all others that are not the same."""
     return all(
-        other.log_posterior * CLEAR_FACTOR < best.log_posterior
-        or _separation_sigmas(best, other, choice) < SAME_SIGMAS
+        other.log_posterior * TUNING.bundle.clear_factor < best.log_posterior
+        or _separation_sigmas(best, other, choice) < TUNING.bundle.same_sigmas
         for other in others
         if other is not None
     )

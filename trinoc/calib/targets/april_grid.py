@@ -16,7 +16,7 @@ from trinoc.calib.targets.markers import (
 from trinoc.calib.targets.squares import MOST_EACH_WAY, AbstractSquareBoard, CellGrid, grid_mm
 from trinoc.errors import InputError
 
-# Corners of a tag about its middle, in tags: from the lower left counter-clockwise.
+# numerical: corners of a tag about its middle, in tags: from the lower left counter-clockwise.
 _CORNERS = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool
 from trinoc.calib.targets.abstract_target import Marks
 from trinoc.errors import InputError
 
-# How many markers a dictionary holds, by OpenCV's name without the prefix DICT_.
+# numerical: how many markers a dictionary holds, by OpenCV's name without the prefix DICT_.
 _COUNTS = {
     **{f"{bits}x{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
     "ARUCO_ORIGINAL": 1024,
@@ -21,7 +21,7 @@ _COUNTS = {
     "APRILTAG_36h11": 587,
 }
 DICTIONARIES = tuple(_COUNTS)
-# Pixels of OpenCV's drawing for one cell, which is read in its middle.
+# numerical: pixels of OpenCV's drawing for one cell, which is read in its middle.
 _CELL_PX = 4
 
 

@@ -9,15 +9,14 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Marks, Polygon
 from trinoc.calib.targets.ring_code import ring_code
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike
 
 LINE_STYLES = ("stop", "through", "white")
 
-# Centres may lie this far, in pitches, from an even lattice: measured sheets, not misprints.
-_LATTICE_TOLERANCE = 0.25
-# Points of an arc where a line cuts a circle, in drawings.
+# numerical: points of an arc where a line cuts a circle, in drawings.
 _ARC_POINTS = 48
 
 
@@ -297,6 +296,6 @@ def _lattice_problem(pattern: Pattern) -> str | None:
     if area_mm2 <= 0.0:
         return "its lattice is a mirror image of its centres"
     off_mm = np.abs(relative @ steps + pattern.centres_mm.mean(axis=0) - pattern.centres_mm)
-    if off_mm.max() > _LATTICE_TOLERANCE * np.sqrt(area_mm2):
+    if off_mm.max() > TUNING.targets.off_lattice * np.sqrt(area_mm2):
         return "its centres do not lie on the lattice that it states"
     return None

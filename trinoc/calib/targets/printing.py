@@ -6,18 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError
 
-# Of the shorter side of the field: room is left for aiming, and for the sheet to be seen aslant.
-_FIELD_SHARE = 0.6
-# docs/how-to.md says why.
-_GOOD_PX, _LEAST_PX = 20.0, 10.0
-_RADIUS_SHARE = 0.3
-_STEP_MM = 0.5
-# So far the crossed lines of `Pattern.cross_grid` reach beyond the outer centres, in pitches.
+# numerical: so far, in pitches, the lines of `Pattern.cross_grid` reach beyond the outer centres.
 _LINES_BEYOND = 0.75
-# Printers miss by a percent; a third of the length is a mistake of the person or the unit.
-_LARGEST_CHANGE = 0.3
 
 
 class SheetProposal(NamedTuple):
@@ -49,24 +42,25 @@ def propose_sheet(
 
     Raises InputError where circles would be under 10 px wide.
     """
-    side = min(_FIELD_SHARE * min(field_mm), *room_mm)
+    rules = TUNING.targets
+    side = min(rules.field_share * min(field_mm), *room_mm)
     px_per_mm = min(size / field for size, field in zip(size_px, field_mm, strict=True))
     for count in (12, 10, 8, 6):
         extent = count - 1 + 2 * _LINES_BEYOND
-        pitch = _STEP_MM * math.floor(side / extent / _STEP_MM)
-        width = 2 * _RADIUS_SHARE * pitch * px_per_mm
-        if width >= (_GOOD_PX if count > 6 else _LEAST_PX):
+        pitch = rules.step_mm * math.floor(side / extent / rules.step_mm)
+        width = 2 * rules.radius_share * pitch * px_per_mm
+        if width >= (rules.good_px if count > 6 else rules.least_px):
             share = extent * pitch / min(field_mm)
-            return SheetProposal(count, pitch, _RADIUS_SHARE * pitch, width, share)
-    if _FIELD_SHARE * min(field_mm) < min(room_mm):
+            return SheetProposal(count, pitch, rules.radius_share * pitch, width, share)
+    if rules.field_share * min(field_mm) < min(room_mm):
         raise InputError(
             f"A camera that sees {field_mm[0]:.3g} x {field_mm[1]:.3g} mm in {size_px[0]} x "
             f"{size_px[1]} pixels has no room for a sheet: check the distance, the angle and the "
             "size of the pictures."
         )
     raise InputError(
-        f"A sheet of {side:.0f} mm would have circles less than {_LEAST_PX:.0f} px wide in the "
-        "picture: take larger paper, or go nearer."
+        f"A sheet of {side:.0f} mm would have circles less than {rules.least_px:.0f} px wide in "
+        "the picture: take larger paper, or go nearer."
     )
 
 
@@ -96,7 +90,7 @@ def printed_sheet(
     if not ((nominal > 0).all() and (measured > 0).all() and sigma_mm >= 0):
         raise InputError("The bars' lengths must be positive, and their sigma not negative.")
     scale = measured / nominal
-    if (np.abs(scale - 1) > _LARGEST_CHANGE).any():
+    if (np.abs(scale - 1) > TUNING.targets.largest_change).any():
         raise InputError(
             f"The bars were measured as {measured[0]:g} and {measured[1]:g} mm where the drawing "
             f"has {nominal[0]:g} and {nominal[1]:g} mm: check the unit and the bars' order."

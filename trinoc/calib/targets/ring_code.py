@@ -17,17 +17,18 @@ from trinoc.errors import InputError
 # between two places. Three different circles let one be misread. The first criterion that the
 # grid leaves room for and the search satisfies is taken.
 _Criterion = tuple[tuple[tuple[int, int], int], ...]
+# numerical: what a code must fulfil; other numbers would print other sheets.
 _CRITERIA: tuple[_Criterion, ...] = (
     (((3, 3), 1), ((4, 4), 3)),
     (((3, 4), 1), ((4, 4), 3)),
     (((4, 4), 1), ((5, 5), 3)),
     (((4, 5), 1), ((5, 6), 3)),
 )
-_STEPS = 1000
-_TEMPERATURE = 0.7
-# Share of all words of a window's length that its places may fill before a search is hopeless.
+# numerical: of the search, likewise.
+_STEPS, _TEMPERATURE = 1000, 0.7
+# numerical: share of all words of a window's length that places may fill: beyond, no search ends.
 _FILLED = 0.55
-# Larger grids are beyond what one sheet of paper holds.
+# numerical: larger grids are beyond what one sheet of paper holds.
 _MOST_CIRCLES = 1600
 
 

@@ -12,10 +12,11 @@ from jaxtyping import Bool, Float
 from trinoc.calib.targets.abstract_target import AbstractBoard, AbstractTarget, Polygon
 from trinoc.errors import InputError
 
-# Lines nearer than this, over the board's extent, are one.
+# numerical: lines nearer than this, over the board's extent, are one.
 _SAME = 1e-7
-# Half the height of what covers a seam between two rows, in cells.
+# numerical: half the height of what covers a seam between two rows, in cells.
 _STRIP = 0.25
+# numerical: beyond what one board holds.
 MOST_EACH_WAY = 999
 
 
