@@ -8,8 +8,6 @@ import pytest
 import trinoc
 
 ROOT = Path(trinoc.__file__).parent
-# Parts whose numbers are not yet in order.
-NOT_YET = {"calib", "calib/problem"}
 MARK = "# numerical:"
 
 
@@ -48,7 +46,7 @@ def is_marked(lines, node):
     return False
 
 
-@pytest.mark.parametrize("part", [part for part in PARTS if part not in NOT_YET])
+@pytest.mark.parametrize("part", PARTS)
 def test_a_number_stands_in_tuning_or_is_marked_as_numerical(part):
     wrong = []
     for path in PARTS[part]:

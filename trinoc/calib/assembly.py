@@ -9,7 +9,6 @@ from scipy.linalg import block_diag
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.adjustment.model_tests import alternatives
 from trinoc.calib.messages import (
-    LARGEST_STRAIN,
     is_suspect,
     lens_strain,
     notes_of_camera,
@@ -21,6 +20,7 @@ from trinoc.calib.result.calibration import CalibrationResult, CameraFit
 from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
 from trinoc.calib.result.status import Status
 from trinoc.calib.rig_fit import Knowledge, RigFit
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
@@ -152,4 +152,4 @@ def _camera_fit(
         method=choice.method,
     )
     scatter = float(source.reduced_chi_square[view])
-    return result, is_suspect(tests, scatter) or strain > LARGEST_STRAIN
+    return result, is_suspect(tests, scatter) or strain > TUNING.answer.strain_sigmas

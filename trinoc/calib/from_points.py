@@ -17,6 +17,7 @@ from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.result.status import Status
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.camera import Camera
@@ -24,14 +25,11 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, promote_lens, simplify_lens
 from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.numerics.information import LARGEST_SIGMA
 from trinoc.numerics.precision import ArrayLike, in_float64
 
-# A direction whose sigma exceeds this (rad, share of the distance or focal length) is free.
-_LARGEST_SIGMA = 0.1
-# Residuals beyond this many robust sigmas are of other points than they were said to be.
-_OUTLIER_SIGMAS = 6.0
+# numerical: rounds in which outliers are left out, few of which change something.
 _CUTS = 4
-_FEWEST_FOR_LENS = 8
 # Under which the one camera's lens goes to those who know cameras by name.
 _CAMERA = "camera"
 
@@ -171,7 +169,7 @@ def _without_outliers(problem: Problem) -> Problem:
             )
         far = np.linalg.norm(errors_px(problem)[0], axis=1)
         # The median of a Rayleigh distribution is 1.18 sigma.
-        kept = far <= _OUTLIER_SIGMAS * np.median(far[view.used]) / 1.18 + 1e-9
+        kept = far <= TUNING.problem.gate * np.median(far[view.used]) / 1.18 + 1e-9
         if np.array_equal(kept, view.used):
             break
         view = view._replace(used=kept)
@@ -204,7 +202,7 @@ def _result(
     noise = float(np.sqrt(chi / freedom)) if freedom else float("nan")
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     sigma = (noise if freedom else 1.0) / np.sqrt(np.maximum(values, 1e-300))
-    lost = (sigma > _LARGEST_SIGMA) | (values < 1e-14 * values[-1])
+    lost = (sigma > LARGEST_SIGMA) | (values < 1e-14 * values[-1])
     if lost.any():
         touched = (vectors[:, lost] ** 2).sum(axis=1) > 0.02
         open_ = ", ".join(name for name, hit in zip(parameters, touched, strict=True) if hit)
@@ -252,7 +250,7 @@ def _check(
     unknown = [name for name in names if name not in known]
     if unknown:
         raise InputError(f"`free` names {unknown[0]!r}, but knows {', '.join(known)}.")
-    fewest = 4 if not names else _FEWEST_FOR_LENS
+    fewest = 4 if not names else TUNING.answer.fewest_points
     if len(points) < fewest:
         raise InputError(f"{len(points)} points are too few: give at least {fewest}.")
     if lens is None and _is_flat(points):

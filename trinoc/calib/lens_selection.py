@@ -11,17 +11,12 @@ from trinoc.calib.problem.problem import Problem, with_head_held, with_sheet_hel
 from trinoc.calib.problem.rao_test import RaoTest
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.starts.placing import of_one_moment
+from trinoc.calib.tuning.every_group import TUNING
 
 # From the one that people expect to the one with most coefficients.
 LENSES_TRIED = ("brown_conrady", "kannala_brandt", "rational")
-# A lens is worse where its held-out errors are larger by so many standard deviations.
-_DEVIATIONS = 2.0
-# Errors beyond so many times those of the best lens are no nearer to the truth for being smaller.
-_CAP = 5.0
-# Errors that are 0 have a quotient, too.
+# numerical: errors that are 0 have a quotient, too.
 _LEAST_PX2 = 1e-24
-# Where chance alone has less than this probability, a score test calls for more coefficients.
-_CHANCE = 1e-3
 
 
 # Lengths of the errors, in px, of shots that a lens was not fitted to, by camera and shot.
@@ -64,7 +59,7 @@ def choose_lens(tried: Mapping[str, HeldOut]) -> LensChoice:
         # Quotients, since a few shots with large errors would drown all others in a difference.
         excess = np.log(own / best)
         sigma = excess.std() / np.sqrt(max(len(excess) - 1, 1))
-        return bool(excess.mean() > _DEVIATIONS * sigma)
+        return bool(excess.mean() > TUNING.answer.worse_sigmas * sigma)
 
     chosen = next(name for name, own in squares.items() if not is_worse(own))
     return LensChoice(chosen, {name: float(np.sqrt(own.mean())) for name, own in squares.items()})
@@ -79,7 +74,7 @@ def _mean_squares(tried: Mapping[str, HeldOut]) -> dict[str, Float[np.ndarray, "
                for shot in shots]
         for name, own in tried.items()
     }  # fmt: skip
-    cap = _CAP * min(float(np.median(np.concatenate(own))) for own in errors.values())
+    cap = TUNING.answer.cap * min(float(np.median(np.concatenate(own))) for own in errors.values())
     return {
         name: _LEAST_PX2 + np.array([np.mean(np.minimum(each, cap) ** 2) for each in own])
         for name, own in errors.items()
@@ -88,7 +83,7 @@ def _mean_squares(tried: Mapping[str, HeldOut]) -> dict[str, Float[np.ndarray, "
 
 def is_significant(test: RaoTest) -> bool:
     """Whether chance alone hardly pulls so much."""
-    return test.chance < _CHANCE
+    return test.chance < TUNING.answer.chance_of_lens
 
 
 def choice_sentence(

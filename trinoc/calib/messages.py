@@ -11,22 +11,15 @@ from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.result.alternative import Alternative
 from trinoc.calib.result.status import Status
-from trinoc.calib.rig_fit import LEAST_PROBABILITY, CameraChoice, Knowledge
+from trinoc.calib.rig_fit import CameraChoice, Knowledge
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
+from trinoc.numerics.tails import chi_square_tail
 
-# Centres of the right sheet through the right lens fit to hundredths of a pixel; beyond this
-# share of the sheet's size in the picture the model is not the camera's.
-_LARGEST_MISFIT = 0.01
-_SMALLEST_MISFIT_PX = 1.0
-_LARGE_CHI_SQUARE = 2.0
-_CUT_SHARE = 0.01
-# A lens or a sheet may be off by this many of the sigmas that were stated.
-LARGEST_STRAIN = 4.0
+# numerical: rows of a lens.
 _PRINCIPAL_POINT = slice(2, 4)
-# Of an aim at the origin, two numbers: noise makes it once in 10^4 pictures.
-_LARGEST_AIM_CHI_SQUARE = 18.4
 
 
 def failure_sentence(
@@ -52,10 +45,12 @@ def failure_sentence(
         )
     misfit_px = float(np.sqrt(np.mean(np.sum(fit.residuals_px[fit.used] ** 2, axis=1))))
     extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))
-    largest_px = max(_SMALLEST_MISFIT_PX, _LARGEST_MISFIT * extent_px)
+    largest_px = max(TUNING.answer.least_misfit_px, TUNING.answer.misfit_share * extent_px)
     if lens_factor is not None:
         # With the aim held, a principal point that is off by so much moves every circle.
-        largest_px += LARGEST_STRAIN * float(np.linalg.norm(lens_factor[_PRINCIPAL_POINT]))
+        largest_px += TUNING.answer.strain_sigmas * float(
+            np.linalg.norm(lens_factor[_PRINCIPAL_POINT])
+        )
     if misfit_px > largest_px:
         free = "" if model is PoseModel.AIM_FREE else ', or free the aim with pose_model="aim-free"'
         return (
@@ -72,7 +67,7 @@ def failure_sentence(
 
 def is_suspect(tests: Sequence[Alternative], reduced_chi_square: float) -> bool:
     """Whether something that the model leaves out shows in residuals beyond their sigmas."""
-    return bool(tests and tests[0].found) and reduced_chi_square > _LARGE_CHI_SQUARE
+    return bool(tests and tests[0].found) and reduced_chi_square > TUNING.answer.large_chi_square
 
 
 def lens_strain(adjustment: Adjustment, view: int, choice: CameraChoice) -> float:
@@ -87,7 +82,7 @@ def notes_of_priors(
 ) -> tuple[str, ...]:
     """What the pictures say against what was said of the aim and the lens."""
     notes = []
-    if strain > LARGEST_STRAIN:
+    if strain > TUNING.answer.strain_sigmas:
         notes.append(
             f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal "
             "length, pixel pitch and focus, or calibrate its intrinsics."
@@ -96,7 +91,8 @@ def notes_of_priors(
         step = adjustment.rows(view)
         aim, unit_mm = adjustment.parameters(view)[4:6], float(adjustment.problem.chart.unit_mm)
         covariance = adjustment.covariance[np.ix_(step, step)][4:6, 4:6] * unit_mm**2
-        if aim @ np.linalg.solve(covariance, aim) > _LARGEST_AIM_CHI_SQUARE:
+        squared = aim @ np.linalg.solve(covariance, aim)
+        if chi_square_tail(squared, len(aim)) < TUNING.answer.chance:
             sigma = np.sqrt(np.diag(covariance))
             notes.append(
                 f"the optical axis misses the origin of the sheet by ({aim[0]:.2f}, {aim[1]:.2f}) "
@@ -113,12 +109,12 @@ def notes_of_sheet(adjustment: Adjustment, systematics: Systematics) -> tuple[st
     strain = dict(zip(shape, np.abs(state.sheet) / chart.sheet_scale, strict=True))
     heights, prints = BentPaper.height_terms, BentPaper.print_terms
     height = max(float(abs(shape[term])) for term in heights)
-    if max(strain[term] for term in heights) > LARGEST_STRAIN:
+    if max(strain[term] for term in heights) > TUNING.answer.strain_sigmas:
         notes.append(
             f"The sheet bends by {height:.1f} mm, where {systematics.flatness_mm:.2g} mm was "
             "expected: lay it flat, or say so with flatness_mm."
         )
-    if max(strain[term] for term in prints[1:]) > LARGEST_STRAIN:
+    if max(strain[term] for term in prints[1:]) > TUNING.answer.strain_sigmas:
         longer = 100 * float(shape[prints[1]] - shape[prints[2]])
         notes.append(
             f"The print is {abs(longer):.2f} % longer along {'X' if longer > 0 else 'Y'} than "
@@ -152,7 +148,7 @@ def notes_of_camera(
             "picture is processed, uneven or covered in a way that the model does not know. Its "
             "circles alone were used."
         )
-    elif choice.agreement < LEAST_PROBABILITY:
+    elif choice.agreement < TUNING.answer.chance_of_answers:
         notes.append(
             "the circles' centres disagree with the grey levels and with each other, which uneven "
             "light does. The grey levels were used."
@@ -170,18 +166,18 @@ def notes_of_camera(
     quality = picture.quality if picture is not None else None
     if quality is not None and quality.found:
         notes.append(f"the picture shows {', '.join(quality.found)}; this was fitted along.")
-    if quality is not None and quality.pixels_cut > _CUT_SHARE * quality.pixels:
+    if quality is not None and quality.pixels_cut > TUNING.answer.cut_share * quality.pixels:
         share = quality.pixels_cut / (quality.pixels + quality.pixels_cut)
         notes.append(
             f"{100 * share:.0f} % of the pixels near the sheet's edges show something else and "
             "were left out."
         )
-    if quality is not None and quality.reduced_chi_square > _LARGE_CHI_SQUARE:
+    if quality is not None and quality.reduced_chi_square > TUNING.answer.large_chi_square:
         notes.append(
             f"the picture departs from the model by {quality.noise:.1f} grey levels, where its "
             f"own noise is {quality.noise_floor:.1f}; its sigmas are those of the larger."
         )
-    if choice.method == "points" and reduced_chi_square > _LARGE_CHI_SQUARE:
+    if choice.method == "points" and reduced_chi_square > TUNING.answer.large_chi_square:
         notes.append(
             f"the circles scatter {np.sqrt(reduced_chi_square):.1f} times as much as their "
             "own sigmas say; the parameters' sigmas are enlarged by that factor."

@@ -16,19 +16,10 @@ from trinoc.calib.problem.apparent_shift import apparent_shift
 from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import PoseModel
-
-# Both answers of a picture differ by more than this allows in one of a hundred right pictures,
-# which pays with a third of its sigmas.
-LEAST_PROBABILITY = 1e-2
-# Below this many pixels a shift does not bend the profile of an edge.
-_LEAST_SHIFT_PX = 0.02
-# Blocks of right circles scatter by a half more than they claim once in hundreds of pictures.
-_LARGEST_SCATTER = 1.5
-# Ink that spreads less moves the centres of circles by less than they are known to.
-_LEAST_SPREAD_MM = 0.01
 
 Method = Literal["pixels", "points"]
 
@@ -117,7 +108,7 @@ def fit_rig(cameras: Sequence[SheetCamera], known: Knowledge) -> RigFit:
         picture.quality.ink_spread_mm if picture and picture.quality else 0.0
         for picture in pictures
     ]
-    if max(map(abs, spreads_mm)) > _LEAST_SPREAD_MM:
+    if max(map(abs, spreads_mm)) > TUNING.answer.least_spread_mm:
         # Larger circles are seen with their centres further aside.
         pairs = zip(cameras, spreads_mm, strict=True)
         cameras = [camera._replace(ink_spread_mm=spread) for camera, spread in pairs]
@@ -155,11 +146,12 @@ def _choose(
     agreement = float("nan")
     if is_shown:
         agreement = probability_of_agreement(of_circles, of_pictures, view)
-        if agreement >= LEAST_PROBABILITY or _circles_are_wrong(of_circles, of_pictures, view):
+        agrees = agreement >= TUNING.answer.chance_of_answers
+        if agrees or _circles_are_wrong(of_circles, of_pictures, view):
             return CameraChoice(camera, picture, "pixels", agreement, 1.0)
     # By all that blocks say where the model is wrong.
     scatter = scatter_of_blocks(of_circles, view)
-    scatter = scatter if is_shown or scatter > _LARGEST_SCATTER else 1.0
+    scatter = scatter if is_shown or scatter > TUNING.answer.largest_scatter else 1.0
     return CameraChoice(camera, picture, "points", agreement, scatter)
 
 
@@ -175,7 +167,7 @@ def _fit_pictures(
         view = of_circles.problem.views[k]
         shift = apparent_shift(of_circles.problem, view, camera.pose, camera.lens.lens)
         places_mm = known.pattern.centres_mm[camera.detection.circle_index]
-        if np.abs(shift(places_mm)).max() > _LEAST_SHIFT_PX:
+        if np.abs(shift(places_mm)).max() > TUNING.answer.least_shift_px:
             shifts[name] = shift
     found = refine_views(
         {name: camera.image for name, (_, camera) in looked_at.items() if camera.image is not None},
@@ -191,7 +183,8 @@ def _fit_pictures(
 
 def _circles_are_wrong(of_circles: Adjustment, of_pictures: Adjustment, view: int) -> bool:
     """Whether, of two answers that differ, the circles' is the one that its data speak against."""
-    return bool(of_circles.enlarged[view] > _LARGEST_SCATTER and of_pictures.enlarged[view] == 1.0)
+    refuted = of_circles.enlarged[view] > TUNING.answer.largest_scatter
+    return bool(refuted and of_pictures.enlarged[view] == 1.0)
 
 
 def _scale_sigmas(camera: SheetCamera, scatter: float) -> SheetCamera:

@@ -37,7 +37,7 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.numerics.precision import in_float64
 
-# Of the largest sigma: below, there is none.
+# numerical: of the largest sigma: below, there is none.
 _EXACT = 1e-12
 
 

@@ -30,19 +30,19 @@ from trinoc.calib.targets.board_set import BoardSet
 from trinoc.calib.targets.markers import marker_cells, opencv_dictionary
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet, square_sheet
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError
 from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.projection import project_points
 from trinoc.image.grey import grey_image
 from trinoc.numerics.buckets import blocks
 
+# numerical: what a picture shows is linear in the places' shifts as far as these are small beside
+# its blur, so that few rounds change something.
 _MOST_ROUNDS = 3
-# Another look at the pictures changes nothing once the rig moves places by no more than this: what
-# a picture shows is linear in the places' shifts as far as these are small beside its blur.
-_STILL_PX = 0.02
-# Pictures that are held in memory at a time.
+# numerical: pictures that are held in memory at a time.
 _PICTURES_AT_ONCE = 32
-# Pictures in which it is seen how tags are turned.
+# numerical: pictures in which it is seen how tags are turned.
 _MOST_VIEWS = 5
 
 # The grey levels of what a view has seen.
@@ -110,7 +110,7 @@ def fit_pixels(fit: RobustFit, read_grey: GreyOfView) -> PixelFit:
             for after, then, view in zip(errors_px(problem), before, views, strict=True)
             if view.used.any()
         ]
-        if max(moves, default=0.0) < _STILL_PX:
+        if max(moves, default=0.0) < TUNING.answer.least_shift_px:
             break
     return PixelFit(finish_fit(problem, fit.elsewhere), silent)
 

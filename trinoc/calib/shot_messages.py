@@ -14,16 +14,6 @@ from trinoc.calib.targets.board_set import board_names, list_boards
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import Pose
 
-# A scale or a warp beyond this many sigmas of what was known of it before is reported.
-_SURPRISING = 3.0
-# Tilts about axes this close are tilts about one axis.
-_ONE_AXIS_DEG = 12.0
-# Distortion is extrapolated beyond the places; further than this share of the way to the corners
-# it is still held by them.
-_ENOUGH_REACH = 0.8
-# Misfits of flat boards through lenses of any kind stay below this share of the board's extent.
-_LARGEST_MISFIT, _SMALLEST_MISFIT_PX = 0.003, 1.0
-
 # The words for a camera's picture of a shot, by their numbers.
 Where = Callable[[int, int], str]
 
@@ -67,7 +57,7 @@ def _reason(problem: Problem) -> str:
     tilted = facing[tilts_deg >= TUNING.starts.parallel_deg, :2]
     doubled = 2.0 * np.arctan2(tilted[:, 1], tilted[:, 0])
     alignment = np.hypot(np.mean(np.cos(doubled)), np.mean(np.sin(doubled)))
-    if problem.cameras == 1 and alignment > np.cos(np.radians(2.0 * _ONE_AXIS_DEG)):
+    if problem.cameras == 1 and alignment > np.cos(np.radians(2.0 * TUNING.starts.parallel_deg)):
         return ": the board is tilted about one axis only"
     return ": take more shots, the board tilted another way in each"
 
@@ -161,7 +151,7 @@ def _surprises(problem: Problem) -> list[str]:
     sentences = []
     for row, value, sigma in zip(free, np.asarray(problem.state.sheet)[free], sigmas, strict=True):
         whose, name = names[row]
-        if abs(value) > _SURPRISING * sigma:
+        if abs(value) > TUNING.answer.strain_sigmas * sigma:
             of = f" {whose}" if several else ""
             amount = f"{value:.2f} mm" if name.endswith("_mm") else f"{100 * value:.2f} %"
             sentences.append(
@@ -184,7 +174,9 @@ def misfit_sentence(fit: RobustFit) -> str | None:
     errors = [each[view.used] for view, each in zip(views, errors_px(fit.problem), strict=True)]
     misfit_px = float(np.sqrt(np.mean(np.sum(np.concatenate(errors) ** 2, axis=1))))
     extent_px = np.median([np.ptp(view.detection.centres_px, axis=0).max() for view in views])
-    if misfit_px > max(_SMALLEST_MISFIT_PX, _LARGEST_MISFIT * float(extent_px)):
+    if misfit_px > max(
+        TUNING.answer.least_misfit_px, TUNING.answer.misfit_share_of_lens * float(extent_px)
+    ):
         return (
             f"The circles miss their predicted places by {misfit_px:.1f} px: check that all "
             "pictures show this pattern and were taken by one camera at one zoom and focus."
@@ -199,7 +191,7 @@ def reach_sentence(problem: Problem) -> str | None:
     width, height = problem.image_sizes_px[0]
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
     reach, farthest = (np.linalg.norm(p - middle, axis=1).max() for p in (places_px, corners))
-    if reach >= _ENOUGH_REACH * farthest:
+    if reach >= TUNING.answer.enough_reach * farthest:
         return None
     return (
         f"No circle lies further than {100 * reach / farthest:.0f} % of the way from the principal "

@@ -15,7 +15,6 @@ from trinoc.calib.problem.outcome import ShotScatter, enlarge_covariance, shot_s
 from trinoc.calib.problem.places import whitened_residuals
 from trinoc.calib.problem.problem import with_lens_free
 from trinoc.calib.problem.robust_fit import (
-    GATE,
     degrees_of_freedom,
     inliers,
     place_errors_in_sigmas,
@@ -23,6 +22,7 @@ from trinoc.calib.problem.robust_fit import (
 )
 from trinoc.calib.problem.variables import retract
 from trinoc.calib.problem.views import whitening_of_covariance
+from trinoc.calib.tuning.every_group import TUNING
 
 
 @pytest.fixture(scope="module")
@@ -205,10 +205,10 @@ def test_the_prior_of_free_places_is_their_spread(here):
 def test_noise_passes_the_gate_as_often_as_it_should_and_outliers_do_not(noise):
     """Lengths of whitened errors are Rayleigh's; a noise that is larger is found out."""
     errors = noise * np.random.default_rng(0).normal(size=(4000, 2))
-    errors[:40] = noise * 1.3 * GATE * np.array([0.6, 0.8])
+    errors[:40] = noise * 1.3 * TUNING.problem.gate * np.array([0.6, 0.8])
     agree = inliers(errors)
     assert not agree[:40].any()
-    assert np.mean(~agree[40:]) == pytest.approx(np.exp(-(GATE**2) / 2), abs=0.01)
+    assert np.mean(~agree[40:]) == pytest.approx(np.exp(-(TUNING.problem.gate**2) / 2), abs=0.01)
 
 
 @pytest.mark.parametrize(("factor", "applied"), [(3.0, 3.0), (1.05, 1.0), (0.4, 1.0)])

@@ -10,9 +10,6 @@ from jaxtyping import Float
 from trinoc.calib.problem.information import WhitenedViews, whiten_views
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import (
-    ANNEALING,
-    CHI_SQUARE_DEVIATIONS,
-    GATE,
     fit_places,
     robust_scale,
 )
@@ -20,6 +17,7 @@ from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.problem.solver import LEAST_DAMPING
 from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
@@ -143,13 +141,14 @@ def adjust_cameras(
     suspects = [
         k
         for k, one in enumerate(cameras)
-        if one.shown is None and np.linalg.norm(_pairs(views, k), axis=1).max() > GATE
+        if one.shown is None
+        and np.linalg.norm(_pairs(views, k), axis=1).max() > TUNING.problem.gate
     ]
     if suspects:
         problem, converged, views = _fit_without_outliers(problem, views, suspects)
     root, free = _root(problem, views)
     reduced, freedom = _reduced_chi_squares(problem, views, root, free)
-    largest = 1 + CHI_SQUARE_DEVIATIONS * np.sqrt(2 / np.maximum(freedom, 1e-9))
+    largest = 1 + TUNING.problem.refuted_sigmas * np.sqrt(2 / np.maximum(freedom, 1e-9))
     enlarged = np.where(reduced > largest, np.sqrt(reduced), 1.0)
     if (enlarged > 1).any():
         factor = np.array(problem.sigma_factor)
@@ -173,7 +172,7 @@ def _fit_without_outliers(
 ) -> tuple[Problem, bool, WhitenedViews]:
     """A robust fit names the places that do not fit; one without them is the answer."""
     used = [view.used for view in problem.views]
-    for share in ANNEALING:
+    for share in TUNING.problem.annealing:
         scale = np.full(len(problem.views), np.inf)
         for k in suspects:
             scale[k] = share * robust_scale(_pairs(views, k)[: len(used[k])])
@@ -181,7 +180,7 @@ def _fit_without_outliers(
         views = whiten_views(problem)
     for k in suspects:
         pairs = _pairs(views, k)[: len(used[k])]
-        used[k] = np.linalg.norm(pairs, axis=1) <= GATE * robust_scale(pairs)
+        used[k] = np.linalg.norm(pairs, axis=1) <= TUNING.problem.gate * robust_scale(pairs)
     kept = zip(problem.views, used, strict=True)
     return _fit(problem._replace(views=tuple(view._replace(used=own) for view, own in kept)))
 

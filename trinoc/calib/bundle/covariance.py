@@ -153,8 +153,6 @@ def sheet_factor(chi_square: float, redundancy: float) -> float:
     With too little redundancy the claimed sigmas are kept: a factor from a handful of numbers
     would be noise itself.
     """
-    return (
-        float(np.sqrt(chi_square / redundancy))
-        if redundancy >= TUNING.bundle.fewest_for_sheet
-        else 1.0
-    )
+    if redundancy < TUNING.bundle.fewest_for_sheet:
+        return 1.0
+    return float(np.sqrt(chi_square / redundancy))

@@ -205,9 +205,8 @@ def start_rigs(rig: Rig, moved: Collection[str], pose_model: PoseModel) -> list[
     pose, poses = rig[name].pose, []
     for axis in (*np.eye(3)[:2], *-np.eye(3)[:2]):
         if pose_model is PoseModel.AIMED:
-            rotation = (
-                rotation_from_vector(np.radians(TUNING.bundle.round_deg) * axis) @ pose.rotation
-            )
+            turn = np.radians(TUNING.bundle.round_deg) * axis
+            rotation = rotation_from_vector(turn) @ pose.rotation
             distance = jnp.linalg.norm(pose.centre_world_mm)
             poses.append(Pose.from_aim(rotation, distance, np.zeros(2)))
         else:

@@ -19,7 +19,7 @@ from trinoc.numerics.joins import point_tree
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 
-# Places at a time, so that another number of them does not compile again.
+# numerical: places at a time, so that another number of them does not compile again.
 _BLOCK = 8192
 Shift = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, "n 2"]]
 

@@ -16,6 +16,8 @@ from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.places import whitened_residuals
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import (
+    LEAST_CHANGE,
+    MOST_ROUNDS,
     RobustFit,
     degrees_of_freedom,
     drop_wrong_places,
@@ -29,16 +31,12 @@ from trinoc.calib.problem.solver import gauss_newton_gain
 from trinoc.calib.problem.variables import Chart, RigState
 from trinoc.calib.problem.views import ViewTable
 from trinoc.calib.problem.wrong_circles import drop_wrong_circles
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
-# Chi-square per unknown, over what is left per residual, this many of its deviations above 1.
-_DEVIATIONS = 5.0
-# More places would make the equations of all shots too large.
+# numerical: more places would make the equations of all shots too large.
 _MOST_PLACES = 300
-_MOST_ROUNDS, _LEAST_CHANGE = 6, 0.05
-# A first guess of how far places lie off, over what is left of the fit.
-_FIRST_SPREAD = 3.0
 
 
 def with_board_shape(fit: RobustFit) -> RobustFit:
@@ -46,7 +44,7 @@ def with_board_shape(fit: RobustFit) -> RobustFit:
     problem = fit.problem
     if len(problem.state.shape) or not _may_lie_elsewhere(problem):
         return fit
-    spread_mm = np.full(3, _FIRST_SPREAD * _residual_mm(problem))
+    spread_mm = np.full(3, TUNING.problem.first_spread * _residual_mm(problem))
     opened = _with_spread(with_free_places(problem), spread_mm)
     if not _is_shown(opened):
         return fit
@@ -74,7 +72,7 @@ def _is_shown(opened: Problem) -> bool:
     if left <= unknowns:
         return False
     ratio = gain / unknowns / max((chi_square - gain) / left, 1e-300)
-    return bool(ratio > 1.0 + _DEVIATIONS * np.sqrt(2.0 / unknowns + 2.0 / left))
+    return bool(ratio > 1.0 + TUNING.problem.refuted_sigmas * np.sqrt(2.0 / unknowns + 2.0 / left))
 
 
 def _may_lie_elsewhere(problem: Problem) -> bool:
@@ -125,11 +123,11 @@ def _with_own_spread(problem: Problem, spread_mm: Float[np.ndarray, "3"]) -> Pro
     The mean of squares of each axis, posterior variance added, is the next guess of its prior
     (expectation and maximisation); along X and Y there is one.
     """
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(MOST_ROUNDS):
         after, determined = expected_spread(problem, spread_mm)
         problem = with_sigma_factors(problem._replace(spent=determined))
         problem, _ = fit_places(_with_spread(problem, after))
-        still = np.all(np.abs(np.log(after / spread_mm)) < _LEAST_CHANGE)
+        still = np.all(np.abs(np.log(after / spread_mm)) < LEAST_CHANGE)
         spread_mm = after
         if still:
             break

@@ -15,7 +15,7 @@ from trinoc.calib.problem.problem import Problem, with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, refit
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 
-# What a coefficient must lower chi-square by to be called for: Akaike's price.
+# numerical: what a coefficient must lower chi-square by to be called for, Akaike's price.
 _PRICE = 2.0
 
 

@@ -14,6 +14,8 @@ from jaxtyping import Float
 from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
 from trinoc.calib.problem.robust_fit import (
+    LEAST_CHANGE,
+    MOST_ROUNDS,
     RobustFit,
     errors_px,
     finish_fit,
@@ -25,8 +27,7 @@ from trinoc.calib.problem.robust_fit import (
 from trinoc.geometry.lenses.registry import spline_lens
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
 
-_MOST_ROUNDS, _LEAST_CHANGE = 8, 0.05
-# A correction of which the shots show nothing is taken to be no larger than this.
+# numerical: a correction of which the shots show nothing is taken to be no larger than this.
 _LEAST_SIGMA_PX = 1e-3
 
 
@@ -94,7 +95,7 @@ def _with_own_sigmas(problem: Problem) -> Problem:
     them the shots tell, is the next guess of the variance. Source: D. J. C. MacKay, "Bayesian
     interpolation", Neural Computation 4(3), 1992.
     """
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(MOST_ROUNDS):
         before = correction_sigmas_px(problem)
         squares, determined = assess_corrections(problem, before)
         after = np.sqrt(np.maximum(squares / np.maximum(determined, 1e-9), _LEAST_SIGMA_PX**2))
@@ -102,7 +103,7 @@ def _with_own_sigmas(problem: Problem) -> Problem:
         problem = with_sigma_factors(problem._replace(spent_on_lenses=float(determined.sum())))
         problem, _ = fit_places(_with_sigmas(problem, after))
         fitted_ones = before > 0
-        if np.all(np.abs(np.log(after[fitted_ones] / before[fitted_ones])) < _LEAST_CHANGE):
+        if np.all(np.abs(np.log(after[fitted_ones] / before[fitted_ones])) < LEAST_CHANGE):
             break
     return problem
 

@@ -14,9 +14,7 @@ from jaxtyping import Float
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.robust_fit import RobustFit
 from trinoc.calib.result.status import Status
-
-# A variance factor this many of its own sigmas above 1 is no chance.
-_DEVIATIONS = 3.0
+from trinoc.calib.tuning.every_group import TUNING
 
 
 class FitOutcome(NamedTuple):
@@ -59,7 +57,7 @@ class ShotScatter(NamedTuple):
     @property
     def variance_factor(self) -> float:
         """What the covariance is to be multiplied by: 1 unless the shots refute it."""
-        return self.factor if self.factor > 1.0 + _DEVIATIONS * self.sigma else 1.0
+        return self.factor if self.factor > 1.0 + TUNING.problem.shots_sigmas * self.sigma else 1.0
 
 
 def shot_scatter(information: Information) -> ShotScatter:

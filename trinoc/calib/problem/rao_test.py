@@ -12,10 +12,10 @@ from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.registry import lens_model
 from trinoc.numerics.tails import chi_square_tail
 
-# Shares of the information on held parameters, after all that is free has explained what it can,
-# below which a direction cannot be distinguished from rounding.
+# numerical: shares of the information on held parameters, after what is free has explained what it
+# can, below which a direction cannot be distinguished from rounding.
 _LEAST_SHARE = 1e-10
-# The same of what is free: lengths, and shifts of the board's places, are open in part.
+# numerical: the same of what is free: lengths, and shifts of the board's places, are open in part.
 _OPEN_SHARE = 1e-11
 
 

@@ -10,22 +10,17 @@ from trinoc.calib.problem.places import residuals_px, whitened_residuals
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.solver import solve
 from trinoc.calib.problem.views import SheetPoints
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.precision import as_numpy
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
-# Length of a whitened two-dimensional error: median under a normal law, and the gate that a
-# right circle exceeds once in 10^8.
+# numerical: median length of a whitened two-dimensional error under a normal law.
 _MEDIAN_LENGTH = 1.1774
-GATE = 6.0
-# Scales, in robust standard deviations, at which the influence of a circle is bounded.
-ANNEALING = (30.0, 10.0, 5.0)
-# A picture of which fewer places than this share agree with the rig shows the board elsewhere.
-_FEWEST_AGREE = 0.5
-# Chi-square beyond this many of its own standard deviations is not noise: the sigmas grow.
-CHI_SQUARE_DEVIATIONS = 4.0
-# A direction that has less of the information of the best one is not determined.
+# numerical: a direction that has less of the information of the best one is not determined.
 _LEAST_SHARE = 1e-3
+# numerical: rounds in which the spread of a prior is found, and its relative change at the end.
+MOST_ROUNDS, LEAST_CHANGE = 8, 0.05
 _whitened = kept_jit(whitened_residuals)
 _residuals = kept_jit(residuals_px)
 
@@ -39,7 +34,7 @@ def robust_scale(whitened: Float[np.ndarray, "m 2"]) -> float:
 
 def inliers(whitened: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, "m"]:
     """Circles whose error is one that noise can make."""
-    return np.linalg.norm(whitened, axis=1) <= GATE * robust_scale(whitened)
+    return np.linalg.norm(whitened, axis=1) <= TUNING.problem.gate * robust_scale(whitened)
 
 
 class RobustFit(NamedTuple):
@@ -66,7 +61,7 @@ def fit_robustly(problem: Problem) -> RobustFit:
     The sigmas of corners, which detectors do not know, are those that each camera's residuals
     show; those of circles grow where the residuals refute them.
     """
-    for factor in ANNEALING:
+    for factor in TUNING.problem.annealing:
         scale = factor * robust_scale(_take_used_rows(problem, place_errors_in_sigmas(problem)))
         problem, _ = fit_places(problem, scale)
     problem, elsewhere = drop_wrong_places(problem)
@@ -162,7 +157,7 @@ def drop_wrong_places(
         right |= dict(zip(rows, np.split(kept, ends), strict=True))
     views, elsewhere = [], []
     for k, view in enumerate(problem.views):
-        if right[k].mean() < _FEWEST_AGREE:
+        if right[k].mean() < TUNING.problem.fewest_agree:
             miss = float(np.median(np.linalg.norm(pixels[k], axis=1)))
             elsewhere.append((view.camera, view.shot, miss))
             views.append(view._replace(used=np.zeros_like(right[k])))
@@ -185,7 +180,7 @@ def with_sigma_factors(problem: Problem) -> Problem:
         if own <= 0:
             continue
         reduced = float(squared[rows].sum()) / own * factor[camera] ** 2
-        refuted = reduced > 1.0 + CHI_SQUARE_DEVIATIONS * np.sqrt(2.0 / own)
+        refuted = reduced > 1.0 + TUNING.problem.refuted_sigmas * np.sqrt(2.0 / own)
         if refuted or not are_known:
             factor[camera] = np.sqrt(max(reduced, 1e-12))
         else:

@@ -15,12 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.precision import ArrayLike
 
-# Heights of each degree against those of second, at the reach: paper that was rolled or has lain
-# in a drawer changes its curvature by a part of it over a sheet.
-_SHARE_OF_DEGREE = {2: 1.0, 3: 0.5, 4: 0.25}
-# A place at arc length s on h = c s^2 lies nearer to the origin by 2 h^2 / (3 s).
+# numerical: a place at arc length s on h = c s^2 lies nearer to the origin by 2 h^2 / (3 s).
 _SHORTENING = 2 / 3
 
 
@@ -107,5 +105,6 @@ class BentPaper(AbstractSheet):
         cls, print_size: float, print_lengths: tuple[float, float], flatness_mm: float
     ) -> Float[np.ndarray, "w"]:
         """Standard deviations of `names`: shares of a length, then mm."""
-        heights = [_SHARE_OF_DEGREE[len(term)] * flatness_mm for term in cls.height_terms]
+        shares: dict[int, float] = dict(zip((2, 3, 4), TUNING.problem.height_shares, strict=True))
+        heights = [shares[len(term)] * flatness_mm for term in cls.height_terms]
         return np.array([print_size, *print_lengths, *heights])

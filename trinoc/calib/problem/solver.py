@@ -22,17 +22,20 @@ from trinoc.numerics.programs import kept_jit
 
 State = TypeVar("State")
 
-# The cost is a chi-square: a gain this small moves no parameter by some hundredths of its sigma.
+# numerical: the cost is a chi-square; so small a gain moves no parameter by a few hundredths of its
+# sigma.
 CONVERGED_GAIN = 1e-4
+# numerical: bounds of the damping.
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e8
-# Keeps directions that nothing determines, and those that are held, at rest.
+# numerical: keeps directions that nothing determines, and those that are held, at rest.
 FLOOR_DAMPING = 1e-13
+# numerical: a descent ends long before.
 MOST_STEPS = 300
-# A step that promises less of the chi-square may rise if the next one makes more than good for it:
+# numerical: a step that promises less of the chi-square may rise if the next one makes up for it:
 # along a curved valley, such as a lens that the pictures tell less than its prior, all do.
 _NEAR = 10.0
-# Where blocks step by themselves, the gain at which a descent has converged is granted to the head
-# and to every hundred blocks, a few of which always creep along the flank of the robust loss.
+# numerical: where blocks step by themselves, the gain of a descent that has converged is granted to
+# the head and to every hundred blocks, a few of which creep along the flank of the robust loss.
 BLOCKS_THAT_CREEP = 100
 
 

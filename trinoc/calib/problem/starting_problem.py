@@ -22,6 +22,7 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import PoseModel
 
+# numerical: a guard.
 _SMALLEST_SIGMA = 1e-12
 
 

@@ -21,6 +21,7 @@ from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.precision import ArrayLike
 
 POSE_SIZE = PoseModel.RIGID.size
+# numerical: rows of a pose.
 _AIM_STEPS = np.eye(POSE_SIZE)[4:]
 
 

@@ -13,12 +13,12 @@ from trinoc.numerics.buckets import bucket
 from trinoc.numerics.joins import point_tree
 from trinoc.numerics.precision import ArrayLike
 
-# Views and shots are padded to these numbers, so that one more seldom compiles anew; few views, as
-# of one camera that looks for its lens, and those of one shot to fewer. Padding costs its time.
+# numerical: views and shots are padded to these numbers, so that one more seldom compiles anew; few
+# views, as of one camera that looks for its lens, and those of one shot to fewer, for their time.
 _FEWEST_VIEWS, FEWEST_SHOTS = 16, 8
-_FEW_VIEWS, _FEWEST_VIEWS_OF_ONE_SHOT = 8, 3
-_FEWEST_PLACES = 32
-# The index of what is no place of the target: beyond all of them.
+# numerical: likewise.
+_FEW_VIEWS, _FEWEST_VIEWS_OF_ONE_SHOT, _FEWEST_PLACES = 8, 3, 32
+# numerical: the index of what is no place of the target: beyond all of them.
 NO_PLACE = 1 << 30
 
 

@@ -7,7 +7,7 @@ from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import errors_px, inliers
 from trinoc.calib.problem.views import NO_PLACE, SheetPoints, View, find_circles
 
-# Of the largest eigenvalue: below, there is no information.
+# numerical: of the largest eigenvalue: below, there is no information.
 _ROUNDING = 1e-12
 
 

@@ -2,16 +2,223 @@
 
 from dataclasses import dataclass, field
 
-from trinoc.calib.tuning.adjustment import AdjustmentTuning
-from trinoc.calib.tuning.advice import AdviceTuning
-from trinoc.calib.tuning.answer import AnswerTuning
-from trinoc.calib.tuning.bundle import BundleTuning
 from trinoc.calib.tuning.detection import DetectionTuning
 from trinoc.calib.tuning.photometric import PhotometricTuning
-from trinoc.calib.tuning.rig_check import RigCheckTuning
-from trinoc.calib.tuning.starts import StartTuning
-from trinoc.calib.tuning.targets import TargetTuning
-from trinoc.calib.tuning.uncertainty import UncertaintyTuning
+
+
+@dataclass(frozen=True)
+class TargetTuning:
+    """The sheet that suits a camera, and sizes that cannot be. By hand."""
+
+    # A proposed sheet takes so large a share of the field's shorter side: room is left for aiming,
+    # and for the sheet to be seen aslant.
+    field_share: float = 0.6
+    # Its circles are so wide in the picture, px, or at least so wide; their radius is this share
+    # of the pitch; which is a multiple of this, mm.
+    good_px: float = 20.0
+    least_px: float = 10.0
+    radius_share: float = 0.3
+    step_mm: float = 0.5
+    # Printers miss a length by a percent; by so large a share a person or the unit does.
+    largest_change: float = 0.3
+    # Centres of a measured sheet lie so far, in pitches, from an even lattice.
+    off_lattice: float = 0.25
+
+
+@dataclass(frozen=True)
+class UncertaintyTuning:
+    """What is assumed of sheet, aim and lens where nobody says it: see `Systematics.typical`. All
+    standard deviations by hand; shown by the coverage of benchmarks/calibration_conditions.py."""
+
+    # Of the whole print's size, and of each side beside that, as shares.
+    print_size: float = 2e-3
+    print_stretch: float = 7e-4
+    # Of a sheet's height at its edge, and of the point that a camera is aimed at, mm.
+    flatness_mm: float = 0.3
+    aim_mm: float = 20.0
+    # Of a data sheet: focal length, its aspect, the principal point over the picture's width, and
+    # distortion at the corner, px.
+    focal_length: float = 1e-2
+    aspect: float = 2e-3
+    principal_point: float = 2e-2
+    distortion_px: float = 1.0
+
+
+@dataclass(frozen=True)
+class ProblemTuning:
+    """What noise makes and what not: of a place, a picture, a camera's sigmas, the board. Shown by
+    errors and coverage of benchmarks/rigs_from_shots.py and benchmarks/calibration.py."""
+
+    # A place farther off, in robust standard deviations, was located wrongly: noise makes it once
+    # in 10^8. By hand.
+    gate: float = 6.0
+    # Scales, in robust standard deviations, at which the influence of a place is bounded from round
+    # to round. By hand.
+    annealing: tuple[float, ...] = (30.0, 10.0, 5.0)
+    # A picture of which a smaller share of places agrees shows the board elsewhere. By hand.
+    fewest_agree: float = 0.5
+    # A chi-square so many of its own standard deviations above its degrees of freedom is not noise:
+    # sigmas grow, or a board's places are free. By hand.
+    refuted_sigmas: float = 4.0
+    # The same of the pulls of whole shots. By hand.
+    shots_sigmas: float = 3.0
+    # The first guess of how far a board's places lie off, over what is left of the fit. By hand.
+    first_spread: float = 3.0
+    # Heights of second, third and fourth degree of a sheet against its flatness: paper that was
+    # rolled changes its curvature by a part of it. By hand.
+    height_shares: tuple[float, float, float] = (1.0, 0.5, 0.25)
+
+
+@dataclass(frozen=True)
+class StartTuning:
+    """First lenses, and cameras and boards chained into one frame. By hand; shown by the shots
+    that are refused, and by lenses that are found, in benchmarks/rigs_from_shots.py."""
+
+    # Focal lengths to start from, in longer sides of the picture: where Zhang's formula has none,
+    # and of a fisheye.
+    focal_shares: tuple[float, ...] = (0.7, 1.4, 3.0, 8.0)
+    fisheye_shares: tuple[float, ...] = (0.2, 0.25, 0.3, 0.36, 0.45, 0.55, 0.7, 1.0, 1.4)
+    # A place that lies farther off its picture's homography, as a share of the board's extent
+    # there, was located wrongly: lenses bend less.
+    gross_share: float = 0.05
+    # A board that lies farther off, as such a share, stands elsewhere: first lenses are a few
+    # percent off. Either is at least so many pixels.
+    elsewhere_share: float = 0.06
+    least_px: float = 3.0
+    # Turns about one axis leave open how far cameras lie along it: those about others have at least
+    # this share of them.
+    least_other_turns: float = 0.05
+    # Boards whose planes differ by less look parallel: focal length and distance look alike then.
+    parallel_deg: float = 8.0
+    # Cameras whose pictures were counted differently are tried so many shots apart.
+    most_shift: int = 3
+
+
+@dataclass(frozen=True)
+class AdviceTuning:
+    """Shots that are foreseen, and where two halves of the shots are compared. By hand."""
+
+    # Points are compared where the boards were, and so many times as far, where errors of lens and
+    # pose no longer cancel.
+    farther: float = 3.0
+    # How the board may be held: tilted by so many degrees, with so large a share of the picture's
+    # shorter side, and with such a share left around it where it is held aside.
+    tilt_deg: float = 40.0
+    fills: tuple[float, ...] = (0.35, 0.6)
+    margin: float = 0.05
+    # A board that is seen in part tells by so large a share of its places (a chessboard by all),
+    # and by none that is seen farther from its normal.
+    least_seen: float = 0.6
+    most_oblique_deg: float = 65.0
+    # So many shots are compared: those of which the rig tells least.
+    most_compared: int = 40
+    # What the pictures do not determine is taken to be known to so many of its steps beforehand,
+    # so that advice is possible; no covariance that leaves the room contains it.
+    prior_sigma: float = 3.0
+
+
+@dataclass(frozen=True)
+class AdjustmentTuning:
+    """Which answer of a picture is believed. Shown by benchmarks/picture_conditions.py."""
+
+    # A camera is started another way where half of its circles lie farther off, in sigmas. By hand.
+    far_sigmas: float = 10.0
+    # The difference of two answers has at least this share of the circles' covariance. By hand.
+    least_difference: float = 0.1
+    # Blocks along each side of the sheet that are left out in turn, and the fewest with circles
+    # that tell how blocks scatter. By hand.
+    blocks: int = 4
+    fewest_blocks: int = 6
+
+
+@dataclass(frozen=True)
+class BundleTuning:
+    """Which fragments are believed, and which of several answers. Shown by errors and coverage of
+    benchmarks/refine.py, the last six by benchmarks/refine_matched.py."""
+
+    # What a fragment can cost, as a distance in sigmas; and how many times wider the loss is, from
+    # round to round: first everything speaks, then only what fits. By hand.
+    loss_sigmas: float = 4.0
+    widenings: tuple[float, ...] = (16.0, 4.0, 1.0)
+    # Right fragments lie farther off than those that are kept with this probability. By hand.
+    outlier_chance: float = 1e-3
+    # With less redundancy the sheet's own claim is kept: a factor from it would be off by 13 % or
+    # more. By hand.
+    fewest_for_sheet: int = 30
+    # The search starts with a camera turned by the largest knock that it is meant for, degrees, or,
+    # if it aims at the origin, taken round it, where pictures of what lies near stay. By hand.
+    turn_deg: float = 1.2
+    round_deg: float = 5.0
+    # A camera whose orientation the sheet knows to this share of `turn_deg` cannot stand
+    # elsewhere. By hand.
+    known_share: float = 0.25
+    # Two answers are one where the lines of one miss each other by less with the other. By hand.
+    same_sigmas: float = 3.5
+    # An answer is clear where no other comes within this factor in log posterior: beside wrong ones
+    # within 1.35 in 5 of 6, beside right ones none of 45 within 1.52. Made scenes, from 150,000 on.
+    clear_factor: float = 1.45
+
+
+@dataclass(frozen=True)
+class RigCheckTuning:
+    """A calibration against an earlier one, and a rig against scene pictures. Shown by the
+    knocked rigs of benchmarks/refine_matched.py."""
+
+    # A camera has moved since an earlier calibration beyond so many sigmas: once in 10^5
+    # comparisons of it by noise alone. By hand.
+    moved_sigmas: float = 4.5
+    # Where neither rig has sigmas, changes up to these say nothing. By hand.
+    quiet_mm: float = 0.1
+    quiet_deg: float = 0.01
+    # Pictures were swapped when the other camera's place fits so many times better. By hand.
+    swap_ratio: float = 10.0
+    # Below so many sigmas a motion of scene pictures may be chance: of three cameras that stand
+    # still, one rig in 120 is suspected. By hand.
+    suspect_sigmas: float = 3.0
+    # Fewer lines are hardly enough for the six numbers of a camera. By hand.
+    fewest_lines: int = 12
+    # Lines that scatter more than so many stated sigmas are joined by chance: such scatter 1.2 to
+    # 2.3 times, right ones 0.9 to 1.1. Only where nothing can be matched again. Made scenes.
+    most_noise: float = 1.5
+
+
+@dataclass(frozen=True)
+class AnswerTuning:
+    """Which answer is given, and what a message says of it. By hand where nothing else is said;
+    shown by benchmarks/picture_conditions.py and benchmarks/rigs_held_out.py."""
+
+    # Where noise makes so much with less than this probability, pictures speak against what a model
+    # holds fixed, and against an aim.
+    chance: float = 1e-4
+    # The same of a score test that calls for more coefficients of a lens.
+    chance_of_lens: float = 1e-3
+    # The same of two answers of a picture, by circles and by grey levels, that differ so much: one
+    # right picture in a hundred pays with a third of its sigmas.
+    chance_of_answers: float = 1e-2
+    # Blocks of right circles scatter so many times as much as claimed once in hundreds of pictures.
+    largest_scatter: float = 1.5
+    # Shifts of places by less, px, do not bend an edge's profile: pictures say nothing new.
+    least_shift_px: float = 0.02
+    # Ink that spreads less, mm, moves the centres of circles by less than they are known to.
+    least_spread_mm: float = 0.01
+    # A lens is worse where its errors on held-out shots are larger by so many standard deviations;
+    # none counts beyond so many times the best lens's median.
+    worse_sigmas: float = 2.0
+    cap: float = 5.0
+    # Fewer points do not tell a lens.
+    fewest_points: int = 8
+    # Root mean square misfits beyond this share of what the sheet takes of the picture, and of a
+    # board whose lens is fitted, are of another model; they are at least so many px.
+    misfit_share: float = 0.01
+    misfit_share_of_lens: float = 0.003
+    least_misfit_px: float = 1.0
+    # Beyond this, a reduced chi-square is told; and a share of pixels that were left out.
+    large_chi_square: float = 2.0
+    cut_share: float = 0.01
+    # Sheet, board or lens is another than was said beyond so many of the stated sigmas.
+    strain_sigmas: float = 4.0
+    # A distortion is held by places that reach this share of the way to the corners.
+    enough_reach: float = 0.8
 
 
 @dataclass(frozen=True)
@@ -22,6 +229,7 @@ class CalibTuning:
     detection: DetectionTuning = field(default_factory=DetectionTuning)
     photometric: PhotometricTuning = field(default_factory=PhotometricTuning)
     uncertainty: UncertaintyTuning = field(default_factory=UncertaintyTuning)
+    problem: ProblemTuning = field(default_factory=ProblemTuning)
     starts: StartTuning = field(default_factory=StartTuning)
     advice: AdviceTuning = field(default_factory=AdviceTuning)
     adjustment: AdjustmentTuning = field(default_factory=AdjustmentTuning)
