@@ -2,12 +2,14 @@
 
     python benchmarks/sweep.py selection.damping 0.1 0.3 0.6 [--seeds 3]
     python benchmarks/sweep.py segments.accept.soft_ratio 1.3 2.0
+    python benchmarks/sweep.py calib.problem.gate 4.0 10.0
     python benchmarks/sweep.py --each 0.5 2 [--only segments.]
     python benchmarks/sweep.py --list
 
-Names are those of trinoc/match/tuning, and with `segments.` before them those of
-trinoc/segments/tuning.py; --list prints them with their values; a tuple is written like
-(1.0,3.0,8.0). --each takes every number in turn times each factor, and prints what changes.
+Names are those of trinoc/match/tuning, with `segments.` before them those of
+trinoc/segments/tuning.py, with `calib.` those of trinoc/calib/tuning; --list prints them with
+their values; a tuple is written like (1.0,3.0,8.0). --each takes every number in turn times each
+factor, and prints what changes.
 
 The matcher's scenes are drawn from seeds that nothing was tuned on: blocks on a table, see-through
 boxes with cut ends, loose segments. Columns are precision/recall of triples and of pairs, as in
@@ -19,11 +21,18 @@ more, and in light 2.2 times as strong, where faces are saturated. Columns are r
 error of the middle of segments across them in px, and the median-based variance of that error over
 what is claimed, as in benchmarks/segments.py. With TRINOC_DATA the last columns are the share of
 published segments found in the first picture of Merton 1, and how many segments there are.
+
+The sheet is calibrated from the three pictures of the demo, in a fresh process, in the same lights.
+Columns are cameras that converged, the largest change of a parameter in its own sigmas against the
+standing value, and the median ratio of the sigmas.
 """
 
 import argparse
 import ast
+import json
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from functools import cache
@@ -36,6 +45,7 @@ import numpy as np
 from match_scores import score_matches
 from segment_truth import Picture, covering, pictures_of_scene, score
 
+from trinoc.calib.tuning.every_group import TUNING as OF_CALIB
 from trinoc.io.demo import demo_folder
 from trinoc.match.matcher import match_segments
 from trinoc.match.tuning.every_group import DEFAULT
@@ -53,6 +63,34 @@ from trinoc.synth.scenes import see_through_boxes
 
 FIRST_SEED = 130_000
 PREFIX = "segments."
+CALIB = "calib."
+# Calibrates in every light with another value, which must stand before other modules are imported.
+CALIBRATION = """
+import json, sys
+from trinoc.calib.tuning import every_group
+from trinoc.numerics.tables import with_field
+name, value, lights = json.loads(sys.argv[1])
+value = tuple(value) if isinstance(value, list) else value
+every_group.TUNING = with_field(every_group.TUNING, name, value)
+import numpy as np
+import trinoc
+from trinoc.io import demo_images, demo_pattern, enable_compile_cache
+from trinoc.synth import table1_lens
+enable_compile_cache()
+random, answers = np.random.default_rng(0), []
+for gain, sigma in lights:
+    images = {
+        view: np.clip(np.rint(gain * grey + random.normal(0, sigma, grey.shape)), 0, 255)
+        for view, grey in demo_images("sheet").items()
+    }
+    images = {view: grey.astype(np.uint8) for view, grey in images.items()}
+    result = trinoc.calibrate(images, demo_pattern(), table1_lens(), throw=False)
+    sigmas = [result.sigma(name) for name in result.parameters]
+    values = dict(zip(result.parameters, zip(result.values.tolist(), sigmas)))
+    answers.append([sum(each.name == "CONVERGED" for each in result.status.values()), values])
+print(json.dumps(answers))
+"""
+OPTIONS: dict[str, Any] = {"": DEFAULT, PREFIX: OF_SEGMENTS, CALIB: OF_CALIB}
 KINDS = {
     "table": (lambda seed: block_scene(seed, count=8), Detector(shortest_px=8.0)),
     "boxes ej5": (
@@ -132,7 +170,29 @@ def photograph_figures(tuning) -> str:
     return f"{length[hit >= 0].sum() / length.sum():.3f} {len(lines):5d}"
 
 
+@cache
+def calibrations(name: str, value) -> list[tuple[int, dict[str, tuple[float, float]]]]:
+    """For each light the cameras that converged, and value and sigma of every parameter."""
+    told = json.dumps([name, value, list(LIGHTS.values())])
+    command = [sys.executable, "-c", CALIBRATION, told]
+    return json.loads(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
+
+
+def calibration_figures(name: str, value) -> list[str]:
+    """Cameras that converged, largest change in sigmas, median ratio of sigmas."""
+    figures = []
+    standing = calibrations(name, attrgetter(name)(OF_CALIB))
+    for (_, before), (converged, after) in zip(standing, calibrations(name, value), strict=True):
+        both = np.array([(*before[key], *after[key]) for key in before.keys() & after.keys()])
+        change = np.abs(both[:, 2] - both[:, 0]) / both[:, 1] if len(both) else [np.nan]
+        ratio = np.median(both[:, 3] / both[:, 1]) if len(both) else np.nan
+        figures.append(f"{converged} {np.max(change):.3f} {ratio:.3f}")
+    return figures
+
+
 def row_of_figures(name: str, value, seeds: int) -> list[str]:
+    if name.startswith(CALIB):
+        return calibration_figures(name.removeprefix(CALIB), value)
     if name.startswith(PREFIX):
         tuning = with_field(OF_SEGMENTS, name.removeprefix(PREFIX), value)
         figures = [segment_figures(light, tuning) for light in LIGHTS]
@@ -142,12 +202,12 @@ def row_of_figures(name: str, value, seeds: int) -> list[str]:
 
 
 def standing_value(name: str) -> Any:
-    options = OF_SEGMENTS if name.startswith(PREFIX) else DEFAULT
-    return attrgetter(name.removeprefix(PREFIX))(options)
+    prefix = next(prefix for prefix in (PREFIX, CALIB, "") if name.startswith(prefix))
+    return attrgetter(name.removeprefix(prefix))(OPTIONS[prefix])
 
 
 def names() -> Iterator[str]:
-    for prefix, options in (("", DEFAULT), (PREFIX, OF_SEGMENTS)):
+    for prefix, options in OPTIONS.items():
         for group in fields(options):
             for each in fields(getattr(options, group.name)):
                 yield f"{prefix}{group.name}.{each.name}"
@@ -161,19 +221,19 @@ def scaled(value: Any, factor: float) -> Any:
 
 def sweep_each(only: str, factors: list[float], seeds: int) -> None:
     """Every number times every factor; a row where nothing changes says so."""
-    standing: dict[bool, list[str]] = {}
+    standing: dict[str, list[str]] = {}
     for name in names():
         value = standing_value(name)
         if not name.startswith(only) or isinstance(value, bool | str | None):
             continue
-        of_segments = name.startswith(PREFIX)
-        if of_segments not in standing:
-            standing[of_segments] = row_of_figures(name, value, seeds)
-            print(f"{'(standing)':38s} {'':14s} " + " | ".join(standing[of_segments]))
+        room = next(prefix for prefix in (PREFIX, CALIB, "") if name.startswith(prefix))
+        if room not in standing:
+            standing[room] = row_of_figures(name, value, seeds)
+            print(f"{'(standing)':38s} {'':14s} " + " | ".join(standing[room]))
         for factor in factors:
             other = scaled(value, factor)
             row = row_of_figures(name, other, seeds)
-            same = row == standing[of_segments]
+            same = row == standing[room]
             print(f"{name:38s} {other!s:14.14s} {'-' if same else ' | '.join(row)}", flush=True)
 
 
@@ -195,6 +255,7 @@ def main() -> None:
         return
     standing = standing_value(given.name)
     heads = [*LIGHTS, "Merton"] if given.name.startswith(PREFIX) else KINDS
+    heads = LIGHTS if given.name.startswith(CALIB) else heads
     print(f"{given.name:20s} " + " ".join(f"{kind:25s}" for kind in heads))
     for value in dict.fromkeys([standing, *given.values]):
         row = row_of_figures(given.name, type(standing)(value), given.seeds)
