@@ -18,8 +18,8 @@ from trinoc import Rig
 from trinoc.io import demo_images
 from trinoc.io import demo_truth
 from trinoc.report import plot
-from trinoc.report.evaluation_plot import draw_panel
-from trinoc.report.evaluation_plot import evaluation_panels
+from trinoc.report.evaluations import draw_panel
+from trinoc.report.evaluations import evaluation_panels
 from trinoc.evaluation.sweep import SweepSetting
 from trinoc.evaluation.sweep import chosen_lines
 from trinoc.evaluation.sweep import evaluate_settings

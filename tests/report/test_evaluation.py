@@ -20,8 +20,7 @@ from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.match import join_collinear
 from trinoc.match.tracks.matches import Matches
 from trinoc.report import evaluation_text, write_plot
-from trinoc.report.evaluation_plot import evaluation_panels
-from trinoc.report.text import evaluation_table
+from trinoc.report.evaluations import evaluation_panels, evaluation_table
 from trinoc.synth import loose_segments, table1_lens, table1_rig
 from trinoc.synth.rigs import TABLE_1
 

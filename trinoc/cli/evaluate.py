@@ -83,11 +83,11 @@ class EvaluateCommand(Command):
 
         from trinoc.io.atomic import expect_place, save_table
         from trinoc.io.known_shape import load_shape
-        from trinoc.report.text import evaluation_text
+        from trinoc.report.evaluations import evaluation_text
 
         expect_place(self.out, self.plot)
         if self.plot is not None:
-            from trinoc.report.evaluation_plot import expect_plotter
+            from trinoc.report.evaluations import expect_plotter
 
             expect_plotter(self.plot)
         shape = load_shape(self.truth, **read_settings("--shape", self.shape, SHAPE))
@@ -101,7 +101,7 @@ class EvaluateCommand(Command):
         if all(row.evaluation is None for row in rows):
             raise InputError(f"No setting could be evaluated; the first: {rows[0].problem}")
         if self.plot is not None:
-            from trinoc.report.evaluation_plot import write_plot
+            from trinoc.report.evaluations import write_plot
 
             write_plot(rows, self.plot)
         record = {

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from trinoc.numerics.compiler_options import quick_compiling
 from trinoc.numerics.precision import is_outside, is_traced
@@ -33,8 +34,16 @@ _KNOWN = {
 }
 # Beginning of the names by which compiled programs call LAPACK.
 _LAPACK = "lapack_"
+# numerical: arguments of fewer numbers, as of some 200 segments a view, are worked through in
+# milliseconds.
+OPTIMIZED_FROM = 1 << 16
 _compiling = threading.Lock()
 _compiled: set[Hashable] = set()
+
+
+def count_numbers(values: Any) -> int:
+    """Of all arrays in a tree."""
+    return sum(np.size(leaf) for leaf in jax.tree.leaves(values))
 
 
 @contextlib.contextmanager
@@ -107,18 +116,30 @@ def kept_jit(
     *,
     static_argnames: tuple[str, ...] = (),
     beside_others: bool = False,
+    optimized_from: int = OPTIMIZED_FROM,
 ) -> Callable[..., Any]:
     """`jax.jit` of a function without side effects, whose programs a store may keep.
 
     The function must take no value from outside but constants of trinoc's own modules. With
     `beside_others` it is compiled on one thread, for those whose first calls are made `at_once`.
+    For arguments of fewer numbers than `optimized_from` it is not optimized: compiling would take
+    longer than the program ever runs.
     """
     # Options of the compiler are for whole programs alone.
     inner = jax.jit(function, static_argnames=static_argnames)
-    options = quick_compiling(beside_others=beside_others) or None
-    whole = jax.jit(function, static_argnames=static_argnames, compiler_options=options)
+    options = {
+        optimized: quick_compiling(beside_others=beside_others, optimized=optimized) or None
+        for optimized in (False, True)
+    }
+    whole = {
+        optimized: jax.jit(function, static_argnames=static_argnames, compiler_options=own)
+        for optimized, own in options.items()
+    }
     signature = inspect.signature(function)
     known: dict[Hashable, _KeptProgram | None] = {}
+
+    def choose_jit(args: Any, kwargs: Any) -> Callable[..., Any]:
+        return whole[count_numbers((args, kwargs)) >= optimized_from]
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -127,7 +148,7 @@ def kept_jit(
         if is_traced(args, kwargs) or not is_outside():
             return inner(*args, **kwargs)
         if store is None or config.jax_disable_jit or jax.default_backend() != "cpu":
-            return whole(*args, **kwargs)
+            return choose_jit(args, kwargs)(*args, **kwargs)
         given = signature.bind(*args, **kwargs)
         given.apply_defaults()
         static = {name: given.arguments.pop(name) for name in static_argnames}
@@ -136,10 +157,11 @@ def kept_jit(
         precision = (config.jax_enable_x64, config.jax_default_matmul_precision)
         key = (tree, kinds, tuple(static.values()), precision)
         if key not in known:
-            known[key] = _load_or_compile(store, function, static, tree, leaves, key, options)
+            own = options[count_numbers(leaves) >= optimized_from]
+            known[key] = _load_or_compile(store, function, static, tree, leaves, key, own)
         kept = known[key]
         if kept is None:
-            return whole(*args, **kwargs)
+            return choose_jit(args, kwargs)(*args, **kwargs)
         return jax.tree.unflatten(kept.result, kept.program(leaves))
 
     return call

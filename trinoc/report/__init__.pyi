@@ -1,9 +1,11 @@
-from .evaluation_plot import write_plot as write_plot
+from .evaluations import (
+    evaluation_text as evaluation_text,
+    write_plot as write_plot,
+)
 from .html import write_report as write_report
 from .parameter_table import parameter_errors as parameter_errors
 from .text import (
     counts_text as counts_text,
     errors_text as errors_text,
-    evaluation_text as evaluation_text,
     reasons_text as reasons_text,
 )

@@ -176,13 +176,11 @@ def _point_sigmas(
     rig: Rig, xy_mm: Float[np.ndarray, "n 2"], height_mm: float
 ) -> Float[np.ndarray, "n"]:
     """Along the worst direction, for points that all cameras see exactly."""
-    sigmas = []
-    for x, y in xy_mm:
-        covariance = point_covariance(rig, np.array([x, y, height_mm]))
-        known = np.isfinite(covariance).all()
-        largest = np.linalg.eigvalsh(covariance)[-1] if known else np.nan
-        sigmas.append(np.sqrt(max(float(largest), 0.0)) if known else np.nan)
-    return np.array(sigmas)
+    covariance = point_covariance(rig, np.insert(xy_mm, 2, height_mm, axis=1))
+    known = np.isfinite(covariance).all(axis=(1, 2))
+    sigmas = np.full(len(xy_mm), np.nan)
+    sigmas[known] = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[known])[:, -1], 0.0))
+    return sigmas
 
 
 def uncertainty_maps(result: RigFromShots) -> Uncertainty | None:

@@ -1,5 +1,6 @@
 """What each shot says of lenses, cameras and board, at the end of a fit."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -120,7 +121,7 @@ def whiten_views(problem: Problem) -> WhitenedViews:
     return WhitenedViews(dense, residual)
 
 
-@kept_jit
+@partial(kept_jit, optimized_from=1 << 20)
 def _whiten_views(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, Array, Array]:
     near = jax.vmap(lambda view: linearise(state, chart, view))(table)
     views, places, _, columns = near.jacobian.shape

@@ -7,6 +7,7 @@ Jacobian is never formed. Source: Triggs et al., "Bundle adjustment: a modern sy
 
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -123,7 +124,7 @@ def solve(
     return _solve(problem, state, jnp.asarray(damping))
 
 
-@kept_jit
+@partial(kept_jit, optimized_from=1 << 20)
 def _solve(
     problem: AbstractArrowProblem[State], state: State, first_damping: Float[Array, ""]
 ) -> Solution[State]:

@@ -20,6 +20,7 @@ from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.geometry.triangulation import triangulate_point
 from trinoc.numerics.precision import ArrayLike, in_float64
+from trinoc.numerics.programs import kept_jit
 
 # numerical: places across the picture, along each side, of maps for people.
 MAP_PLACES = 5
@@ -61,7 +62,7 @@ def epipolar_sigma(rig: Rig, first: str, second: str) -> FieldSigma:
     return FieldSigma(places, np.sqrt(np.einsum("np,pq,nq->n", by, covariance, by)))
 
 
-@jax.jit
+@kept_jit
 def _distances_by_change(
     values: Float[ArrayLike, "2 p"],
     matrices: Float[ArrayLike, "2 3 3"],
@@ -86,32 +87,35 @@ def _distances_by_change(
 
 
 @in_float64
-def point_covariance(rig: Rig, point_mm: Float[ArrayLike, "3"]) -> np.ndarray:
-    """(3, 3) covariance, mm^2, of a point triangulated by all cameras from exact images.
+def point_covariance(rig: Rig, point_mm: Float[ArrayLike, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
+    """Covariance, mm^2, of a point triangulated by all cameras from exact images; of each, of many.
 
     The errors of the lenses are in, as in `epipolar_sigma`; that of the images comes on top. Raises
     InputError for a rig without a covariance.
     """
     covariance, values = _known_covariance(rig, rig.names)
     matrices = np.stack([np.asarray(camera.intrinsics.matrix) for _, camera in rig.items()])
-    by = np.asarray(_place_by_change(values, matrices, np.asarray(point_mm, float))).reshape(3, -1)
-    return by @ covariance @ by.T
+    points = np.asarray(point_mm, float)
+    by = np.asarray(_places_by_change(values, matrices, points.reshape(-1, 3)))
+    by = by.reshape(*points.shape, -1)
+    return by @ covariance @ np.swapaxes(by, -1, -2)
 
 
-@jax.jit
-def _place_by_change(
+@kept_jit
+def _places_by_change(
     values: Float[ArrayLike, "v p"],
     matrices: Float[ArrayLike, "v 3 3"],
-    point_mm: Float[ArrayLike, "3"],
-) -> Float[ArrayLike, "3 v p"]:
-    """Derivatives of the place triangulated from exact images by the cameras' parameters."""
-    seen = project_by_matrix(_projections(values, matrices), point_mm[None, None])[:, 0]
+    points_mm: Float[ArrayLike, "n 3"],
+) -> Float[ArrayLike, "n 3 v p"]:
+    """Derivatives of the places triangulated from exact images by the cameras' parameters."""
+    seen = project_by_matrix(_projections(values, matrices), points_mm[None])
     weight = jnp.ones(len(values))
 
-    def place(change: Float[ArrayLike, "v p"]) -> Float[ArrayLike, "3"]:
-        return triangulate_point(_projections(values + change, matrices), seen, weight)
+    def places(change: Float[ArrayLike, "v p"]) -> Float[ArrayLike, "n 3"]:
+        moved = _projections(values + change, matrices)
+        return jax.vmap(lambda own: triangulate_point(moved, own, weight), 1)(seen)
 
-    return jax.jacfwd(place)(jnp.zeros_like(values))
+    return jax.jacfwd(places)(jnp.zeros_like(values))
 
 
 def _known_covariance(
