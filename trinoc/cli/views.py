@@ -135,11 +135,14 @@ def find_doubts(file: str | os.PathLike[str]) -> dict[str, str]:
 
 def doubts_table(file: str | os.PathLike[str]) -> "list[ExtraTable]":
     """The same for a report: a table, or none where nothing was doubted."""
+    rows = list(find_doubts(file).items())
+    if not rows:
+        return []
+
     from trinoc.report.html import ExtraTable
 
     caption = "The segments in space inherit these errors, which their sigmas do not hold."
-    rows = list(find_doubts(file).items())
-    return [ExtraTable("SUSPECT cameras", ("camera", "why"), rows, caption)] if rows else []
+    return [ExtraTable("SUSPECT cameras", ("camera", "why"), rows, caption)]
 
 
 SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")

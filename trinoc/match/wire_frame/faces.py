@@ -1,9 +1,8 @@
 """Planar faces: shortest loops of edges whose vertices lie in one plane, and are held to it."""
 
 from itertools import combinations
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import networkx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -12,6 +11,9 @@ from trinoc.match.wire_frame.adjustment import AdjustedGraph
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.tails import chi_square_limit, chi_square_tail
 from trinoc.numerics.vectors import complete_axes
+
+if TYPE_CHECKING:
+    import networkx
 
 # numerical: Gauss-Newton steps of a plane.
 STEPS = 2
@@ -55,6 +57,8 @@ def find_faces(
     answer: AdjustedGraph, edges: Int[np.ndarray, "e 2"], tuning: WireframeTuning
 ) -> list[Face]:
     """Every loop without a chord that two edges of a vertex begin, in their plane."""
+    import networkx
+
     net = networkx.Graph(edges.tolist())
     found: dict[frozenset[int], Face] = {}
     for at in sorted(net):
@@ -102,12 +106,14 @@ def _in_plane(
 
 
 def _loop(
-    net: networkx.Graph, near: Bool[np.ndarray, "n"], at: int, first: int, second: int, most: int
+    net: "networkx.Graph", near: Bool[np.ndarray, "n"], at: int, first: int, second: int, most: int
 ) -> list[int] | None:
     """The shortest loop in the plane through both edges, None where it has a chord."""
     within = net.subgraph([v for v in net if near[v] and v != at])
     if first not in within or second not in within:
         return None
+    import networkx
+
     try:
         way = networkx.shortest_path(within, first, second)
     except networkx.NetworkXNoPath:
