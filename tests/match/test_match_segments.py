@@ -10,6 +10,8 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.answers import reasons
+from trinoc.synth import Detector, simulate_segments, table1_rig
+from trinoc.synth.scenes import see_through_boxes
 
 VIEWS = ("upper", "left", "right")
 
@@ -69,20 +71,45 @@ def test_names_of_cameras_change_nothing(noisy) -> None:
     np.testing.assert_array_equal(matches.posterior, again.posterior)
 
 
-def test_lines_follow_a_change_of_the_world(noisy) -> None:
-    rig, _, seen = noisy
-    angle, scale, shift = 0.7, 3.0, np.array([100.0, -40.0, 900.0])
+@pytest.fixture(scope="module")
+def cornered() -> tuple[Rig, dict[str, Segments]]:
+    """Boxes, whose edges meet at corners."""
+    scene, detector = see_through_boxes(31, count=8), Detector(shortest_px=3.0)
+    return table1_rig(), simulate_segments(scene, table1_rig(), detector, seed=31)[0]
+
+
+@pytest.mark.parametrize("scale", [3.0, 1e3, 1e-3])
+def test_lines_follow_a_change_of_the_world_and_of_its_unit(cornered, scale) -> None:
+    rig, seen = cornered
+    angle, shift = 0.7, scale * np.array([30.0, -10.0, 300.0])
     turn = np.array(
         [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
     )
     to_old = np.eye(4)
     to_old[:3, :3], to_old[:3, 3] = turn.T / scale, -turn.T @ shift / scale
-    matrices = dict(zip(rig.names, rig.matrices_px @ to_old, strict=True))
-    moved_rig = Rig.from_matrices(matrices, (512, 480))
-    matches, moved = match_segments(seen, rig), match_segments(seen, moved_rig)
+    rigs = [
+        Rig.from_matrices(dict(zip(rig.names, matrices, strict=True)), (512, 480))
+        for matrices in (rig.matrices_px, rig.matrices_px @ to_old)
+    ]
+    matches, moved = (match_segments(seen, each) for each in rigs)
     np.testing.assert_array_equal(matches.index, moved.index)
-    np.testing.assert_allclose(scale * matches.lines_mm @ turn.T + shift, moved.lines_mm, atol=1e-5)
+    expected = matches.lines_mm @ turn.T + shift / scale
+    np.testing.assert_allclose(moved.lines_mm / scale, expected, atol=1e-5)
     np.testing.assert_allclose(matches.posterior, moved.posterior, atol=1e-6)
+
+
+def test_pictures_that_all_stand_on_their_heads_give_the_same_lines(cornered) -> None:
+    rig, seen = cornered
+    corner = np.array([511.0, 479.0])
+    turn = np.array([[-1.0, 0.0, corner[0]], [0.0, -1.0, corner[1]], [0.0, 0.0, 1.0]])
+    upright = {name: np.asarray(each.endpoints_px) for name, each in seen.items()}
+    turned = {name: corner - ends for name, ends in upright.items()}
+    answers = [
+        match_segments(ends, Rig.from_matrices(dict(zip(rig.names, matrices)), (512, 480)))
+        for ends, matrices in ((upright, rig.matrices_px), (turned, turn @ rig.matrices_px))
+    ]
+    np.testing.assert_array_equal(answers[0].index, answers[1].index)
+    np.testing.assert_allclose(answers[0].posterior, answers[1].posterior, atol=1e-4)
 
 
 def test_fragments_lie_on_their_segments_and_image_the_line(noisy) -> None:

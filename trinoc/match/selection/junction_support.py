@@ -76,7 +76,10 @@ def endpoint_pairs(
     apart = (first != second) & ~_share_a_segment(candidates.index, first, second)
     pairs = pairs[apart]
     log_ratio = _log_ratio(candidates, pairs, tuning, evidence)
-    near = np.isfinite(log_ratio).all(axis=1) & (log_ratio.max(axis=1) > -20)
+    # A density, per mm^3: against one end in a cube of the reach it has no unit.
+    own_reach = reach if frame is None else reach[frame[pairs[:, 0] // 2]]
+    odds = log_ratio.max(axis=1) + 3 * np.log(own_reach)
+    near = np.isfinite(log_ratio).all(axis=1) & (odds > _FAINTEST)
     pairs, log_ratio = pairs[near], log_ratio[near]
     site = np.concatenate([pairs[:, 0], pairs[:, 1]])
     order = np.argsort(site, kind="stable")
@@ -92,6 +95,8 @@ _NONE = np.zeros((0, 2), dtype=np.int64)
 # numerical: places are told apart as far out as this, in units of the reach: nothing that meets
 # lies beyond.
 _FAR = 1e6
+# numerical: log odds of a meeting, below which it supports nothing.
+_FAINTEST = -14.0
 
 
 def _near_ends(
