@@ -51,7 +51,7 @@ def with_new_lines(
     if len(ends.place_mm) == 0:
         return state, 0, before_mm
     hypotheses = propose_partners(state, ends, locate_corners(state, ends, tuning), tuning)
-    new = _first_time(hypotheses.ends_mm, before_mm, tuning)
+    new = _first_time(state, hypotheses.ends_mm, before_mm, tuning)
     hypotheses = take_rows(hypotheses, new)
     before_mm = np.concatenate([before_mm, hypotheses.ends_mm])
     promising = _promising(state, pictures, hypotheses.ends_mm, tuning)
@@ -66,6 +66,7 @@ def with_new_lines(
 
 
 def _first_time(
+    state: State,
     lines_mm: Float[np.ndarray, "n 2 3"],
     before_mm: Float[np.ndarray, "m 2 3"],
     tuning: GuidedTuning,
@@ -75,7 +76,7 @@ def _first_time(
         return np.ones(len(lines_mm), dtype=bool)
     both = np.concatenate([before_mm, before_mm[:, ::-1]]).reshape(-1, 6)
     apart = KDTree(both).query(lines_mm.reshape(-1, 6))[0]
-    return np.asarray(apart) > tuning.asked_again_mm
+    return np.asarray(apart) > tuning.asked_again_px * mm_per_px(state, lines_mm.mean(axis=1))
 
 
 def _promising(

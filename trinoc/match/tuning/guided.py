@@ -35,9 +35,9 @@ class GuidedTuning:
     free_end_px: float = 3.0
     # New lines are asked for from each corner along so many lines about it, which may differ from
     # the partner's direction by this, degrees, in length by this share, and toward so many other
-    # corners. By hand.
+    # corners. A line so near to one that was asked for, px, is not asked for again. By hand.
     partners: int = 14
-    asked_again_mm: float = 1.0
+    asked_again_px: float = 2.0
     # A quick look must show so much in two pictures, mean standard deviations of the gradient's
     # noise, apart from what lies within this width, px, of matched segments. By hand, for time:
     # lines that were put out showed 1.5 and more.
