@@ -161,3 +161,16 @@ def test_programs_are_made_where_their_sources_are_looked_at():
     }
     assert "match" in made_in
     assert made_in <= set(ROOMS)
+
+
+def test_that_something_compiles_is_said_once(tmp_path, caplog) -> None:
+    store = FolderStore(tmp_path)
+    with caplog.at_level("INFO", logger="trinoc"):
+        store.put("kept", b"program")
+        assert store.get("kept") == b"program"
+        assert not caplog.messages
+        assert store.get("first") is None
+        assert store.get("second") is None
+    assert [message.split(":")[0] for message in caplog.messages] == [
+        "compiling for input of this kind"
+    ]

@@ -88,15 +88,14 @@ class DemoWork(NamedTuple):
 
 
 def _work(seconds: dict[str, float]) -> DemoWork:
-    with _step("loading", seconds):
-        from trinoc.calib.from_images import calibrate
-        from trinoc.calib.uncertainty.systematics import Systematics
-        from trinoc.io.demo import demo_images, demo_pattern
-        from trinoc.match.matcher import match_segments
-        from trinoc.segments.find import find_segments
-        from trinoc.synth.rigs import table1_lens, table1_rig
+    from trinoc.calib.from_images import calibrate
+    from trinoc.calib.uncertainty.systematics import Systematics
+    from trinoc.io.demo import demo_images, demo_pattern
+    from trinoc.match.matcher import match_segments
+    from trinoc.segments.find import find_segments
+    from trinoc.synth.rigs import table1_lens, table1_rig
 
-        sheets, scenes = demo_images("sheet"), demo_images("scene")
+    sheets, scenes = demo_images("sheet"), demo_images("scene")
     with _step("calibrating from the pictures of the sheet", seconds):
         # The pictures are made: their lens is exact, and so is the size of their sheet.
         known = Systematics.typical({})._replace(print_size_sigma=0.0, print_scale_sigma=(0.0, 0.0))

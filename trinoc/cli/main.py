@@ -18,7 +18,14 @@ import tyro
 from trinoc.cli.batch import BatchCommand
 from trinoc.cli.calibrate import CalibrateCommand
 from trinoc.cli.calibrate_rig import CalibrateRigCommand
-from trinoc.cli.command import Command, UsageError, expect_numbers, expect_places, in_options
+from trinoc.cli.command import (
+    LOGGER,
+    Command,
+    UsageError,
+    expect_numbers,
+    expect_places,
+    in_options,
+)
 from trinoc.cli.demo import DemoCommand
 from trinoc.cli.evaluate import EvaluateCommand
 from trinoc.cli.export import ExportCommand
@@ -173,8 +180,10 @@ def _run(command: Command, command_line: str) -> int:
     from trinoc.cli.main import compile_quickly
     from trinoc.io.compile_cache import enable_compile_cache
 
-    compile_quickly()
     set_up_logging(quiet=command.quiet)
+    if sys.stderr.isatty():  # a person waits
+        LOGGER.info("loading")
+    compile_quickly()
     enable_compile_cache()
     try:
         expect_numbers(command)

@@ -121,6 +121,7 @@ class FolderStore:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._surroundings = ""
+        self._is_complete = True
 
     def get(self, name: str) -> bytes | None:
         """The content, if it is there and whole."""
@@ -130,6 +131,9 @@ class FolderStore:
             # The youngest are kept when the folder grows too large.
             os.utime(place)
         except OSError:
+            if self._is_complete:
+                LOGGER.info("compiling for input of this kind: up to half a minute, this once")
+            self._is_complete = False
             return None
         digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
         return content if hashlib.sha256(content).digest() == digest else None
