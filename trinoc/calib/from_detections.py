@@ -114,11 +114,12 @@ def outcome_of_search(
         if name not in detections or name in ambiguous:
             continue
         detection, lens, factor = detections[name], lenses[name], factors.get(name)
-        fit = fit_circles(detection, lens, known)
+        image = search.images.get(name)
+        fit = fit_circles(detection, lens, known, image)
         status[name] = fit.status
         sentence = failure_sentence(fit, detection, known.fitted_model, factor)
         if sentence is None:
-            pose, image = pose_of_values(fit.values), search.images.get(name)
+            pose = pose_of_values(fit.values)
             cameras.append(SheetCamera(name, detection, lens, factor, pose, image))
         else:
             failures[name] = sentence

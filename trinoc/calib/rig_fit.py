@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.calib.adjustment.agreement import probability_of_agreement, scatter_of_blocks
 from trinoc.calib.adjustment.each_camera import PoseEstimate, fit_camera
@@ -89,12 +90,17 @@ class RigFit(NamedTuple):
     of_circles: Adjustment
 
 
-def fit_circles(detection: Detection, lens: Intrinsics, known: Knowledge) -> PoseEstimate:
+def fit_circles(
+    detection: Detection,
+    lens: Intrinsics,
+    known: Knowledge,
+    image: Float[np.ndarray, "h w"] | None = None,
+) -> PoseEstimate:
     """One camera from its circles; with its aim held where that is all they determine."""
-    fit = fit_camera(detection, known.pattern, lens, known.fitted_model)
+    fit = fit_camera(detection, known.pattern, lens, known.fitted_model, image)
     if fit.status is Status.CONVERGED or known.model is known.fitted_model:
         return fit
-    return fit_camera(detection, known.pattern, lens, known.model)
+    return fit_camera(detection, known.pattern, lens, known.model, image)
 
 
 def fit_rig(cameras: Sequence[SheetCamera], known: Knowledge) -> RigFit:

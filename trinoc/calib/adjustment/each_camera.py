@@ -68,9 +68,13 @@ def fit_cameras(
 
 
 def fit_camera(
-    detection: Detection, pattern: Pattern, lens: Intrinsics, model: PoseModel
+    detection: Detection,
+    pattern: Pattern,
+    lens: Intrinsics,
+    model: PoseModel,
+    image: Float[np.ndarray, "h w"] | None = None,
 ) -> PoseEstimate:
-    """The pose of one camera."""
+    """The pose of one camera by its circles; `image` where its grey levels will be fitted, too."""
     rays = unproject_pixels(lens.lens, detection.centres_px)
     place_mm = pattern.centres_mm[detection.circle_index]
     planes = detection.lines_px @ np.asarray(lens.lens.matrix)
@@ -83,7 +87,7 @@ def fit_camera(
         if pose is None or not np.isfinite(np.asarray(pose.cam_from_world)).all():
             continue
         begin = pose if model is PoseModel.AIM_FREE else as_numpy(_aimed(pose))
-        camera = SheetCamera("camera", detection, lens, None, begin)
+        camera = SheetCamera("camera", detection, lens, None, begin, image)
         fit = adjust_cameras([camera], pattern, Systematics(), model, 0.0, first_damping=None)
         if best is None or _misfit(fit) < _misfit(best):
             best = fit

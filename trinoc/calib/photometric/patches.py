@@ -15,14 +15,12 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.scene import PixelScene, Point
 from trinoc.calib.photometric.sheet_places import homography_of_pose
-from trinoc.calib.problem.views import SheetPoints
+from trinoc.calib.problem.views import LINE_PIECES, SheetPoints
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.numerics.precision import ArrayLike
 
-# numerical: size of a block: pieces along each half of the two lines.
-_PIECES = 8
 # numerical: a guard: a direction that a patch shows with less than this share of the information of
 # its best one, as a line along itself, is not known.
 _LEAST_SHARE = 1e-3
@@ -111,8 +109,8 @@ def _piece_of_line(place_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[
     along_y = np.abs(y) > np.abs(x)
     reach = np.where(along_y, pattern.line_half_length_mm[1], pattern.line_half_length_mm[0])
     along = np.where(along_y, y, x) / np.maximum(reach, 1e-9)
-    last = 2 * _PIECES - 1
-    return np.clip(np.floor((along + 1) * _PIECES), 0, last).astype(int) + along_y * (last + 1)
+    last = 2 * LINE_PIECES - 1
+    return np.clip(np.floor((along + 1) * LINE_PIECES), 0, last).astype(int) + along_y * (last + 1)
 
 
 def _number_patches(

@@ -15,7 +15,7 @@ from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.problem import Problem, basis_of_scales, stack_problem_lenses
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
-from trinoc.calib.problem.views import SheetPoints, View, pad_count
+from trinoc.calib.problem.views import LINE_PIECES, SheetPoints, View, pad_count
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.uncertainty.systematics import CAMERAS_AT_ONCE, Systematics
 from trinoc.geometry.intrinsics import Intrinsics
@@ -48,6 +48,16 @@ class SheetCamera(NamedTuple):
     image: Float[np.ndarray, "_h _w"] | None = None
     shown: SheetPoints | None = None
     ink_spread_mm: float = 0.0
+
+    @property
+    def places(self) -> int:
+        """How many places count."""
+        return len(self.detection) if self.shown is None else len(self.shown.place_mm)
+
+    @property
+    def places_of_picture(self) -> int:
+        """How many its grey levels show at most: circles, and pieces of the two lines."""
+        return max(len(self.detection) + 4 * LINE_PIECES, self.places)
 
     @property
     def promoted_lens(self) -> AbstractLens:
@@ -120,6 +130,7 @@ def sheet_problem(
             used=np.ones(len(one.detection), dtype=bool),
             shown=one.shown,
             ink_spread_mm=one.ink_spread_mm,
+            room=0 if one.image is None else one.places_of_picture - one.places,
         )
         for k, one in enumerate(cameras)
     )

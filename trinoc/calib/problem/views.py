@@ -18,6 +18,11 @@ from trinoc.numerics.precision import ArrayLike
 _FEWEST_VIEWS, FEWEST_SHOTS = 16, 8
 # numerical: likewise.
 _FEW_VIEWS, _FEWEST_VIEWS_OF_ONE_SHOT, _FEWEST_PLACES = 8, 3, 32
+# numerical: up to so many places a table may have room for what the pictures show, at no cost in
+# time.
+_MOST_WITH_ROOM = 128
+# numerical: the grey levels show each half of the two crossed lines in so many pieces.
+LINE_PIECES = 8
 # numerical: the index of what is no place of the target: beyond all of them.
 NO_PLACE = 1 << 30
 
@@ -50,6 +55,8 @@ class View(NamedTuple):
         whole unless no place is used.
     board : which of several boards it shows.
     ink_spread_mm : by which ink reaches beyond the drawing of each circle.
+    room : how many places more its grey levels may show, later: a table with room for them lets
+        both be fitted by one program.
     """
 
     camera: int
@@ -59,6 +66,7 @@ class View(NamedTuple):
     shown: SheetPoints | None = None
     board: int = 0
     ink_spread_mm: float = 0.0
+    room: int = 0
 
     @property
     def rows(self) -> int:
@@ -120,6 +128,9 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
     """All views, padded."""
     rows = max(bucket(max(view.rows for view in views), smallest=_FEWEST_PLACES), 1)
     shared = any(view.shown is not None for view in views)
+    wide = bucket(max(view.rows + view.room for view in views), smallest=_FEWEST_PLACES)
+    if any(view.room for view in views) and wide <= _MOST_WITH_ROOM:
+        rows, shared = wide, True
     fewest = _FEW_VIEWS if len(views) <= _FEW_VIEWS else _FEWEST_VIEWS
     if all(view.shot == 0 for view in views):
         fewest = _FEWEST_VIEWS_OF_ONE_SHOT
