@@ -15,13 +15,13 @@ from trinoc.synth import table1_lens
 def test_double_precision_moves_no_parameter_beyond_the_stopping_rule(monkeypatch) -> None:
     known = demo_images("sheet"), demo_pattern(), table1_lens()
     single = calibrate(*known, systematics=Systematics())
-    group_of = scene.pad_group
+    pad_group = scene.pad_group
 
     def in_double_precision(part, image, lens, pattern, capacity, dtype, shift_px):
         assert dtype is np.float32
-        return group_of(part, image, lens, pattern, capacity, np.float64, shift_px)
+        return pad_group(part, image, lens, pattern, capacity, np.float64, shift_px)
 
-    monkeypatch.setattr(scene, "group_of", in_double_precision)
+    monkeypatch.setattr(scene, "pad_group", in_double_precision)
     double = calibrate(*known, systematics=Systematics())
     assert {fit.method for fit in double.fits.values()} == {"pixels"}
     sigma = np.sqrt(np.diag(double.covariance))
