@@ -38,8 +38,9 @@ def test_errors_scatter_as_the_covariance_says(step: float, noise: float, blur_p
             row = np.concatenate([weights[0] * normal, weights[1] * normal])
             out.append((np.array(weights) @ error) / np.sqrt(row @ covariance @ row))
     for normalised in (middles, tilts):
-        # The spread of a variance from 60 draws is 0.18; the claim may be too large by half.
-        assert 0.4 < np.mean(np.square(normalised)) < 1.6
+        # The spread of a variance from 60 draws is 0.18 of it. The claim allows for what a model
+        # of an edge leaves out, which these pictures have none of: it is never too small.
+        assert 0.4 < np.mean(np.square(normalised)) < 1.0
         assert np.mean(np.abs(normalised) > 3) < 0.05
 
 
