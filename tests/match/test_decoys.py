@@ -1,15 +1,18 @@
 """Sets of segments that do not belong to their rig are SUSPECT, and right ones are not."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import numpy as np
 import pytest
 
+from tests.io.formats.bench import bench_matches
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.decoys import MIRRORED, TURNED, UPSIDE_DOWN, turn_view
 from trinoc.match.matcher import match_segments
 from trinoc.match.observations.match_input import prepare_frame
-from trinoc.match.tracks.matches import MatchStatus
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, MatchStatus
 from trinoc.synth import Detector, loose_segments, simulate_segments, table1_rig
 from trinoc.synth.scenes import see_through_boxes
 
@@ -118,3 +121,15 @@ def test_the_darker_side_stays_on_the_right_where_picture_and_ends_are_both_turn
             way = ends_px[1] - ends_px[0]
             side = way[0] * (place - ends_px[0])[1] - way[1] * (place - ends_px[0])[0]
             assert np.sign(side) == sign
+
+
+def test_the_share_in_three_views_is_of_the_view_that_shows_least() -> None:
+    """And counts a segment once, whatever its tracks, and no track that is not sure or in three."""
+    found = bench_matches(6)
+    index = np.array([[0, 0, 0], [1, 0, 1], [2, 2, 2], [3, 3, -1], [4, 4, 4], [5, 5, 5]])
+    stage = np.where((index >= 0).all(axis=1), TRINOCULAR, BINOCULAR)
+    posterior = np.array([0.99, 0.99, 0.95, 0.99, 0.5, 0.89])
+    segments = {name: np.full(count, "matched") for name, count in zip(found.views, (6, 8, 10))}
+    found = replace(found, index=index, stage=stage, posterior=posterior, reasons=segments)
+    # Segments 0, 1, 2 of 6; 0, 2 of 8; 0, 1, 2 of 10.
+    assert found.share_in_three_views == pytest.approx(2 / 8)

@@ -81,3 +81,30 @@ def test_matching_again_while_checking_finds_the_camera():
     assert check.moved == ("right",)
     assert check.refined is not None
     assert len(check.refined.tracks) == 100
+
+
+@pytest.mark.parametrize(
+    ("share", "camera", "asked"),
+    [(0.6, None, False), (0.4, None, True), (0.6, "right", True)],
+    ids=["at rest", "lines may be hidden", "a motion shows"],
+)
+def test_a_scene_is_matched_again_only_where_something_calls_for_it(share, camera, asked):
+    lines, _, _ = made_tracks(84, 60)
+    calls = []
+
+    class Tracks:
+        share_in_three_views = share
+
+        def line_observations(self):
+            return lines
+
+    def match_again(rig):
+        calls.append(rig)
+        return lines
+
+    check_rig(
+        knocked(85, () if camera is None else (camera,), SIZES_DEG),
+        Tracks(),
+        match_again=match_again,
+    )
+    assert bool(calls) is asked

@@ -5,7 +5,8 @@ fall of the joint chi-square is the evidence that this camera moved; without mot
 distributed as chi-square with as many degrees of freedom as the camera has parameters.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
@@ -19,6 +20,16 @@ from trinoc.errors import CalibrationError
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import LineObservations
+
+
+@runtime_checkable
+class CountedTracks(Protocol):
+    """Tracks that know how much of the pictures they explain, as the matcher's answer does."""
+
+    @property
+    def share_in_three_views(self) -> float:
+        """Of the segments of the view that has least of them: on sure tracks of three views."""
+        ...
 
 
 class CameraMotion(eqx.Module):
@@ -99,9 +110,10 @@ def check_rig(
 
     `rig` needs the covariance of its calibration, since motion is measured against it. With
     `match_again`, as `refine` takes it, a knock that hid most of the scene from the matcher is
-    found too: the scene is matched again with each camera freed, and tested where that is most
-    probable. Raises CalibrationError where the rig has no covariance or where fewer than three
-    cameras see the scene: two views of lines agree with any motion.
+    found too: unless most of the scene is on sure tracks of three views that call for no
+    motion, it is matched again with each camera freed, and tested where that is most probable.
+    Raises CalibrationError where the rig has no covariance or where fewer than three cameras
+    see the scene: two views of lines agree with any motion.
     """
     if not rig.parameters or len(rig) < 3:
         raise CalibrationError(
@@ -109,18 +121,18 @@ def check_rig(
             "covariance of their calibration: give the rig.json that `trinoc calibrate` wrote."
         )
     best = None
-    if match_again is not None:
+    motions, freed = _motions(rig, matches)
+    if match_again is not None and not _is_at_rest(matches, motions, freed):
         found = [refine(rig, matches, moved=(name,), match_again=match_again) for name in rig.names]
         found = [result for result in found if result.status is RefineStatus.CONVERGED]
         if not found:
-            return RigCheck(_motions(rig, matches)[0], (), None, conclusive=False)
+            return RigCheck(motions, (), None, conclusive=False)
         best = max(found, key=lambda result: result.log_posterior)
         matches = best.tracks
-    motions, freed = _motions(rig, matches, best)
+        motions, freed = _motions(rig, matches, best)
     strongest = max(motions, key=lambda motion: motion.sigmas)
     corrected, name = freed[strongest.name], strongest.name
-    agree_in_three = corrected.inlier.sum(axis=1) > 2
-    conclusive = bool(agree_in_three.sum() >= TUNING.rig_check.fewest_lines) and (
+    conclusive = _have_enough_lines(corrected) and (
         best is not None or corrected.segment_sigma_factor < TUNING.rig_check.most_noise
     )
     if strongest.sigmas < TUNING.rig_check.suspect_sigmas:
@@ -136,6 +148,27 @@ def check_rig(
     if not conclusive:
         return RigCheck(motions, (), None, conclusive)
     return RigCheck(motions, (name,), corrected)
+
+
+def _is_at_rest(
+    matches: MatchedTracks | LineObservations,
+    motions: Sequence[CameraMotion],
+    freed: Mapping[str, RefineResult],
+) -> bool:
+    """Whether the rig as it stands explains most of the scene, and nothing calls for a motion."""
+    tuning = TUNING.rig_check
+    return (
+        isinstance(matches, CountedTracks)
+        and matches.share_in_three_views >= tuning.clear_share
+        and all(motion.sigmas < tuning.suspect_sigmas for motion in motions)
+        and all(result.segment_sigma_factor < tuning.most_noise for result in freed.values())
+        and all(_have_enough_lines(result) for result in freed.values())
+    )
+
+
+def _have_enough_lines(result: RefineResult) -> bool:
+    agree_in_three = result.inlier.sum(axis=1) > 2
+    return bool(agree_in_three.sum() >= TUNING.rig_check.fewest_lines)
 
 
 def _motions(

@@ -180,6 +180,9 @@ class RigCheckTuning:
     # Lines that scatter more than so many stated sigmas are joined by chance: such scatter 1.2 to
     # 2.3 times, right ones 0.9 to 1.1. Only where nothing can be matched again. Made scenes.
     most_noise: float = 1.5
+    # Where so large a share of every view's segments is on sure tracks of three views, no knock
+    # hides the scene from the matcher. As `clear_share` of matching.
+    clear_share: float = 0.5
 
 
 @dataclass(frozen=True)

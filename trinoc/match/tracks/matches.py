@@ -13,6 +13,7 @@ from trinoc.errors import InputError
 from trinoc.geometry.features import Wires
 from trinoc.geometry.line_lengths import line_sigmas
 from trinoc.geometry.segments import LineObservations
+from trinoc.match.tuning.tracks import DecoyTuning
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.table_checks import (
     CHI_SQUARE,
@@ -217,6 +218,16 @@ class Matches(Displayable, Table):
     def status(self) -> MatchStatus:
         """SUSPECT where chance gives about as many lines as the rig: see the first note."""
         return MatchStatus.SUSPECT if self.counts.get(SUSPECT_SETS) else MatchStatus.MATCHED
+
+    @property
+    def share_in_three_views(self) -> float:
+        """Of the segments of a view: the share on sure tracks of three views or more, in the view
+        where that is least. A camera that was knocked has a small one."""
+        sure = (self.posterior > DecoyTuning.sure) & (self.stage == TRINOCULAR)
+        return min(
+            len(np.setdiff1d(of_view, -1)) / max(len(self.reasons[name]), 1)
+            for name, of_view in zip(self.views, self.index[sure].T, strict=True)
+        )
 
     @property
     def length_mm(self) -> Float[np.ndarray, "t"]:
