@@ -182,7 +182,12 @@ def calibration_figures(name: str, value) -> list[str]:
     """Cameras that converged, largest change in sigmas, median ratio of sigmas."""
     figures = []
     standing = calibrations(name, attrgetter(name)(OF_CALIB))
-    for (_, before), (converged, after) in zip(standing, calibrations(name, value), strict=True):
+    try:
+        swept = calibrations(name, value)
+    except subprocess.CalledProcessError:
+        # Such a value lets no sheet be found.
+        return ["failed"] * len(standing)
+    for (_, before), (converged, after) in zip(standing, swept, strict=True):
         both = np.array([(*before[key], *after[key]) for key in before.keys() & after.keys()])
         change = np.abs(both[:, 2] - both[:, 0]) / both[:, 1] if len(both) else [np.nan]
         ratio = np.median(both[:, 3] / both[:, 1]) if len(both) else np.nan
