@@ -3,6 +3,10 @@
 For each camera in turn the prior of the calibration is dropped, while the others keep theirs. The
 fall of the joint chi-square is the evidence that this camera moved; without motion it is
 distributed as chi-square with as many degrees of freedom as the camera has parameters.
+
+A large knock hides the scene from the matcher, and lines that were found despite it cannot tell.
+So where too little of the scene was found, or a motion shows, it is matched again with each camera
+freed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +32,7 @@ class CountedTracks(Protocol):
 
     @property
     def share_in_three_views(self) -> float:
-        """Of the segments of the view that has least of them: on sure tracks of three views."""
+        """The share of a view's segments on sure tracks of three views, where it is least."""
         ...
 
 
@@ -132,9 +136,7 @@ def check_rig(
         motions, freed = _motions(rig, matches, best)
     strongest = max(motions, key=lambda motion: motion.sigmas)
     corrected, name = freed[strongest.name], strongest.name
-    conclusive = _have_enough_lines(corrected) and (
-        best is not None or corrected.segment_sigma_factor < TUNING.rig_check.most_noise
-    )
+    conclusive = _have_enough_lines(corrected) and (best is not None or _is_quiet(corrected))
     if strongest.sigmas < TUNING.rig_check.suspect_sigmas:
         return RigCheck(motions, (), None, conclusive)
     others = [other for other in rig.names if other != name]
@@ -161,9 +163,12 @@ def _is_at_rest(
         isinstance(matches, CountedTracks)
         and matches.share_in_three_views >= tuning.clear_share
         and all(motion.sigmas < tuning.suspect_sigmas for motion in motions)
-        and all(result.segment_sigma_factor < tuning.most_noise for result in freed.values())
-        and all(_have_enough_lines(result) for result in freed.values())
+        and all(_is_quiet(result) and _have_enough_lines(result) for result in freed.values())
     )
+
+
+def _is_quiet(result: RefineResult) -> bool:
+    return result.segment_sigma_factor < TUNING.rig_check.most_noise
 
 
 def _have_enough_lines(result: RefineResult) -> bool:

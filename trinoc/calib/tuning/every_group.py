@@ -178,7 +178,8 @@ class RigCheckTuning:
     # Fewer lines are hardly enough for the six numbers of a camera. By hand.
     fewest_lines: int = 12
     # Lines that scatter more than so many stated sigmas are joined by chance: such scatter 1.2 to
-    # 2.3 times, right ones 0.9 to 1.1. Only where nothing can be matched again. Made scenes.
+    # 2.3 times, right ones 0.9 to 1.1. Such a scene is matched again, or where it cannot be,
+    # decides nothing. Made scenes.
     most_noise: float = 1.5
     # Where so large a share of every view's segments is on sure tracks of three views, no knock
     # hides the scene from the matcher. As `clear_share` of matching.
