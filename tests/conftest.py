@@ -50,6 +50,12 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Before the first import of trinoc: its annotated shapes and dtypes are checked.
 jaxtyping.install_import_hook("trinoc", "tests.first_calls.check_first_calls")
 
+from trinoc.io.compile_cache import FolderStore  # noqa: E402
+from trinoc.numerics.programs import forget_programs, set_program_store  # noqa: E402
+
+# What one worker has traced, the other need not trace again.
+set_program_store(FolderStore(Path(os.environ["JAX_COMPILATION_CACHE_DIR"])))
+
 # Compilation makes the first example slow, so a deadline would only measure the compiler. Where
 # nobody waits to mend it, a failing example is told as it was drawn: shrinking takes minutes.
 _phases = set(hypothesis.Phase)
@@ -114,7 +120,7 @@ def memory_in_use() -> float:
 
 def forget_what_was_compiled() -> None:
     """Give the memory of all programs back; the shared folder still has them."""
-    jax.clear_caches()
+    forget_programs()
     return_free_memory()
 
 

@@ -6,7 +6,7 @@ check takes longer than many a function. Code of a check is made when it is firs
 
 import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, ClassVar
 
 from beartype import BeartypeConf, beartype
@@ -22,6 +22,8 @@ class _File:
 
     number = 0
     past: ClassVar[list[Any]] = []
+    # A function within a function is made anew at each call of that: its check is made once.
+    made: ClassVar[dict[Hashable, Callable[..., Any]]] = {}
 
 
 def begin_file() -> None:
@@ -41,7 +43,11 @@ def check_first_calls(signature: Callable[..., Any]) -> Callable[..., Any]:
     def check(*arguments: Any, **named: Any) -> Any:
         nonlocal checked, file, left
         if checked is None:
-            checked = beartype(conf=_CONF)(signature)
+            kinds = tuple(map(repr, signature.__annotations__.items()))
+            key = signature.__module__, signature.__qualname__, signature.__code__.co_varnames, kinds
+            if key not in _File.made:
+                _File.made[key] = beartype(conf=_CONF)(signature)
+            checked = _File.made[key]
         if file != _File.number:
             file, left = _File.number, MOST_CALLS
         left -= 1

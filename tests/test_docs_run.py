@@ -4,6 +4,7 @@ The blocks of a page run in their order, commands in this process and snippets i
 What a page takes from its reader comes from the page itself, from the demo, or from `GIVEN`.
 """
 
+import contextlib
 import glob
 import importlib.util
 import os
@@ -179,7 +180,14 @@ def commands(block: str) -> list[list[str]]:
     return found
 
 
-def run_command(words: list[str]) -> None:
+# Where several pages begin. It runs as it stands in an empty folder, once for all of them.
+DEMO = ["trinoc", "demo", "--keep-inputs"]
+
+
+def run_command(words: list[str], demo: Path) -> None:
+    if words == DEMO and not os.listdir():
+        shutil.copytree(demo, "trinoc-demo")
+        return
     if words[0] == "cd":
         os.chdir(words[1])
         return
@@ -196,9 +204,9 @@ BESIDE_THE_DEMO = {"evaluate.md", "how-to.md", "matching.md", "refine.md", "segm
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("demo")
-    assert main(["demo", "--keep-inputs", "--quiet", "--out", str(folder)]) == 0
-    return folder
+    with contextlib.chdir(tmp_path_factory.mktemp("demo")):
+        assert main(DEMO[1:]) == 0
+        return Path("trinoc-demo").absolute()
 
 
 def run_page(name: str, left_out: set[str], demo: Path) -> None:
@@ -215,7 +223,7 @@ def run_page(name: str, left_out: set[str], demo: Path) -> None:
         else:
             for words in commands(text):
                 if " ".join(words) not in left_out:
-                    run_command(words)
+                    run_command(words, demo)
 
 
 @pytest.fixture(autouse=True)

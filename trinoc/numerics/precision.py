@@ -60,13 +60,13 @@ def is_outside() -> bool:
 
 def as_numpy(tree: Any) -> Any:
     """`tree` with every JAX array replaced by a NumPy array of the same dtype."""
+    return jax.tree.map(_leaf_as_numpy, tree, is_leaf=lambda node: isinstance(node, dict))
 
-    def convert(leaf: Any) -> Any:
-        if isinstance(leaf, dict):  # JAX would sort its keys; callers named their cameras in order
-            return {key: as_numpy(value) for key, value in leaf.items()}
-        return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
 
-    return jax.tree.map(convert, tree, is_leaf=lambda node: isinstance(node, dict))
+def _leaf_as_numpy(leaf: Any) -> Any:
+    if isinstance(leaf, dict):  # JAX would sort its keys; callers named their cameras in order
+        return {key: as_numpy(value) for key, value in leaf.items()}
+    return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
 
 
 def as_float(value: Any) -> Any:

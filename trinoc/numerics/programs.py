@@ -101,14 +101,22 @@ class _KeptProgram(NamedTuple):
     result: Any
 
 
-# The store of this process, if it has one.
+# The store of this process, if it has one, and what each kept function has loaded from it.
 _stores: list[ProgramStore | None] = [None]
+_loaded: list[dict[Hashable, _KeptProgram | None]] = []
 
 
 def set_program_store(store: ProgramStore | None) -> ProgramStore | None:
     """Use a store from now on, or none; returns the one before."""
     before, _stores[0] = _stores[0], store
     return before
+
+
+def forget_programs() -> None:
+    """Give the memory of all programs back, `jax.jit`'s too; the store still has its own."""
+    for programs in _loaded:
+        programs.clear()
+    jax.clear_caches()
 
 
 def kept_jit(
@@ -137,6 +145,7 @@ def kept_jit(
     }
     signature = inspect.signature(function)
     known: dict[Hashable, _KeptProgram | None] = {}
+    _loaded.append(known)
 
     def choose_jit(args: Any, kwargs: Any) -> Callable[..., Any]:
         return whole[count_numbers((args, kwargs)) >= optimized_from]
