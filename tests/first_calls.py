@@ -44,7 +44,8 @@ def check_first_calls(signature: Callable[..., Any]) -> Callable[..., Any]:
         nonlocal checked, file, left
         if checked is None:
             kinds = tuple(map(repr, signature.__annotations__.items()))
-            key = signature.__module__, signature.__qualname__, signature.__code__.co_varnames, kinds
+            names = signature.__code__.co_varnames
+            key = signature.__module__, signature.__qualname__, names, kinds
             if key not in _File.made:
                 _File.made[key] = beartype(conf=_CONF)(signature)
             checked = _File.made[key]
