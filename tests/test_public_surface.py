@@ -46,7 +46,7 @@ def test_options_are_those_of_the_reference(capsys):
     for command in commands(capsys):
         offered = set(re.findall(r"--[a-z][a-z0-9-]*", help_of(capsys, command)))
         documented = set(re.findall(r"--[a-z][a-z0-9-]*", sections[command]))
-        assert documented == offered - {"--help", "--json", "--quiet"}, command
+        assert documented == offered - {"--help", "--json", "--quiet", "--force"}, command
 
 
 def test_options_of_the_reference_are_as_their_classes_declare_them(monkeypatch):

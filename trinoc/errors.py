@@ -39,3 +39,13 @@ class CalibrationError(TrinocError):
 
 class MatchError(TrinocError):
     """The segments or the rig do not allow matching."""
+
+
+def check_kind(value: object, kinds: type | tuple[type, ...], name: str, wanted: str) -> None:
+    """Raise InputError where an argument is of another kind than those that a function takes.
+
+    `name` is what the argument is called, such as "rig"; `wanted` what to give.
+    """
+    if not isinstance(value, kinds):
+        kind = "None" if value is None else f"of type {type(value).__name__}"
+        raise InputError(f"The {name} is {kind}: give {wanted}.")

@@ -130,3 +130,20 @@ def test_a_remedy_that_no_option_has_is_not_said():
     command = MatchCommand(images=(), rig=Path("rig.json"))
     said = in_options(f"{note}candidates judged by it too.", command)
     assert said == "covariances are of the errors found."
+
+
+def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):
+    Path("link.json").symlink_to("rig.json")
+    Path("mine.json").write_text('{"mine": 1}')
+    Path("mine.npz").write_bytes(b"none of ours")
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    for place in ("rig.json", "link.json", "mine.json"):
+        assert main(["pattern", "-o", place]) == 1
+        assert "which would be lost: give another name, or --force" in capsys.readouterr().err
+    for place in ("mine.npz",):
+        assert main([*MATCH, "-o", place]) == 1
+        assert "which would be lost" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+    assert main(["pattern", "-o", "sheet.json"]) == 0
+    assert main(["pattern", "-o", "mine.json", "--force"]) == 0
+    assert trinoc.load("mine.json").kind == trinoc.load("sheet.json").kind

@@ -18,8 +18,8 @@ from trinoc.calib.result.status import Status
 from trinoc.calib.rig_fit import Knowledge, fit_circles, fit_rig
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.systematics import Systematics
-from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.errors import CalibrationError, InputError, check_kind
+from trinoc.geometry.intrinsics import A_LENS, Intrinsics
 from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
 from trinoc.numerics.precision import in_float64
 
@@ -153,6 +153,7 @@ def lens_of_each(
         raise InputError("No picture was given: give one for each camera, by name.")
     if isinstance(lens, Intrinsics):
         return dict.fromkeys(names, lens)
+    check_kind(lens, Mapping, "lens", f"{A_LENS}, or a dictionary of each camera's")
     missing = [name for name in names if name not in lens]
     if missing:
         raise InputError(

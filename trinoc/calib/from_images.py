@@ -1,7 +1,7 @@
 """Calibrate a rig from one picture of the sheet per camera."""
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from trinoc.calib.from_detections import Search, calibration_of_search, lens_of_
 from trinoc.calib.photometric.encoding import Encoding, Response, neutral_mosaic
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.rig_fit import Knowledge
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.pattern import A_PATTERN, Pattern
 from trinoc.calib.uncertainty.systematics import Systematics
-from trinoc.errors import DetectionError, InputError
+from trinoc.errors import DetectionError, InputError, check_kind
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
 from trinoc.image.grey import grey_image
@@ -72,6 +72,7 @@ def calibrate(
     encoding = Encoding(bayer, response)
     encoding.check()
     known = Knowledge(pattern, model, systematics or Systematics.typical(lenses), encoding)
+    check_kind(known.systematics, Systematics, "knowledge of the sheet", "trinoc.Systematics")
     known.systematics.check()
     detections, failures = {}, {}
     for name, image in images.items():
@@ -85,18 +86,11 @@ def calibrate(
     return calibration_of_search(search, lenses, known, orientation, throw=throw)
 
 
-def expect_pictures(images: object, pattern: object) -> None:
+def expect_pictures(images: Any, pattern: object) -> None:
     """Raises InputError for the slips of a first call, such as a file that was not read."""
-    if not isinstance(pattern, Pattern):
-        raise InputError(
-            f"The pattern is of type {type(pattern).__name__}: give a trinoc.Pattern, such as "
-            "load_pattern reads from a file."
-        )
-    if not isinstance(images, Mapping):
-        raise InputError(
-            f"The pictures are of type {type(images).__name__}: give a dictionary of each camera's "
-            'name and picture, such as {"left": image}.'
-        )
+    check_kind(pattern, Pattern, "pattern", A_PATTERN)
+    each = 'a dictionary of each camera\'s name and picture, such as {"left": image}'
+    check_kind(images, Mapping, "set of pictures", each)
     for name, image in images.items():
         if image is None or np.ndim(image) not in (2, 3):
             given = "None" if image is None else f"a {type(image).__name__}"

@@ -34,10 +34,11 @@ from trinoc.calib.shot_messages import (
 )
 from trinoc.calib.starts.camera_start import FEWEST_PLACES, start_camera
 from trinoc.calib.starts.pictures import find_boards
-from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.pattern import A_PATTERN, Pattern
 from trinoc.calib.uncertainty.propagation import field_places_px, field_sigma_px
 from trinoc.calib.uncertainty.systematics import Systematics
-from trinoc.errors import CalibrationError, InputError
+from trinoc.errors import CalibrationError, InputError, check_kind
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses import registry
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
@@ -96,6 +97,9 @@ def calibrate_intrinsics(
         `throw`, parameters that the pictures do not determine. The sentence names them and
         the picture to take next; `result` of the error is the IntrinsicsResult.
     """
+    many = "a list of pictures, or of what detect_pattern found in them"
+    check_kind(images_or_detections, (Sequence, np.ndarray), "list of pictures", many)
+    check_kind(pattern, AbstractTarget, "pattern", A_PATTERN)
     names = [f"picture {k + 1}" for k in range(len(images_or_detections))]
     pictures = {_CAMERA: dict(zip(names, images_or_detections, strict=True))}
     model = registry.lens_model(_CALLED.get(lens_model, lens_model))

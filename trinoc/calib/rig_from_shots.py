@@ -28,7 +28,7 @@ from trinoc.calib.shot_messages import (
 )
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import board_names, list_boards
-from trinoc.errors import InputError
+from trinoc.errors import InputError, check_kind
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.registry import simplify_lens
@@ -217,6 +217,7 @@ def next_shot(result: RigFromShots) -> NextShot | None:
     tilted in four ways or not, seen by every camera in whose picture it then lies. None where it
     lies in no picture. Raises InputError for a result that did not converge.
     """
+    check_kind(result, RigFromShots, "result", "what calibrate_rig returns")
     end = result.ended
     if end is None:
         raise InputError(f"There is no rig that a shot could be added to: {result.status.value}")

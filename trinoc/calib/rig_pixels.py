@@ -24,14 +24,14 @@ from trinoc.calib.problem.wrong_circles import drop_wrong_circles
 from trinoc.calib.starts.camera_start import on_board
 from trinoc.calib.starts.pictures import Pictures, deliver, name_pictures
 from trinoc.calib.starts.placing import of_one_moment
-from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.abstract_target import A_BOARD, AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import BoardSet
 from trinoc.calib.targets.markers import marker_cells, opencv_dictionary
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet, square_sheet
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.errors import InputError
+from trinoc.errors import InputError, check_kind
 from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.projection import project_points
 from trinoc.image.grey import grey_image
@@ -61,6 +61,8 @@ def expect_method(method: str, target: AbstractTarget, pictures: Mapping[str, Pi
     """Raises InputError for a method that there is not, or not for these."""
     if method not in ("points", "pixels"):
         raise InputError(f'method is {method!r}, but must be "points" or "pixels".')
+    check_kind(target, AbstractTarget, "board", A_BOARD)
+    check_kind(pictures, Mapping, "set of pictures", "a dictionary of each camera's shots")
     if method == "pixels" and isinstance(target, BoardSet):
         raise InputError(
             f'"{target.name}" holds several boards, and method "pixels" fits one: give '

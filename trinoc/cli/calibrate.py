@@ -120,10 +120,10 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
         from trinoc.io.board_json import load_pattern
         from trinoc.io.images import read_views
         from trinoc.io.rig_json import load_rig
-        from trinoc.io.saving import expect_ending, save
+        from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out, self.report)
-        expect_ending(self.out, Rig)
+        expect_replaceable(self.out, Rig, force=self.force)
         pattern = load_pattern(self.board).rescale(*self.print_scale)
         images = read_views(files)
         lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})

@@ -102,10 +102,10 @@ class CalibrateRigCommand(ReportOption, Command):
         from trinoc.io.board_json import load_target
         from trinoc.io.images import load_shots
         from trinoc.io.intrinsics_json import load_intrinsics
-        from trinoc.io.saving import expect_ending, save
+        from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out, self.report)
-        expect_ending(self.out, Rig)
+        expect_replaceable(self.out, Rig, force=self.force)
         target = one_target([(board.stem, load_target(board)) for board in self.board])
         pictures = load_shots(places)
         known: Any = None

@@ -202,6 +202,9 @@ class Command(abc.ABC):
     quiet: bool = False
     """Show no progress on stderr."""
 
+    force: bool = False
+    """Replace files of another kind."""
+
     @classmethod
     def command_name(cls) -> str:
         """What the user types: `CalibrateRigCommand` is `calibrate-rig`."""

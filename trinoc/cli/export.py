@@ -132,13 +132,14 @@ class ExportCommand(Command):
         from trinoc.geometry.segments import Segments
         from trinoc.io.atomic import expect_place
         from trinoc.io.formats.registry import FORMATS
-        from trinoc.io.saving import save
+        from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out)
         source = FORMATS[str(self.source)]
         names = None if self.names is None else [name.strip() for name in self.names.split(",")]
         lenses = self._lenses()
         value = source.load(self.file, unit_mm=self.unit_mm, lenses=lenses, names=names)
+        expect_replaceable(self.out, type(value), force=self.force)
         save(value, self.out, provenance=provenance(command_line, self._inputs()))
         match value:
             case Rig():

@@ -81,10 +81,10 @@ class IntrinsicsCommand(Command):
         from trinoc.io.atomic import expect_place
         from trinoc.io.board_json import load_pattern
         from trinoc.io.images import read_image
-        from trinoc.io.saving import expect_ending, save
+        from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out)
-        expect_ending(self.out, Intrinsics)
+        expect_replaceable(self.out, Intrinsics, force=self.force)
         pattern = load_pattern(self.board)
         images = [read_image(path) for path in each(self.images, "reading", quiet=self.quiet)]
         LOGGER.info("calibrating the lens of %d pictures", len(images))

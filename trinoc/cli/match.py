@@ -91,20 +91,18 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
 
         from trinoc.cli.command import provenance
         from trinoc.io.atomic import expect_place
-        from trinoc.io.saving import expect_ending, save
+        from trinoc.io.saving import expect_replaceable, save
         from trinoc.match.features import FEATURES
         from trinoc.match.matcher import match_segments
         from trinoc.match.steps import STEPS, improve
         from trinoc.match.tracks.matches import Matches, MatchStatus
         from trinoc.report.features_part import features_record, features_text
 
-        places = [
-            self.out,
-            *(self.place_of(kind.KIND) for kind in FEATURES if kind.KIND in self.steps),
-            self.report,
-        ]
+        kept = [kind for kind in FEATURES if kind.KIND in self.steps]
+        places = [self.out, *(self.place_of(kind.KIND) for kind in kept), self.report]
         expect_place(*places)
-        expect_ending(self.out, Matches)
+        for place, kind in zip(places[:-1], (Matches, *kept), strict=True):
+            expect_replaceable(place, kind, force=self.force)
         rig = read_rig(self.rig)
         files = files_of_rig(self.images, rig.names)
         check_views(files, rig, self.rig)

@@ -150,6 +150,10 @@ class PatternCommand(Command):
                 f"{self.out}: a layout is JSON: choose a name that ends in .json, or in .png for "
                 "a screen as target."
             )
+        from trinoc.calib.targets.abstract_target import AbstractTarget
+        from trinoc.io.saving import expect_replaceable
+
+        expect_replaceable(self.out.with_suffix(".json"), AbstractTarget, force=self.force)
         screen = read_screen(self.screen, is_meant=kind == ".png")
         proposal = self._proposal(screen)
         sheet = self._board(proposal)

@@ -63,10 +63,10 @@ class RefineCommand(Command):
         from trinoc.cli.views import read_scene
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
-        from trinoc.io.saving import expect_ending, save
+        from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out)
-        expect_ending(self.out, Rig)
+        expect_replaceable(self.out, Rig, force=self.force)
         rig = read_rig(self.rig)
         scene = read_scene(self.images, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("refining %d cameras and %d lines", len(rig), len(scene.matches))
@@ -146,10 +146,10 @@ class CheckCommand(Command):
         from trinoc.cli.views import read_scene
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
-        from trinoc.io.saving import expect_ending, save
+        from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out)
-        expect_ending(self.out, Rig)
+        expect_replaceable(self.out, Rig, force=self.force)
         rig = read_rig(self.rig)
         scene = read_scene(self.images, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("checking %d cameras with %d lines", len(rig), len(scene.matches))

@@ -83,14 +83,14 @@ class SegmentsCommand(Command):
         from trinoc.geometry.segments import Segments
         from trinoc.io.atomic import expect_place
         from trinoc.io.images import read_image
-        from trinoc.io.saving import expect_ending, save
+        from trinoc.io.saving import expect_replaceable, save
         from trinoc.segments.find import find_segments
         from trinoc.segments.nothing_found import why_nothing
 
         settings = {name: getattr(self, name) for name in FIND}
         expect_find(settings, lambda name: f"--{name.replace('_', '-')}")
         expect_place(self.out)
-        expect_ending(self.out, Segments)
+        expect_replaceable(self.out, Segments, force=self.force)
         image = read_image(self.image)
         segments = find_segments(image, **settings)
         save(segments, self.out)

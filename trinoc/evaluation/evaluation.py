@@ -206,7 +206,7 @@ def _as_lines(lines: LinesInSpace | UncertainLines | ArrayLike) -> UncertainLine
         if isinstance(lines, LinesInSpace):
             ends, covariance = np.asarray(lines.lines_mm), np.asarray(lines.covariance_mm2)
         else:
-            ends = np.asarray(lines, dtype=np.float64).reshape(-1, 2, 3)
+            ends = _as_ends(lines, "lines", "Matches, such as match_segments finds")
             covariance = np.zeros((len(ends), 6, 6))
         if covariance.shape != (len(ends), 6, 6):
             raise InputError(
@@ -221,12 +221,21 @@ def _as_lines(lines: LinesInSpace | UncertainLines | ArrayLike) -> UncertainLine
     return select_lines(lines, np.flatnonzero(length > 0))
 
 
+def _as_ends(given: object, name: str, wanted: str) -> Float[np.ndarray, "n 2 3"]:
+    try:
+        return np.asarray(given, dtype=np.float64).reshape(-1, 2, 3)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"The {name} hold no ends of lines in space: give {wanted}, or (n, 2, 3) numbers in mm."
+        ) from error
+
+
 def _as_shape(shape: KnownShape | SceneTruth | ArrayLike) -> KnownShape:
     if isinstance(shape, SceneTruth):
         return KnownShape.of_scene(shape)
     if isinstance(shape, KnownShape):
         return shape
-    edges = np.asarray(shape, dtype=np.float64).reshape(-1, 2, 3)
+    edges = _as_ends(shape, "known edges", "what load_shape reads from a file")
     if not np.isfinite(edges).all():
         raise InputError("The known edges have ends that are not finite: leave such edges out.")
     return KnownShape.of_edges(edges)

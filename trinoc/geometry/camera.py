@@ -20,7 +20,11 @@ from trinoc.numerics.precision import (
     ScalarLike,
     as_float,
     in_float64,
+    is_traced,
 )
+
+# Of the method's four parameters.
+POSE_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
 
 
 class Camera(eqx.Module):
@@ -32,6 +36,12 @@ class Camera(eqx.Module):
 
     intrinsics: Intrinsics
     pose: Pose
+
+    def __repr__(self) -> str:
+        if is_traced(self):
+            return super().__repr__()
+        own = (f"{name}={getattr(self, name):.6g}" for name in POSE_NAMES)
+        return f"<Camera: {', '.join(own)}, {self.intrinsics!r}>"
 
     @classmethod
     @in_float64

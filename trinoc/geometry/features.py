@@ -42,9 +42,6 @@ class Feature(Displayable, Table):
 
     READ_FIRST: ClassVar[tuple[str, ...]] = ()
 
-    def __len__(self) -> int:
-        return len(next(iter(self.rows().values())))
-
     def summary(self) -> str:
         """What was found, in a sentence."""
         return f"{len(self)} {self.IN_WORDS}."

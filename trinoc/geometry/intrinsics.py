@@ -24,6 +24,9 @@ from trinoc.numerics.precision import (
     is_traced,
 )
 
+# What to give where a lens is wanted.
+A_LENS = "trinoc.Intrinsics, such as load reads from a camera.json"
+
 
 class Intrinsics(eqx.Module):
     """A lens in front of a sensor: pinhole with optional skew and distortion.
@@ -75,7 +78,7 @@ class Intrinsics(eqx.Module):
                 "or focal_length_px alone."
             )
         width, height = (int(side) for side in image_size_px)
-        if width < 1 or height < 1:
+        if width < 1 or height < 1 or (width, height) != tuple(image_size_px):
             raise InputError(
                 f"image_size_px is {tuple(image_size_px)}, but must be (width, height) in whole "
                 "positive pixels."
@@ -90,6 +93,14 @@ class Intrinsics(eqx.Module):
         )
         self.image_size_px = (width, height)
         self.pixel_pitch_mm = None if pitch is None else (float(pitch[0]), float(pitch[1]))
+
+    def __repr__(self) -> str:
+        if is_traced(self):
+            return super().__repr__()
+        values = zip(self.lens.parameter_names, np.asarray(self.lens.parameters), strict=True)
+        numbers = ", ".join(f"{name}={value:.6g}" for name, value in values)
+        width, height = self.image_size_px
+        return f"<Intrinsics: {width} x {height} px, {self.distortion_model}, {numbers}>"
 
     @classmethod
     def of_lens(

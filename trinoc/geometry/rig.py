@@ -7,14 +7,16 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.errors import InputError
-from trinoc.geometry.camera import Camera
+from trinoc.errors import InputError, check_kind
+from trinoc.geometry.camera import POSE_NAMES, Camera
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike
 
 # Centres nearer to each other than this share of their distance from the sheet are one place.
 _ONE_PLACE = 1e-6
-PARAMETER_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_x_mm", "aim_y_mm")
+# What to give where a rig is wanted.
+A_RIG = "a trinoc.Rig, such as load_rig reads from a file"
+PARAMETER_NAMES = (*POSE_NAMES, "aim_x_mm", "aim_y_mm")
 
 
 class Rig(Displayable, eqx.Module):
@@ -40,6 +42,9 @@ class Rig(Displayable, eqx.Module):
         parameters: Sequence[str] = (),
         covariance: Float[ArrayLike, "p p"] | None = None,
     ) -> None:
+        check_kind(cameras, Mapping, "set of cameras", "a dictionary of names and cameras")
+        for name, camera in cameras.items():
+            check_kind(camera, Camera, f'camera "{name}"', "a trinoc.Camera")
         self.names = tuple(cameras)
         self.cameras = tuple(cameras.values())
         self.parameters = tuple(parameters)
@@ -94,8 +99,16 @@ class Rig(Displayable, eqx.Module):
         return np.stack([camera.matrix_px for camera in self.cameras])
 
     def value(self, parameter: str) -> float:
-        """A parameter of `PARAMETER_NAMES` such as "upper.pan_deg", in degrees or millimetres."""
+        """A parameter of `PARAMETER_NAMES` such as "upper.pan_deg", in degrees or millimetres.
+
+        Raises InputError for another name.
+        """
         name, _, own = parameter.rpartition(".")
+        if own not in PARAMETER_NAMES:
+            raise InputError(
+                f'A camera has no parameter "{own}": ask for one such as "{self.names[0]}.pan_deg" '
+                f"of {', '.join(PARAMETER_NAMES)}."
+            )
         if own.startswith("aim_"):
             return self[name].aim_mm[0 if own == "aim_x_mm" else 1]
         return getattr(self[name], own)
@@ -108,8 +121,14 @@ class Rig(Displayable, eqx.Module):
         return np.where(np.outer(known, known), chosen, 0.0)
 
     def sigma(self, parameter: str) -> float:
-        """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known."""
+        """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known.
+
+        Raises InputError for a name that is neither of `PARAMETER_NAMES` nor the lens's.
+        """
         if parameter not in self.parameters:
+            name, _, own = parameter.rpartition(".")
+            if own not in self[name].intrinsics.lens.parameter_names:
+                self.value(parameter)
             return float("nan")
         index = self.parameters.index(parameter)
         return float(np.sqrt(self.covariance[index, index]))

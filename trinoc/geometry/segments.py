@@ -66,9 +66,6 @@ class Junctions(Table):
         Column(ColumnCheck("is neither end nor body", lambda end, _: np.isin(end, (BODY, 0, 1)))),
     ]
 
-    def __len__(self) -> int:
-        return len(self.uv_px)
-
 
 _ENDS = ("u1_px", "v1_px", "u2_px", "v2_px")
 
@@ -145,18 +142,13 @@ class Segments(Displayable, Table):
         """Segments of any detector: (n, 4) rows x1 y1 x2 y2, or (n, 2, 2).
 
         `sigma_px` is the standard deviation of each end across the segment, `sigma_along_px`
-        along it. Raises InputError for other shapes, for coordinates that are not finite and
-        for segments without length, and names the first of them.
+        along it. Raises InputError for sigmas that are not positive, for other shapes, for
+        coordinates that are not finite and for segments without length, and names the first.
         """
-        array = np.asarray(endpoints_px, dtype=np.float64)
-        if array.size == 0:
-            array = array.reshape(0, 2, 2)
-        elif array.shape[1:] not in ((4,), (2, 2)):
-            raise InputError(
-                f"Segments have shape {array.shape}, but must be (n, 4) with rows x1 y1 x2 y2, "
-                "or (n, 2, 2)."
-            )
-        array = array.reshape(-1, 2, 2)
+        for name, sigma in (("sigma_px", sigma_px), ("sigma_along_px", sigma_along_px)):
+            if not sigma > 0:
+                raise InputError(f"{name} is {sigma}, but must be positive: no end is exact.")
+        array = as_endpoints(endpoints_px)
         broken = np.flatnonzero(~np.isfinite(array).all(axis=(1, 2)))
         if len(broken):
             raise InputError(
@@ -178,9 +170,6 @@ class Segments(Displayable, Table):
             np.zeros(count, dtype=np.int64),
             image_size_px,
         )
-
-    def __len__(self) -> int:
-        return len(self.endpoints_px)
 
     def take(self, rows: np.ndarray) -> "Segments":
         """Some of them, without their junctions, which number all."""
@@ -205,6 +194,25 @@ class Segments(Displayable, Table):
     def length_px(self) -> Float[ArrayLike, "n"]:
         """Distance between the two ends."""
         return np.linalg.norm(np.diff(self.endpoints_px, axis=1)[:, 0], axis=-1)
+
+
+def as_endpoints(given: ArrayLike) -> Float[np.ndarray, "n 2 2"]:
+    """Rows x1 y1 x2 y2, or pairs of ends, as pairs. Raises InputError for other shapes."""
+    try:
+        array = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"Segments of type {type(given).__name__} hold no numbers: give an array of (n, 4) "
+            "rows x1 y1 x2 y2, or what load_segments reads from a file."
+        ) from error
+    if array.size == 0:
+        return array.reshape(0, 2, 2)
+    if array.shape[1:] not in ((4,), (2, 2)):
+        raise InputError(
+            f"Segments have shape {array.shape}, but must be (n, 4) with rows x1 y1 x2 y2, or "
+            "(n, 2, 2); those of a picture are what find_segments finds."
+        )
+    return array.reshape(-1, 2, 2)
 
 
 def covariance_of_ends(

@@ -48,6 +48,42 @@ def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
             raise InputError(f"{path}: {words} {are} written as {ending}: choose such a name.")
 
 
+def expect_replaceable(
+    path: str | os.PathLike[str] | None, kind: type, *, force: bool = False
+) -> None:
+    """Before a long job: raise InputError for a name that `save` would refuse a value of a kind,
+    and, unless forced, where a file stands that holds something else."""
+    expect_ending(path, kind)
+    if path is None or force or not Path(path).exists() or not Path(path).stat().st_size:
+        return
+    try:
+        stated = _stated_format(Path(path))
+    except InputError:
+        stated = None
+    if stated not in _formats_of(kind):
+        held = f"a file of {stated}" if isinstance(stated, str) and stated else "no such value"
+        raise InputError(
+            f"{path} is there and holds {held}, which would be lost: give another name, or --force."
+        )
+
+
+def _stated_format(file: Path) -> object:
+    """What a JSON or npz file says that it is; None where it says nothing."""
+    if file.suffix.lower() == ".json":
+        values = parsed_json(read_text(file), file)
+        return values.get("format") if isinstance(values, dict) else None
+    return format_of_arrays(file)
+
+
+def _formats_of(kind: type) -> tuple[str, ...]:
+    """What files of a kind of value say that they are."""
+    if issubclass(kind, Table):
+        return (f"trinoc-{kind.KIND}",)
+    if issubclass(kind, AbstractTarget):
+        return board_json.PATTERN_FORMAT, board_json.FORMAT
+    return (rig_json.FORMAT if issubclass(kind, Rig) else intrinsics_json.FORMAT,)
+
+
 def save(
     value: object,
     path: str | os.PathLike[str],
@@ -94,11 +130,8 @@ def load(path: str | os.PathLike[str]) -> Any:
     if file.suffix.lower() in _BY_ENDING:
         return _BY_ENDING[file.suffix.lower()](file)
     stated: object = None
-    if file.suffix.lower() == ".json":
-        values = parsed_json(read_text(file), file)
-        stated = values.get("format") if isinstance(values, dict) else None
-    elif file.suffix.lower() == ".npz" or not file.exists():
-        stated = format_of_arrays(file)
+    if file.suffix.lower() in (".json", ".npz") or not file.exists():
+        stated = _stated_format(file)
     readers = _readers()
     if not isinstance(stated, str) or stated not in readers:
         documents = ", ".join(words for words, _ in _BY_FORMAT.values())

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.candidates.table import Candidates
@@ -60,17 +61,30 @@ def match_segments(
     Raises
     ------
     MatchError, InputError : names without a camera, fewer than two views, coordinates that
-        are not finite, segments without length, mirrored cameras.
+        are not finite, segments without length, mirrored cameras, depths that are no range.
 
     The order of segments, of their ends and of views changes nothing but the numbering.
 
     Source: Yokoi, Medioni and Nevatia, "A segment-based matching algorithm in trinocular
     vision", 1986: candidates, selection by neighbours, occluded segments.
     """
+    check_depth_range(depth_range_mm)
     frame = prepare_frame(segments, rig, sigma_px, tuning.sides)
     found = match_frames([frame], [tuple(segments)], depth_range_mm, tuning)[0]
     check_before_cameras(frame, found, segments, rig, sigma_px, depth_range_mm, tuning)
     return check_together(frame, tuple(segments), found, depth_range_mm, tuning)
+
+
+def check_depth_range(depth_range_mm: tuple[float, float] | None) -> None:
+    """Raises InputError for what is no pair of depths, or holds none."""
+    if depth_range_mm is None:
+        return
+    near, far = depth_range_mm if np.shape(depth_range_mm) == (2,) else (np.nan, np.nan)
+    if not 0 <= near < far:
+        raise InputError(
+            f"depth_range_mm is {depth_range_mm}, which holds no depth: give the least, then the "
+            "greatest, in mm."
+        )
 
 
 def check_together(

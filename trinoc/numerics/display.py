@@ -7,8 +7,8 @@ Drawing stands on a floor above the values. The package's front door says who dr
 from collections.abc import Callable
 from typing import Any
 
-# What gives the one who draws values. It has the four functions `html`, `plot`, `show` and
-# `to_frame`, which take the value first.
+# What gives the one who draws values. It has the functions `heading`, `html`, `plot`,
+# `show` and `to_frame`, which take the value first.
 _sources: list[Callable[[], Any]] = []
 
 
@@ -18,7 +18,10 @@ def set_displays(source: Callable[[], Any]) -> None:
 
 
 class Displayable:
-    """A value that shows itself in notebooks."""
+    """A value that shows itself, at a prompt and in notebooks."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {_sources[0]().heading(self)}>"
 
     def _repr_html_(self) -> str:
         """A table and a small picture, for notebooks."""

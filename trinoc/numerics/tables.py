@@ -10,8 +10,8 @@ import dataclasses
 import functools
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar, overload
 
 import equinox as eqx
 import jax
@@ -98,6 +98,28 @@ class Table(eqx.Module):
     SIDES: ClassVar[Mapping[str, str]] = {}
     DERIVED: ClassVar[Mapping[str, Sequence[str]]] = {}
 
+    def __len__(self) -> int:
+        return len(next(iter(self.rows().values())))
+
+    @overload
+    def __getitem__(self, rows: int | np.integer) -> "Row": ...
+
+    @overload
+    def __getitem__(
+        self: _TableType, rows: slice | Sequence[int] | Sequence[bool] | np.ndarray
+    ) -> _TableType: ...
+
+    def __getitem__(self, rows: Any) -> Any:
+        """One row, or the table of some: a slice, indices, or a mask, as of a NumPy array.
+
+        Raises IndexError for a row that is not there and for a mask of another length.
+        """
+        chosen = np.arange(len(self))[rows]
+        return Row(self, int(chosen)) if np.ndim(chosen) == 0 else self.take(chosen)
+
+    def __iter__(self) -> Iterator["Row"]:
+        return (Row(self, number) for number in range(len(self)))
+
     def rows(self) -> dict[str, Any]:
         """The fields that have a row for each row of the table, those of a dictionary in one."""
         first = next(iter(self.SIDES))
@@ -145,6 +167,33 @@ class Table(eqx.Module):
         return columns
 
 
+class Row:
+    """One row of a table: its part of each column and property of rows, by that one's name."""
+
+    def __init__(self, table: Table, number: int) -> None:
+        self._table, self._number = table, number
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in dir(self):
+            raise AttributeError(f"A row of {type(self._table).__name__} has no {name}.")
+        rows = self._table.rows()
+        if name in rows:
+            return take_rows(rows[name], self._number)
+        return getattr(self._table.take(np.array([self._number])), name)[0]
+
+    def __dir__(self) -> list[str]:
+        return [*self._table.rows(), *self._table.DERIVED]
+
+    def __repr__(self) -> str:
+        own = self._table.take(np.array([self._number])).named_columns(brief=True)
+        numbers = ", ".join(f"{name}={_brief_number(column[0])}" for name, column in own.items())
+        return f"<{type(self._table).__name__}[{self._number}]: {numbers}>"
+
+
+def _brief_number(value: Any) -> str:
+    return f"{value:.5g}" if isinstance(value, (float, np.floating)) else str(value)
+
+
 def _name_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str, np.ndarray]:
     """The numbers of each row by name; of covariances, the upper triangle."""
     if array.ndim == 1:
@@ -184,7 +233,7 @@ def _field(field: dataclasses.Field, hint: Any) -> Field:
     return Field(field.name, plain[0], column, optional, kind, tuple(plain[0].dim_str.split()))
 
 
-def take_rows(table: _Rows, rows: np.ndarray | slice) -> _Rows:
+def take_rows(table: _Rows, rows: np.ndarray | slice | int) -> _Rows:
     """The rows at the given indices, in that order, or where the mask is true, of each column of a
     tree."""
     return jax.tree.map(lambda column: column[rows], table)

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from trinoc.errors import InputError
-from trinoc.geometry.intrinsics import Intrinsics, distort_pixels, undistort_pixels
+from trinoc.errors import InputError, check_kind
+from trinoc.geometry.intrinsics import A_LENS, Intrinsics, distort_pixels, undistort_pixels
 from trinoc.geometry.segments import Segments
 from trinoc.image.light import Light
 from trinoc.image.response import ResponseLike
@@ -132,6 +132,7 @@ def _check_options(tolerance_px: float, false_alarms: float, least_contrast: flo
 
 
 def _check_lens(lens: Intrinsics | None, size_px: tuple[int, int]) -> None:
+    check_kind(lens, (Intrinsics, type(None)), "lens", A_LENS)
     if lens is not None and tuple(lens.image_size_px) != size_px:
         raise InputError(
             f"The picture is {size_px[0]} x {size_px[1]} px, but the lens was given for "

@@ -19,10 +19,10 @@ from trinoc.calib.bundle.estimate import FreeParameters, joint_estimate, squared
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.errors import CalibrationError, InputError
+from trinoc.errors import CalibrationError, InputError, check_kind
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.geometry.rig import Rig
+from trinoc.geometry.rig import A_RIG, Rig
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.geometry.segments import LineObservations
 from trinoc.numerics.precision import as_numpy, in_float64
@@ -40,6 +40,8 @@ class MatchedTracks(Protocol):
         ...
 
 
+# What to give where tracks are wanted.
+A_MATCH = "Matches, such as match_segments finds"
 Matcher = Callable[[Rig], MatchedTracks | LineObservations]
 
 
@@ -74,6 +76,8 @@ def refine(
     track is left.
     """
     rig = calibrated.rig if isinstance(calibrated, CalibrationResult) else calibrated
+    check_kind(rig, Rig, "rig", A_RIG)
+    check_kind(matches, (MatchedTracks, LineObservations), "set of matches", A_MATCH)
     unknown = sorted(set(moved) - set(rig.names))
     if unknown:
         raise InputError(

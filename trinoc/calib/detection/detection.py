@@ -49,9 +49,6 @@ class Detection(Table):
     image_size_px: Annotated[tuple[int, int], Column(PICTURE_SIZE)] = eqx.field(static=True)
     ambiguity: Annotated[Int[np.ndarray, "k m"] | None, Column(NOT_NEGATIVE)] = None
 
-    def __len__(self) -> int:
-        return len(self.circle_index)
-
     def with_larger_sigmas(self, factor: float) -> "Detection":
         """The same circles, their centres' standard deviations `factor` times as large."""
         covariance_px2 = factor**2 * self.covariance_px2

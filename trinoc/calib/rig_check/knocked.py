@@ -20,9 +20,9 @@ from trinoc.calib.bundle.refinement import MatchedTracks, Matcher, refine
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.rig_check.comparison import sigmas_of_chi_square
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.errors import CalibrationError
+from trinoc.errors import CalibrationError, check_kind
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
-from trinoc.geometry.rig import Rig
+from trinoc.geometry.rig import A_RIG, Rig
 from trinoc.geometry.segments import LineObservations
 
 
@@ -119,6 +119,7 @@ def check_rig(
     Raises CalibrationError where the rig has no covariance or where fewer than three cameras
     see the scene: two views of lines agree with any motion.
     """
+    check_kind(rig, Rig, "rig", A_RIG)
     if not rig.parameters or len(rig) < 3:
         raise CalibrationError(
             "Whether a camera moved can be told only for three or more cameras with the "

@@ -9,6 +9,9 @@ import numpy as np
 from equinox import AbstractVar
 from jaxtyping import Float
 
+# What to give where a board is wanted.
+A_BOARD = "a Pattern, Chessboard, Charuco, AprilGrid or BoardSet"
+
 
 class AbstractTarget(eqx.Module):
     """Places that a detector labels: centres of circles, or corners.

@@ -20,6 +20,10 @@ LINE_STYLES = ("stop", "through", "white")
 _ARC_POINTS = 48
 
 
+# What to give where a sheet is wanted.
+A_PATTERN = "a trinoc.Pattern, such as load_pattern reads from a file"
+
+
 class Pattern(Displayable, AbstractBoard):
     """Circles (discs or rings) and two crossed lines, in millimetres on the sheet Z = 0.
 

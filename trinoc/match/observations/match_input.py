@@ -14,10 +14,15 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.errors import MatchError
+from trinoc.errors import MatchError, check_kind
 from trinoc.geometry.intrinsics import Intrinsics, undistort_pixels
-from trinoc.geometry.rig import Rig, at_one_place
-from trinoc.geometry.segments import DEFAULT_SIGMA_PX, Segments, covariance_of_ends
+from trinoc.geometry.rig import A_RIG, Rig, at_one_place
+from trinoc.geometry.segments import (
+    DEFAULT_SIGMA_PX,
+    Segments,
+    as_endpoints,
+    covariance_of_ends,
+)
 from trinoc.match.observations.common_view import check_not_mirrored
 from trinoc.match.observations.side_intensity import side_table
 from trinoc.match.observations.table import SegmentTable, segment_table
@@ -229,6 +234,9 @@ def _content(view: _PreparedView) -> tuple[int, list[float]]:
 
 
 def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None:
+    check_kind(rig, Rig, "rig", A_RIG)
+    each = "a dictionary of each camera's name and segments, such as find_segments finds"
+    check_kind(segments, Mapping, "set of segments", each)
     missing = [name for name in segments if name not in rig.names]
     if missing:
         raise MatchError(
@@ -264,7 +272,7 @@ def _check_different(views: Mapping[str, _PreparedView]) -> None:
 
 def _check_counts(segments: Mapping[str, Segments | ArrayLike]) -> None:
     for name, given in segments.items():
-        count = np.size(given.endpoints_px if isinstance(given, Segments) else given) // 4
+        count = len(given if isinstance(given, Segments) else as_endpoints(given))
         if count > MOST_SEGMENTS:
             raise MatchError(
                 f"Matching takes {MOST_SEGMENTS} segments of a view at most, but "

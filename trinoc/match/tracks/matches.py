@@ -211,9 +211,6 @@ class Matches(Displayable, Table):
         ),
     ] = field(default_factory=dict)
 
-    def __len__(self) -> int:
-        return len(self.index)
-
     @property
     def status(self) -> MatchStatus:
         """SUSPECT where chance gives about as many lines as the rig: see the first note."""

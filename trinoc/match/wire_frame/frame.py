@@ -44,9 +44,6 @@ class LetGo(Table):
     place_mm: Annotated[Float[np.ndarray, "k 3"], Column(parts=("x_mm", "y_mm", "z_mm"))]
     reason: Shaped[np.ndarray, "k"]
 
-    def __len__(self) -> int:
-        return len(self.track)
-
 
 def _sizes_of_parts(table: Content) -> list[int]:
     """The numbers of vertices that each part has, in rows of its covariance."""

@@ -12,7 +12,9 @@ from trinoc.evaluation.evaluation import Evaluation
 from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
+from trinoc.match.observations.unusable import sigma_across_px
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tuning.tracks import DecoyTuning
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.tables import Table
 from trinoc.report.notebook.tables import list_columns
@@ -31,10 +33,11 @@ def make_card(value: object) -> str:
     """HTML that needs nothing but itself."""
     brief = value.named_columns(brief=True) if isinstance(value, Table) else list_columns(value)
     columns = {name: np.asarray(column) for name, column in brief.items()}
-    picture = _svg(small_picture(value))
+    picture, notes = _svg(small_picture(value)), " ".join(getattr(value, "notes", ()))
     return (
         f'<div style="display:flex;gap:1.5em;align-items:flex-start;flex-wrap:wrap">{picture}'
         f"<div><p><b>{escape(type(value).__name__)}</b>: {escape(heading(value))}</p>"
+        f"<p>{escape(notes)}</p>"
         f"{_table(columns)}</div></div>"
     )
 
@@ -87,9 +90,7 @@ def _(rig: Rig) -> str:
 @heading.register
 def _(result: CalibrationResult) -> str:
     said = ", ".join(f"{name} {status.name}" for name, status in result.status.items())
-    notes = " ".join(result.notes)
-    included = ", ".join(("noise", *result.systematics))
-    return f"{said}; sigmas include {included}. {notes}".strip()
+    return f"{said}; sigmas include {', '.join(('noise', *result.systematics))}"
 
 
 @heading.register
@@ -106,17 +107,25 @@ def _(pattern: Pattern) -> str:
 
 @heading.register
 def _(segments: Segments) -> str:
-    total = float(np.sum(np.asarray(segments.length_px)))
-    return f"{len(segments)} segments, {total:.0f} px in all"
+    if not len(segments):
+        return "none"
+    ends, covariance = (np.asarray(e) for e in (segments.endpoints_px, segments.covariance_px2))
+    length = float(np.median(np.asarray(segments.length_px)))
+    across = float(np.median(sigma_across_px(ends, covariance)))
+    return (
+        f"{len(segments)} segments, in the median {length:.1f} px long, +- {across:.2g} px across"
+    )
 
 
 @heading.register
 def _(matches: Matches) -> str:
     stage = np.asarray(matches.stage)
     three, two = int((stage == TRINOCULAR).sum()), int((stage == BINOCULAR).sum())
-    notes = " ".join(matches.notes)
-    views = ", ".join(matches.views)
-    return f"{three} tracks in three views or more, {two} in two ({views}). {notes}".strip()
+    sure = int((np.asarray(matches.posterior) > DecoyTuning.sure).sum())
+    return (
+        f"{three} tracks in three views or more, {two} in two ({', '.join(matches.views)}); "
+        f"{sure} of probability over {DecoyTuning.sure}"
+    )
 
 
 @heading.register

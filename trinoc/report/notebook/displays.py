@@ -1,9 +1,10 @@
-"""The four ways in which a value shows itself, each by its kind."""
+"""The ways in which a value shows itself, each by its kind."""
 
 from typing import Any
 
+from trinoc.numerics.precision import is_traced
 from trinoc.report.notebook.axes import plot_value
-from trinoc.report.notebook.cards import make_card
+from trinoc.report.notebook.cards import heading, make_card
 from trinoc.report.notebook.extras import expect_extra
 from trinoc.report.notebook.figures import make_figure
 from trinoc.report.notebook.tables import list_columns
@@ -11,6 +12,10 @@ from trinoc.report.notebook.tables import list_columns
 
 class NotebookDisplays:
     """What `trinoc.numerics.Displayable` asks for."""
+
+    def heading(self, value: Any) -> str:
+        """A line of text; within `jit`, `grad` or `vmap` there are no numbers to tell."""
+        return "traced" if is_traced(value) else heading(value)
 
     def html(self, value: Any) -> str:
         """A table and a small picture, as HTML."""
