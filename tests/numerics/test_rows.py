@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from tests.io.formats.bench import bench_matches
 from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.tables import Row, Table
+from trinoc.numerics.tables import TableRow, Table
 
 MATCHES = bench_matches()
 SEGMENTS = Segments.from_endpoints(np.random.default_rng(1).uniform(0, 400, (len(MATCHES), 4)))
@@ -41,7 +41,7 @@ def test_indices_slices_and_masks_are_those_of_an_array(table: Table, rows: list
 @TABLES
 def test_a_row_holds_its_part_of_each_column(table: Table) -> None:
     for number, row in enumerate(table):
-        assert isinstance(row, Row)
+        assert isinstance(row, TableRow)
         for name, column in table.rows().items():
             own = getattr(row, name)
             if not isinstance(column, dict):

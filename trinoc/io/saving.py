@@ -60,7 +60,7 @@ def expect_replaceable(
         stated = _stated_format(Path(path))
     except InputError:
         stated = None
-    if stated not in _formats_of(kind):
+    if stated not in _list_formats(kind):
         held = f"a file of {stated}" if isinstance(stated, str) and stated else "no such value"
         raise InputError(
             f"{path} is there and holds {held}, which would be lost: give another name, or --force."
@@ -75,7 +75,7 @@ def _stated_format(file: Path) -> object:
     return format_of_arrays(file)
 
 
-def _formats_of(kind: type) -> tuple[str, ...]:
+def _list_formats(kind: type) -> tuple[str, ...]:
     """What files of a kind of value say that they are."""
     if issubclass(kind, Table):
         return (f"trinoc-{kind.KIND}",)

@@ -102,7 +102,7 @@ class Table(eqx.Module):
         return len(next(iter(self.rows().values())))
 
     @overload
-    def __getitem__(self, rows: int | np.integer) -> "Row": ...
+    def __getitem__(self, rows: int | np.integer) -> "TableRow": ...
 
     @overload
     def __getitem__(
@@ -115,10 +115,10 @@ class Table(eqx.Module):
         Raises IndexError for a row that is not there and for a mask of another length.
         """
         chosen = np.arange(len(self))[rows]
-        return Row(self, int(chosen)) if np.ndim(chosen) == 0 else self.take(chosen)
+        return TableRow(self, int(chosen)) if np.ndim(chosen) == 0 else self.take(chosen)
 
-    def __iter__(self) -> Iterator["Row"]:
-        return (Row(self, number) for number in range(len(self)))
+    def __iter__(self) -> Iterator["TableRow"]:
+        return (TableRow(self, number) for number in range(len(self)))
 
     def rows(self) -> dict[str, Any]:
         """The fields that have a row for each row of the table, those of a dictionary in one."""
@@ -167,7 +167,7 @@ class Table(eqx.Module):
         return columns
 
 
-class Row:
+class TableRow:
     """One row of a table: its part of each column and property of rows, by that one's name."""
 
     def __init__(self, table: Table, number: int) -> None:
