@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from tests.io.formats.bench import bench_matches
 from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.tables import TableRow, Table
+from trinoc.numerics.tables import Table, TableRow
 
 MATCHES = bench_matches()
 SEGMENTS = Segments.from_endpoints(np.random.default_rng(1).uniform(0, 400, (len(MATCHES), 4)))
