@@ -233,7 +233,7 @@ def test_a_screen_that_is_not_said_or_too_small(
 
 
 # Of all commands, and said once.
-SHARED = {"json", "quiet"}
+SHARED = {"json", "quiet", "force"}
 MOST_OPTIONS = 100
 
 

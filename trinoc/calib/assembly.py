@@ -10,7 +10,7 @@ from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.adjustment.model_tests import alternatives
 from trinoc.calib.messages import (
     is_suspect,
-    lens_strain,
+    notes_of_aim,
     notes_of_camera,
     notes_of_priors,
     notes_of_sheet,
@@ -20,7 +20,6 @@ from trinoc.calib.result.calibration import CalibrationResult, CameraFit
 from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
 from trinoc.calib.result.status import Status
 from trinoc.calib.rig_fit import Knowledge, RigFit
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
@@ -46,6 +45,8 @@ def result_of_fits(
     cameras, judged, said = {}, dict(status), dict(others)
     keys, blocks, values, told = [], [], [], []
     reported = known.model.parameter_names
+    # Cameras that share nothing are asked about no sheet: it is exact for them.
+    of_sheet = notes_of_sheet(fits[0].adjustment, known.systematics) if len(fits) == 1 else ()
     for fit in fits:
         seen = [_observability(fit.adjustment, k) for k in range(len(fit.cameras))]
         own_keys, block = _named_covariance(fit, seen)
@@ -54,7 +55,7 @@ def result_of_fits(
         for k, camera in enumerate(fit.cameras):
             name = camera.camera.name
             cameras[name] = _camera(fit, k)
-            said[name], suspect = _camera_fit(fit, k, known, seen[k])
+            said[name], suspect = _camera_fit(fit, k, known, seen[k], of_sheet)
             if suspect:
                 judged[name] = Status.SUSPECT
             values.append(values_of_parameters(fit.adjustment.parameters(k))[: len(reported)])
@@ -71,7 +72,7 @@ def result_of_fits(
         pattern=known.pattern,
         failures=failures,
         systematics=known.systematics.words,
-        notes=notes_of_sheet(fits[0].adjustment, known.systematics) if len(fits) == 1 else (),
+        notes=of_sheet,
     )
 
 
@@ -120,9 +121,10 @@ def _camera(fit: RigFit, view: int) -> Camera:
 
 
 def _camera_fit(
-    fit: RigFit, view: int, known: Knowledge, seen: Observability
+    fit: RigFit, view: int, known: Knowledge, seen: Observability, of_sheet: tuple[str, ...]
 ) -> tuple[CameraFit, bool]:
-    """What is said of one camera, and whether it is suspect."""
+    """What is said of one camera, and whether it is suspect: its residuals are not those of the
+    model, or what was said of lens, aim or sheet is refuted."""
     choice, of_circles = fit.cameras[view], fit.of_circles
     used = of_circles.used[view]
     source = fit.adjustment if choice.method == "pixels" else of_circles
@@ -135,7 +137,7 @@ def _camera_fit(
     )
     reduced = float(of_circles.reduced_chi_square[view])
     gauge = tuple(PARAMETER_NAMES[k] for k in seen.gauge)
-    strain = lens_strain(fit.adjustment, view, choice)
+    refuted = (*notes_of_priors(fit.adjustment, view, choice, known), *of_sheet)
     notes = notes_of_camera(choice, known.pattern, used, tests, reduced, gauge)
     by_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
     picture = choice.picture if choice.method == "pixels" else None
@@ -145,11 +147,11 @@ def _camera_fit(
         rank=seen.rank,
         reduced_chi_square=reduced,
         gauge=gauge,
-        notes=(*notes_of_priors(fit.adjustment, view, known, strain), *notes),
+        notes=(*refuted, *notes_of_aim(fit.adjustment, view, known), *notes),
         used=used,
         image=picture.quality if picture is not None else None,
         alternatives=tuple(tests),
         method=choice.method,
     )
     scatter = float(source.reduced_chi_square[view])
-    return result, is_suspect(tests, scatter) or strain > TUNING.answer.strain_sigmas
+    return result, is_suspect(tests, scatter) or bool(refuted)

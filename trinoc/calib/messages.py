@@ -70,23 +70,30 @@ def is_suspect(tests: Sequence[Alternative], reduced_chi_square: float) -> bool:
     return bool(tests and tests[0].found) and reduced_chi_square > TUNING.answer.large_chi_square
 
 
-def lens_strain(adjustment: Adjustment, view: int, choice: CameraChoice) -> float:
-    """By how many of its own sigmas a lens is another than it was said to be, at the most."""
-    if choice.camera.lens_factor is None:
-        return 0.0
-    return float(np.abs(adjustment.lens_steps(view)).max())
-
-
 def notes_of_priors(
-    adjustment: Adjustment, view: int, known: Knowledge, strain: float
+    adjustment: Adjustment, view: int, choice: CameraChoice, known: Knowledge
 ) -> tuple[str, ...]:
-    """What the pictures say against what was said of the aim and the lens."""
-    notes = []
-    if strain > TUNING.answer.strain_sigmas:
+    """What the pictures refute of what was said of the lens and the aim."""
+    notes, most = [], TUNING.answer.strain_sigmas
+    lens_is_free = choice.camera.lens_factor is not None
+    strain = float(np.abs(adjustment.lens_steps(view)).max()) if lens_is_free else 0.0
+    if strain > most:
         notes.append(
             f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal "
             "length, pixel pitch and focus, or calibrate its intrinsics."
         )
+    aim = adjustment.parameters(view)[4:6] if known.aim_sigma_mm else np.zeros(2)
+    if np.abs(aim).max() > most * known.aim_sigma_mm:
+        notes.append(
+            f"the optical axis misses the origin of the sheet by ({aim[0]:.1f}, {aim[1]:.1f}) mm, "
+            f"where {known.aim_sigma_mm:.2g} mm was expected: aim at it, or state a larger sigma."
+        )
+    return tuple(notes)
+
+
+def notes_of_aim(adjustment: Adjustment, view: int, known: Knowledge) -> tuple[str, ...]:
+    """Where the camera is seen to aim beside the origin, as far as was allowed for."""
+    notes = []
     if known.aim_sigma_mm:
         step = adjustment.rows(view)
         aim, unit_mm = adjustment.parameters(view)[4:6], float(adjustment.problem.chart.unit_mm)
@@ -102,7 +109,7 @@ def notes_of_priors(
 
 
 def notes_of_sheet(adjustment: Adjustment, systematics: Systematics) -> tuple[str, ...]:
-    """What the pictures say against what was said of the sheet."""
+    """What the pictures refute of what was said of the sheet."""
     notes = []
     state, chart = adjustment.problem.state, adjustment.problem.chart
     shape = dict(zip(BentPaper.names, np.asarray(state.sheet), strict=True))

@@ -51,7 +51,7 @@ def made_views(
         change = np.zeros(5)
         if lens_factor is not None:
             change = lens_factor @ random.normal(size=5)
-        uv = _seen_px(pose, change, shape) + sigma_px * random.normal(size=(len(SHEET), 2))
+        uv = seen_px(pose, change, shape) + sigma_px * random.normal(size=(len(SHEET), 2))
         # From where a circle fit would start.
         start = Pose.from_parameters(jnp.array([*(values + 0.002), TABLE_1[name][3] + 1, 0, 0]))
         made.append(SheetCamera(name, detection(uv, sigma_px), LENS, lens_factor, start))
@@ -72,7 +72,7 @@ def detection(uv_px: np.ndarray, sigma_px: float) -> Detection:
     )
 
 
-def _seen_px(pose: Pose, change: np.ndarray, shape: np.ndarray) -> np.ndarray:
+def seen_px(pose: Pose, change: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Where one camera sees the circles of a sheet of that shape, through a lens so changed."""
     nothing = detection(np.zeros((len(SHEET), 2)), 1.0)
     one = SheetCamera("one", nothing, LENS, None, pose)

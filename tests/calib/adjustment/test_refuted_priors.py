@@ -1,0 +1,60 @@
+"""What was said of sheet and aim, and the pictures refute, makes no result that looks sound."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, detection, seen_px
+from tests.calib.simulated import LENS, TABLE_1
+from trinoc.calib import CalibrationResult, Status
+from trinoc.calib.from_detections import calibrate_detections
+from trinoc.calib.problem.sheet import BentPaper
+from trinoc.geometry import Pose
+
+SIGMAS = dict(
+    zip(
+        BentPaper.names,
+        BentPaper.sigmas(TYPICAL.print_size_sigma, TYPICAL.print_scale_sigma, TYPICAL.flatness_mm),
+        strict=True,
+    )
+)
+
+
+def calibrated(*, aim: float = 0.0, **sheet: float) -> CalibrationResult:
+    """Three cameras over a sheet that is so many of its sigmas from its drawing, the first of them
+    aimed so many sigmas beside its origin."""
+    shape = np.array([sheet.get(name, 0.0) * sigma for name, sigma in SIGMAS.items()])
+    random, seen = np.random.default_rng(5), {}
+    for name, values in TABLE_1.items():
+        beside = aim * TYPICAL.aim_sigma_mm if not seen else 0.0
+        angles = np.radians(values[:3])
+        pose = Pose.from_parameters(jnp.array([*angles, values[3], beside, 0.0]))
+        noise = SIGMA_PX * random.normal(size=(len(SHEET), 2))
+        seen[name] = detection(seen_px(pose, np.zeros(5), shape) + noise, SIGMA_PX)
+    return calibrate_detections(seen, SHEET, LENS, systematics=TYPICAL, throw=False)
+
+
+@pytest.mark.parametrize(
+    ("off", "said"),
+    [({"XX": 7.0}, "The sheet bends by"), ({"print along X": 9.0}, "% longer along X")],
+    ids=["bent", "print"],
+)
+def test_every_camera_over_a_sheet_that_is_refuted_is_suspect(off, said) -> None:
+    result = calibrated(**off)
+    assert set(result.status.values()) == {Status.SUSPECT}
+    assert any(said in note for note in result.notes)
+    assert all(said in fit.notes[0] for fit in result.fits.values())
+
+
+def test_a_camera_that_misses_the_origin_by_far_is_suspect_alone() -> None:
+    result = calibrated(aim=7.0)
+    first, *others = TABLE_1
+    assert result.status[first] is Status.SUSPECT
+    assert "misses the origin of the sheet" in result.fits[first].notes[0]
+    assert {result.status[name] for name in others} == {Status.CONVERGED}
+
+
+def test_what_lies_within_what_was_said_is_no_doubt() -> None:
+    result = calibrated(aim=2.0, XX=2.0, XY=-2.0, **{"print along X": 2.0})
+    assert set(result.status.values()) == {Status.CONVERGED}
+    assert result.notes == ()
