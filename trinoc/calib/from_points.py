@@ -1,6 +1,6 @@
 """One camera from points of known places, on a plane or off it, and their given images."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import cv2
 import equinox as eqx
@@ -8,10 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.special import fdtrc
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.problem.information import whiten_views
+from trinoc.calib.problem.information import compute_information, whiten_views
 from trinoc.calib.problem.problem import Problem, lens_number
+from trinoc.calib.problem.rao_test import rao_test
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.result.degrees import degrees_by_step
@@ -30,6 +32,12 @@ from trinoc.numerics.precision import ArrayLike, in_float64
 
 # numerical: rounds in which outliers are left out, few of which change something.
 _CUTS = 4
+# numerical: residuals of this size are rounding.
+_ROUNDING_PX = 1e-7
+_REFUTED = (
+    "The points ask for another lens than was held: free {}, or see that places and pixels are "
+    "those of one camera."
+)
 # Under which the one camera's lens goes to those who know cameras by name.
 _CAMERA = "camera"
 
@@ -47,6 +55,7 @@ class PointsCalibration(eqx.Module):
     residuals_px : (n, 2) predicted minus observed.
     used : (n,) points that took part; the others lie beyond six robust sigmas.
     noise_px : standard deviation of a coordinate, from the residuals.
+    notes : sentences on what the points say against what was held.
     """
 
     camera: Camera
@@ -56,6 +65,7 @@ class PointsCalibration(eqx.Module):
     residuals_px: Float[np.ndarray, "n 2"]
     used: Bool[np.ndarray, "n"]
     noise_px: float = eqx.field(static=True)
+    notes: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def rms_px(self) -> float:
@@ -83,7 +93,8 @@ def calibrate_points(
     points_mm : places in the world, four or more; off one plane where the lens is fitted too.
     uv_px : where the picture shows them, distorted as it is.
     lens : the intrinsics; without it `image_size_px` is needed, and the focal lengths and the
-        principal point are fitted from a direct linear transform (Hartley and Zisserman, 7.1).
+        principal point are fitted from a direct linear transform (Hartley and Zisserman, 7.1),
+        with as many coefficients of Brown and Conrady's distortion as the points ask for.
     free : names of the lens's `parameter_names` (fx_px, fy_px, cx_px, cy_px, and its coefficients
         or for an ideal lens those of Brown-Conrady) that are fitted, starting from `lens`.
     pose_model : "rigid", any motion; "aim-free", the same by pan, tilt, swing, distance and aim;
@@ -91,6 +102,9 @@ def calibrate_points(
     systematics : its `lens_covariance` is that of what is not `free` of the lens, and is in the
         covariance; by default that of a data sheet where the lens is one (`Systematics.typical`).
         `Systematics()` takes the lens as exact. The places are exact either way.
+
+    The status is SUSPECT, with a note, where the points still ask for something of the lens that
+    was held and said to be exact: an F test of the pull at it (Rao's score test).
 
     Raises
     ------
@@ -108,12 +122,48 @@ def calibrate_points(
     else:
         camera = Camera(lens, _first_pose(points, seen, lens))
     problem = _without_outliers(_problem_of_points(camera, points, seen, names, model))
+    if lens is None and free is None:
+        problem, names = _free_distortion(problem, names)
     known = systematics or Systematics.typical({_CAMERA: camera.intrinsics} if lens else {})
     factor = known.lens_factors({_CAMERA: camera.intrinsics}).get(_CAMERA, np.zeros((0, 0)))
     held = np.zeros((problem.chart.lens_shape[1], factor.shape[1]))
     held[: len(factor)] = factor
     held[[name in names for name in problem.state.lenses.parameter_names]] = 0.0
     return _result(problem, names, model, camera.intrinsics, held)
+
+
+def _free_distortion(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tuple[str, ...]]:
+    """As many coefficients as the points ask for, and the names of all that is then free."""
+    lenses, affine = problem.state.lenses, names
+    for count in filter(None, lenses.coefficient_counts):
+        if _chance_of_pull(problem, names) > TUNING.answer.chance:
+            break
+        names = (*affine, *lenses.coefficient_names[:count])
+        every = np.ones(len(problem.views[0].used), dtype=bool)
+        view = problem.views[0]._replace(used=every)
+        problem = _without_outliers(_with_lens_free(problem._replace(views=(view,)), names))
+    return problem, names
+
+
+def _chance_of_pull(
+    problem: Problem, names: Sequence[str], uncertain: Collection[str] = ()
+) -> float:
+    """The chance that noise alone pulls so much at what is held of the lens.
+
+    names : of the lens's parameters that are fitted. uncertain : of those that are held, but not
+    known exactly: they may pull. Noise is that of the residuals, whence an F test.
+    """
+    whole = problem.state.lenses.parameter_names
+    information = compute_information(_with_lens_free(problem, whole))
+    exact = {column for column, name in enumerate(whole) if name not in {*names, *uncertain}}
+    test = rao_test(information, np.isin(information.free, list(exact)))
+    residuals_px = errors_px(problem)[0][problem.views[0].used]
+    squared, left = float(np.sum(residuals_px**2)), residuals_px.size - len(information.free)
+    # What rounding leaves of exact points asks for nothing.
+    if not test.freedom or left < 1 or squared < _ROUNDING_PX**2 * residuals_px.size:
+        return 1.0
+    unexplained = max(squared - test.chi_square, 1e-12 * squared)
+    return float(fdtrc(test.freedom, left, test.chi_square / test.freedom / (unexplained / left)))
 
 
 class _Points(AbstractTarget):
@@ -145,6 +195,11 @@ def _problem_of_points(
     target = _Points("points", points_mm, np.zeros(count))
     one = SheetCamera(_CAMERA, seen, camera.intrinsics, None, pose)
     problem = sheet_problem([one], target, Systematics(), model, aim_sigma_mm=0.0)
+    return _with_lens_free(problem, names)
+
+
+def _with_lens_free(problem: Problem, names: Collection[str]) -> Problem:
+    """The problem with these of the one lens's parameters free."""
     free = np.array(problem.chart.free)
     free[: problem.chart.lens_shape[1]] = [
         name in names for name in problem.state.lenses.parameter_names
@@ -219,14 +274,19 @@ def _result(
     covariance = by_step @ (noise**2 * inverse + by_error @ by_error.T) @ by_step.T
     found = simplify_lens(lens_number(problem, 0))
     intrinsics = Intrinsics.of_lens(found, lens.image_size_px, lens.pixel_pitch_mm)
+    every_name = problem.state.lenses.parameter_names
+    uncertain = [name for name, row in zip(every_name, held, strict=True) if row.any()]
+    refuted = _chance_of_pull(problem, names, uncertain) < TUNING.answer.chance
+    exact = [name for name in every_name if name not in {*names, *uncertain}]
     return PointsCalibration(
         camera=Camera(intrinsics if names else lens, pose),
-        status=Status.CONVERGED,
+        status=Status.SUSPECT if refuted else Status.CONVERGED,
         parameters=parameters,
         covariance=covariance,
         residuals_px=residuals_px,
         used=used,
         noise_px=noise,
+        notes=(_REFUTED.format(", ".join(exact)),) if refuted else (),
     )
 
 
