@@ -87,6 +87,13 @@ def test_what_a_data_sheet_gives_is_read_by_every_command(run, folder):
     refine = ("refine", "--rig", "rig.json", "--matches", "matches.npz", "-o", "refined.json")
     assert run(*refine)[0] == 0
     assert trinoc.load_rig(folder / "refined.json").sigma("upper.fx_px") > 0
+    status, out, _ = run("compare", "refined.json", "rig.json", "--json")
+    assert status == 0
+    compared = json.loads(out)
+    assert compared["moved"] == []
+    for name in RIG:
+        # The refined rig holds what the sheet's rig knew.
+        assert 0 < compared["cameras"][name]["field_sigmas"] < 1
 
 
 def test_all_that_is_exact_is_the_model_of_the_paper(run, folder):

@@ -26,6 +26,7 @@ from trinoc.cli.command import (
     expect_places,
     in_options,
 )
+from trinoc.cli.compare import CompareCommand
 from trinoc.cli.demo import DemoCommand
 from trinoc.cli.evaluate import EvaluateCommand
 from trinoc.cli.export import ExportCommand
@@ -134,7 +135,7 @@ COMMANDS: tuple[type[Command], ...] = (
         BatchCommand,
         RefineCommand,
     ),
-    *(CheckCommand, EvaluateCommand, ViewCommand, ExportCommand),
+    *(CheckCommand, CompareCommand, EvaluateCommand, ViewCommand, ExportCommand),
 )
 AnyCommand: Any = Union[  # noqa: UP007, tyro reads a union that is made here
     tuple(Annotated[each, tyro.conf.subcommand(each.command_name())] for each in COMMANDS)

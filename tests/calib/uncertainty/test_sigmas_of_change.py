@@ -6,8 +6,10 @@ from hypothesis import given, strategies as st
 from scipy import stats
 
 from trinoc.calib.rig_check.comparison import compare_rigs, sigmas_of_chi_square
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.rig import Rig
+from trinoc.calib.uncertainty.propagation import field_places_px
+from trinoc.geometry.camera import POSE_NAMES, Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.synth import table1_rig
 
 
@@ -46,3 +48,55 @@ def test_a_change_is_measured_by_the_variances_of_both_rigs() -> None:
     )
     assert compare_rigs(now, before).cameras["a"].sigmas == pytest.approx(0.2 / 0.05, rel=1e-6)
     assert compare_rigs(before, now).cameras["a"].sigmas == pytest.approx(0.2 / 0.05, rel=1e-6)
+
+
+NAMES = tuple(f"a.{name}" for name in PARAMETER_NAMES)
+
+
+def drawn(rig: Rig, covariance: np.ndarray, random: np.random.Generator) -> Rig:
+    """The rig with errors of that covariance."""
+    off = dict(
+        zip(NAMES, random.multivariate_normal(np.zeros(len(NAMES)), covariance), strict=True)
+    )
+    camera = rig["a"]
+    values = {name: getattr(camera, name) + off[f"a.{name}"] for name in POSE_NAMES}
+    aim = camera.aim_mm + np.array([off["a.aim_x_mm"], off["a.aim_y_mm"]])
+    moved = Camera.from_degrees(camera.intrinsics, **values, aim_mm=aim)
+    return Rig({"a": moved}, parameters=NAMES, covariance=covariance)
+
+
+def test_rigs_that_differ_by_their_errors_differ_by_one_sigma_over_the_field() -> None:
+    random = np.random.default_rng(6)
+    rig = Rig({"a": table1_rig()["left"]})
+    root = random.normal(size=(6, 6)) * np.array([0.02, 0.02, 0.02, 0.2, 0.2, 0.2])[:, None]
+    squared = []
+    for _ in range(200):
+        now, before = (drawn(rig, share * root @ root.T, random) for share in (1.0, 0.5))
+        change = compare_rigs(now, before).cameras["a"]
+        assert change.field_px > 0
+        squared.append(change.field_sigmas**2)
+    # Six numbers at most, which the field weighs unequally.
+    assert np.mean(squared) == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_turn_about_the_optical_axis_is_so_many_pixels_over_the_field() -> None:
+    camera = table1_rig()["left"]
+    values = {name: getattr(camera, name) for name in POSE_NAMES}
+    swung = Camera.from_degrees(camera.intrinsics, **values | {"swing_deg": camera.swing_deg + 0.1})
+    change = compare_rigs(Rig({"a": swung}), Rig({"a": camera})).cameras["a"]
+    from_middle = field_places_px(camera.image_size_px) - camera.intrinsics.principal_point_px
+    unlike = np.asarray(camera.intrinsics.focal_length_px)
+    turned = (from_middle / unlike)[..., ::-1] * unlike * np.radians(0.1)
+    assert change.field_px == pytest.approx(np.sqrt(np.mean(np.sum(turned**2, -1))), rel=1e-3)
+    assert np.isnan(change.field_sigmas)
+    assert np.isnan(change.sigmas)
+
+
+def test_pictures_of_another_size_have_no_field_in_common() -> None:
+    camera = table1_rig()["left"]
+    half = Intrinsics(
+        focal_length_px=np.asarray(camera.intrinsics.focal_length_px) / 2, image_size_px=(256, 240)
+    )
+    change = compare_rigs(Rig({"a": Camera(half, camera.pose)}), Rig({"a": camera})).cameras["a"]
+    assert np.isnan(change.field_px)
+    assert change.moved_mm == pytest.approx(0)

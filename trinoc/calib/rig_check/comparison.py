@@ -7,7 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.uncertainty.propagation import field_places_px, projection_sigma
 from trinoc.geometry.camera import Camera
+from trinoc.geometry.projection import project_points, unproject_pixels
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.numerics.tails import chi_square_tail, normal_limit
 
@@ -24,12 +26,18 @@ class CameraChange(NamedTuple):
     turned_deg : angle of the rotation between the two.
     sigmas : of the change of the parameters, by both covariances; NaN where not known.
     moved : whether that is more than noise.
+    field_px : root mean square, over the field, of how far apart both image the same points, which
+        lie as far from the camera as the origin of the world; NaN for pictures of another size.
+    field_sigmas : the same over its standard deviation by both covariances, which is 1 in the mean
+        of rigs that do not differ; NaN where not known.
     """
 
     moved_mm: float
     turned_deg: float
     sigmas: float
     moved: bool
+    field_px: float
+    field_sigmas: float
 
 
 class RigComparison(NamedTuple):
@@ -50,7 +58,11 @@ class RigComparison(NamedTuple):
 def compare_rigs(
     result: CalibrationResult | Rig, earlier: CalibrationResult | Rig
 ) -> RigComparison:
-    """Which cameras moved since an earlier calibration of the same sheet position."""
+    """Which cameras moved since an earlier calibration of the same sheet position.
+
+    Errors that both rigs have in common, as those of one sheet or of one lens, cancel in the
+    change, and are counted in its sigmas: these are the largest that it can have.
+    """
     now = result.rig if isinstance(result, CalibrationResult) else result
     before = earlier.rig if isinstance(earlier, CalibrationResult) else earlier
     common = [name for name in now if name in before.names]
@@ -85,7 +97,26 @@ def _change(now: Rig, before: Rig, name: str) -> CameraChange:
     sigmas = _sigmas_of_change(now, before, name)
     is_large = moved_mm > TUNING.rig_check.quiet_mm or turned_deg > TUNING.rig_check.quiet_deg
     moved = is_large if np.isnan(sigmas) else sigmas > TUNING.rig_check.moved_sigmas
-    return CameraChange(moved_mm, turned_deg, sigmas, moved)
+    field_px, field_sigmas = _change_over_field(now, before, name)
+    return CameraChange(moved_mm, turned_deg, sigmas, moved, field_px, field_sigmas)
+
+
+def _change_over_field(now: Rig, before: Rig, name: str) -> tuple[float, float]:
+    """(px, sigmas): root mean squares over the field of the earlier camera."""
+    one, other = now[name], before[name]
+    if one.image_size_px != other.image_size_px:
+        return float("nan"), float("nan")
+    distance_mm = float(np.linalg.norm(other.centre_world_mm))
+    places = field_places_px(other.image_size_px).reshape(-1, 2)
+    rays = np.asarray(unproject_pixels(other.intrinsics.lens, places))
+    points = other.centre_world_mm + distance_mm * rays @ np.asarray(other.pose.rotation)
+    images = np.asarray(project_points(one.pose, one.intrinsics.lens, points))
+    squared = np.sum((images - places) ** 2, axis=1)
+    if not (now.parameters and before.parameters):
+        return float(np.sqrt(np.mean(squared))), float("nan")
+    variance = sum(projection_sigma(rig, name, distance_mm).sigma_px ** 2 for rig in (now, before))
+    known = np.where(variance > 0, variance, np.nan)
+    return float(np.sqrt(np.mean(squared))), float(np.sqrt(np.mean(squared / (2 * known))))
 
 
 def _apart(first: Camera, second: Camera) -> tuple[float, float]:
@@ -115,7 +146,8 @@ def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
     """The deviation of one normal number, two-sided, that is as improbable."""
     tail = float(chi_square_tail(chi_square, freedom))
     # Beyond the smallest numbers the degrees of freedom hardly matter.
-    return float(normal_limit(tail / 2) if tail > _LEAST_TAIL else np.sqrt(chi_square))
+    # Nothing has a sign.
+    return abs(float(normal_limit(tail / 2) if tail > _LEAST_TAIL else np.sqrt(chi_square)))
 
 
 def _find_swaps(now: Rig, before: Rig, names: list[str]) -> tuple[tuple[str, str], ...]:
