@@ -81,8 +81,13 @@ def test_rigs_that_differ_by_their_errors_differ_by_one_sigma_over_the_field() -
 
 def test_a_turn_about_the_optical_axis_is_so_many_pixels_over_the_field() -> None:
     camera = table1_rig()["left"]
-    values = {name: getattr(camera, name) for name in POSE_NAMES}
-    swung = Camera.from_degrees(camera.intrinsics, **values | {"swing_deg": camera.swing_deg + 0.1})
+    swung = Camera.from_degrees(
+        camera.intrinsics,
+        pan_deg=camera.pan_deg,
+        tilt_deg=camera.tilt_deg,
+        swing_deg=camera.swing_deg + 0.1,
+        distance_mm=camera.distance_mm,
+    )
     change = compare_rigs(Rig({"a": swung}), Rig({"a": camera})).cameras["a"]
     from_middle = field_places_px(camera.image_size_px) - camera.intrinsics.principal_point_px
     unlike = np.asarray(camera.intrinsics.focal_length_px)
