@@ -123,6 +123,7 @@ def ways(frames: Path, out: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     yield "plain loop", partial(plain_loop, frames, out)
     yield "threads, 1", batch(threads_at_most=1)
     yield "threads, 2", batch(threads_at_most=2)
+    yield "processes, 2", batch(threads_at_most=2, in_processes=True)
     # The processor time of the workers is not in this process's count until they end.
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         yield "", batch(scheduler=cluster.scheduler_address)

@@ -8,6 +8,7 @@ from hypothesis import given, strategies as st
 from trinoc.batch.run import (
     BASE_BYTES,
     BYTES_PER_PIXEL,
+    affordable_processes,
     affordable_threads,
     half_of_the_machine,
     resident_bytes,
@@ -74,6 +75,17 @@ def test_threads_fit_into_the_memory_or_are_one(threads, gigabytes):
     assert 1 <= found <= threads
     need = BASE_BYTES + found * BYTES_PER_PIXEL * width * height
     assert found == 1 or need <= gigabytes * 1e9
+
+
+@given(wanted=st.integers(1, 64), gigabytes=st.floats(0, 1000))
+def test_processes_fit_into_the_memory_beside_this_one_or_are_one(wanted, gigabytes):
+    rig = table1_rig()
+    width, height = rig["upper"].image_size_px
+    found = affordable_processes(gigabytes * 1e9, rig, wanted)
+    assert 1 <= found <= wanted
+    each = BASE_BYTES + BYTES_PER_PIXEL * width * height
+    assert found == 1 or BASE_BYTES + found * each <= gigabytes * 1e9
+    assert found == wanted or BASE_BYTES + (found + 1) * each > gigabytes * 1e9
 
 
 def test_this_process_takes_some_of_the_machine_s_memory():

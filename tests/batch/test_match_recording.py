@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import multiprocessing
 import sys
 import threading
 
@@ -10,7 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 import trinoc
-from trinoc.batch import folder as folder_file
+from trinoc.batch import folder as folder_file, run, workers
+from trinoc.batch.work import MatchingJob
 from trinoc.cli.main import main
 from trinoc.errors import InputError, MatchError
 from trinoc.match.batch import MatchBatch
@@ -125,8 +127,6 @@ def test_killed_anywhere_and_begun_again_the_bytes_are_the_same(
     def counted(work, part, stopped=lambda: False):
         begun.append(part.number)
         return run_part(work, part, stopped)
-
-    from trinoc.batch import workers
 
     run_part, plain_save, plain_append = (
         workers.part_results,
@@ -277,6 +277,61 @@ def test_a_cluster_writes_the_same_files(recording, tmp_path, expected):
     assert contents(tmp_path / "out") == expected
 
 
+def broken_frames(place, count):
+    """Frames whose segments cannot be read: nothing is compiled for them."""
+    (place / "frames").mkdir()
+    for frame in range(count):
+        for name in RIG:
+            (place / "frames" / f"{frame:03}_{name}.csv").write_text(f"{frame} is no segment\n")
+    return place
+
+
+def test_processes_write_what_threads_write(tmp_path, monkeypatch):
+    place = broken_frames(tmp_path, 14)
+    begun = []
+
+    @contextlib.contextmanager
+    def counted(work, count):
+        begun.append(count)
+        with workers.processes(work, count) as crew:
+            yield crew
+
+    monkeypatch.setattr(run, "processes", counted)
+    options = {"frames_per_file": 2, "threads_at_most": 2}
+    threaded = match(place, tmp_path / "threads", **options)
+    apart = match(place, tmp_path / "processes", in_processes=True, **options)
+    assert begun == [2]
+    assert (apart.workers, apart.failed, threaded.failed) == (2, 14, 14)
+    assert contents(tmp_path / "processes") == contents(tmp_path / "threads")
+    # So few that a process would not pay.
+    match(place, tmp_path / "few", in_processes=True, frames_per_file=7, threads_at_most=2)
+    assert begun == [2]
+
+
+def test_processes_give_up_between_two_frames(tmp_path):
+    """Whatever ends the block, they are gone when it has ended."""
+    work = MatchingJob(broken_frames(tmp_path, 2) / "frames", RIG, {}, None)
+    seen = []
+
+    def end_early():
+        with workers.processes(work, 2):
+            seen.extend(multiprocessing.active_children())
+            raise Killed
+
+    with pytest.raises(Killed):
+        end_early()
+    assert len(seen) == 2
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.slow
+def test_matches_of_processes_are_those_of_threads(recording, tmp_path):
+    options = {"frames_per_file": 1, "threads_at_most": 2}
+    match(recording, tmp_path / "threads", **options)
+    match(recording, tmp_path / "processes", in_processes=True, **options)
+    assert contents(tmp_path / "processes") == contents(tmp_path / "threads")
+
+
 def test_a_scheduler_that_is_not_there_is_a_sentence(recording, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"pip install 'trinoc\[batch\]'"):
@@ -318,7 +373,7 @@ def test_the_command_matches_as_the_library_does(recording, tmp_path, capsys):
         (["--shard", "3/2"], "--shard 3/2 is no job"),
         (["--shard", "x"], "--shard x is no job"),
         (["--workers", "0"], "--workers is 0"),
-        (["--workers", "four"], "give a number of threads"),
+        (["--workers", "four"], "give a number of processes"),
         (["--find", "arcs=perhaps"], "neither yes nor no"),
         (["--memory-gb", "-1"], "--memory-gb is -1"),
         (["--depth-range-mm", "5", "1"], "holds no depth"),

@@ -1,10 +1,19 @@
-"""Who does the work, threads of this process or the workers of a Dask cluster, and how many tasks
-are in the air."""
+"""Who does the work, threads of this process, processes of their own or the workers of a Dask
+cluster, and how many tasks are in the air."""
 
 import contextlib
+import multiprocessing
+import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
@@ -39,6 +48,65 @@ def threads(work: MatchingJob, count: int) -> Iterator[Workers]:
     finally:
         stop.set()
         executor.shutdown(wait=True, cancel_futures=True)
+
+
+@contextlib.contextmanager
+def processes(work: MatchingJob, count: int) -> Iterator[Workers]:
+    """Processes of their own: Python lets one thread of a process at a time do the small steps of
+    finding and matching, so that a second thread gains next to nothing.
+
+    They read this process's compiled kernels, and give up as threads do. A script that calls this
+    needs `if __name__ == "__main__":`, because they import it.
+    """
+    import jax
+
+    config: Any = jax.config
+    spawn = multiprocessing.get_context("spawn")
+    stop = spawn.Event()
+    executor = ProcessPoolExecutor(
+        count, spawn, _begin, (work, stop, config.jax_compilation_cache_dir is not None)
+    )
+    try:
+        with _no_interruption():
+            for _ in range(count):
+                executor.submit(int)
+        yield Workers(executor, count, _results_in_process, "processes")
+    finally:
+        stop.set()
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _no_interruption() -> Iterator[None]:
+    """What is begun in the block leaves Ctrl-C to this process, from its first moment on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+# Of a process that works for another: what it is to do.
+_begun: list[Callable[[Any], Any]] = []
+
+
+def _begin(work: MatchingJob, stop: Any, cached: bool) -> None:
+    import cv2
+
+    from trinoc.io.compile_cache import enable_compile_cache
+
+    # Each has a core of its own.
+    cv2.setNumThreads(1)
+    if cached:
+        enable_compile_cache()
+    _begun.append(partial(part_results, work, stopped=stop.is_set))
+
+
+def _results_in_process(part: Any) -> Any:
+    return _begun[0](part)
 
 
 @contextlib.contextmanager

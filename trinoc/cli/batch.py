@@ -58,8 +58,8 @@ class BatchCommand(FindOption, Command):
         str | None,
         tyro.conf.arg(metavar="N|tcp://...", help_behavior_hint="(default: all cores)"),
     ] = None
-    """Threads of this machine, at most; or the address of a Dask scheduler, whose workers take
-    their place."""
+    """Processes of this machine, at most, or threads for short recordings; or the address of a Dask
+    scheduler, whose workers take their place."""
 
     memory_gb: Annotated[
         float | None, tyro.conf.arg(help_behavior_hint="(default: half of the machine's)")
@@ -101,6 +101,7 @@ class BatchCommand(FindOption, Command):
                     frames_per_file=self.frames_per_file,
                     ending=None if self.files == "auto" else f".{self.files}",
                     threads_at_most=threads,
+                    in_processes=True,
                     scheduler=scheduler,
                     memory_gb=self.memory_gb,
                     on_progress=tell,
@@ -147,7 +148,7 @@ def _workers(text: str | None) -> tuple[int | None, str | None]:
         return None, text
     if not (text.isdecimal() and int(text)):
         raise UsageError(
-            f"--workers is {text}: give a number of threads, such as 4, or the address of a Dask "
+            f"--workers is {text}: give a number of processes, such as 4, or the address of a Dask "
             "scheduler, such as tcp://localhost:8786."
         )
     return int(text), None
