@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import rq
@@ -18,6 +17,7 @@ from trinoc.numerics.precision import (
     FloatOrTraced,
     NumpyOrTraced,
     ScalarLike,
+    array_namespace,
     as_float,
     in_float64,
     is_traced,
@@ -57,8 +57,9 @@ class Camera(eqx.Module):
     ) -> "Camera":
         """A camera from the method's parameters as people write them."""
         given = (pan_deg, tilt_deg, swing_deg, distance_mm, *aim_mm)
-        values = jnp.stack([jnp.asarray(value, float) for value in given])
-        parameters = jnp.concatenate([jnp.radians(values[:3]), values[3:]])
+        xp = array_namespace(given)
+        values = xp.stack([xp.asarray(value, float) for value in given])
+        parameters = xp.concatenate([xp.radians(values[:3]), values[3:]])
         return cls(intrinsics, Pose.from_parameters(parameters))
 
     @classmethod
@@ -103,12 +104,12 @@ class Camera(eqx.Module):
     @property
     def matrix_px(self) -> Float[NumpyOrTraced, "3 4"]:
         """(3, 4) projection matrix K [R | t]; lens distortion, if any, comes after it."""
-        return _projection(self)
+        return projection_matrix(self)
 
     @property
     def centre_world_mm(self) -> Float[NumpyOrTraced, "3"]:
         """(3,) centre of projection in the world frame."""
-        return _centre_world_mm(self.pose)
+        return self.pose.centre_world_mm
 
     @property
     def pan_deg(self) -> FloatOrTraced:
@@ -172,15 +173,11 @@ def sheet_from_pixel(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[Arra
 
 # Operation by operation they take a millisecond, which a batch of frames feels.
 _project = in_float64(jax.jit(project))
-_projection = in_float64(jax.jit(projection_matrix))
-_centre_world_mm = in_float64(jax.jit(lambda pose: pose.centre_world_mm))
 
 
-@in_float64
-@jax.jit
 def _parameters_deg(pose: Pose) -> Float[ArrayLike, "6"]:
-    parameters = pose.parameters
-    return jnp.concatenate([jnp.degrees(parameters[:3]), parameters[3:]])
+    xp, parameters = array_namespace(pose), pose.parameters
+    return xp.concatenate([xp.degrees(parameters[:3]), parameters[3:]])
 
 
 def _rq_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

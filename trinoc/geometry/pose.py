@@ -6,6 +6,7 @@ from enum import Enum
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
@@ -114,9 +115,10 @@ class Pose(eqx.Module):
     @classmethod
     def from_parameters(cls, parameters: Float[ArrayLike, "6"]) -> "Pose":
         """From (pan, tilt, swing in rad, distance, aim X, aim Y in mm)."""
+        xp = array_namespace(parameters)
         pan, tilt, swing, distance = (parameters[k] for k in range(4))
         rotation = rotation_from_pan_tilt_swing(pan, tilt, swing)
-        centre = jnp.concatenate([parameters[4:6], jnp.zeros_like(parameters[:1])])
+        centre = xp.concatenate([parameters[4:6], xp.zeros_like(parameters[:1])])
         return cls.from_centre(rotation, centre - distance * rotation[2])
 
     @property
@@ -136,8 +138,10 @@ class Pose(eqx.Module):
 
     @property
     def distance_mm(self) -> Float[ArrayLike, ""]:
-        """From the centre along the optical axis to Z = 0; negative where that lies behind."""
-        return -self.centre_world_mm[2] / self.rotation[2, 2]
+        """From the centre along the optical axis to Z = 0; negative where that lies behind, and
+        infinite where they are parallel."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return -self.centre_world_mm[2] / self.rotation[2, 2]
 
     @property
     def aim_mm(self) -> Float[ArrayLike, "2"]:
@@ -156,11 +160,12 @@ class Pose(eqx.Module):
 
         Distance and aim are NaN where the axis does not meet Z = 0 in front of the camera.
         """
+        xp = array_namespace(self.cam_from_world)
         pan, tilt, swing = pan_tilt_swing_from_rotation(self.rotation)
-        distance = jnp.asarray(self.distance_mm)
-        distance = jnp.where((distance > 0) & jnp.isfinite(distance), distance, jnp.nan)
+        distance = xp.asarray(self.distance_mm)
+        distance = xp.where((distance > 0) & xp.isfinite(distance), distance, xp.nan)
         aim = (self.centre_world_mm + distance * self.rotation[2])[:2]
-        return jnp.concatenate([jnp.stack([pan, tilt, swing, distance]), aim])
+        return xp.concatenate([xp.stack([pan, tilt, swing, distance]), aim])
 
     @property
     def inverse(self) -> "Pose":

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.numerics.precision import ArrayLike, ScalarLike
+from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
 
 
 def skew(vector: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
@@ -53,11 +53,12 @@ def rotation_from_pan_tilt_swing(
     Pan is the azimuth of the camera from -Y toward +X, tilt its elevation above Z = 0, and
     swing turns the picture's x toward its y.
     """
-    sin_p, cos_p = jnp.sin(pan_rad), jnp.cos(pan_rad)
-    sin_t, cos_t = jnp.sin(tilt_rad), jnp.cos(tilt_rad)
-    sin_s, cos_s = jnp.sin(swing_rad), jnp.cos(swing_rad)
+    xp = array_namespace(pan_rad, tilt_rad, swing_rad)
+    sin_p, cos_p = xp.sin(pan_rad), xp.cos(pan_rad)
+    sin_t, cos_t = xp.sin(tilt_rad), xp.cos(tilt_rad)
+    sin_s, cos_s = xp.sin(swing_rad), xp.cos(swing_rad)
     right, down, forward = _level_axes(sin_p, cos_p, sin_t, cos_t)
-    return jnp.stack([cos_s * right + sin_s * down, -sin_s * right + cos_s * down, forward])
+    return xp.stack([cos_s * right + sin_s * down, -sin_s * right + cos_s * down, forward])
 
 
 def pan_tilt_swing_from_rotation(
@@ -67,11 +68,12 @@ def pan_tilt_swing_from_rotation(
 
     At a tilt of +-90 degrees pan and swing are one angle; pan is then whatever rounding says.
     """
+    xp = array_namespace(rotation)
     x, forward = rotation[0], rotation[2]
-    pan = jnp.arctan2(-forward[0], forward[1])
-    tilt = jnp.arctan2(-forward[2], jnp.hypot(forward[0], forward[1]))
-    right, down, _ = _level_axes(jnp.sin(pan), jnp.cos(pan), jnp.sin(tilt), jnp.cos(tilt))
-    return pan, tilt, jnp.arctan2(x @ down, x @ right)
+    pan = xp.arctan2(-forward[0], forward[1])
+    tilt = xp.arctan2(-forward[2], xp.hypot(forward[0], forward[1]))
+    right, down, _ = _level_axes(xp.sin(pan), xp.cos(pan), xp.sin(tilt), xp.cos(tilt))
+    return pan, tilt, xp.arctan2(x @ down, x @ right)
 
 
 def _level_axes(
@@ -81,6 +83,7 @@ def _level_axes(
     cos_t: Float[ArrayLike, ""],
 ) -> tuple[Float[ArrayLike, "3"], Float[ArrayLike, "3"], Float[ArrayLike, "3"]]:
     """Right, down and forward of a camera without swing, in the world frame."""
-    forward = jnp.stack([-cos_t * sin_p, cos_t * cos_p, -sin_t])
-    right = jnp.stack([cos_p, sin_p, jnp.zeros_like(sin_p)])
-    return right, jnp.cross(forward, right), forward
+    xp = array_namespace(sin_p, cos_p, sin_t, cos_t)
+    forward = xp.stack([-cos_t * sin_p, cos_t * cos_p, -sin_t])
+    right = xp.stack([cos_p, sin_p, xp.zeros_like(sin_p)])
+    return right, xp.cross(forward, right), forward

@@ -151,9 +151,10 @@ class AbstractLens(eqx.Module):
     def matrix(self) -> Float[ArrayLike, "3 3"]:
         """K, which maps what `distort` gives to pixels."""
         (fu, fv), (cu, cv) = self.focal_length_px, self.principal_point_px
-        zero, one = jnp.zeros_like(fu), jnp.ones_like(fu)
-        rows = [[fu, jnp.asarray(self.skew_px), cu], [zero, fv, cv], [zero, zero, one]]
-        return jnp.stack([jnp.stack(row) for row in rows])
+        xp = array_namespace(fu, fv, cu, cv, self.skew_px)
+        zero, one = xp.zeros_like(fu), xp.ones_like(fu)
+        rows = [[fu, xp.asarray(self.skew_px), cu], [zero, fv, cv], [zero, zero, one]]
+        return xp.stack([xp.stack(row) for row in rows])
 
     def project_ray(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
         """The pixel that images a ray."""
