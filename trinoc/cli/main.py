@@ -26,14 +26,13 @@ from trinoc.cli.command import (
     expect_places,
     in_options,
 )
-from trinoc.cli.compare import CompareCommand
 from trinoc.cli.demo import DemoCommand
 from trinoc.cli.evaluate import EvaluateCommand
 from trinoc.cli.export import ExportCommand
 from trinoc.cli.intrinsics import IntrinsicsCommand
 from trinoc.cli.match import MatchCommand
 from trinoc.cli.pattern import PatternCommand
-from trinoc.cli.refine import CheckCommand, RefineCommand
+from trinoc.cli.refine import CheckCommand, CompareCommand, RefineCommand
 from trinoc.cli.segments import SegmentsCommand
 from trinoc.cli.settings import put_files_first, refuse_old_names, with_file
 from trinoc.cli.view import ViewCommand
