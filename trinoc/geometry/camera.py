@@ -104,12 +104,12 @@ class Camera(eqx.Module):
     @property
     def matrix_px(self) -> Float[NumpyOrTraced, "3 4"]:
         """(3, 4) projection matrix K [R | t]; lens distortion, if any, comes after it."""
-        return projection_matrix(self)
+        return _projection(self)
 
     @property
     def centre_world_mm(self) -> Float[NumpyOrTraced, "3"]:
         """(3,) centre of projection in the world frame."""
-        return self.pose.centre_world_mm
+        return _centre_world_mm(self.pose)
 
     @property
     def pan_deg(self) -> FloatOrTraced:
@@ -175,6 +175,11 @@ def sheet_from_pixel(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[Arra
 _project = in_float64(jax.jit(project))
 
 
+_projection = in_float64(projection_matrix)
+_centre_world_mm = in_float64(lambda pose: pose.centre_world_mm)
+
+
+@in_float64
 def _parameters_deg(pose: Pose) -> Float[ArrayLike, "6"]:
     xp, parameters = array_namespace(pose), pose.parameters
     return xp.concatenate([xp.degrees(parameters[:3]), parameters[3:]])
