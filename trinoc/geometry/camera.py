@@ -1,6 +1,7 @@
 """One camera: intrinsics and a pose; its projection, and the way back."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -175,7 +176,7 @@ def sheet_from_pixel(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[Arra
 _project = in_float64(jax.jit(project))
 
 
-_projection = in_float64(projection_matrix)
+_projection: Callable[[Camera], Any] = in_float64(projection_matrix)
 _centre_world_mm = in_float64(lambda pose: pose.centre_world_mm)
 
 
