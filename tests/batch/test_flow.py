@@ -67,23 +67,18 @@ def test_a_task_that_fails_hands_on_its_error_and_the_others_go_on():
         ended[2].result()
 
 
-@given(threads=st.integers(1, 64), gigabytes=st.floats(0, 1000))
-def test_threads_fit_into_the_memory_or_are_one(threads, gigabytes):
-    rig = table1_rig()
-    width, height = rig["upper"].image_size_px
-    found = affordable_threads(gigabytes * 1e9, rig, threads)
-    assert 1 <= found <= threads
-    need = BASE_BYTES + found * BYTES_PER_PIXEL * width * height
-    assert found == 1 or need <= gigabytes * 1e9
-
-
+@pytest.mark.parametrize(
+    ("affordable", "own_bytes"), [(affordable_threads, 0), (affordable_processes, BASE_BYTES)]
+)
 @given(wanted=st.integers(1, 64), gigabytes=st.floats(0, 1000))
-def test_processes_fit_into_the_memory_beside_this_one_or_are_one(wanted, gigabytes):
+def test_workers_fit_into_the_memory_and_no_more_would_or_are_one(
+    affordable, own_bytes, wanted, gigabytes
+):
     rig = table1_rig()
     width, height = rig["upper"].image_size_px
-    found = affordable_processes(gigabytes * 1e9, rig, wanted)
+    found = affordable(gigabytes * 1e9, rig, wanted)
     assert 1 <= found <= wanted
-    each = BASE_BYTES + BYTES_PER_PIXEL * width * height
+    each = own_bytes + BYTES_PER_PIXEL * width * height
     assert found == 1 or BASE_BYTES + found * each <= gigabytes * 1e9
     assert found == wanted or BASE_BYTES + (found + 1) * each > gigabytes * 1e9
 

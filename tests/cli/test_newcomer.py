@@ -94,6 +94,12 @@ def test_what_a_data_sheet_gives_is_read_by_every_command(run, folder):
     for name in RIG:
         # The refined rig holds what the sheet's rig knew.
         assert 0 < compared["cameras"][name]["field_sigmas"] < 1
+    trinoc.save(trinoc.Rig(dict(rig.items())), folder / "plain.json")
+    status, out, _ = run("compare", "plain.json", "rig.json", "--json")
+    assert status == 0
+    # What nobody stated is not known, and no number of JSON.
+    assert json.loads(out)["cameras"]["upper"]["sigmas"] is None
+    assert "not known" in run("compare", "plain.json", "rig.json")[1]
 
 
 def test_all_that_is_exact_is_the_model_of_the_paper(run, folder):

@@ -1,5 +1,7 @@
 """Tables behave as sequences of rows, and as NumPy's arrays do where some are taken."""
 
+import copy
+import pickle
 from typing import Any
 
 import jax
@@ -60,6 +62,13 @@ def test_what_is_not_there_is_an_error_as_of_an_array(table: Table) -> None:
     with pytest.raises(AttributeError, match="has no colour"):
         _ = table[0].colour
     assert not len(table[:0])
+
+
+@TABLES
+def test_a_row_can_be_copied_and_sent(table: Table) -> None:
+    row = table[2]
+    for other in (copy.deepcopy(row), pickle.loads(pickle.dumps(row))):
+        assert repr(other) == repr(row)
 
 
 def test_marks_of_a_row_are_by_name() -> None:

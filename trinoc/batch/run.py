@@ -83,7 +83,7 @@ def match_recording(
     threads_at_most : threads of this process; as many as the machine has cores. Fewer are taken
         where the pictures are so large that memory would not suffice.
     in_processes : whether long recordings are given to processes of their own in place of threads:
-        on two cores about twice as quick. A script then needs `if __name__ == "__main__":`.
+        on two cores 1.6 times as quick. A script then needs `if __name__ == "__main__":`.
     scheduler : address of a Dask scheduler, whose workers are used in place of threads.
     memory_gb : how much memory this process may take; half of the machine's. Where it takes more,
         no part is begun before others are written.

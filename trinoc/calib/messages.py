@@ -82,8 +82,8 @@ def notes_of_priors(
             f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal "
             "length, pixel pitch and focus, or calibrate its intrinsics."
         )
-    aim = adjustment.parameters(view)[4:6] if known.aim_sigma_mm else np.zeros(2)
-    if np.abs(aim).max() > most * known.aim_sigma_mm:
+    if _is_aim_refuted(adjustment, view, known):
+        aim = adjustment.parameters(view)[4:6]
         notes.append(
             f"the optical axis misses the origin of the sheet by ({aim[0]:.1f}, {aim[1]:.1f}) mm, "
             f"where {known.aim_sigma_mm:.2g} mm was expected: aim at it, or state a larger sigma."
@@ -91,10 +91,17 @@ def notes_of_priors(
     return tuple(notes)
 
 
+def _is_aim_refuted(adjustment: Adjustment, view: int, known: Knowledge) -> bool:
+    if not known.aim_sigma_mm:
+        return False
+    aim = adjustment.parameters(view)[4:6]
+    return bool(np.abs(aim).max() > TUNING.answer.strain_sigmas * known.aim_sigma_mm)
+
+
 def notes_of_aim(adjustment: Adjustment, view: int, known: Knowledge) -> tuple[str, ...]:
     """Where the camera is seen to aim beside the origin, as far as was allowed for."""
     notes = []
-    if known.aim_sigma_mm:
+    if known.aim_sigma_mm and not _is_aim_refuted(adjustment, view, known):
         step = adjustment.rows(view)
         aim, unit_mm = adjustment.parameters(view)[4:6], float(adjustment.problem.chart.unit_mm)
         covariance = adjustment.covariance[np.ix_(step, step)][4:6, 4:6] * unit_mm**2

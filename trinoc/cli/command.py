@@ -317,6 +317,14 @@ def _same(path: Path) -> Path:
         return path
 
 
+def with_nulls(record: Mapping[str, Any]) -> dict[str, Any]:
+    """As JSON can hold it: null for NaN."""
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in record.items()
+    }
+
+
 def expect_numbers(options: object) -> None:
     """Raise UsageError for an option that is not a number, or infinite where nothing is meant.
 

@@ -1,14 +1,13 @@
 """`trinoc evaluate`: how accurate is the shape that segments give, against a known one?"""
 
 import dataclasses
-import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
-from trinoc.cli.command import LOGGER, Command, FileOrNone, Out, Outcome, UsageError
+from trinoc.cli.command import LOGGER, Command, FileOrNone, Out, Outcome, UsageError, with_nulls
 from trinoc.cli.segments import FIND, usual_find
 from trinoc.cli.settings import Settings, parse_list, parse_number, parse_word, read_settings
 from trinoc.cli.views import SEGMENT_SUFFIXES, check_views, files_of_views, read_rig
@@ -107,7 +106,7 @@ class EvaluateCommand(Command):
         record = {
             "wanted": shape.wanted,
             "aligned": self.align,
-            "rows": [_finite(row.record()) for row in rows],
+            "rows": [with_nulls(row.record()) for row in rows],
             "edges": [_edges(row) for row in rows],
             "motions": [_motion(row) for row in rows],
         }
@@ -198,21 +197,13 @@ class EvaluateCommand(Command):
         ]
 
 
-def _finite(record: dict[str, Any]) -> dict[str, Any]:
-    """As JSON can hold it: null for NaN."""
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in record.items()
-    }
-
-
 def _edges(row: "Row") -> list[dict[str, Any]]:
     """The edges that ought to be found from end to end, one by one."""
     if row.evaluation is None:
         return []
     lengths = row.evaluation.lengths
     return [
-        _finite(dict(zip(lengths._fields, map(_plain, values), strict=True)))
+        with_nulls(dict(zip(lengths._fields, map(_plain, values), strict=True)))
         for values in zip(*lengths, strict=True)
     ]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import LOGGER, Command, FileOrNone, Out, Outcome
+from trinoc.cli.command import LOGGER, Command, FileOrNone, Out, Outcome, with_nulls
 from trinoc.cli.views import read_rig
 from trinoc.errors import CalibrationError
 
@@ -199,7 +199,9 @@ class CompareCommand(Command):
         record = {
             "moved": [name for name, change in comparison.cameras.items() if change.moved],
             "swapped": [list(pair) for pair in comparison.swapped],
-            "cameras": {name: each._asdict() for name, each in comparison.cameras.items()},
+            "cameras": {
+                name: with_nulls(each._asdict()) for name, each in comparison.cameras.items()
+            },
         }
         return Outcome("\n".join([*comparison.sentences, text_table(head, rows)]), record)
 

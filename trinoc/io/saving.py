@@ -61,7 +61,7 @@ def expect_replaceable(
     except InputError:
         stated = None
     if stated not in _list_formats(kind):
-        held = f"a file of {stated}" if isinstance(stated, str) and stated else "no such value"
+        held = f"a file of {stated}" if isinstance(stated, str) and stated else "something else"
         raise InputError(
             f"{path} is there and holds {held}, which would be lost: give another name, or --force."
         )

@@ -174,6 +174,9 @@ class TableRow:
         self._table, self._number = table, number
 
     def __getattr__(self, name: str) -> Any:
+        # Copying asks for such names before there is a table, and notebooks ask for them, too.
+        if name.startswith("_"):
+            raise AttributeError(name)
         if name not in dir(self):
             raise AttributeError(f"A row of {type(self._table).__name__} has no {name}.")
         rows = self._table.rows()

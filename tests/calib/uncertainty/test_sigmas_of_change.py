@@ -9,6 +9,7 @@ from trinoc.calib.rig_check.comparison import compare_rigs, sigmas_of_chi_square
 from trinoc.calib.uncertainty.propagation import field_places_px
 from trinoc.geometry.camera import POSE_NAMES, Camera
 from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.synth import table1_rig
 
@@ -95,6 +96,12 @@ def test_a_turn_about_the_optical_axis_is_so_many_pixels_over_the_field() -> Non
     assert change.field_px == pytest.approx(np.sqrt(np.mean(np.sum(turned**2, -1))), rel=1e-3)
     assert np.isnan(change.field_sigmas)
     assert np.isnan(change.sigmas)
+
+
+def test_a_camera_whose_frame_is_the_world_has_no_distance_to_compare_at() -> None:
+    camera = Camera(table1_rig()["left"].intrinsics, Pose(np.eye(3, 4)))
+    rig = Rig({"a": camera}, parameters=NAMES, covariance=np.eye(6))
+    assert np.isnan(compare_rigs(rig, rig).cameras["a"].field_px)
 
 
 def test_pictures_of_another_size_have_no_field_in_common() -> None:

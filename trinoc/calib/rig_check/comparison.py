@@ -27,7 +27,8 @@ class CameraChange(NamedTuple):
     sigmas : of the change of the parameters, by both covariances; NaN where not known.
     moved : whether that is more than noise.
     field_px : root mean square, over the field, of how far apart both image the same points, which
-        lie as far from the camera as the origin of the world; NaN for pictures of another size.
+        lie as far from the camera as the origin of the world; NaN for pictures of another size, and
+        for a camera at the origin.
     field_sigmas : the same over its standard deviation by both covariances, which is 1 in the mean
         of rigs that do not differ; NaN where not known.
     """
@@ -104,9 +105,9 @@ def _change(now: Rig, before: Rig, name: str) -> CameraChange:
 def _change_over_field(now: Rig, before: Rig, name: str) -> tuple[float, float]:
     """(px, sigmas): root mean squares over the field of the earlier camera."""
     one, other = now[name], before[name]
-    if one.image_size_px != other.image_size_px:
-        return float("nan"), float("nan")
     distance_mm = float(np.linalg.norm(other.centre_world_mm))
+    if one.image_size_px != other.image_size_px or not distance_mm > 0:
+        return float("nan"), float("nan")
     places = field_places_px(other.image_size_px).reshape(-1, 2)
     rays = np.asarray(unproject_pixels(other.intrinsics.lens, places))
     points = other.centre_world_mm + distance_mm * rays @ np.asarray(other.pose.rotation)
@@ -145,8 +146,7 @@ def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
 def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
     """The deviation of one normal number, two-sided, that is as improbable."""
     tail = float(chi_square_tail(chi_square, freedom))
-    # Beyond the smallest numbers the degrees of freedom hardly matter.
-    # Nothing has a sign.
+    # Beyond the smallest numbers the degrees of freedom hardly matter; no change is 0, not -0.
     return abs(float(normal_limit(tail / 2) if tail > _LEAST_TAIL else np.sqrt(chi_square)))
 
 

@@ -33,12 +33,12 @@ def make_card(value: object) -> str:
     """HTML that needs nothing but itself."""
     brief = value.named_columns(brief=True) if isinstance(value, Table) else list_columns(value)
     columns = {name: np.asarray(column) for name, column in brief.items()}
-    picture, notes = _svg(small_picture(value)), " ".join(getattr(value, "notes", ()))
+    picture = _svg(small_picture(value))
+    notes = "".join(f"<p>{escape(note)}</p>" for note in getattr(value, "notes", ()))
     return (
         f'<div style="display:flex;gap:1.5em;align-items:flex-start;flex-wrap:wrap">{picture}'
         f"<div><p><b>{escape(type(value).__name__)}</b>: {escape(heading(value))}</p>"
-        f"<p>{escape(notes)}</p>"
-        f"{_table(columns)}</div></div>"
+        f"{notes}{_table(columns)}</div></div>"
     )
 
 
