@@ -150,13 +150,15 @@ def _choose(
 ) -> CameraChoice:
     is_shown = camera.shown is not None
     agreement = float("nan")
+    scatter = scatter_of_blocks(of_circles, view)
     if is_shown:
         agreement = probability_of_agreement(of_circles, of_pictures, view)
-        agrees = agreement >= TUNING.answer.chance_of_answers
-        if agrees or _circles_are_wrong(of_circles, of_pictures, view):
+        # Of two answers that differ, whether the circles' is the one its data speak against.
+        refuted = max(scatter, of_circles.enlarged[view]) > TUNING.answer.largest_scatter
+        circles_are_wrong = refuted and of_pictures.enlarged[view] == 1.0
+        if agreement >= TUNING.answer.chance_of_answers or circles_are_wrong:
             return CameraChoice(camera, picture, "pixels", agreement, 1.0)
     # By all that blocks say where the model is wrong.
-    scatter = scatter_of_blocks(of_circles, view)
     scatter = scatter if is_shown or scatter > TUNING.answer.largest_scatter else 1.0
     return CameraChoice(camera, picture, "points", agreement, scatter)
 
@@ -185,12 +187,6 @@ def _fit_pictures(
         known.encoding,
     )
     return [found.get(camera.name) for camera in cameras]
-
-
-def _circles_are_wrong(of_circles: Adjustment, of_pictures: Adjustment, view: int) -> bool:
-    """Whether, of two answers that differ, the circles' is the one that its data speak against."""
-    refuted = of_circles.enlarged[view] > TUNING.answer.largest_scatter
-    return bool(refuted and of_pictures.enlarged[view] == 1.0)
 
 
 def _scale_sigmas(camera: SheetCamera, scatter: float) -> SheetCamera:

@@ -1,12 +1,27 @@
 """Displacements of patches and their information are those of dense least squares."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+import scipy.sparse
 
 from tests.calib.photometric.pictures import RIGHT, state_at
-from trinoc.calib.photometric.patches import _displacements, _shared_unknowns, _SharedUnknowns
-from trinoc.calib.photometric.scene import Point
-from trinoc.calib.photometric.unknowns import delivered_state
+from trinoc.calib.photometric.equations import Equations, PixelRows
+from trinoc.calib.photometric.patches import (
+    _displacements,
+    _number_patches,
+    _shared_unknowns,
+    _SharedUnknowns,
+)
+from trinoc.calib.photometric.scene import Blocks, PixelScene, Point
+from trinoc.calib.photometric.unknowns import (
+    LOCAL_TERMS,
+    LOCAL_WIDTH,
+    PictureState,
+    delivered_state,
+)
+from trinoc.geometry.pose import PoseModel
 
 
 def test_shifts_and_their_information_are_those_of_all_unknowns_together() -> None:
@@ -15,33 +30,93 @@ def test_shifts_and_their_information_are_those_of_all_unknowns_together() -> No
     patch = np.arange(pixels) % patches
     by_px, residual = random.normal(size=(2, pixels)), random.normal(size=pixels)
     weight = random.uniform(0.5, 2.0, pixels)
+    by_levels = scipy.sparse.random_array((pixels, 2), density=0.5, rng=random, format="csr")
     shared = _SharedUnknowns(
-        random.normal(size=(pixels, 3)), np.array([0.0, 4.0, 20.0]), random.normal(size=3)
+        random.normal(size=(pixels, 3)),
+        by_levels,  # pyright: ignore[reportArgumentType]
+        np.array([0.0, 4.0, 20.0, 3.0, 5.0]),
+        random.normal(size=5),
     )
     shift, whitening = _displacements(by_px, patch, patches, residual, weight, shared)
     rows = np.zeros((pixels, 2 * patches))
     for axis in (0, 1):
         rows[np.arange(pixels), 2 * patch + axis] = by_px[axis]
-    every = np.concatenate([rows, shared.rows], axis=1)
+    every = np.concatenate([rows, shared.rows, by_levels.toarray()], axis=1)
     normal = (every.T * weight) @ every
-    normal[-3:, -3:] += np.diag(shared.prior)
+    normal[-5:, -5:] += np.diag(shared.prior)
     gradient = (every.T * weight) @ residual
-    gradient[-3:] += shared.pull
-    np.testing.assert_allclose(shift.ravel(), -np.linalg.solve(normal, gradient)[:-3])
+    gradient[-5:] += shared.pull
+    np.testing.assert_allclose(shift.ravel(), -np.linalg.solve(normal, gradient)[:-5])
     np.testing.assert_allclose(
-        np.linalg.inv(whitening.T @ whitening), np.linalg.inv(normal)[:-3, :-3]
+        np.linalg.inv(whitening.T @ whitening), np.linalg.inv(normal)[:-5, :-5]
     )
 
 
 @pytest.mark.parametrize("inflation", [1.0, 4.0])
-def test_what_is_known_beforehand_counts_less_as_pixels_that_share_noise_do(inflation) -> None:
-    state = delivered_state(state_at(RIGHT))
-    count = state.unknowns.size
-    free = np.ones(4 + count, dtype=bool)
-    nothing = np.zeros(0)
-    point = Point(state, free, None, 0.0, nothing, nothing, nothing)  # pyright: ignore[reportArgumentType]
-    found = _shared_unknowns(point, np.eye(count), 4, inflation)
-    middle, weight = state.unknowns.prior(local=False)
+@pytest.mark.parametrize("local", [False, True])
+def test_what_is_known_beforehand_counts_less_as_pixels_that_share_noise_do(
+    inflation: float, local: bool
+) -> None:
+    scene, point = lit_scene(local)
+    count = point.state.unknowns.size
+    found = _shared_unknowns(scene, point, np.eye(count, 12), inflation)
+    middle, weight = point.state.unknowns.prior(local=local)
     assert np.asarray(weight).any()
-    np.testing.assert_allclose(inflation * found.prior, weight)
-    np.testing.assert_allclose(inflation * found.pull, weight * (state.values - middle))
+    np.testing.assert_allclose(inflation * found.prior[:count], weight)
+    np.testing.assert_allclose(
+        inflation * found.pull[:count], weight * (point.state.values - middle)
+    )
+    of_levels = np.asarray(point.state.levels).T.ravel() if local else np.zeros(0)
+    width = np.tile(LOCAL_WIDTH, len(of_levels) // LOCAL_TERMS)
+    np.testing.assert_allclose(inflation * found.prior[count:], width**-2)
+    np.testing.assert_allclose(inflation * found.pull[count:], of_levels / width**2)
+
+
+def test_light_of_a_block_moves_its_own_pixels_as_its_slope_says() -> None:
+    scene, point = lit_scene(True)
+    assert scene.blocks is not None
+    by_levels = _shared_unknowns(scene, point, np.eye(point.state.unknowns.size, 12), 1.0).by_levels
+    step = np.random.default_rng(5).normal(size=(LOCAL_TERMS, scene.blocks.count))
+    own = np.sum(step[:, scene.blocks.of_pixel].reshape(2, 3, -1) * scene.blocks.basis.T, axis=1)
+    near_circles, near_lines = point.equations.pixels
+    by_local = scene.join((near_circles.by_local, near_lines.by_local))
+    np.testing.assert_allclose(
+        by_levels @ step.T.ravel(), np.sum(by_local * own, axis=0)[point.kept]
+    )
+
+
+def lit_scene(local: bool) -> tuple[PixelScene, Point]:
+    """Fifteen pixels of three blocks, three of which are cut, and any derivatives."""
+    random = np.random.default_rng(4)
+    state = delivered_state(state_at(RIGHT))
+    levels = random.normal(size=(LOCAL_TERMS, 3)) if local else np.zeros((LOCAL_TERMS, 0))
+    state = PictureState(state.pose, state.values, levels, state.unknowns)
+    basis = np.column_stack([np.ones(15), random.normal(size=(15, 2))])
+    nothing: Any = None
+    rows = [
+        PixelRows(nothing, nothing, nothing, nothing, random.normal(size=(1, 2, count)))
+        for count in (10, 5)
+    ]
+    point = Point(
+        state,
+        np.ones(4 + state.unknowns.size, dtype=bool),
+        Equations(nothing, nothing, nothing, nothing, nothing, (rows[0], rows[1])),
+        *(nothing, nothing, nothing),
+        kept=np.arange(15) > 2,
+    )
+    blocks = Blocks(np.arange(15) % 3, basis, 3)
+    scene = PixelScene(
+        *(nothing, (10, 5), nothing, nothing, nothing, nothing, nothing, nothing),
+        PoseModel.AIMED,
+        *(nothing, nothing),
+        blocks=blocks,
+        local=local,
+    )
+    return scene, point
+
+
+def test_a_patch_of_next_to_no_information_is_none() -> None:
+    label, known = np.array([4, 4, 7, 7, 9]), np.array([1.0, 2.0, 1e-6, 1e-6, 0.5])
+    number, counted = _number_patches(label, known)
+    assert number[[0, 1, 4]].tolist() == [0, 0, 1]
+    np.testing.assert_array_equal(counted, [1.0, 2.0, 0.0, 0.0, 0.5])

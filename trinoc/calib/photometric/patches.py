@@ -13,8 +13,10 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
 
+from trinoc.calib.photometric.equations import local_rows
 from trinoc.calib.photometric.scene import PixelScene, Point
 from trinoc.calib.photometric.sheet_places import homography_of_pose
+from trinoc.calib.photometric.unknowns import LOCAL_TERMS, LOCAL_WIDTH
 from trinoc.calib.problem.views import LINE_PIECES, SheetPoints
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
@@ -22,24 +24,27 @@ from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.numerics.precision import ArrayLike
 
 # numerical: a guard: a direction that a patch shows with less than this share of the information of
-# its best one, as a line along itself, is not known.
+# its best one, as a line along itself, is not known; nor is a patch with less than this share of
+# the best patch's, as a single pixel in a lamp's glare.
 _LEAST_SHARE = 1e-3
 # numerical: no patches.
 _NOTHING = SheetPoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0)))
 
 
 class _SharedUnknowns(NamedTuple):
-    """What all patches share: look, light and veil.
+    """What patches share: look, light and veil; where light is local, also its levels.
 
     Fields
     ------
-    rows : (n, q) derivatives of the pixels that stayed.
-    prior, pull : (q,) information of the priors, and its gradient.
+    rows : (n, q) derivatives of the pixels that stayed by what all patches share.
+    by_levels : (n, l) by the levels of every block, most of them zero; no columns without.
+    prior, pull : (q + l,) information of the priors, and its gradient.
     """
 
     rows: Float[np.ndarray, "n q"]
-    prior: Float[np.ndarray, "q"]
-    pull: Float[np.ndarray, "q"]
+    by_levels: scipy.sparse.csr_matrix
+    prior: Float[np.ndarray, "m"]
+    pull: Float[np.ndarray, "m"]
 
 
 def patch_points(
@@ -80,10 +85,11 @@ def patch_points(
         label = np.where(label >= 0, label, piece)
     known = (by_px**2).sum(axis=0) * weight
     label, known = _number_patches(label, known)
+    by_px = by_px * (known > 0)
     total = np.bincount(label, known)
     middle = np.stack([np.bincount(label, known * axis) / total for axis in place.T], axis=1)
     try:
-        shared = _shared_unknowns(point, all_rows[9:], scene.model.size, inflation)
+        shared = _shared_unknowns(scene, point, all_rows[9:], inflation)
         shift, whitening = _displacements(by_px, label, len(total), residual, weight, shared)
     except np.linalg.LinAlgError:
         return _NOTHING
@@ -116,24 +122,52 @@ def _piece_of_line(place_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[
 def _number_patches(
     label: Int[np.ndarray, "n"], known: Float[np.ndarray, "n"]
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Patches of which something is known numbered from 0; pixels of others count to the first."""
-    useful = np.flatnonzero(np.bincount(label, known) > 0)
+    """Patches of which something is known numbered from 0; pixels of others, which show nothing,
+    count to the first."""
+    total = np.bincount(label, known)
+    useful = np.flatnonzero(total > _LEAST_SHARE * total.max())
     number = np.zeros(label.max() + 1, dtype=int)
     number[useful] = np.arange(len(useful))
     return number[label], np.where(np.isin(label, useful), known, 0.0)
 
 
 def _shared_unknowns(
-    point: Point, by_values: Float[np.ndarray, "k n"], pose_size: int, inflation: float
+    scene: PixelScene, point: Point, by_values: Float[np.ndarray, "k n"], inflation: float
 ) -> _SharedUnknowns:
-    """Local light stays as the fit has left it: where its model fails, as under a lamp's glare,
-    displacements that leave it room disagree with each other."""
-    values, free = np.asarray(point.state.values), point.free[pose_size:]
-    middle, weight = point.state.unknowns.prior(local=False)
+    """Light about a patch, where it has its own, can do what a displacement does."""
+    state, free = point.state, point.free[scene.model.size :]
+    middle, weight = state.unknowns.prior(local=scene.local)
+    pull = weight * (state.values - middle)
+    by_levels, level_weight, level_pull = _local_light(scene, point)
     # Priors count as the pixels do: together they balance where the fit has ended.
-    weight = weight / inflation
-    pull = weight * (values - middle)
-    return _SharedUnknowns(by_values[free].astype(float).T, weight[free], pull[free])
+    return _SharedUnknowns(
+        by_values[free].astype(float).T,
+        by_levels,
+        np.concatenate([weight[free], level_weight]) / inflation,
+        np.concatenate([pull[free], level_pull]) / inflation,
+    )
+
+
+def _local_light(
+    scene: PixelScene, point: Point
+) -> tuple[scipy.sparse.csr_matrix, Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
+    """Derivatives by every block's levels, and the information and gradient of their priors."""
+    kept = np.flatnonzero(point.kept)
+    if not scene.local or scene.blocks is None:
+        return scipy.sparse.csr_matrix((len(kept), 0)), np.zeros(0), np.zeros(0)
+    blocks, (near_circles, near_lines) = scene.blocks.part(kept), point.equations.pixels
+    by_local = scene.join((near_circles.by_local, near_lines.by_local))[:, kept]
+    rows = local_rows(by_local, blocks.basis).astype(float)
+    column = LOCAL_TERMS * blocks.of_pixel + np.arange(LOCAL_TERMS)[:, None]
+    row = np.tile(np.arange(len(kept)), LOCAL_TERMS)
+    size = (len(kept), LOCAL_TERMS * blocks.count)
+    weight = np.tile(LOCAL_WIDTH**-2, blocks.count)
+    levels = np.asarray(point.state.levels).T.ravel()
+    return (
+        scipy.sparse.csr_matrix((rows.ravel(), (row, column.ravel())), size),
+        weight,
+        weight * levels,
+    )
 
 
 def _displacements(
@@ -151,10 +185,14 @@ def _displacements(
         (len(patch), 2 * count),
     )
     weighted = shifts.multiply(weight[:, None]).tocsr()
-    across = weighted.T @ shared.rows
-    by_weight = (shared.rows * weight[:, None]).T
-    inner = by_weight @ shared.rows + np.diag(shared.prior)
-    pull = by_weight @ residual + shared.pull
+    rows, by_levels = shared.rows, shared.by_levels
+    across = np.concatenate([weighted.T @ rows, (weighted.T @ by_levels).toarray()], axis=1)
+    by_weight, levels_by_weight = (rows * weight[:, None]).T, by_levels.multiply(weight[:, None]).T
+    corner = levels_by_weight @ rows
+    inner = np.block(
+        [[by_weight @ rows, corner.T], [corner, (levels_by_weight @ by_levels).toarray()]]
+    ) + np.diag(shared.prior)
+    pull = np.concatenate([by_weight @ residual, levels_by_weight @ residual]) + shared.pull
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     eliminated = (across / scale) @ np.linalg.pinv(inner / np.outer(scale, scale), hermitian=True)
     alone = (weighted.T @ shifts).toarray()
