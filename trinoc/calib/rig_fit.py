@@ -6,7 +6,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.adjustment.agreement import probability_of_agreement, scatter_of_blocks
+from trinoc.calib.adjustment.agreement import (
+    circles_are_refuted,
+    probability_of_agreement,
+    scatter_of_blocks,
+)
 from trinoc.calib.adjustment.each_camera import PoseEstimate, fit_camera
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.detection.detection import Detection
@@ -153,10 +157,9 @@ def _choose(
     scatter = scatter_of_blocks(of_circles, view)
     if is_shown:
         agreement = probability_of_agreement(of_circles, of_pictures, view)
-        # Of two answers that differ, whether the circles' is the one its data speak against.
-        refuted = max(scatter, of_circles.enlarged[view]) > TUNING.answer.largest_scatter
-        circles_are_wrong = refuted and of_pictures.enlarged[view] == 1.0
-        if agreement >= TUNING.answer.chance_of_answers or circles_are_wrong:
+        agrees = agreement >= TUNING.answer.chance_of_answers
+        enlarged = of_circles.enlarged[view], of_pictures.enlarged[view]
+        if agrees or circles_are_refuted(scatter, *map(float, enlarged)):
             return CameraChoice(camera, picture, "pixels", agreement, 1.0)
     # By all that blocks say where the model is wrong.
     scatter = scatter if is_shown or scatter > TUNING.answer.largest_scatter else 1.0

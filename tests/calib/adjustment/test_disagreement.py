@@ -5,6 +5,7 @@ import pytest
 
 from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, made_views
 from trinoc.calib.adjustment.agreement import (
+    circles_are_refuted,
     difference_of_answers,
     probability_of_agreement,
     scatter_of_blocks,
@@ -95,3 +96,18 @@ def test_blocks_scatter_as_claimed_unless_neighbours_share_an_error() -> None:
     alone, shared = scatters(0.0), scatters(3 * SIGMA_PX)
     assert np.mean(alone) < 1.2
     assert np.mean(shared) > np.mean(alone) + 0.1
+
+
+@pytest.mark.parametrize(
+    ("scatter", "enlarged", "enlarged_of_grey", "refuted"),
+    [
+        (1.0, 1.0, 1.0, False),
+        (1.9, 1.0, 1.0, True),
+        (1.0, 1.9, 1.0, True),
+        (1.9, 1.9, 1.3, False),
+    ],
+)
+def test_circles_are_refuted_by_their_own_scatter_where_grey_levels_agree_with_themselves(
+    scatter: float, enlarged: float, enlarged_of_grey: float, refuted: bool
+) -> None:
+    assert circles_are_refuted(scatter, enlarged, enlarged_of_grey) is refuted

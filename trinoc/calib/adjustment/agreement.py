@@ -81,3 +81,12 @@ def difference_of_answers(
     squared = float(slope @ np.linalg.solve(information, slope))
     kept = np.trace(np.linalg.solve(by_grey.T @ by_grey, information)) / len(slope)
     return squared / max(1 - kept, TUNING.adjustment.least_difference)
+
+
+def circles_are_refuted(scatter: float, enlarged: float, enlarged_of_grey: float) -> bool:
+    """Whether, of two answers that differ, the circles' is the one that its own data speak against.
+
+    scatter : of its blocks, as broad glare makes them scatter. enlarged, enlarged_of_grey : how
+    many times as much as they claim the places scatter one by one, of both answers.
+    """
+    return max(scatter, enlarged) > TUNING.answer.largest_scatter and enlarged_of_grey == 1.0
