@@ -44,13 +44,15 @@ def test_right_answers_agree_and_wrong_ones_do_not() -> None:
     assert max(refuted) < 1e-3
 
 
-def test_answers_of_one_picture_differ_as_chi_square_does() -> None:
-    """Circles that are the grey levels' answer and noise of their own: 4,000 pictures."""
+@pytest.mark.parametrize("circles_know_more", [False, True])
+def test_answers_of_one_picture_differ_as_chi_square_does(circles_know_more: bool) -> None:
+    """An answer that is the other one and noise of its own: 4,000 pictures."""
     random = np.random.default_rng(0)
-    by_circles, more = random.normal(size=(30, 4)), random.normal(size=(40, 4))
-    by_grey = np.concatenate([by_circles, 1.5 * more])
-    of_circles, of_grey = (np.linalg.inv(rows.T @ rows) for rows in (by_circles, by_grey))
-    root = np.linalg.cholesky(of_circles - of_grey)
+    few, more = random.normal(size=(30, 4)), random.normal(size=(40, 4))
+    many = np.concatenate([few, 1.5 * more])
+    by_circles, by_grey = (many, few) if circles_know_more else (few, many)
+    of_few, of_many = (np.linalg.inv(rows.T @ rows) for rows in (few, many))
+    root = np.linalg.cholesky(of_few - of_many)
     squared = [
         difference_of_answers(by_circles @ root @ random.normal(size=4), by_circles, by_grey)
         for _ in range(4000)

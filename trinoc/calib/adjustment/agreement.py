@@ -8,8 +8,8 @@ Both circles and grey levels are fitted to one picture, the grey levels better. 
 the grey levels is right, the circles' answer differs from theirs by no more than the circles' own
 noise; where they are farther apart, the grey levels are of another picture than the model's: J.
 A. Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978. His covariance is the
-difference of both, here with the sheet and the lens as the grey levels have them: the priors,
-which make both answers nearly as uncertain as each other, then drop out.
+difference of both, whichever is the larger, here with the sheet and the lens as the grey levels
+have them: the priors, which make both answers nearly as uncertain as each other, then drop out.
 """
 
 import numpy as np
@@ -77,10 +77,14 @@ def difference_of_answers(
     residual : of the circles in sigmas, where the grey levels have the pose. by_circles, by_grey :
     derivatives of both by the pose.
     """
-    slope, information = by_circles.T @ residual, by_circles.T @ by_circles
-    squared = float(slope @ np.linalg.solve(information, slope))
-    kept = np.trace(np.linalg.solve(by_grey.T @ by_grey, information)) / len(slope)
-    return squared / max(1 - kept, TUNING.adjustment.least_difference)
+    root = np.linalg.qr(by_circles, mode="r")
+    own = np.linalg.solve(root.T, by_circles.T @ residual)
+    # The grey levels' covariance where that of the circles is one. Grey levels that leave more of
+    # the light open know less than circles that take it for even.
+    other = root @ np.linalg.solve(by_grey.T @ by_grey, root.T)
+    shares, directions = np.linalg.eigh(0.5 * (other + other.T))
+    variance = np.maximum(np.abs(1 - shares), TUNING.adjustment.least_difference)
+    return float(np.sum((directions.T @ own) ** 2 / variance))
 
 
 def circles_are_refuted(scatter: float, enlarged: float, enlarged_of_grey: float) -> bool:
