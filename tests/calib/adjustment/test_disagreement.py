@@ -105,7 +105,8 @@ def test_blocks_scatter_as_claimed_unless_neighbours_share_an_error() -> None:
     [
         (1.0, 1.0, 1.0, False),
         (1.9, 1.0, 1.0, True),
-        (1.0, 1.9, 1.0, True),
+        (1.4, 1.0, 1.0, False),
+        (1.0, 1.2, 1.0, True),
         (1.9, 1.9, 1.3, False),
     ],
 )

@@ -91,6 +91,8 @@ def circles_are_refuted(scatter: float, enlarged: float, enlarged_of_grey: float
     """Whether, of two answers that differ, the circles' is the one that its own data speak against.
 
     scatter : of its blocks, as broad glare makes them scatter. enlarged, enlarged_of_grey : how
-    many times as much as they claim the places scatter one by one, of both answers.
+    many times as much as they claim the places scatter one by one, of both answers; 1 where that
+    may be chance.
     """
-    return max(scatter, enlarged) > TUNING.answer.largest_scatter and enlarged_of_grey == 1.0
+    refuted = scatter > TUNING.answer.largest_scatter or enlarged > 1.0
+    return refuted and enlarged_of_grey == 1.0
