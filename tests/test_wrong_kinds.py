@@ -53,6 +53,8 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
     (lambda lines: trinoc.evaluate(lines, np.zeros((1, 2, 3))), "m.npz", "The lines hold no ends"),
     (lambda edges: trinoc.evaluate(MATCHES, edges), None, "The known edges hold no ends"),
     (lambda lens: trinoc.find_segments(GREY["left"], intrinsics=lens), RIG, "lens is of type Rig"),
+    (trinoc.undistort, "camera.json", "lens or rig is of type str"),
+    (trinoc.rectify, LENS, "The rig is of type Intrinsics"),
     (trinoc.Segments.from_endpoints, "a.csv", "Segments of type str hold no numbers"),
     (
         lambda sigma: trinoc.Segments.from_endpoints(ENDS, sigma_px=sigma),

@@ -16,6 +16,7 @@ from .geometry.camera import Camera as Camera
 from .geometry.intrinsics import Intrinsics as Intrinsics
 from .geometry.rig import Rig as Rig
 from .geometry.segments import Segments as Segments
+from .image.ideal_pictures import rectify as rectify, undistort as undistort
 from .io.board_json import load_pattern as load_pattern
 from .io.frames_files import load_recording as load_recording
 from .io.rig_json import load_rig as load_rig

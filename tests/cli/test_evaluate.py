@@ -105,10 +105,10 @@ def test_alignment_is_asked_for_and_said(run):
     status, out, _ = run(*of_matches("shifted.csv"))
     assert status == 0
     assert "after laying" not in out
-    status, out, _ = run(*of_matches("shifted.csv", "--align"))
+    status, out, _ = run(*of_matches("shifted.csv", "--shape", "align=yes"))
     assert status == 0
     assert "turned by 0.00" in out
-    record = json.loads(run(*of_matches("shifted.csv", "--align", "--json"))[1])
+    record = json.loads(run(*of_matches("shifted.csv", "--shape", "align=yes", "--json"))[1])
     assert record["aligned"] is True
     np.testing.assert_allclose(record["motions"][0]["shift_mm"], 1.5, atol=1e-2)
     assert record["rows"][0]["precision_0.1mm"] > 0.9

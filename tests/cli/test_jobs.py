@@ -285,7 +285,7 @@ def test_pattern_writes_a_sheet_that_calibrate_reads(run, folder, paper):
 
 def test_pattern_that_does_not_fit_the_paper_is_not_written(run, folder):
     before = sorted(folder.iterdir())
-    status, _, err = run("pattern", "--pitch-mm", "80", "-o", "large.json")
+    status, _, err = run("pattern", "sheet", "pitch_mm=80", "-o", "large.json")
     assert status == 1
     assert "more than a4 offers" in err
     assert sorted(folder.iterdir()) == before

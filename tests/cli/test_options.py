@@ -171,7 +171,7 @@ def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
     ):
         assert main(["pattern", "-o", place, "--camera", *words]) == 2
         assert says in capsys.readouterr().err
-    for other in ("charuco",), ("--rows", "8"):
+    for other in ("charuco",), ("--rows", "8"), ("sheet", "radius_mm=5"):
         assert main(["pattern", *other, "--camera", "distance_mm=500", "-o", place]) == 2
 
 
@@ -181,7 +181,8 @@ def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
         (("chess",), "no kind of board: give sheet"),
         (("charuco", "marker=3"), "write marker_mm=VALUE"),
         (("charuco", "square_mm"), "as NAME=VALUE"),
-        (("chessboard", "--pitch-mm", "3"), "leave out --pitch-mm"),
+        (("chessboard", "pitch_mm=3"), 'no setting "pitch_mm": it has square_mm'),
+        (("sheet", "pitch_mm=wide"), "is no number"),
         (("sheet", "line_style=red"), "give stop, through or white"),
         (("aprilgrid", "first=1.5"), "no whole number"),
         (("layout.json", "--rows", "3"), "leave out --rows"),

@@ -14,7 +14,7 @@ import tyro
 from trinoc.cli.calibrate import calibration_record
 from trinoc.cli.command import LOGGER, Command, Outcome
 from trinoc.cli.match import match_record
-from trinoc.errors import InputError
+from trinoc.cli.views import make_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,7 +46,7 @@ class DemoCommand(Command):
     def run(self, command_line: str) -> Outcome:
         """Do the whole job, the same functions as the other commands in the same order."""
         seconds: dict[str, float] = {}
-        _make_folder(self.out)
+        make_folder(self.out)
         work = _work(seconds)
         score = _score(work.matches)
         with _step("writing the report", seconds):
@@ -230,15 +230,6 @@ def _step(doing: str, seconds: dict[str, float]) -> Iterator[None]:
     start = time.perf_counter()
     yield
     seconds[doing] = round(time.perf_counter() - start, 3)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder} cannot be made a folder ({error.strerror}): give another one with --out."
-        ) from error
 
 
 # The demo's pictures are made: lens and print are exactly what is said of them.

@@ -1,7 +1,7 @@
 """`trinoc evaluate`: how accurate is the shape that segments give, against a known one?"""
 
 import dataclasses
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -9,7 +9,14 @@ import tyro
 
 from trinoc.cli.command import LOGGER, Command, FileOrNone, Out, Outcome, UsageError, with_nulls
 from trinoc.cli.segments import FIND, usual_find
-from trinoc.cli.settings import Settings, parse_list, parse_number, parse_word, read_settings
+from trinoc.cli.settings import (
+    Settings,
+    parse_list,
+    parse_number,
+    parse_truth,
+    parse_word,
+    read_settings,
+)
 from trinoc.cli.views import SEGMENT_SUFFIXES, check_views, files_of_views, read_rig
 from trinoc.errors import InputError
 
@@ -27,7 +34,10 @@ LINES = {
     "stage": parse_list(parse_word("all", "trinocular")),
     "least_posterior": parse_list(parse_number),
 }
-SHAPE = {"unit_mm": parse_number, "crease_deg": parse_number, "grey_step": parse_number}
+SHAPE: Mapping[str, Callable[[str], Any]] = {
+    **dict.fromkeys(("unit_mm", "crease_deg", "grey_step"), parse_number),
+    "align": parse_truth,
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -64,10 +74,8 @@ class EvaluateCommand(Command):
     shape: Settings = ()
     """How the known shape is read: unit_mm=1 (length of one unit of its file), crease_deg=30 (faces
     of an OBJ that turn by more meet in an edge), grey_step=8 (an edge of a made scene with less
-    across it counts as not shown)."""
-
-    align: bool = False
-    """First lay the segments on the shape by a rigid motion; figures are then those after it."""
+    across it counts as not shown). align=yes: first lay the segments on it by a rigid motion;
+    figures are then those after it."""
 
     out: Out = Path("evaluation.csv")
     """Where the table goes; it grows with every setting."""
@@ -89,12 +97,14 @@ class EvaluateCommand(Command):
             from trinoc.report.evaluations import expect_plotter
 
             expect_plotter(self.plot)
-        shape = load_shape(self.truth, **read_settings("--shape", self.shape, SHAPE))
+        stated = read_settings("--shape", self.shape, SHAPE)
+        aligned = stated.pop("align", False)
+        shape = load_shape(self.truth, **stated)
         rig = None if self.rig is None else read_rig(self.rig)
         if rig is not None and shape.wants_every_edge:
             shape = shape.seen_by(rig)
         rows: list[Row] = []
-        for row in self._rows(files, rig, shape):
+        for row in self._rows(files, rig, shape, aligned=aligned):
             rows.append(row)
             save_table([done.record() for done in rows], self.out)
         if all(row.evaluation is None for row in rows):
@@ -105,7 +115,7 @@ class EvaluateCommand(Command):
             write_plot(rows, self.plot)
         record = {
             "wanted": shape.wanted,
-            "aligned": self.align,
+            "aligned": aligned,
             "rows": [with_nulls(row.record()) for row in rows],
             "edges": [_edges(row) for row in rows],
             "motions": [_motion(row) for row in rows],
@@ -134,7 +144,7 @@ class EvaluateCommand(Command):
         return [stated.get(name, (usual_find()[name],)) for name in TRIED]
 
     def _rows(
-        self, files: dict[str, Path], rig: "Rig | None", shape: "KnownShape"
+        self, files: dict[str, Path], rig: "Rig | None", shape: "KnownShape", *, aligned: bool
     ) -> "Iterator[Row]":
         from trinoc.evaluation.sweep import evaluate_matches, evaluate_settings, list_settings
 
@@ -144,7 +154,7 @@ class EvaluateCommand(Command):
 
             matches = load_matches(self.matches)
             yield from evaluate_matches(
-                matches, rig, shape, choices, tolerances_mm=self.within_mm, aligned=self.align
+                matches, rig, shape, choices, tolerances_mm=self.within_mm, aligned=aligned
             )
             return
         from trinoc.io.images import expect_size, read_views
@@ -169,7 +179,7 @@ class EvaluateCommand(Command):
             settings,
             choices,
             tolerances_mm=self.within_mm,
-            aligned=self.align,
+            aligned=aligned,
         )
         for number, row in enumerate(rows):
             if number % len(choices) == 0 and row.setting is not None:

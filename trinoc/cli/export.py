@@ -78,8 +78,7 @@ class ExportCommand(Command):
         ReadFormat | None,
         tyro.conf.arg(name="from", metavar="FORMAT", help_behavior_hint=_NONE),
     ] = None
-    """Cameras: opencv, ros, kalibr, colmap, colmap-text, mrcal, matlab, nerfstudio, tf. Segments:
-    lsd, elsed, limap-segments."""
+    """The same of cameras and segments."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
     """Where it goes: with --to, a file, or a new folder for formats of several files; with --from,

@@ -1,6 +1,7 @@
-"""`trinoc intrinsics`: several pictures of the sheet by one camera to a camera.json."""
+"""`trinoc intrinsics`, `undistort`: a lens from pictures of the sheet; pictures without a lens."""
 
 import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -8,9 +9,15 @@ import tyro
 
 from trinoc.cli.command import LOGGER, BoardFile, Command, Out, Outcome, UsageError, each
 from trinoc.cli.lens_options import expect_pixel_pitch
+from trinoc.cli.views import expect_names, files_of_rig, make_folder, read_rig
+from trinoc.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from trinoc.calib.intrinsics_result import IntrinsicsResult
+    from trinoc.geometry.intrinsics import Intrinsics
+    from trinoc.image.ideal_pictures import PictureMaps
 
 
 # Not None: an option that may be a pair or nothing would take pictures that follow it.
@@ -124,3 +131,210 @@ def intrinsics_record(result: "IntrinsicsResult") -> dict[str, Any]:
         "notes": list(result.notes),
         "next_picture": None if advice is None else advice.sentence,
     }
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class UndistortCommand(Command):
+    """Make pictures as cameras without distortion take them, also turned until rows correspond."""
+
+    images: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="NAME=FILE", help_behavior_hint="(required)"),
+    ]
+    """For each camera its picture; or pictures of one lens."""
+
+    rig: Annotated[Path, tyro.conf.arg(aliases=("--lens", "--intrinsics"), metavar="FILE")]
+    """The cameras, or the camera.json of one lens."""
+
+    rectify: bool = False
+    """Also turn two or three cameras until a point has one row in all; of three that are not in one
+    line, one row in the first and second given, one column in the first and third."""
+
+    alpha: float = 0.0
+    """How much of the field is kept, from 0, no black pixels, to 1, all of it."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="FOLDER")] = Path("undistorted")
+    """The folder of the new pictures (PNG), their rig.json or camera.json, and maps for
+    cv2.remap."""
+
+    def run(self, command_line: str) -> Outcome:
+        """Read and check everything, then write."""
+        if not self.images:
+            raise UsageError("No picture is given: write NAME=FILE for each camera.")
+        if not 0 <= self.alpha <= 1:
+            raise UsageError(f"--alpha is {self.alpha:g}: give a number from 0 to 1.")
+
+        from trinoc.geometry.intrinsics import Intrinsics
+        from trinoc.geometry.rig import Rig
+        from trinoc.io.saving import load
+
+        cameras = load(self.rig)
+        if isinstance(cameras, Rig):
+            return self._of_rig(command_line)
+        if not isinstance(cameras, Intrinsics):
+            raise UsageError(f"{self.rig} holds neither a rig nor a lens: give one of them.")
+        if self.rectify:
+            raise UsageError(f"--rectify is of a rig, but {self.rig} holds one lens: leave it out.")
+        return self._of_lens(cameras, command_line)
+
+    def _of_rig(self, command_line: str) -> Outcome:
+        from trinoc.cli.command import provenance
+        from trinoc.geometry.rig import Rig
+        from trinoc.image.ideal_pictures import rectify, undistort
+        from trinoc.io.images import expect_size, read_views
+        from trinoc.io.rig_json import load_rig_status, save_rig, status_of_names
+
+        rig = read_rig(self.rig)
+        files = files_of_rig(self.images, rig.names)
+        expect_names(files, rig, self.rig)
+        pictures = dict(zip(files, self._new_pictures(list(files.values())), strict=True))
+        maps = {view: self.out / f"{view}-maps.npz" for view in files}
+        place = self.out / "rig.json"
+        self._expect_places(files.values(), pictures.values(), maps.values(), {place: Rig})
+        images = read_views(files)
+        for view, image in images.items():
+            expect_size(view, image, rig)
+        chosen = Rig(
+            {view: rig[view] for view in files},
+            parameters=rig.parameters,
+            covariance=rig.covariance,
+        )
+        ideal = (rectify if self.rectify else undistort)(chosen, alpha=self.alpha)
+        notes, has_sigmas = list(ideal.notes), bool(ideal.rig.parameters)
+        if rig.parameters and not has_sigmas:
+            notes.append(
+                f"The new rig has no sigmas: errors of the lenses, which {self.rig} has, bend the "
+                "rays of a picture as no ideal camera does."
+            )
+        make_folder(self.out)
+        for view in each(tuple(files), "undistorting", quiet=self.quiet):
+            _write(ideal.maps[view], maps[view], {pictures[view]: images[view]})
+        origin = provenance(command_line, {"rig": self.rig, **files})
+        status = status_of_names(load_rig_status(self.rig), ideal.rig.names, sigmas=has_sigmas)
+        save_rig(ideal.rig, place, provenance={**origin, "notes": notes}, status=status)
+        lenses = {view: camera.intrinsics for view, camera in ideal.rig.items()}
+        said = [
+            f"Depth in mm is {d.product_px_mm:.6g} / ({d.along}_{d.first} - {d.along}_{d.second} - "
+            f"({d.offset_px:.6g})), in pixels of the new pictures."
+            for d in ideal.disparities
+        ]
+        record = {
+            **_record(lenses, pictures, maps),
+            "disparities": [disparity._asdict() for disparity in ideal.disparities],
+            "has_sigmas": has_sigmas,
+            "notes": notes,
+        }
+        text = "\n".join([_table(lenses, ideal.maps), *said, *notes])
+        return Outcome(text, record, written=(*pictures.values(), *maps.values(), place))
+
+    def _of_lens(self, lens: "Intrinsics", command_line: str) -> Outcome:
+        from trinoc.cli.command import provenance
+        from trinoc.geometry.intrinsics import Intrinsics
+        from trinoc.image.ideal_pictures import undistort
+        from trinoc.io.images import read_image
+        from trinoc.io.saving import save
+
+        files = [Path(file) for file in self.images]
+        pictures = dict(zip(self._new_pictures(files), files, strict=True))
+        maps, place = self.out / "maps.npz", self.out / "camera.json"
+        self._expect_places(files, pictures, [maps], {place: Intrinsics})
+        ideal = undistort(lens, alpha=self.alpha)
+        make_folder(self.out)
+        for new, file in each(pictures.items(), "undistorting", quiet=self.quiet):
+            image = read_image(file)
+            if image.shape[1::-1] != lens.image_size_px:
+                sizes = [f"{w} x {h} px" for w, h in (image.shape[1::-1], lens.image_size_px)]
+                raise InputError(
+                    f"{file} is {sizes[0]}, but {self.rig} is of pictures of {sizes[1]}: give "
+                    "pictures of that size."
+                )
+            _write(ideal.maps, maps, {new: image})
+        origin = provenance(command_line, {"lens": self.rig})
+        save(ideal.lens, place, provenance=origin)
+        named = {"lens": ideal.lens}
+        record = _record(named, {}, {"lens": maps})
+        return Outcome(
+            _table(named, {"lens": ideal.maps}), record, written=(*pictures, maps, place)
+        )
+
+    def _new_pictures(self, files: Sequence[Path]) -> list[Path]:
+        """Where the new pictures go. Raises UsageError where two would have one name."""
+        new = [self.out / f"{file.stem}.png" for file in files]
+        for k, place in enumerate(new):
+            if place in new[:k]:
+                raise UsageError(
+                    f"{files[new.index(place)]} and {files[k]} would both become {place}: give "
+                    "pictures with names of their own."
+                )
+        return new
+
+    def _expect_places(
+        self,
+        read: Iterable[Path],
+        pictures: Iterable[Path],
+        maps: Iterable[Path],
+        cameras: Mapping[Path, type],
+    ) -> None:
+        """Raise UsageError or InputError where something would be lost."""
+        from trinoc.image.ideal_pictures import PictureMaps
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.saving import expect_replaceable
+
+        if self.out.exists() and not self.out.is_dir():
+            raise UsageError(f"--out is {self.out}, which is no folder: give one.")
+        kinds = {**dict.fromkeys(maps, PictureMaps), **cameras}
+        taken = {file.resolve() for file in (self.rig, *read)}
+        for place in (*pictures, *kinds):
+            if place.resolve() in taken:
+                raise UsageError(f"{place} is read, and would be lost: give another --out.")
+        # A folder with maps is one that this command wrote before.
+        is_ours = all(place.exists() for place in kinds)
+        for place, kind in kinds.items() if self.out.exists() else ():
+            expect_place(place)
+            expect_replaceable(place, kind, force=self.force)
+        for place in pictures:
+            if place.exists() and not (is_ours or self.force):
+                raise InputError(
+                    f"{place} is there and would be lost: give another --out, or --force."
+                )
+
+
+def _write(maps: "PictureMaps", file: Path, pictures: "Mapping[Path, np.ndarray]") -> None:
+    from trinoc.io.images import write_picture
+    from trinoc.io.saving import save
+
+    save(maps, file)
+    for place, image in pictures.items():
+        write_picture(place, maps.resample(image))
+
+
+def _table(lenses: "Mapping[str, Intrinsics]", maps: "Mapping[str, PictureMaps]") -> str:
+    from trinoc.report.text import text_table
+
+    head = ("camera", "focal length (px)", "principal point (px)", "skew (px)", "valid pixels")
+    rows = [
+        (
+            name,
+            *(f"{u:.2f} {v:.2f}" for u, v in (lens.focal_length_px, lens.principal_point_px)),
+            f"{float(lens.skew_px):.2f}",
+            f"{maps[name].valid.mean():.1%}",
+        )
+        for name, lens in lenses.items()
+    ]
+    return text_table(head, rows)
+
+
+def _record(
+    lenses: "Mapping[str, Intrinsics]", pictures: Mapping[str, Path], maps: Mapping[str, Path]
+) -> dict[str, Any]:
+    """What programs want to know of the new cameras, as JSON can hold it."""
+    cameras = {
+        name: {
+            "image_size_px": list(lens.image_size_px),
+            "matrix": lens.matrix.tolist(),
+            "maps": str(maps[name]),
+            **({"picture": str(pictures[name])} if name in pictures else {}),
+        }
+        for name, lens in lenses.items()
+    }
+    return {"cameras": cameras}

@@ -29,7 +29,7 @@ from trinoc.cli.command import (
 from trinoc.cli.demo import DemoCommand
 from trinoc.cli.evaluate import EvaluateCommand
 from trinoc.cli.export import ExportCommand
-from trinoc.cli.intrinsics import IntrinsicsCommand
+from trinoc.cli.intrinsics import IntrinsicsCommand, UndistortCommand
 from trinoc.cli.match import MatchCommand
 from trinoc.cli.pattern import PatternCommand
 from trinoc.cli.refine import CheckCommand, CompareCommand, RefineCommand
@@ -134,7 +134,8 @@ COMMANDS: tuple[type[Command], ...] = (
         BatchCommand,
         RefineCommand,
     ),
-    *(CheckCommand, CompareCommand, EvaluateCommand, ViewCommand, ExportCommand),
+    *(CheckCommand, CompareCommand, UndistortCommand, EvaluateCommand, ViewCommand),
+    ExportCommand,
 )
 AnyCommand: Any = Union[  # noqa: UP007, tyro reads a union that is made here
     tuple(Annotated[each, tyro.conf.subcommand(each.command_name())] for each in COMMANDS)

@@ -51,7 +51,14 @@ _PARSERS: Mapping[Any, Callable[[str], Any]] = {
 }
 # What a board has where nothing is said.
 _USUAL = {"square_mm": 20.0, "tag_mm": 16.0}
-_COUNT, _PITCH_MM, _RADIUS_MM = 8, 20.0, 6.0
+_COUNT = 8
+_SHEET_SIZES = {"pitch_mm": 20.0, "radius_mm": 6.0}
+_SHEET = {
+    **dict.fromkeys(_SHEET_SIZES, parse_number),
+    "line_style": parse_word("stop", "through", "white"),
+}
+# Of a sheet, what --camera chooses.
+_CHOSEN = tuple(f"{name}=" for name in _SHEET_SIZES)
 
 
 class Screen(NamedTuple):
@@ -101,9 +108,10 @@ class PatternCommand(Command):
     ] = ()
     """What to draw: the sheet of `trinoc calibrate`, or a board for `calibrate-rig`: chessboard,
     charuco, aprilgrid; or a layout (JSON) that is there already. Behind the kind what else it has,
-    as in its layout: of a sheet line_style=stop|through|white (where a line of an odd grid meets a
-    circle: it stops before it, runs through it in black or in white); of a chessboard square_mm=20;
-    of a charuco board square_mm=20 marker_mm=15 dictionary=4x4_250 first=0 legacy=no; of an
+    as in its layout: of a sheet pitch_mm=20 (between the centres of neighbouring circles)
+    radius_mm=6 line_style=stop|through|white (where a line of an odd grid meets a circle: it stops
+    before it, runs through it in black or in white); of a chessboard square_mm=20; of a charuco
+    board square_mm=20 marker_mm=15 dictionary=4x4_250 first=0 legacy=no; of an
     aprilgrid tag_mm=16 spacing=0.3 (gap over tag) dictionary=APRILTAG_36h11 first=0 border=2. first
     is the number of the first marker, by which boards fixed to each other are told apart."""
 
@@ -115,16 +123,6 @@ class PatternCommand(Command):
         int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: 8)")
     ] = None
     """Circles from left to right; even, too. Of a board, squares or tags."""
-
-    pitch_mm: Annotated[
-        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: 20)")
-    ] = None
-    """Distance between the centres of neighbouring circles."""
-
-    radius_mm: Annotated[
-        float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="(default: 6)")
-    ] = None
-    """Radius of the circles."""
 
     camera: Settings = ()
     """Choose number, pitch and radius of the circles for a camera: distance_mm=500 (from which it
@@ -221,7 +219,10 @@ class PatternCommand(Command):
             raise UsageError(
                 "--camera is of the sheet of circles: give square_mm or tag_mm behind the kind."
             )
-        self._refuse("--camera chooses them", "rows", "columns", "pitch_mm", "radius_mm")
+        self._refuse("--camera chooses them", "rows", "columns")
+        for word in self.layout:
+            if word.startswith(_CHOSEN):
+                raise UsageError(f"--camera chooses them: leave out {word}.")
         missing = [name for name in CAMERA if name not in said]
         if missing:
             raise UsageError(
@@ -281,7 +282,7 @@ class PatternCommand(Command):
 
         kind, words = self._kind(), [word for word in self.layout if "=" in word]
         if kind.lower().endswith(".json"):
-            self._refuse(f"{kind} says it already", "rows", "columns", "pitch_mm", "radius_mm")
+            self._refuse(f"{kind} says it already", "rows", "columns")
             if words:
                 raise UsageError(f"{kind} says it already: leave out {words[0]}.")
             board = load_target(kind)
@@ -299,8 +300,6 @@ class PatternCommand(Command):
         board = BOARDS[kind]
         types: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(board)}
         names = [name for name in board.layout.values() if name not in ("rows", "columns")]
-        why = f"{kind} is no sheet of circles, but has {', '.join(names)}"
-        self._refuse(why, "pitch_mm", "radius_mm")
         said = read_settings(kind, [words], {name: _PARSERS[types[name]] for name in names})
         usual = {name: value for name, value in _USUAL.items() if name in names}
         # A chessboard counts its inner corners.
@@ -314,13 +313,7 @@ class PatternCommand(Command):
     ) -> "AbstractBoard":
         from trinoc.calib.targets.pattern import Pattern
 
-        parsers = {"line_style": parse_word("stop", "through", "white")}
-        sizes = {
-            "rows": rows,
-            "columns": columns,
-            "pitch_mm": _PITCH_MM if self.pitch_mm is None else self.pitch_mm,
-            "radius_mm": _RADIUS_MM if self.radius_mm is None else self.radius_mm,
-        }
+        sizes: dict[str, Any] = {"rows": rows, "columns": columns, **_SHEET_SIZES}
         if proposal is not None:
             sizes = {
                 "rows": proposal.count,
@@ -328,4 +321,4 @@ class PatternCommand(Command):
                 "pitch_mm": proposal.pitch_mm,
                 "radius_mm": proposal.radius_mm,
             }
-        return Pattern.cross_grid(**sizes, **read_settings(SHEET, [words], parsers))
+        return Pattern.cross_grid(**{**sizes, **read_settings(SHEET, [words], _SHEET)})

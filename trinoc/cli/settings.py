@@ -53,6 +53,8 @@ OLD_OPTIONS: dict[str, dict[str, str]] = {
         "tag-spacing": "trinoc pattern aprilgrid spacing=RATIO",
         "dictionary": "trinoc pattern KIND dictionary=NAME",
         "first": "trinoc pattern KIND first=N",
+        "pitch-mm": "trinoc pattern sheet pitch_mm=MM",
+        "radius-mm": "trinoc pattern sheet radius_mm=MM",
         "line-style": "trinoc pattern sheet line_style=stop|through|white",
         "for-distance-mm": "--camera distance_mm=MM field_deg=DEG size_px=W,H",
         "field-deg": "--camera distance_mm=MM field_deg=DEG size_px=W,H",
@@ -92,6 +94,7 @@ OLD_OPTIONS: dict[str, dict[str, str]] = {
         "least-posterior": "--lines least_posterior=0,0.5",
         "stages": "--lines stage=all,trinocular",
         "forms": "--lines form=tracks,joined",
+        "align": "--shape align=yes",
         "unit-mm": "--shape unit_mm=MM",
         "crease-deg": "--shape crease_deg=DEG",
         "grey-step": "--shape grey_step=LEVELS",
@@ -235,7 +238,7 @@ POSITIONAL = "images"
 ONE_OF = (
     ("--out", "-o"),
     ("--board", "--pattern"),
-    ("--lens", "--intrinsics", "--lens-mm"),
+    ("--rig", "--lens", "--intrinsics", "--lens-mm"),
     ("--to", "--from"),
 )
 # These take one value each time they are given.

@@ -114,6 +114,16 @@ def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, 
     return found
 
 
+def make_folder(folder: Path) -> None:
+    """The folder that --out names, where it is not there. Raises InputError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder} cannot be made a folder ({error.strerror}): give another one with --out."
+        ) from error
+
+
 def read_rig(file: str | os.PathLike[str]) -> "Rig":
     """The rig of a file; a warning on stderr repeats what its calibration doubted."""
     from trinoc.io.rig_json import load_rig
@@ -182,13 +192,18 @@ def _warn_of_nothing(name: str, image: "np.ndarray | None", file: Path) -> None:
     LOGGER.warning('no segment in %s, the picture of "%s": %s', file, name, why)
 
 
-def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
-    """Raise InputError where the views given are not the cameras of the rig."""
+def expect_names(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
+    """Raise InputError for a view that is no camera of the rig."""
     for name in files:
         if name not in rig.names:
             raise InputError(
                 f'{rig_file} has no camera "{name}", but {", ".join(rig.names)}: use these names.'
             )
+
+
+def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
+    """Raise InputError where the views given are not the cameras of the rig."""
+    expect_names(files, rig, rig_file)
     missing = [name for name in rig.names if name not in files]
     if missing and len(files) < 3:
         raise InputError(

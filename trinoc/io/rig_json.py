@@ -1,7 +1,7 @@
 """rig.json: cameras, what is known of their errors, and how the calibration ended."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -50,6 +50,20 @@ class RigStatus(NamedTuple):
             for name, camera in self.cameras.items()
             if camera.status != CONVERGED
         }
+
+
+def status_of_names(
+    status: RigStatus, names: Sequence[str], *, sigmas: bool
+) -> dict[str, Any] | None:
+    """The "status" object of a rig made from some cameras of another, with its sigmas or not; None
+    where no calibration spoke of these."""
+    cameras = {
+        name: {"status": status.cameras[name].status, "notes": list(status.cameras[name].notes)}
+        for name in names
+        if name in status.cameras
+    }
+    included = list(status.sigmas_include) if sigmas else []
+    return {"cameras": cameras, "sigmas_include": included} if cameras else None
 
 
 def status_to_block(result: "CalibrationResult") -> dict[str, Any]:

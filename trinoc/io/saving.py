@@ -6,14 +6,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
+from trinoc.image.ideal_pictures import PictureMaps
 from trinoc.io import board_json, demo, intrinsics_json, rig_json
-from trinoc.io.arrays_npz import format_of_arrays
+from trinoc.io.arrays_npz import format_of_arrays, read_arrays, write_arrays
 from trinoc.io.board_json import load_target, save_target
 from trinoc.io.frames_files import FORMAT as FRAMES_FORMAT, load_frames, load_recording
 from trinoc.io.json_document import parsed_json
@@ -31,6 +34,8 @@ _DOCUMENTS: tuple[tuple[type, str], ...] = (
     (Intrinsics, "a lens"),
     (AbstractTarget, "a layout"),
 )
+# Of a PictureMaps, whose arrays are named as its fields.
+MAPS_FORMAT, MAPS_VERSION = "trinoc-maps", 1
 
 
 def tables() -> list[type[Table]]:
@@ -42,6 +47,7 @@ def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
     """Before a long job: raise InputError for a name that `save` would refuse a value of a kind."""
     written = [(*document, ".json") for document in _DOCUMENTS]
     written += [(each, each.IN_WORDS, ".npz") for each in tables()]
+    written.append((PictureMaps, "maps", ".npz"))
     for each, words, ending in written:
         if path is not None and issubclass(kind, each) and Path(path).suffix.lower() != ending:
             are = "is" if words.startswith("a ") else "are"
@@ -81,6 +87,8 @@ def _list_formats(kind: type) -> tuple[str, ...]:
         return (f"trinoc-{kind.KIND}",)
     if issubclass(kind, AbstractTarget):
         return board_json.PATTERN_FORMAT, board_json.FORMAT
+    if issubclass(kind, PictureMaps):
+        return (MAPS_FORMAT,)
     return (rig_json.FORMAT if issubclass(kind, Rig) else intrinsics_json.FORMAT,)
 
 
@@ -94,12 +102,12 @@ def save(
 
     A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
     (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
-    JSON; Segments, Matches, a Detection, a Wireframe, Cylinders and Rims become npz. `provenance`,
-    of rigs and lenses, says how it was found ("command", "version", "inputs"). Raises InputError
-    for other values and for a name whose ending is not that of the file.
+    JSON; Segments, Matches, a Detection, a Wireframe, Cylinders, Rims and PictureMaps become npz.
+    `provenance`, of rigs and lenses, says how it was found ("command", "version", "inputs"). Raises
+    InputError for other values and for a name whose ending is not that of the file.
     """
     more: dict[str, Any] = {}
-    if not isinstance(value, (*(kind for kind, _ in _DOCUMENTS), *tables())):
+    if not isinstance(value, (*(kind for kind, _ in _DOCUMENTS), *tables(), PictureMaps)):
         value, more = _content_of_result(value, path)
     expect_ending(path, type(value))
     match value:
@@ -111,6 +119,9 @@ def save(
             save_target(value, path)
         case Table():
             save_npz(value, path)
+        case PictureMaps():
+            arrays = {name: np.asarray(array) for name, array in value._asdict().items()}
+            write_arrays(path, MAPS_FORMAT, MAPS_VERSION, arrays)
 
 
 def load(path: str | os.PathLike[str]) -> Any:
@@ -118,8 +129,8 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     A rig.json gives a Rig, a camera.json Intrinsics, a layout its Pattern or board, the truth.json
     of a made scene a SceneTruth; an npz gives Segments, Matches, a Detection, a Wireframe,
-    Cylinders or Rims, a file of frames (npz or parquet) the FrameMatches of each, the output folder
-    of a batch its RecordingMatches; an OBJ gives a KnownShape.
+    Cylinders, Rims or PictureMaps, a file of frames (npz or parquet) the FrameMatches of each, the
+    output folder of a batch its RecordingMatches; an OBJ gives a KnownShape.
 
     Raises InputError for other files, and, with the field and the first row, for what no such value
     holds.
@@ -135,7 +146,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     readers = _readers()
     if not isinstance(stated, str) or stated not in readers:
         documents = ", ".join(words for words, _ in _BY_FORMAT.values())
-        arrays = ", ".join(f"{kind.KIND}.npz" for kind in tables())
+        arrays = ", ".join(f"{kind}.npz" for kind in (*(t.KIND for t in tables()), "maps"))
         raise InputError(
             f"{file} is no value that trinoc wrote: give {documents}, one of {arrays}, shape.obj, "
             "or the folder of trinoc batch or a file in it."
@@ -162,7 +173,21 @@ def _readers() -> dict[str, _Reader]:
         **{name: reader for name, (_, reader) in _BY_FORMAT.items()},
         **{f"trinoc-{kind.KIND}": partial(load_npz, kind) for kind in tables()},
         FRAMES_FORMAT: load_frames,
+        MAPS_FORMAT: _load_maps,
     }
+
+
+def _load_maps(file: Path) -> PictureMaps:
+    arrays = read_arrays(file, MAPS_FORMAT, MAPS_VERSION)
+    map_x, map_y, size = (arrays.get(name, np.zeros(0)) for name in PictureMaps._fields)
+    if not (
+        map_x.shape == map_y.shape
+        and (map_x.ndim, size.shape) == (2, (2,))
+        and size.dtype.kind in "iu"
+        and all(each.dtype == np.float32 and np.isfinite(each).all() for each in (map_x, map_y))
+    ):
+        raise InputError(f"{file} holds no maps of pictures: write it again.")
+    return PictureMaps(map_x, map_y, (int(size[0]), int(size[1])))
 
 
 def load_matches(path: str | os.PathLike[str]) -> Matches:

@@ -1,0 +1,200 @@
+"""`trinoc undistort`: pictures of a rig or of a lens, rectified or not, and what is refused."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import trinoc
+from tests.geometry.strategies import DISTORTED_LENS
+from trinoc.cli.main import main
+from trinoc.geometry.camera import Camera, depth_mm
+from trinoc.image.ideal_pictures import PictureMaps
+from trinoc.io.images import read_image
+from trinoc.io.rig_json import load_rig_status, save_rig
+from trinoc.synth import table1_rig
+
+VIEWS = ("upper", "left", "right")
+PICTURES = tuple(f"{view}={view}.png" for view in VIEWS)
+RIG = ("--rig", "rig.json", "--quiet")
+NAMES = tuple(f"{view}.{own}" for view in VIEWS for own in ("pan_deg", "distance_mm"))
+
+
+def bent_rig(*more: str) -> trinoc.Rig:
+    """The paper's cameras with distortion, sure of nothing that stands in `more` either."""
+    names = (*NAMES, *more)
+    cameras = {n: Camera(DISTORTED_LENS, camera.pose) for n, camera in table1_rig().items()}
+    return trinoc.Rig(cameras, parameters=names, covariance=1e-6 * np.eye(len(names)))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A rig, a lens, and pictures: of 8 and 16 bit, in colour and grey."""
+    monkeypatch.chdir(tmp_path)
+    status = {"cameras": {v: {"status": "suspect", "notes": ["It is."]} for v in ("left", "right")}}
+    save_rig(bent_rig(), "rig.json", status=status)
+    trinoc.save(DISTORTED_LENS, "camera.json")
+    random = np.random.default_rng(4)
+    for view, kind, channels in zip(
+        VIEWS, (np.uint8, np.uint16, np.uint8), ((3,), (), ()), strict=True
+    ):
+        levels = random.integers(0, np.iinfo(kind).max, (480, 512, *channels)).astype(kind)
+        cv2.imwrite(f"{view}.png", cv2.GaussianBlur(levels, (0, 0), 4))
+    return tmp_path
+
+
+def content(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_pictures_of_a_rig_keep_names_depth_and_colours(folder, capsys):
+    before = content(folder)
+    assert main(["undistort", *PICTURES, *RIG, "-o", "out/of/it", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert {path: data for path, data in content(folder).items() if path in before} == before
+    out = Path("out/of/it")
+    assert {path.name for path in out.iterdir()} == {
+        *(f"{view}.png" for view in VIEWS), *(f"{view}-maps.npz" for view in VIEWS), "rig.json",
+    }  # fmt: skip
+    assert sorted(record["written"]) == sorted(map(str, out.iterdir()))
+    rig, expected = trinoc.load_rig(out / "rig.json"), trinoc.undistort(bent_rig())
+    for view in VIEWS:
+        np.testing.assert_allclose(rig[view].matrix_px, expected.rig[view].matrix_px, rtol=1e-9)
+        made, old = read_image(out / f"{view}.png"), read_image(f"{view}.png")
+        assert (made.dtype, made.shape) == (old.dtype, old.shape)
+        np.testing.assert_array_equal(made, expected.maps[view].resample(old))
+        maps = np.load(out / f"{view}-maps.npz")
+        by_hand = cv2.remap(
+            *(old, maps["map_x"], maps["map_y"], cv2.INTER_CUBIC),
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        np.testing.assert_array_equal(made, by_hand)
+        assert record["cameras"][view]["picture"] == str(out / f"{view}.png")
+        np.testing.assert_allclose(record["cameras"][view]["matrix"], rig[view].intrinsics.matrix)
+    assert rig.parameters == NAMES
+    assert record["has_sigmas"]
+    assert set(load_rig_status(out / "rig.json").doubts) == {"left", "right"}
+
+
+def test_maps_come_back_from_their_file(tmp_path):
+    maps = trinoc.undistort(DISTORTED_LENS, image_size_px=(40, 30)).maps
+    trinoc.save(maps, tmp_path / "maps.npz")
+    again = trinoc.load(tmp_path / "maps.npz")
+    assert isinstance(again, PictureMaps)
+    assert again.size_px == maps.size_px
+    np.testing.assert_array_equal(again.map_x, maps.map_x)
+    np.testing.assert_array_equal(again.map_y, maps.map_y)
+    for name, wrong in (
+        ("map_x", maps.map_x[:3]),
+        ("map_y", np.full((30, 40), np.float32(np.nan))),
+    ):
+        damaged = {**dict(np.load(tmp_path / "maps.npz")), name: wrong}
+        np.savez(tmp_path / "damaged.npz", **damaged)
+        with pytest.raises(trinoc.errors.InputError, match="holds no maps"):
+            trinoc.load(tmp_path / "damaged.npz")
+    with pytest.raises(trinoc.errors.InputError, match="maps are written"):
+        trinoc.save(maps, tmp_path / "maps.npy")
+
+
+def test_two_are_rectified_and_depth_is_said(folder, capsys):
+    words = ["undistort", "left.png", "right.png", "--rectify", *RIG, "-o", "out"]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "Depth in mm is" in said
+    assert "(u_left - u_right - (" in said
+    assert main([*words, "--json", "--alpha", "1"]) == 0
+    (disparity,) = json.loads(capsys.readouterr().out)["disparities"]
+    rig = trinoc.load_rig("out/rig.json")
+    assert rig.names == ("left", "right")
+    point = np.array([20.0, -10.0, 35.0])
+    left, right = (camera.project(point) for camera in rig.cameras)
+    assert left[1] == pytest.approx(right[1], abs=1e-9)
+    depth = disparity["product_px_mm"] / (left[0] - right[0] - disparity["offset_px"])
+    assert depth == pytest.approx(depth_mm(rig["left"], point))
+
+
+def test_three_are_rectified_in_the_order_given(folder, capsys):
+    assert main(["undistort", *PICTURES, "--rectify", *RIG, "-o", "out"]) == 0
+    assert "(v_upper - v_right" in capsys.readouterr().out
+    rig = trinoc.load_rig("out/rig.json")
+    upper, left, right = (camera.project(np.array([20.0, -10, 35])) for camera in rig.cameras)
+    assert upper[1] == pytest.approx(left[1], abs=1e-9)
+    assert upper[0] == pytest.approx(right[0], abs=1e-9)
+    assert main(["undistort", PICTURES[0], *PICTURES[:0:-1], "--rectify", *RIG, "-o", "b"]) == 0
+    assert "(v_upper - v_left" in capsys.readouterr().out
+    assert trinoc.load_rig("b/rig.json").names == ("upper", "right", "left")
+    assert main(["undistort", *PICTURES[::-1], "--rectify", *RIG, "-o", "c"]) == 1
+    assert "name upper first" in capsys.readouterr().err
+
+
+def test_sigmas_that_do_not_hold_are_left_out_and_said(folder, capsys):
+    trinoc.save(bent_rig("left.fx_px"), "open.json")
+    words = ["undistort", *PICTURES[:2], "--rig", "open.json", "--quiet", "-o", "out"]
+    assert main(words) == 0
+    assert "The new rig has no sigmas: errors of the lenses" in capsys.readouterr().out
+    assert trinoc.load_rig("out/rig.json").parameters == ()
+    (note,) = json.loads(Path("out/rig.json").read_text())["provenance"]["notes"]
+    assert "no sigmas" in note
+
+
+def test_pictures_of_one_lens(folder, capsys):
+    words = ["undistort", "left.png", "upper.png", "--lens", "camera.json", "--quiet", "-o", "out"]
+    assert main(words) == 0
+    assert "100.0%" in capsys.readouterr().out
+    names = {path.name for path in Path("out").iterdir()}
+    assert names == {"left.png", "upper.png", "maps.npz", "camera.json"}
+    lens, maps = trinoc.undistort(DISTORTED_LENS)
+    np.testing.assert_allclose(trinoc.load("out/camera.json").matrix, lens.matrix)
+    made = maps.resample(read_image("upper.png"))
+    np.testing.assert_array_equal(read_image("out/upper.png"), made)
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "says"),
+    [
+        ((*RIG,), 2, "No picture is given"),
+        ((*PICTURES, *RIG, "--alpha", "1.5"), 2, "--alpha is 1.5"),
+        ((*PICTURES, "--rig", "none.json"), 1, "none.json does not exist"),
+        ((*PICTURES, "--rig", "sheet.json"), 2, "neither a rig nor a lens"),
+        (("top=upper.png", *RIG), 1, 'no camera "top"'),
+        (("upper=small.png", *RIG), 1, 'picture of "upper" is 60 x 40 px'),
+        (("small.png", "--lens", "camera.json"), 1, "small.png is 60 x 40 px, but camera.json"),
+        (("left.png", "--lens", "camera.json", "--rectify"), 2, "--rectify is of a rig"),
+        (("upper=upper.png", *RIG, "--rectify"), 1, "Two or three cameras"),
+        (("left.png", "./left.png", "--lens", "camera.json"), 2, "would both become"),
+        ((*PICTURES, *RIG, "-o", "."), 2, "is read, and would be lost"),
+        ((*PICTURES, *RIG, "-o", ".", "--force"), 2, "is read, and would be lost"),
+        (("left.png", "--lens", "camera.json", "-o", "."), 2, "is read, and would be lost"),
+        ((*PICTURES, *RIG, "-o", "notes.txt"), 2, "is no folder"),
+        ((*PICTURES, *RIG, "-o", "full"), 1, "full/left.png is there and would be lost"),
+        ((*PICTURES, *RIG, "-o", "other"), 1, "holds something else, which would be lost"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence_and_writes_nothing(folder, words, status, says, capsys):
+    trinoc.save(trinoc.Pattern.cross_grid(rows=4, columns=4, pitch_mm=9, radius_mm=3), "sheet.json")
+    cv2.imwrite("small.png", np.zeros((40, 60), np.uint8))
+    Path("notes.txt").write_text("mine")
+    for name in ("full/left.png", "other/left-maps.npz"):
+        Path(name).parent.mkdir()
+        Path(name).write_bytes(b"mine")
+    before = content(folder)
+    assert main(["undistort", *words, *([] if "-o" in words else ["-o", "out"])]) == status
+    err = capsys.readouterr().err
+    assert says in err
+    assert len([line for line in err.splitlines() if "SUSPECT" not in line]) == 1
+    assert content(folder) == before
+
+
+def test_results_of_before_are_replaced_and_others_by_force(folder, capsys):
+    words = ["undistort", *PICTURES, *RIG, "-o", "out"]
+    assert main(words) == 0
+    first = Path("out/left.png").read_bytes()
+    assert main([*words, "--alpha", "1"]) == 0
+    assert Path("out/left.png").read_bytes() != first
+    Path("full").mkdir()
+    Path("full/left.png").write_bytes(b"mine")
+    assert main([*words[:-1], "full"]) == 1
+    assert main([*words[:-1], "full", "--force"]) == 0
+    assert Path("full/left.png").read_bytes() == first

@@ -1,0 +1,428 @@
+"""Laws of cameras without distortion: rows, columns and depths of rectified ones; what is kept of
+the field; what cannot be done; the covariance."""
+
+import contextlib
+import itertools
+from typing import Any
+
+import cv2
+import equinox as eqx
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from tests.geometry.strategies import (
+    DISTORTED_LENS,
+    LENS,
+    cameras,
+    points_near_sheet,
+    rigs_of_three,
+)
+from trinoc.errors import InputError
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.ideal_cameras import undistort_lens, undistort_rig
+from trinoc.geometry.ideal_field import border_in_plane, fit_windows
+from trinoc.geometry.intrinsics import Intrinsics, distort_pixels, undistort_pixels
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.projection import project_points
+from trinoc.geometry.rectification import RectifiedRig, rectify_rig
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.synth.rigs import table1_rig
+
+# Its stubs know no arrays of JAX.
+OPENCV: Any = cv2
+FISHEYE = Intrinsics(
+    image_size_px=(640, 480),
+    focal_length_px=(230.0, 232.0),
+    distortion=(0.03, -0.01, 0.002, -0.0005),
+    distortion_model="kannala_brandt",
+)
+SKEWED = Intrinsics(
+    image_size_px=(640, 480),
+    focal_length_px=(700.0, 650.0),
+    skew_px=20.0,
+    principal_point_px=(300.0, 260.0),
+    distortion=(-0.25, 0.08, 0.002, -0.001, 0.0),
+)
+LENSES = {"brown": DISTORTED_LENS, "fisheye": FISHEYE, "skewed": SKEWED}
+
+
+def border(lens: Intrinsics) -> np.ndarray:
+    """Centres of the outermost pixels."""
+    width, height = lens.image_size_px
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    edge = (u % (width - 1) == 0) | (v % (height - 1) == 0)
+    return np.stack([u[edge], v[edge]], axis=1).astype(float)
+
+
+def seen_through(lens: Intrinsics, ideal: Intrinsics, turn: np.ndarray) -> np.ndarray:
+    """Where the border of an ideal picture is in the picture of a lens."""
+    rays = np.c_[border(ideal), np.ones(len(border(ideal)))] @ np.linalg.inv(ideal.matrix).T
+    return project_points(Pose(np.eye(3, 4)), lens.lens, rays @ turn)
+
+
+def project(camera: Camera, points: np.ndarray) -> np.ndarray:
+    return project_points(camera.pose, camera.intrinsics.lens, points)
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_the_field_is_all_or_what_is_valid(lens):
+    size = np.array(lens.image_size_px)
+    valid, whole = (undistort_lens(lens, alpha=alpha) for alpha in (0.0, 1.0))
+    assert not valid.has_distortion
+    assert valid.image_size_px == lens.image_size_px
+    uv_px = seen_through(lens, valid, np.eye(3))
+    assert (uv_px > -1e-2).all()
+    assert (uv_px < size - 1 + 1e-2).all()
+    # It touches the border: no larger one fits there.
+    assert min(uv_px.min(), (size - 1 - uv_px).min()) < 0.2
+    normalised = undistort_pixels(lens, border(lens))
+    seen = (normalised - lens.matrix[:2, 2]) @ np.linalg.inv(lens.matrix[:2, :2]).T
+    within = np.linalg.norm(seen, axis=1) < np.tan(np.radians(75))
+    shown = (np.c_[seen, np.ones(len(seen))] @ whole.matrix.T)[within, :2]
+    assert (shown > -0.05).all()
+    assert (shown < size - 1 + 0.05).all()
+    assert whole.focal_length_px[0] < valid.focal_length_px[0]
+    for ideal in (valid, whole):
+        shape = ideal.matrix[:2, :2] / ideal.matrix[0, 0]
+        np.testing.assert_allclose(shape, lens.matrix[:2, :2] / lens.matrix[0, 0], rtol=1e-12)
+
+
+def test_between_valid_and_all_the_scale_is_between():
+    focal = [undistort_lens(SKEWED, alpha=alpha).focal_length_px[0] for alpha in (0, 0.25, 1)]
+    assert focal[1] == pytest.approx(0.75 * focal[0] + 0.25 * focal[2])
+    with pytest.raises(InputError, match="alpha is 2"):
+        undistort_lens(SKEWED, alpha=2.0)
+
+
+def test_the_field_is_that_of_opencv():
+    """Whose outer one has the pixels' shape free, as ours has not."""
+    matrix, distortion = SKEWED.matrix * [[1, 0, 1], [1, 1, 1], [1, 1, 1]], SKEWED.distortion
+    lens = Intrinsics(
+        image_size_px=SKEWED.image_size_px,
+        focal_length_px=SKEWED.focal_length_px,
+        principal_point_px=SKEWED.principal_point_px,
+        distortion=distortion,
+    )
+    theirs, _ = OPENCV.getOptimalNewCameraMatrix(matrix, distortion, lens.image_size_px, 1.0)
+    ours = undistort_lens(lens, alpha=1.0)
+    assert ours.focal_length_px.min() == pytest.approx(np.diag(theirs)[:2].min(), rel=0.02)
+    assert (ours.focal_length_px <= np.diag(theirs)[:2] * 1.002).all()
+
+
+def test_an_ideal_lens_stays_as_it_is():
+    assert eqx.tree_equal(undistort_lens(LENS), LENS)
+    wider = undistort_lens(LENS, image_size_px=(1024, 960))
+    np.testing.assert_allclose(wider.focal_length_px, LENS.focal_length_px * 959 / 479, rtol=2e-3)
+
+
+def test_a_distortion_that_folds_is_refused():
+    folds = Intrinsics(image_size_px=(640, 480), focal_length_px=300.0, distortion=(-0.8,))
+    with pytest.raises(InputError, match="folds the picture"):
+        undistort_lens(folds)
+    with pytest.raises(InputError, match='Camera "a": The distortion'):
+        undistort_rig(Rig({"a": Camera(folds, Pose(np.eye(3, 4)))}))
+
+
+def test_a_square_in_a_turned_square_is_half_as_large():
+    """Of a diamond the largest square has half its width, wherever the grids begin."""
+    diamond = np.array([[13.0, -2.0], [3.0, 8.0], [-7.0, -2.0], [3.0, -12.0]])
+    beside = diamond + np.array([0.0, 30.0])
+    windows = fit_windows([diamond], (), (101, 101), 0.0)
+    assert windows is not None
+    assert 50 / windows.scale_px == pytest.approx(5.0, rel=1e-3)
+    np.testing.assert_allclose((50 - windows.origins_px[0]) / windows.scale_px, [3, -2], atol=1e-2)
+    assert fit_windows([diamond, beside], ("row",), (101, 101), 0.0) is None
+    aside = fit_windows([diamond, beside], ("column",), (101, 101), 0.0)
+    assert aside is not None
+    np.testing.assert_allclose(np.diff(aside.origins_px[:, 1]), -30 * aside.scale_px, rtol=1e-2)
+
+
+POINTS = np.random.default_rng(5).uniform(-60, 60, (40, 3))
+
+
+def pairs() -> st.SearchStrategy[Rig]:
+    def choose(found: list[Camera], lens: Intrinsics) -> Rig:
+        first, second = (Camera(lens, camera.pose) for camera in found[:2])
+        return Rig({"a": first, "b": second})
+
+    return st.builds(
+        choose, rigs_of_three().flatmap(st.permutations), st.sampled_from([LENS, DISTORTED_LENS])
+    )
+
+
+@given(rig=pairs(), alpha=st.sampled_from([0.0, 0.3, 1.0]))
+@settings(max_examples=8)
+def test_two_cameras_have_equal_rows_and_disparity_is_depth(rig, alpha):
+    found = rectify_rig(rig, alpha=alpha)
+    a, b = found.rig.cameras
+    uv_a, uv_b = project(a, POINTS), project(b, POINTS)
+    np.testing.assert_allclose(uv_a[:, 1], uv_b[:, 1], atol=1e-9)
+    np.testing.assert_array_equal(a.pose.rotation, b.pose.rotation)
+    (disparity,) = found.disparities
+    depth = POINTS @ a.pose.rotation[2] + a.pose.translation_mm[2]
+    np.testing.assert_allclose(disparity.depth_mm(uv_a[:, 0] - uv_b[:, 0]), depth, rtol=1e-9)
+    for camera, before in zip(found.rig.cameras, rig.cameras, strict=True):
+        np.testing.assert_allclose(camera.centre_world_mm, before.centre_world_mm, atol=1e-9)
+        # The right side stays right, and up stays up.
+        turn = camera.pose.rotation @ before.pose.rotation.T
+        assert turn[2, 2] > 0.5
+        if alpha == 0:
+            uv_px = seen_through(before.intrinsics, camera.intrinsics, turn)
+            assert (uv_px > -0.05).all()
+            assert (uv_px < np.array(before.image_size_px) - 1 + 0.05).all()
+
+
+@given(found=rigs_of_three(), order=st.permutations(range(3)))
+@settings(max_examples=8)
+def test_three_cameras_have_equal_rows_columns_and_steps(found, order):
+    rig = Rig({"abc"[k]: found[j] for k, j in enumerate(order)})
+    with contextlib.ExitStack() as stack:
+        if is_refused(rig):
+            stack.enter_context(pytest.raises(InputError, match=r"stretch|turned"))
+        rectified = rectify_rig(rig)
+        expect_trinocular(rig, rectified)
+
+
+def is_refused(rig: Rig) -> bool:
+    """Whether the corner at the first camera is too narrow, or the plane too oblique."""
+    centres = np.stack([camera.centre_world_mm for camera in rig.cameras])
+    second, third = centres[1] - centres[0], centres[2] - centres[0]
+    normal = np.cross(second, third) / np.linalg.norm(np.cross(second, third))
+    turns = [abs(float(camera.pose.rotation[2] @ normal)) for camera in rig.cameras]
+    length = np.linalg.norm(second)
+    across = third @ second / length
+    down = np.sqrt(third @ third - across**2)
+    shape = np.array([[1, -across / down], [0, length / down]])
+    return min(turns) < 0.5 or np.linalg.cond(shape) > 3
+
+
+def expect_trinocular(rig: Rig, rectified: RectifiedRig) -> None:
+    uv = [project(camera, POINTS) for camera in rectified.rig.cameras]
+    np.testing.assert_allclose(uv[0][:, 1], uv[1][:, 1], atol=1e-9)
+    np.testing.assert_allclose(uv[0][:, 0], uv[2][:, 0], atol=1e-9)
+    by_row, by_column = rectified.disparities
+    assert (by_row.along, by_column.along) == ("u", "v")
+    assert abs(by_row.product_px_mm) == pytest.approx(abs(by_column.product_px_mm))
+    depth = POINTS @ rectified.rig["a"].pose.rotation[2] + rectified.rig["a"].pose.translation_mm[2]
+    np.testing.assert_allclose(by_row.depth_mm(uv[0][:, 0] - uv[1][:, 0]), depth, rtol=1e-9)
+    np.testing.assert_allclose(by_column.depth_mm(uv[0][:, 1] - uv[2][:, 1]), depth, rtol=1e-9)
+    for camera, before in zip(rectified.rig.cameras, rig.cameras, strict=True):
+        np.testing.assert_allclose(camera.centre_world_mm, before.centre_world_mm, atol=1e-9)
+        # No mirror image: the way around any triangle is as before.
+        uvs = project(camera, POINTS[:3]), project(before, POINTS[:3])
+        areas = [np.linalg.det(np.diff(uv_px, axis=0)) for uv_px in uvs]
+        assert areas[0] * areas[1] > 0
+
+
+def test_a_homography_leads_from_each_picture_to_its_rectified_one():
+    """Projecting into the old picture and mapping is projecting into the new one."""
+    rig = table1_rig()
+    found = rectify_rig(rig).rig
+    for name, camera in rig.items():
+        new = found[name]
+        map_ = new.intrinsics.matrix @ new.pose.rotation @ camera.pose.rotation.T
+        map_ = map_ @ np.linalg.inv(camera.intrinsics.matrix)
+        image = np.c_[project(camera, POINTS), np.ones(len(POINTS))] @ map_.T
+        np.testing.assert_allclose(image[:, :2] / image[:, 2:], project(new, POINTS), atol=1e-9)
+
+
+def test_two_cameras_turn_as_those_of_stereo_rectify():
+    """Up to the sign and place of the pictures: OpenCV halves the turn between the cameras, too."""
+    near = Camera(LENS, Pose(np.eye(3, 4)))
+    turn = np.asarray(rotation_from_vector(np.array([0.02, -0.1, 0.03])))
+    far = Camera(LENS, Pose.from_centre(turn, np.array([80.0, 4.0, -6.0])))
+    found = rectify_rig(Rig({"a": near, "b": far})).rig["a"].pose.rotation
+    none = np.zeros(5)
+    first, *_ = OPENCV.stereoRectify(
+        *(LENS.matrix, none) * 2, LENS.image_size_px, turn, far.pose.translation_mm[:, None]
+    )
+    np.testing.assert_allclose(found, first, atol=2e-3)
+
+
+def in_a_row(*places: float, aside: float = 0.0, turn=(0.0, 0.0, 0.0)) -> Rig:
+    own = np.asarray(rotation_from_vector(np.array(turn)))
+    centres = [np.array([x, 0.0, 0.0]) for x in places]
+    centres[-1][1] = aside
+    return Rig({f"c{k}": Camera(LENS, Pose.from_centre(own, c)) for k, c in enumerate(centres)})
+
+
+FRONT = POINTS + np.array([60.0, 0.0, 600.0])
+
+
+def test_three_in_one_line_have_one_row():
+    found = rectify_rig(in_a_row(0.0, 50.0, 120.0))
+    assert found.notes == ()
+    rows = [project(camera, FRONT)[:, 1] for camera in found.rig.cameras]
+    np.testing.assert_allclose(rows[1:], [rows[0]] * 2, atol=1e-9)
+    assert [d.along for d in found.disparities] == ["u", "u"]
+
+
+def test_three_nearly_in_one_line_say_how_far_rows_are_off():
+    found = rectify_rig(in_a_row(0.0, 50.0, 120.0, aside=0.1))
+    (note,) = found.notes
+    assert "mm off the line" in note
+    share = float(note.split("up to ")[1].split()[0])
+    uv = [project(camera, FRONT) for camera in found.rig.cameras]
+    for other, disparity in zip(uv[1:], found.disparities, strict=True):
+        steps = np.abs(uv[0][:, 0] - other[:, 0] - disparity.offset_px)
+        off = np.abs(uv[0][:, 1] - other[:, 1])
+        assert (off <= 1.3 * share * steps).all()
+
+
+@pytest.mark.parametrize(
+    ("rig", "says"),
+    [
+        (in_a_row(0.0), "Two or three cameras"),
+        (in_a_row(0.0, 1.0, 2.0, 3.0), "Two or three cameras"),
+        (in_a_row(10.0, 10.0), "at one place"),
+        (in_a_row(0.0, 80.0, turn=(0.0, np.pi / 2, 0.0)), "look along the line"),
+        (in_a_row(0.0, 80.0, turn=(0.0, 1.2, 0.0)), "it looks along its line to"),
+        (in_a_row(0.0, 50.0, 120.0, aside=9.0), "rectify two at a time"),
+        (in_a_row(0.0, 50.0, 120.0, aside=90.0, turn=(0.0, 1.2, 0.0)), "turned by 69 degrees"),
+    ],
+)
+def test_what_cannot_be_rectified_is_one_sentence(rig, says):
+    with pytest.raises(InputError, match=says) as caught:
+        rectify_rig(rig)
+    assert str(caught.value).count(". ") == 0
+
+
+def test_cameras_that_look_at_opposite_sides_are_refused():
+    for angle in (np.pi, 2.6):
+        away = np.asarray(rotation_from_vector(np.array([0.0, angle, 0.0])))
+        back = Camera(LENS, Pose.from_centre(away, np.array([80.0, 0.0, 0.0])))
+        with pytest.raises(InputError, match="opposite"):
+            rectify_rig(Rig({"a": Camera(LENS, Pose(np.eye(3, 4))), "b": back}))
+
+
+def test_cameras_that_see_no_common_rows_are_refused():
+    up, down = (np.asarray(rotation_from_vector(np.array([x, 0.0, 0.0]))) for x in (0.5, -0.5))
+    second = Camera(LENS, Pose.from_centre(down, np.array([80.0, 0.0, 0.0])))
+    with pytest.raises(InputError, match="nothing in common rows"):
+        rectify_rig(
+            Rig(
+                {
+                    "a": Camera(LENS, Pose(up) if False else Pose.from_centre(up, np.zeros(3))),
+                    "b": second,
+                }
+            )
+        )
+
+
+def test_a_camera_that_sees_the_other_is_refused():
+    wide = Intrinsics(focal_length_px=200.0, image_size_px=(640, 480))
+    turn = np.asarray(rotation_from_vector(np.array([0.0, 0.9, 0.0])))
+    rig = Rig(
+        {
+            "a": Camera(wide, Pose.from_centre(turn, np.zeros(3))),
+            "b": Camera(wide, Pose.from_centre(turn, np.array([-80.0, 0.0, 0.0]))),
+        }
+    )
+    with pytest.raises(InputError, match="where rows would all be one point"):
+        rectify_rig(rig)
+    # A fisheye shows the other one beyond what any ideal picture shows.
+    eyes = {name: Camera(FISHEYE, camera.pose) for name, camera in in_a_row(0.0, 80.0).items()}
+    found = rectify_rig(Rig(eyes))
+    rows = [project(camera, FRONT)[:, 1] for camera in found.rig.cameras]
+    np.testing.assert_allclose(rows[0], rows[1], atol=1e-9)
+
+
+def test_an_order_that_stretches_less_is_named():
+    rig = table1_rig()
+    with pytest.raises(InputError, match="name upper first"):
+        rectify_rig(Rig({name: rig[name] for name in ("left", "right", "upper")}))
+
+
+NAMES = tuple(f"{view}.{own}" for view in ("a", "b") for own in PARAMETER_NAMES[:4])
+
+
+def uncertain(rig: Rig, names=NAMES) -> Rig:
+    factor = np.random.default_rng(7).normal(size=(len(names), len(names))) * 1e-3
+    return Rig(dict(rig.items()), parameters=names, covariance=factor @ factor.T)
+
+
+def test_the_covariance_of_poses_is_carried_along():
+    """The turned camera of a changed one is the change of the turned one."""
+    whole = table1_rig()
+    rig = uncertain(Rig({"a": whole["left"], "b": whole["right"]}))
+    found = rectify_rig(rig).rig
+    assert found.parameters == tuple(f"{v}.{own}" for v in ("a", "b") for own in PARAMETER_NAMES)
+    step = np.linalg.cholesky(rig.covariance)
+    moved = np.zeros((len(found.parameters), len(step)))
+    for k, way in enumerate(step.T):
+        ends = []
+        for sign in (-1, 1):
+            values = dict(zip(rig.parameters, sign * way, strict=True))
+            for view in ("a", "b"):
+                old = rig[view]
+                changed = Camera.from_degrees(
+                    LENS,
+                    **{
+                        own: getattr(old, own) + values[f"{view}.{own}"]
+                        for own in PARAMETER_NAMES[:4]
+                    },
+                )
+                turn = found[view].pose.rotation @ old.pose.rotation.T
+                pose = Pose.from_translation(
+                    turn @ changed.pose.rotation, turn @ changed.pose.translation_mm
+                )
+                own = Rig({view: Camera(LENS, pose)})
+                ends += [own.value(f"{view}.{name}") for name in PARAMETER_NAMES]
+        half = len(ends) // 2
+        moved[:, k] = (np.array(ends[half:]) - np.array(ends[:half])) / 2
+    scale = np.sqrt(np.diag(found.covariance))
+    np.testing.assert_allclose(
+        found.covariance / np.outer(scale, scale),
+        moved @ moved.T / np.outer(scale, scale),
+        atol=1e-5,
+    )
+
+
+def test_the_covariance_stays_where_only_lenses_that_are_exact_change():
+    whole = table1_rig()
+    bent = Rig(
+        {n: Camera(DISTORTED_LENS, whole[o].pose) for n, o in (("a", "left"), ("b", "right"))}
+    )
+    rig = uncertain(bent)
+    found = undistort_rig(rig)
+    assert found.parameters == rig.parameters
+    np.testing.assert_allclose(found.covariance, rig.covariance, rtol=1e-12)
+
+
+def test_errors_of_lenses_that_change_leave_no_covariance():
+    whole = table1_rig()
+    ideal = Rig({"a": whole["left"], "b": whole["right"]})
+    bent = Rig({n: Camera(DISTORTED_LENS, camera.pose) for n, camera in ideal.items()})
+    names = (*NAMES, "a.fx_px")
+    assert undistort_rig(uncertain(bent, names)).parameters == ()
+    assert rectify_rig(uncertain(ideal, names)).rig.parameters == ()
+    kept = undistort_rig(uncertain(ideal, names))
+    assert set(kept.parameters) == set(names)
+    # An axis that does not meet the sheet has no distance.
+    away = uncertain(in_a_row(0.0, 80.0, turn=(0.0, 0.1, 0.0)), ("c0.pan_deg", "c1.pan_deg"))
+    assert rectify_rig(away).rig.parameters == ()
+
+
+@given(camera=cameras(DISTORTED_LENS), point=points_near_sheet())
+@settings(max_examples=5)
+def test_undistorting_a_pixel_is_projecting_into_the_new_picture(camera, point):
+    new = undistort_rig(Rig({"a": camera}))["a"]
+    uv_px = distort_pixels(
+        DISTORTED_LENS,
+        (np.linalg.inv(new.intrinsics.matrix) @ [*new.project(point), 1.0])[:2]
+        * DISTORTED_LENS.focal_length_px
+        + DISTORTED_LENS.principal_point_px,
+    )
+    np.testing.assert_allclose(uv_px, camera.project(point), atol=1e-8)
+
+
+def test_the_border_goes_once_around():
+    places = border_in_plane(LENS, np.eye(3))
+    x, y = places.T
+    area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
+    assert abs(area) == pytest.approx(511 * 479 / np.prod(LENS.focal_length_px), rel=1e-9)
+    steps = np.abs(places - np.roll(places, -1, axis=0)).sum(axis=1)
+    assert steps.max() < 1.2 * 512 / 32 / LENS.focal_length_px.min()
+    assert len(list(itertools.groupby(map(tuple, places)))) == len(places)
