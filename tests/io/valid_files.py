@@ -16,6 +16,7 @@ from tests.io.made_cylinders import made_cylinders
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from trinoc.calib import Detection
+from trinoc.image.ideal_pictures import PictureMaps
 from trinoc.io import (
     FORMATS,
     load_frames,
@@ -73,6 +74,8 @@ def valid_files(folder: Path) -> dict[str, ValidFile]:
     trinoc.save(made_wireframe(), add("wireframe", "wireframe.npz", trinoc.load))
     trinoc.save(made_rims(), add("rims", "rims.npz", trinoc.load))
     trinoc.save(made_cylinders(), add("cylinders", "cylinders.npz", trinoc.load))
+    places = np.linspace(-1, 5, 12, dtype=np.float32).reshape(3, 4)
+    trinoc.save(PictureMaps(places, 1 - places, (5, 4)), add("maps", "maps.npz", trinoc.load))
     trinoc.save(made_detection(), add("detection", "detection.npz", trinoc.load))
     ends = np.random.default_rng(2).uniform(0, 400, (5, 4))
     segments = trinoc.Segments.from_endpoints(ends)

@@ -25,6 +25,7 @@ from trinoc.numerics.precision import in_float64
 # Where a ray is imaged that the lens does not see.
 _NOWHERE_PX = -1e4
 _BLOCK = 1 << 16
+_OWN_FRAME = Pose(np.eye(3, 4))
 # Which OpenCV resamples.
 _DEPTHS = (np.uint8, np.uint16, np.float32, np.float64)
 
@@ -192,17 +193,21 @@ def picture_maps(
     `cam_from_ideal` is the rotation from the frame of the ideal camera to that of the other.
     """
     width, height = ideal.image_size_px
-    v, u = np.mgrid[:height, :width].reshape(2, -1)
-    rays = np.stack([u, v, np.ones_like(u)], axis=1) @ np.linalg.inv(ideal.matrix).T
-    rays = rays @ cam_from_ideal.T
-    own_frame = Pose(np.eye(3, 4))
-    parts = [project_points(own_frame, lens.lens, rays[b]) for b in blocks(len(rays), _BLOCK)]
-    uv_px = np.concatenate(parts)
+    maps = np.empty((2, height, width), np.float32)
+    cam_from_pixel = cam_from_ideal @ np.linalg.inv(ideal.matrix)
+    # Some rows at a time, so that memory stays that of the maps.
+    for rows in blocks(height, max(1, _BLOCK // width)):
+        v, u = np.mgrid[rows, :width].reshape(2, -1)
+        rays = np.stack([u, v, np.ones_like(u)], axis=1) @ cam_from_pixel.T
+        maps[:, rows] = _image_rays(lens, rays).T.reshape(2, -1, width)
+    return PictureMaps(maps[0], maps[1], lens.image_size_px)
+
+
+def _image_rays(lens: Intrinsics, rays_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+    """Pixels that a lens makes of rays, far from the picture for those that it does not see."""
+    uv_px = project_points(_OWN_FRAME, lens.lens, rays_cam)
     # Beyond its fold a polynomial shows what lies before it a second time.
     fold = np.cos(lens.lens.fold_angle_rad())
-    seen = rays[:, 2] > fold * np.linalg.norm(rays, axis=1)
+    seen = rays_cam[:, 2] > fold * np.linalg.norm(rays_cam, axis=1)
     uv_px = np.where(seen[:, None] & np.isfinite(uv_px), uv_px, _NOWHERE_PX)
-    # Far beyond the picture all places are alike, and single precision holds them.
-    uv_px = np.clip(uv_px, _NOWHERE_PX, -_NOWHERE_PX + max(lens.image_size_px))
-    map_x, map_y = uv_px.astype(np.float32).T.reshape(2, height, width)
-    return PictureMaps(np.ascontiguousarray(map_x), np.ascontiguousarray(map_y), lens.image_size_px)
+    return np.clip(uv_px, _NOWHERE_PX, max(lens.image_size_px) - _NOWHERE_PX)

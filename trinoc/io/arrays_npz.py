@@ -28,13 +28,18 @@ _KINDS = "biufcU"
 
 
 def write_arrays(
-    path: str | os.PathLike[str], format_name: str, version: int, arrays: dict[str, np.ndarray]
+    path: str | os.PathLike[str],
+    format_name: str,
+    version: int,
+    arrays: dict[str, np.ndarray],
+    *,
+    compressed: bool = True,
 ) -> None:
     """Write arrays, whole or not at all, beside the format's name and version."""
     named: dict[str, Any] = {"format": np.array(format_name), "version": np.array(version)}
     named.update(arrays)
     with atomic_write(path) as file:
-        np.savez_compressed(file, **named)
+        (np.savez_compressed if compressed else np.savez)(file, **named)
 
 
 def read_arrays(

@@ -121,7 +121,8 @@ def save(
             save_npz(value, path)
         case PictureMaps():
             arrays = {name: np.asarray(array) for name, array in value._asdict().items()}
-            write_arrays(path, MAPS_FORMAT, MAPS_VERSION, arrays)
+            # Smooth as they are, their last digits do not compress.
+            write_arrays(path, MAPS_FORMAT, MAPS_VERSION, arrays, compressed=False)
 
 
 def load(path: str | os.PathLike[str]) -> Any:
