@@ -277,7 +277,7 @@ def test_three_nearly_in_one_line_say_how_far_rows_are_off():
         (in_a_row(0.0), "Two or three cameras"),
         (in_a_row(0.0, 1.0, 2.0, 3.0), "Two or three cameras"),
         (in_a_row(10.0, 10.0), "at one place"),
-        (in_a_row(0.0, 80.0, turn=(0.0, np.pi / 2, 0.0)), "look along the line"),
+        (in_a_row(0.0, 80.0, turn=(0.0, np.pi / 2, 0.0)), "look along their line"),
         (in_a_row(0.0, 80.0, turn=(0.0, 1.2, 0.0)), "it looks along its line to"),
         (in_a_row(0.0, 50.0, 120.0, aside=9.0), "rectify two at a time"),
         (in_a_row(0.0, 50.0, 120.0, aside=90.0, turn=(0.0, 1.2, 0.0)), "turned by 69 degrees"),

@@ -1,7 +1,7 @@
 """`trinoc intrinsics`, `undistort`: a lens from pictures of the sheet; pictures without a lens."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,8 +13,6 @@ from trinoc.cli.views import expect_names, files_of_rig, make_folder, read_rig
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from trinoc.calib.intrinsics_result import IntrinsicsResult
     from trinoc.geometry.intrinsics import Intrinsics
     from trinoc.image.ideal_pictures import PictureMaps
@@ -179,15 +177,16 @@ class UndistortCommand(Command):
 
     def _of_rig(self, command_line: str) -> Outcome:
         from trinoc.cli.command import provenance
-        from trinoc.geometry.rig import Rig
+        from trinoc.geometry.rig import PARAMETER_NAMES, Rig
         from trinoc.image.ideal_pictures import rectify, undistort
-        from trinoc.io.images import expect_size, read_views
+        from trinoc.io.images import expect_size, read_views, write_picture
         from trinoc.io.rig_json import load_rig_status, save_rig, status_of_names
+        from trinoc.io.saving import save
 
         rig = read_rig(self.rig)
         files = files_of_rig(self.images, rig.names)
         expect_names(files, rig, self.rig)
-        pictures = dict(zip(files, self._new_pictures(list(files.values())), strict=True))
+        pictures = dict(zip(files, self._new_pictures(files.values(), files), strict=True))
         maps = {view: self.out / f"{view}-maps.npz" for view in files}
         place = self.out / "rig.json"
         self._expect_places(files.values(), pictures.values(), maps.values(), {place: Rig})
@@ -202,13 +201,19 @@ class UndistortCommand(Command):
         ideal = (rectify if self.rectify else undistort)(chosen, alpha=self.alpha)
         notes, has_sigmas = list(ideal.notes), bool(ideal.rig.parameters)
         if rig.parameters and not has_sigmas:
-            notes.append(
-                f"The new rig has no sigmas: errors of the lenses, which {self.rig} has, bend the "
-                "rays of a picture as no ideal camera does."
+            known = {own.rpartition(".") for own in rig.parameters}
+            is_open = any(own not in PARAMETER_NAMES for view, _, own in known if view in files)
+            why = (
+                f"errors of the lenses, which {self.rig} has, bend the rays of a picture as no "
+                "ideal camera does"
+                if is_open
+                else "an axis does not meet the sheet"
             )
+            notes.append(f"The new rig has no sigmas: {why}.")
         make_folder(self.out)
         for view in each(tuple(files), "undistorting", quiet=self.quiet):
-            _write(ideal.maps[view], maps[view], {pictures[view]: images[view]})
+            save(ideal.maps[view], maps[view])
+            write_picture(pictures[view], ideal.maps[view].resample(images[view]))
         origin = provenance(command_line, {"rig": self.rig, **files})
         status = status_of_names(load_rig_status(self.rig), ideal.rig.names, sigmas=has_sigmas)
         save_rig(ideal.rig, place, provenance={**origin, "notes": notes}, status=status)
@@ -231,35 +236,43 @@ class UndistortCommand(Command):
         from trinoc.cli.command import provenance
         from trinoc.geometry.intrinsics import Intrinsics
         from trinoc.image.ideal_pictures import undistort
-        from trinoc.io.images import read_image
+        from trinoc.io.images import read_image, read_size_px, write_picture
         from trinoc.io.saving import save
 
         files = [Path(file) for file in self.images]
         pictures = dict(zip(self._new_pictures(files), files, strict=True))
         maps, place = self.out / "maps.npz", self.out / "camera.json"
         self._expect_places(files, pictures, [maps], {place: Intrinsics})
-        ideal = undistort(lens, alpha=self.alpha)
-        make_folder(self.out)
-        for new, file in each(pictures.items(), "undistorting", quiet=self.quiet):
-            image = read_image(file)
-            if image.shape[1::-1] != lens.image_size_px:
-                sizes = [f"{w} x {h} px" for w, h in (image.shape[1::-1], lens.image_size_px)]
+        for file in files:
+            size = read_size_px(file)
+            if size != lens.image_size_px:
+                sizes = [f"{width} x {height} px" for width, height in (size, lens.image_size_px)]
                 raise InputError(
                     f"{file} is {sizes[0]}, but {self.rig} is of pictures of {sizes[1]}: give "
                     "pictures of that size."
                 )
-            _write(ideal.maps, maps, {new: image})
-        origin = provenance(command_line, {"lens": self.rig})
-        save(ideal.lens, place, provenance=origin)
+        ideal = undistort(lens, alpha=self.alpha)
+        make_folder(self.out)
+        save(ideal.lens, place, provenance=provenance(command_line, {"lens": self.rig}))
+        save(ideal.maps, maps)
+        for new, file in each(pictures.items(), "undistorting", quiet=self.quiet):
+            write_picture(new, ideal.maps.resample(read_image(file)))
         named = {"lens": ideal.lens}
         record = _record(named, {}, {"lens": maps})
         return Outcome(
             _table(named, {"lens": ideal.maps}), record, written=(*pictures, maps, place)
         )
 
-    def _new_pictures(self, files: Sequence[Path]) -> list[Path]:
-        """Where the new pictures go. Raises UsageError where two would have one name."""
-        new = [self.out / f"{file.stem}.png" for file in files]
+    def _new_pictures(self, files: Collection[Path], views: Iterable[str] = ()) -> list[Path]:
+        """Where the new pictures go: their names, behind those of the views where they are equal.
+
+        Raises UsageError where two would have one name.
+        """
+        names = [file.stem for file in files]
+        if len(set(names)) < len(names):
+            names = [f"{view}_{name}" for view, name in zip(views, names)] or names
+        new = [self.out / f"{name}.png" for name in names]
+        files = list(files)
         for k, place in enumerate(new):
             if place in new[:k]:
                 raise UsageError(
@@ -297,15 +310,6 @@ class UndistortCommand(Command):
                 raise InputError(
                     f"{place} is there and would be lost: give another --out, or --force."
                 )
-
-
-def _write(maps: "PictureMaps", file: Path, pictures: "Mapping[Path, np.ndarray]") -> None:
-    from trinoc.io.images import write_picture
-    from trinoc.io.saving import save
-
-    save(maps, file)
-    for place, image in pictures.items():
-        write_picture(place, maps.resample(image))
 
 
 def _table(lenses: "Mapping[str, Intrinsics]", maps: "Mapping[str, PictureMaps]") -> str:

@@ -33,7 +33,7 @@ from trinoc.numerics.precision import in_float64
 
 # Beyond, pixels at the border are stretched more than tenfold.
 _MOST_TURN_DEG = 60.0
-# The sine of the angle under which a camera looks along a line.
+# The sine of the angle with a line under which a camera would be turned that far.
 _ALONG = np.sin(np.radians(90 - _MOST_TURN_DEG))
 # Centres are in one line if one is off the line of the others by less of their distance.
 _IN_LINE = 2e-3
@@ -187,7 +187,9 @@ def _common_plane(rig: Rig) -> _CommonPlane:
     notes = ()
     if off_mm.max() > 1e-9 * longest:
         k = int(np.argmax(off_mm))
-        step_mm = np.linalg.norm(centres[k] - centres[0 if k else 1])
+        # Rows are compared with those of the first camera.
+        others = centres[:1] if k else centres[1:]
+        step_mm = np.linalg.norm(others - centres[k], axis=1).min()
         notes = (
             f'The camera "{rig.names[k]}" is {off_mm[k]:.3g} mm off the line of the others, so '
             f"its rows are off by up to {off_mm[k] / step_mm:.1e} of a point's disparity.",
@@ -261,10 +263,10 @@ def _axes(
 
 
 def _expect_one_side(rig: Rig, towards: float) -> None:
-    """Raise InputError where the mean axis of the cameras has no part in front of the plane."""
+    """Raise InputError where the part of the mean axis that stands on the plane is none."""
     if not towards > 1e-6:
         raise InputError(
-            f"The cameras {', '.join(rig.names)} look along the line between them or in opposite "
+            f"The cameras {', '.join(rig.names)} look along their line or plane, or in opposite "
             "directions, so they have no common picture plane: give cameras side by side."
         )
 
@@ -298,7 +300,7 @@ def _reason(rig: Rig, name: str) -> str:
         way = camera.centre_world_mm - rig[name].centre_world_mm
         if other != name and np.linalg.norm(np.cross(way, axis)) < _ALONG * np.linalg.norm(way):
             return f'it looks along its line to "{other}"'
-    return "it looks along the plane of the cameras" if len(rig) > 2 else "both look too far apart"
+    return "it looks along their plane" if len(rig) > 2 else "both look too far apart"
 
 
 def _sees(camera: Camera, other: Camera) -> bool:

@@ -107,6 +107,15 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     return _decode(file, _content(file))
 
 
+def read_size_px(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """(width, height) of a picture, which is not decoded. Raises InputError for what is none."""
+    file = Path(path)
+    size = size_px(_content(file))
+    if size is None:
+        raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
+    return size
+
+
 def read_views(paths: Mapping[str, str | os.PathLike[str]]) -> dict[str, np.ndarray]:
     """The picture of each view. Raises InputError, also where two views share one picture."""
     images: dict[str, np.ndarray] = {}
