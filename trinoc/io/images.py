@@ -3,6 +3,7 @@
 Sources of the marks at a file's end: the PNG specification; T.81 for JPEG.
 """
 
+import contextlib
 import glob
 import hashlib
 import io
@@ -10,7 +11,7 @@ import itertools
 import os
 import struct
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -144,6 +145,22 @@ def write_picture(path: str | os.PathLike[str], image: np.ndarray) -> None:
         file.write(content.tobytes())
 
 
+@contextlib.contextmanager
+def silent_opencv() -> Iterator[None]:
+    """A block in which OpenCV writes nothing on stderr about broken files: a sentence says more."""
+    if hasattr(cv2.utils, "logging"):
+        get_level, set_level = cv2.utils.logging.getLogLevel, cv2.utils.logging.setLogLevel
+    else:  # before OpenCV 4.13
+        get_level, set_level = cv2.getLogLevel, cv2.setLogLevel  # pyright: ignore
+    level = get_level()
+    # numerical: the level of silence, in all versions.
+    set_level(0)
+    try:
+        yield
+    finally:
+        set_level(level)
+
+
 def picture_digest(image: np.ndarray) -> bytes:
     """The same for equal pictures alone."""
     pixels = hashlib.sha256(repr((image.shape, image.dtype)).encode())
@@ -177,19 +194,15 @@ def _decode(file: Path, content: bytes) -> np.ndarray:
         raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
     if not ends_as_it_should(content):
         raise InputError(f"{file} ends before its picture does: copy it again.")
-    # OpenCV warns on stderr about broken files; the sentence below says it better.
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        image = (
-            cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-            if content
-            else None
-        )
+        with silent_opencv():
+            image = (
+                cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+                if content
+                else None
+            )
     except (cv2.error, MemoryError):
         image = None
-    finally:
-        cv2.utils.logging.setLogLevel(level)
     if image is None:
         raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
     if image.ndim == 2:

@@ -19,6 +19,7 @@ from trinoc.calib.targets.checkers import Charuco, opencv_board
 from trinoc.calib.targets.markers import opencv_dictionary
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import DetectionError
+from trinoc.numerics.joins import point_tree
 
 # numerical: the fewest tags that have as many corners.
 _FEWEST_TAGS = -(-TUNING.detection.fewest_places // 4)
@@ -49,8 +50,12 @@ def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detectio
     )
     order = np.argsort(index)
     index, corners_px = index[order], corners_px[order]
-    covariance_px2 = corner_covariance_px2(picture, corners_px)
-    return build_detection(index[None], corners_px, covariance_px2, picture.size_px)
+    # OpenCV 4 puts them half a pixel aside: they are found again, in what markers leave of room.
+    nearest = np.asarray(point_tree(corners_px).query(corners_px, 2)[0])[:, 1]
+    room = nearest * (1 - board.marker_mm / board.square_mm)
+    places = _refine_corners(grey, corners_px, room)
+    covariance_px2 = corner_covariance_px2(picture, places)
+    return build_detection(index[None], places, covariance_px2, picture.size_px)
 
 
 def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Detection:
@@ -63,7 +68,7 @@ def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Det
     find, layout = partial(_find_tags, board=board), "dictionary, border"
     tags, corners_px = _find_enough(find, grey, wanted, _FEWEST_TAGS, layout)
     index = (4 * tags[:, None] + np.arange(4)).ravel()
-    places, is_sharp = _refine_corners(grey, corners_px, board.spacing)
+    places, is_sharp = _refine_tags(grey, corners_px, board.spacing)
     index, places = index[is_sharp], places[is_sharp]
     covariance_px2 = corner_covariance_px2(picture, places)
     return build_detection(index[None], places, covariance_px2, picture.size_px)
@@ -130,26 +135,34 @@ def _distances_in_sides(
     return np.linalg.norm(ideal - corners_px, axis=2).max(axis=1) / np.maximum(side, 1e-9)
 
 
-def _refine_corners(
+def _refine_tags(
     grey: UInt8[np.ndarray, "h w"], corners_px: Float[np.ndarray, "t 4 2"], spacing: float
 ) -> tuple[Float[np.ndarray, "n 2"], np.ndarray]:
     """(places, which of them the picture shows as corners between dark squares)."""
     side = np.linalg.norm(corners_px - np.roll(corners_px, 1, axis=1), axis=2).min(axis=1)
-    gap = spacing * side
+    gap, start = np.repeat(spacing * side, 4), corners_px.reshape(-1, 2)
+    places = _refine_corners(grey, start, gap)
+    # Farther, a corner is nearer to another one.
+    sharp = np.linalg.norm(places - start, axis=1) < np.maximum(0.5 * gap, 1.5)
+    return places, sharp & _is_saddle(grey, corners_px, places, spacing)
+
+
+def _refine_corners(
+    grey: UInt8[np.ndarray, "h w"],
+    start_px: Float[np.ndarray, "n 2"],
+    room_px: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "n 2"]:
+    """Corners as what is around them shows them; room_px : beside them to the next thing."""
     share, limits = TUNING.detection.refined_share, TUNING.detection.refined_half_px
-    half = int(np.clip(share * np.median(gap), *limits))
-    start = corners_px.reshape(-1, 2)
+    half = int(np.clip(share * np.median(room_px), *limits))
     places = cv2.cornerSubPix(
         grey,
-        start.astype(np.float32).reshape(-1, 1, 2),
+        start_px.astype(np.float32).reshape(-1, 1, 2),
         (half, half),
         (-1, -1),
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3),
-    ).reshape(-1, 2)
-    moved = np.linalg.norm(places - start, axis=1)
-    # Farther, a corner is nearer to another one.
-    sharp = moved < np.maximum(0.5 * np.repeat(gap, 4), 1.5)
-    return places.astype(np.float64), sharp & _is_saddle(grey, corners_px, places, spacing)
+    )
+    return places.reshape(-1, 2).astype(np.float64)
 
 
 def _is_saddle(

@@ -25,6 +25,7 @@ from trinoc.io.formats.format import PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import chain_motions, inverse, motion
 from trinoc.io.formats.text_files import make_block, scalar_or_list
+from trinoc.io.images import silent_opencv
 from trinoc.io.json_document import Block
 from trinoc.io.rig_json import parse_covariance
 from trinoc.io.whole_files import read_text
@@ -195,19 +196,15 @@ def write_storage(document: dict[str, Any], path: Path) -> None:
 def read_storage(path: Path) -> Block:
     """The file as OpenCV reads it, matrices as lists of rows. Raises InputError for others."""
     text = read_text(path)
-    # OpenCV writes about broken files on stderr; the sentence below says it better.
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        values = _plain(storage.root())
-        storage.release()
+        with silent_opencv():
+            storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+            values = _plain(storage.root())
+            storage.release()
     except (cv2.error, SystemError, RecursionError) as error:
         raise InputError(
             f"{path} is not a file of cv2.FileStorage (YAML or JSON): give another file."
         ) from error
-    finally:
-        cv2.utils.logging.setLogLevel(level)
     return make_block(values, path)
 
 
