@@ -6,23 +6,13 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from trinoc.cli.command import LOGGER, BoardFile, Command, Outcome, UsageError
 from trinoc.cli.view import expect_port, show
 from trinoc.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from trinoc.capture.judgement import Judgement
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    import numpy as np
-from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import numpy as np
