@@ -8,7 +8,13 @@ from jaxtyping import Float, Shaped
 
 from trinoc.calib.detection.registry import detect_target
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.capture.measures import Exposure, edge_blur_px, measure_exposure, measure_lean
+from trinoc.capture.measures import (
+    Exposure,
+    edge_blur_px,
+    edge_normals,
+    measure_exposure,
+    measure_lean,
+)
 from trinoc.errors import DetectionError
 from trinoc.image.light import Light
 
@@ -82,7 +88,8 @@ def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -
             axes = np.linalg.eigvalsh(detection.shape_px2)[:, 0]
             smallest = 2 * float(np.sqrt(max(float(np.min(axes)), 0.0)))
     region = picture.light[_window(places, picture.size_px)]
-    blur, exposure = edge_blur_px(region), measure_exposure(region)
+    blur = edge_blur_px(region, edge_normals(on_board, places))
+    exposure = measure_exposure(region)
     return Judgement(
         name=name,
         size_px=picture.size_px,

@@ -18,9 +18,11 @@ _FINE, _COARSE = 1.0, 2.0
 _LEAST_SHARE = 0.4
 _STEEP_PERCENTILE = 99.9
 _FEWEST_EDGES = 20
+# The cosine of 30 degrees: nearer to a normal, a slope is that of an edge across it.
+_ALONG = 0.866
+_FEWEST_PLACES = 6
 # Rows and columns of the field that coverage is counted in.
 GRID = (6, 8)
-_FEWEST_PLACES = 6
 
 
 class Exposure(NamedTuple):
@@ -46,31 +48,72 @@ def measure_exposure(levels: Float[np.ndarray, "h w"]) -> Exposure:
     )
 
 
-def edge_blur_px(grey: Float[np.ndarray, "h w"]) -> float:
+def edge_blur_px(
+    grey: Float[np.ndarray, "h w"], normals: Float[np.ndarray, "k 2"] | None = None
+) -> float:
     """Median Gaussian sigma of the steep edges, in pixels; NaN where there are hardly any.
+
+    normals : (right, down) across the edges of a board. Motion smears those across it alone, and
+        the others stay steep: each kind is measured by itself, and the widest counts.
 
     A sensor's square pixels count for 0.29 px of it, motion for its part across each edge.
     """
     level = np.asarray(grey, dtype=np.float32)
-    fine, coarse = _slope(level, _FINE), _slope(level, _COARSE)
-    # Of flat paper nothing is left but noise, of which no ratio is taken.
-    steep = _LEAST_SHARE * float(np.percentile(fine, _STEEP_PERCENTILE))
-    ridge = (fine >= cv2.dilate(fine, np.ones((3, 3), np.uint8)) * 0.98) & (fine > max(steep, 1e-6))
+    (fine, right, down), (coarse, _, _) = _slope(level, _FINE), _slope(level, _COARSE)
+    ridge = fine >= cv2.dilate(fine, np.ones((3, 3), np.uint8)) * 0.98
     margin = int(np.ceil(3 * _COARSE))
     ridge[:margin] = ridge[-margin:] = False
     ridge[:, :margin] = ridge[:, -margin:] = False
-    if np.count_nonzero(ridge) < _FEWEST_EDGES:
+    widths = []
+    for normal in () if normals is None else normals / np.linalg.norm(normals, axis=1)[:, None]:
+        across = np.abs(float(normal[0]) * right + float(normal[1]) * down)
+        widths.append(_ridge_blur_px(fine, coarse, ridge, across > _ALONG * fine))
+    kinds = [width for width in widths if not np.isnan(width)]
+    return max(kinds) if kinds else _ridge_blur_px(fine, coarse, ridge)
+
+
+def _ridge_blur_px(
+    fine: Float[np.ndarray, "h w"],
+    coarse: Float[np.ndarray, "h w"],
+    ridge: Bool[np.ndarray, "h w"],
+    among: Bool[np.ndarray, "h w"] | None = None,
+) -> float:
+    """The width of the steep edges among the pixels of one kind, or of all."""
+    slopes = fine if among is None else fine[among]
+    if not len(slopes):
         return float("nan")
-    squared_ratio = np.median((fine[ridge] / np.maximum(coarse[ridge], 1e-9)) ** 2)
+    # Of flat paper nothing is left but noise, of which no ratio is taken.
+    steep = _LEAST_SHARE * float(np.percentile(slopes, _STEEP_PERCENTILE))
+    kept = ridge & (fine > max(steep, 1e-6))
+    kept = kept if among is None else kept & among
+    if np.count_nonzero(kept) < _FEWEST_EDGES:
+        return float("nan")
+    squared_ratio = np.median((fine[kept] / np.maximum(coarse[kept], 1e-9)) ** 2)
     return blur_of_two_slopes(float(squared_ratio), _FINE, _COARSE)
 
 
-def _slope(level: Float[np.ndarray, "h w"], scale: float) -> Float[np.ndarray, "h w"]:
-    """Size of the gradient after a Gaussian, of which central differences are 1/3 px^2."""
+def edge_normals(
+    places_mm: Float[np.ndarray, "m 2"], places_px: Float[np.ndarray, "m 2"]
+) -> Float[np.ndarray, "2 2"] | None:
+    """Across the edges of a board that run along its Y and along its X, in the picture; None
+    where too few places are seen."""
+    if len(places_px) < _FEWEST_PLACES:
+        return None
+    # Of the board's X, and of its Y, in pixels per millimetre.
+    axes = np.linalg.lstsq(places_mm - places_mm.mean(axis=0), places_px, rcond=None)[0]
+    normals = axes[::-1] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    return normals if np.linalg.norm(normals, axis=1).min() > 0 else None
+
+
+def _slope(
+    level: Float[np.ndarray, "h w"], scale: float
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Size of the gradient after a Gaussian, of which central differences are 1/3 px^2, and its
+    parts to the right and down."""
     smooth = cv2.GaussianBlur(level, (0, 0), np.sqrt(scale**2 - 1.0 / 3.0))
     rows = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=1)
     columns = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1)
-    return cv2.magnitude(columns, rows)
+    return cv2.magnitude(columns, rows), columns, rows
 
 
 def cover_cells(
