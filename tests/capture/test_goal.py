@@ -1,0 +1,50 @@
+"""The board held as it is wanted: seen whole, new each time, and enough in the end."""
+
+import numpy as np
+import pytest
+
+from tests.capture.made import judgement
+from trinoc.capture.advice import ENOUGH_FIELD, LEAN, field_share, next_goal, shows_something_new
+from trinoc.capture.goal import Goal, hold_outline, hold_places
+from trinoc.capture.measures import measure_lean
+
+
+def grid_mm(rows: int, columns: int) -> np.ndarray:
+    across, up = np.meshgrid(np.arange(columns), np.arange(rows)[::-1])
+    return 20.0 * np.stack([across, up], axis=-1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("grid", [(5, 7), (8, 8), (4, 5), (11, 7)])
+@pytest.mark.parametrize("size_px", [(640, 480), (1920, 1080), (480, 640)])
+def test_who_follows_the_goals_shows_something_new_each_time_until_it_is_enough(
+    grid: tuple[int, int], size_px: tuple[int, int]
+) -> None:
+    places_mm, shown = grid_mm(*grid), []
+    while (goal := next_goal(shown)) is not None:
+        places = hold_places(goal, places_mm, size_px)
+        pitch_px = np.linalg.norm(places[1] - places[0])
+        # With its outer squares, which a chessboard must show.
+        assert (places > 0.9 * pitch_px * (goal.lean == (0.0, 0.0)) - 1).all()
+        assert (places < np.array(size_px) - 0.9 * pitch_px * (goal.lean == (0.0, 0.0))).all()
+        now = judgement(
+            places, measure_lean(places_mm, places), places_mm=places_mm, size_px=size_px
+        )
+        assert shows_something_new(shown, now) or "more" in goal.sentence
+        shown.append(now)
+        assert len(shown) < 70
+    assert field_share(shown) >= ENOUGH_FIELD
+    assert len(shown) >= 6
+
+
+@pytest.mark.parametrize("lean", [(0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)])
+def test_what_is_drawn_leans_as_is_said(lean: tuple[float, float]) -> None:
+    places_mm = grid_mm(5, 7)
+    found = measure_lean(places_mm, hold_places(Goal("", lean=lean), places_mm, (640, 480)))
+    np.testing.assert_allclose(found, lean, atol=0.4 * LEAN)
+
+
+def test_the_outline_is_the_frame_of_the_places() -> None:
+    places_mm, goal = grid_mm(5, 7), Goal("", (0.2, 0.8), 0.4, turn_deg=30.0)
+    places = hold_places(goal, places_mm, (640, 480))
+    corners = places[[0, 6, 34, 28]]
+    np.testing.assert_allclose(hold_outline(goal, places_mm, (640, 480)), corners, atol=1e-9)

@@ -1,0 +1,76 @@
+"""Shots of several cameras, from made-up judgements."""
+
+import numpy as np
+
+from tests.capture.made import judgement, rectangle
+from trinoc.capture.judgement import Judgement
+from trinoc.capture.shots import (
+    FEWEST_SHOTS,
+    Shot,
+    advise_cameras,
+    connect_cameras,
+    find_missing,
+    is_new_shot,
+    shot_line,
+)
+
+ALL, NONE = rectangle(0.01, 0.01, 0.99, 0.99), np.zeros((0, 2))
+LOST = judgement(NONE, refusal="No sheet was found.")
+SOFT = judgement(ALL, faults=("edges are 4.0 px wide: hold it still",))
+CAMERAS = ("left", "right", "upper")
+
+
+def shot(**seen: Judgement) -> Shot:
+    return Shot("made", {**dict.fromkeys(CAMERAS, LOST), **seen})
+
+
+def test_a_shot_is_new_to_one_camera_or_to_two_together() -> None:
+    alone = [shot(left=judgement(ALL)), shot(right=judgement(ALL))]
+    assert is_new_shot([], alone[0])
+    assert is_new_shot(alone[:1], alone[1])
+    assert not is_new_shot(alone, alone[0])
+    both = shot(left=judgement(ALL), right=judgement(ALL))
+    assert is_new_shot(alone, both)
+    assert not is_new_shot([*alone, both], both)
+    assert not is_new_shot([], shot(left=SOFT))
+
+
+def test_cameras_are_connected_in_chains() -> None:
+    seen = judgement(ALL)
+    chain = [shot(left=seen, right=seen), shot(right=seen, upper=seen)]
+    assert connect_cameras(FEWEST_SHOTS * chain[:1], CAMERAS) == [("left", "right"), ("upper",)]
+    assert connect_cameras(FEWEST_SHOTS * chain, CAMERAS) == [CAMERAS]
+    assert connect_cameras(chain, CAMERAS) == [("left",), ("right",), ("upper",)]
+
+
+def test_what_is_missing_is_said() -> None:
+    seen = judgement(ALL)
+    few = FEWEST_SHOTS * [shot(left=seen), shot(right=seen)]
+    said = find_missing(few, CAMERAS)
+    assert said is not None
+    assert said.startswith("0 good pictures of upper are too few")
+    apart = [*few, *(FEWEST_SHOTS * [shot(upper=seen)])]
+    said = find_missing(apart, CAMERAS)
+    assert said is not None
+    assert "left and right at once" in said
+    assert find_missing(FEWEST_SHOTS * [shot(left=seen, right=seen, upper=seen)], CAMERAS) is None
+
+
+def test_the_camera_that_lacks_most_comes_next() -> None:
+    part, seen = judgement(rectangle(0.4, 0.01, 0.99, 0.99)), judgement(ALL)
+    together = FEWEST_SHOTS * [shot(left=seen, right=seen, upper=part)]
+    advice = advise_cameras(together, CAMERAS)
+    assert advice.sentence.startswith("For upper: Move the board to the")
+    assert list(advice.goals) == ["upper"]
+    apart = [shot(left=seen), shot(right=seen), shot(upper=seen)]
+    assert "sees it together with right" in advise_cameras(apart, CAMERAS).sentence
+    assert "Again, left: edges are 4.0" in advise_cameras([shot(left=SOFT)], CAMERAS).sentence
+    assert "of left: No sheet was found." in advise_cameras([shot()], CAMERAS).sentence
+
+
+def test_a_shot_is_one_line() -> None:
+    line = shot_line(shot(left=judgement(ALL), right=SOFT)._replace(kept="shot_0001"))
+    assert line == (
+        "made: kept as shot_0001; left good, right AGAIN (edges are 4.0 px wide: hold it still), "
+        "upper not found"
+    )
