@@ -88,7 +88,8 @@ def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -
             axes = np.linalg.eigvalsh(detection.shape_px2)[:, 0]
             smallest = 2 * float(np.sqrt(max(float(np.min(axes)), 0.0)))
     region = picture.light[_window(places, picture.size_px)]
-    blur = edge_blur_px(region, edge_normals(on_board, places))
+    normals = edge_normals(on_board, places, round_ink=target.places == "circles")
+    blur = edge_blur_px(region, normals)
     exposure = measure_exposure(region)
     return Judgement(
         name=name,

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 
 from trinoc.image.step_edge import blur_of_two_slopes
 
@@ -93,16 +93,31 @@ def _ridge_blur_px(
 
 
 def edge_normals(
-    places_mm: Float[np.ndarray, "m 2"], places_px: Float[np.ndarray, "m 2"]
-) -> Float[np.ndarray, "2 2"] | None:
+    places_mm: Float[np.ndarray, "m 2"], places_px: Float[np.ndarray, "m 2"], *, round_ink: bool
+) -> Float[np.ndarray, "k 2"] | None:
     """Across the edges of a board that run along its Y and along its X, in the picture; None
-    where too few places are seen."""
+    where too few places are seen.
+
+    round_ink : whether it has edges in all directions, so that those between count, too.
+    """
     if len(places_px) < _FEWEST_PLACES:
         return None
     # Of the board's X, and of its Y, in pixels per millimetre.
     axes = np.linalg.lstsq(places_mm - places_mm.mean(axis=0), places_px, rcond=None)[0]
-    normals = axes[::-1] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    along = np.concatenate([axes[::-1], axes[:1] + axes[1:], axes[:1] - axes[1:]])
+    normals = along[: 4 if round_ink else 2] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
     return normals if np.linalg.norm(normals, axis=1).min() > 0 else None
+
+
+def fine_contrast(image: Shaped[np.ndarray, "..."]) -> float:
+    """How much a picture changes from pixel to pixel: of several of one scene, the sharpest has
+    most of it, and a board that moves takes of it.
+
+    image : (h, w) or (h, w, channels), of which the second counts. Costs no more than to decode.
+    """
+    plane = np.ascontiguousarray(image if image.ndim == 2 else image[..., 1])
+    smooth = cv2.GaussianBlur(plane, (0, 0), _FINE)
+    return float(np.mean(np.square(cv2.Laplacian(smooth, cv2.CV_32F))))
 
 
 def _slope(

@@ -81,11 +81,13 @@ def advise_cameras(shots: Sequence[Shot], cameras: Sequence[str]) -> Advice:
     return Advice(f"For {least}: {wanted[least].sentence}" if least else ENOUGH, drawn)
 
 
-def connect_cameras(shots: Sequence[Shot], cameras: Sequence[str]) -> list[tuple[str, ...]]:
-    """Groups of cameras that shots connect, each pair by enough of them; one when all are."""
+def connect_cameras(
+    shots: Sequence[Shot], cameras: Sequence[str], by: int = FEWEST_SHOTS
+) -> list[tuple[str, ...]]:
+    """Groups of cameras that shots connect, each pair by so many of them; one when all are."""
     groups = [{name} for name in cameras]
     for pair in combinations(cameras, 2):
-        if sum(set(pair) <= set(shot.good) for shot in shots) >= FEWEST_SHOTS:
+        if sum(set(pair) <= set(shot.good) for shot in shots) >= by:
             joined = [group for group in groups if group & set(pair)]
             groups = [group for group in groups if not group & set(pair)]
             groups.append(set().union(*joined))
@@ -95,21 +97,22 @@ def connect_cameras(shots: Sequence[Shot], cameras: Sequence[str]) -> list[tuple
 
 
 def find_missing(shots: Sequence[Shot], cameras: Sequence[str]) -> str | None:
-    """Why shots are too few to calibrate with, in a sentence; None where they may do."""
+    """Why these shots are too few to calibrate with, in a sentence; None where they may do."""
     for name in cameras:
         count = len(_list_good(shots, name))
         if count < FEWEST_SHOTS:
-            who = f"of {name} " if len(cameras) > 1 else ""
+            who = f' of "{name}"' if name else ""
             return (
-                f"{count} good pictures {who}are too few to calibrate with: show the board to it "
-                f"in {FEWEST_SHOTS} shots at the least, tilted another way in each."
+                f"There is no calibration, because good pictures{who} that show something new are "
+                f"too few ({count}, at least {FEWEST_SHOTS} are needed): show it the board, tilted "
+                "another way in each."
             )
-    groups = connect_cameras(shots, cameras)
+    groups = connect_cameras(shots, cameras, by=1)
     if len(groups) > 1:
         first, second = (" or ".join(group) for group in groups[:2])
         return (
-            f"Fewer than {FEWEST_SHOTS} shots show the board to {first} and {second} at once: hold "
-            "it where both see it."
+            f"There is no calibration, because no shot shows the board to {first} and {second} at "
+            "once: hold it where both see it."
         )
     return None
 

@@ -255,7 +255,7 @@ def load_shots(places: Mapping[str, str | os.PathLike[str]]) -> Shots:
                 raise InputError(
                     f'{file} is a picture of "{other}" and of "{camera}": give each camera its own.'
                 )
-    names = _names({camera: [file.stem for file in own] for camera, own in files.items()})
+    names = name_shots({camera: [file.stem for file in own] for camera, own in files.items()})
     return {
         camera: {
             name: partial(read_image, file) for name, file in zip(names[camera], own, strict=True)
@@ -277,8 +277,9 @@ def _files(camera: str, place: str) -> list[Path]:
     return sorted(found)
 
 
-def _names(stems: dict[str, list[str]]) -> dict[str, list[str]]:
-    """Names of the shots: the stems where cameras share some, else what differs in them."""
+def name_shots(stems: Mapping[str, list[str]]) -> Mapping[str, list[str]]:
+    """Names of the shots of each camera's files, by their stems: the stems themselves where cameras
+    share some, else what differs in them."""
     whole = [set(own) for own in stems.values()]
     if len(stems) == 1 or set.intersection(*whole):
         return stems
