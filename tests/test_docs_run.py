@@ -45,6 +45,9 @@ PAGES = {path.name: path for path in (*sorted((ROOT / "docs").glob("*.md")), ROO
 NOT_RUN = {
     "pip install .": "installs; .ci/run does it",
     "trinoc watch shots --board sheet.json": "waits for pictures until Ctrl-C",
+    "trinoc watch left=0 right=1 --board board.json -o rig.json --report report.html": (
+        "takes cameras"
+    ),
     "export TRINOC_DATA=DIR": "DIR is the reader's",
     "python benchmarks/make_data.py DIR": "a benchmark",
     "python benchmarks/render_pictures.py blocks DIR/blocks --seeds $(seq 0 29)": "needs POV-Ray",

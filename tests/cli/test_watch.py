@@ -15,8 +15,8 @@ from trinoc.calib import BoardSet
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.calib.targets.squares import dark_squares
 from trinoc.cli.main import main
-from trinoc.cli.watch import PATIENCE, FolderArrivals
 from trinoc.io.board_json import save_target
+from trinoc.serving.sources import PATIENCE, FolderArrivals
 from trinoc.synth import table1_rig
 
 BOARD = Chessboard(rows=5, columns=7, square_mm=20.0)
@@ -93,7 +93,7 @@ def test_ctrl_c_ends_with_the_summary_and_the_page_was_there(folder, capsys, mon
         if "http" in said.err:
             sleep.url = re.search(r"http://\S+", said.err)[0]  # pyright: ignore
         if "a.png" in said.out:
-            seen.extend([ask(sleep.url), ask(sleep.url, "/last.jpg"), ask(sleep.url, "/a.png")])  # pyright: ignore
+            seen.extend([ask(sleep.url), ask(sleep.url, "/0.jpg"), ask(sleep.url, "/a.png")])  # pyright: ignore
             raise KeyboardInterrupt
 
     monkeypatch.setattr("time.sleep", sleep)

@@ -1,6 +1,7 @@
 """The page of `trinoc watch`: for this machine alone, one picture, nothing that names can do."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import cv2
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from tests.capture.made import camera, circles_picture, judgement, rectangle
 from tests.serving.asking import ask
+from trinoc.capture.shots import Shot
 from trinoc.errors import InputError
 from trinoc.serving.pages import PageContent, serve_pages
 from trinoc.serving.watching import (
@@ -20,9 +22,16 @@ from trinoc.serving.watching import (
 ALL = rectangle(0.01, 0.01, 0.99, 0.99)
 
 
+LOST = judgement(ALL[:0], refusal="No sheet was found.")
+
+
+def page_of(*shots: Shot, **more: Any) -> str:
+    return watch_page(WatchState("trinoc watch shots", shots=shots, **more)).content.decode()
+
+
 def test_the_page_shows_the_last_picture_the_field_and_the_advice() -> None:
-    shown = (judgement(ALL, name="first.png"), judgement(ALL[:0], refusal="No sheet was found."))
-    page = watch_page(WatchState("trinoc watch shots", shown, b"")).content.decode()
+    first, last = judgement(ALL, name="first.png"), LOST
+    page = page_of(Shot("first.png", {"": first}), Shot("made.png", {"": last}))
     assert 'http-equiv="refresh"' in page
     assert "Take it again: No sheet was found." in page
     assert "100 percent of the field is covered" in page
@@ -33,7 +42,8 @@ def test_the_page_shows_the_last_picture_the_field_and_the_advice() -> None:
 
 def test_names_are_text() -> None:
     bad = "<script>alert(1)</script>&\"'.png"
-    page = watch_page(WatchState(bad, (judgement(ALL, name=bad),))).content.decode()
+    named = Shot(bad, {bad: judgement(ALL, name=bad)})
+    page = watch_page(WatchState(bad, (bad,), (named,))).content.decode()
     assert "<script" not in page
     assert "&lt;script&gt;" in page
 
@@ -46,7 +56,49 @@ def test_the_thumbnail_is_a_small_jpeg_with_marks() -> None:
     assert small is not None
     assert max(small.shape) == 720
     assert np.ptp(small.astype(int), axis=2).max() > 60
-    assert picture_page(WatchState("a", (), b"jpeg")).content == b"jpeg"
+    watched = WatchState("a", ("left", "right"), thumbnails={"right": b"jpeg"})
+    assert [picture_page(watched, k).content for k in range(2)] == [b"", b"jpeg"]
+
+
+def test_where_the_board_is_wanted_is_drawn() -> None:
+    picture = np.full((240, 320), 128, np.uint8)
+    corners = np.array([[40.0, 40.0], [200.0, 40.0], [200.0, 160.0], [40.0, 160.0]])
+    content = thumbnail(picture, judgement(ALL[:0]), corners)
+    drawn = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    assert drawn is not None
+    colour = np.ptp(drawn.astype(int), axis=2) > 100
+    assert colour[100, 36:45].any()
+    assert colour[158:163, 120].any()
+    assert not colour[60:140, 60:180].any()
+    # The upper side of the board is the thick one.
+    assert colour[35:46, 120].sum() > colour[155:166, 120].sum()
+
+
+def test_several_cameras_have_a_picture_and_a_field_each() -> None:
+    both = Shot("0.50 s", {"left": judgement(ALL), "right": LOST}, kept="shot_0001")
+    cameras = ("left", "right")
+    page = page_of(both, cameras=cameras, thumbnails={"left": b"l", "right": b"r"})
+    assert "<b>1</b> shots kept of 1 moments" in page
+    assert "100 percent of the field of left is covered" in page
+    assert "0 percent of the field of right is covered" in page
+    assert 'src="/0.jpg' in page
+    assert 'src="/1.jpg' in page
+
+
+def test_the_last_page_says_how_it_ended_and_asks_for_nothing_more() -> None:
+    both = Shot("0.50 s", {"left": judgement(ALL)}, kept="shot_0001")
+    page = page_of(
+        both,
+        cameras=("left",),
+        thumbnails={"left": b"l"},
+        headline="You can use this rig.",
+        details=("written: rig.json",),
+        is_last=True,
+    )
+    assert "You can use this rig." in page
+    assert "written: rig.json" in page
+    assert 'http-equiv="refresh"' not in page
+    assert 'src="data:image/jpeg;base64,' in page
 
 
 @pytest.fixture(scope="module")

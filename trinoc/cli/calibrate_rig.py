@@ -83,6 +83,10 @@ class CalibrateRigCommand(ReportOption, Command):
 
     def run(self, command_line: str) -> Outcome:
         """Calibrate and write the rig."""
+        return self.calibrate(command_line)[1]
+
+    def calibrate(self, command_line: str) -> "tuple[RigFromShots, Outcome]":
+        """The same, with what was found."""
         sigma = read_settings("--sigma", self.sigma, BOARD_SIGMA)
         for shot in self.shots:
             if "=" not in shot:
@@ -138,7 +142,7 @@ class CalibrateRigCommand(ReportOption, Command):
         self.write_report(made_by, shots=result, title="trinoc calibrate-rig", advice=said)
         text = "\n".join(filter(None, [result.summary(), said]))
         record = {**rig_record(result), "next_shot": shot_record(advice)}
-        return Outcome(text, record, written=(self.out, self.report))
+        return result, Outcome(text, record, written=(self.out, self.report))
 
 
 def board_files(files: tuple[Path, ...]) -> dict[str, Path]:

@@ -4,7 +4,7 @@ import dataclasses
 import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -16,13 +16,22 @@ if TYPE_CHECKING:
     from trinoc.report.space_part import SpaceFigure
 
 
-Port = Annotated[int, tyro.conf.arg(help_behavior_hint="(default: a free one)")]
+Port = Annotated[
+    Literal["open"] | int,
+    tyro.conf.arg(metavar="N|open", help_behavior_hint="(default: a free one)"),
+]
 
 
-def expect_port(port: int) -> None:
-    """Raises UsageError: a server's thread would fail by itself, and the command wait on."""
+def read_port(port: str | int) -> int:
+    """The number that is meant, 0 for a free one.
+
+    Raises UsageError: a server's thread would fail by itself, and the command wait on.
+    """
+    if isinstance(port, str):
+        return 0
     if not 0 <= port <= 65535:
         raise UsageError(f"--port is {port}: give one up to 65535, or leave it out for a free one.")
+    return port
 
 
 def show(url: str, browser: bool) -> None:
@@ -48,14 +57,11 @@ class ViewCommand(Command):
     """The sheet to show beside cameras."""
 
     port: Port = 0
-    """Port on this machine's own address, 127.0.0.1, which no other machine reaches."""
-
-    open: bool = False
-    """Open the browser."""
+    """Port on 127.0.0.1, which no other machine reaches; open: the browser shows it."""
 
     def run(self, command_line: str) -> Outcome:
         """Serve until interrupted."""
-        expect_port(self.port)
+        port = read_port(self.port)
         from trinoc.report.notebook.extras import expect_extra
 
         expect_extra("viser", "view")
@@ -64,8 +70,8 @@ class ViewCommand(Command):
         from trinoc.serving.space import serve_space
 
         title = f"trinoc: {self.file.name}"
-        with serve_space(figure, ellipsoids, title=title, port=self.port) as url:
-            show(url, self.open)
+        with serve_space(figure, ellipsoids, title=title, port=port) as url:
+            show(url, self.port == "open")
             wait_for_interruption()
         return Outcome(f"{said}, no longer shown.", {"shown": str(self.file), "url": url})
 

@@ -1,273 +1,304 @@
-"""`trinoc watch`: pictures of a board judged as they arrive."""
+"""`trinoc watch`: pictures of a board judged as they arrive, and the rig that comes of them."""
 
 import contextlib
 import dataclasses
+import shlex
 import sys
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import LOGGER, BoardFile, Command, Outcome, UsageError
-from trinoc.cli.view import expect_port, show
-from trinoc.errors import InputError
+from trinoc.cli.calibrate_rig import CalibrateRigCommand
+from trinoc.cli.command import (
+    LOGGER,
+    BoardFile,
+    Command,
+    FileOrNone,
+    Interruption,
+    Outcome,
+    ReportOption,
+    UsageError,
+)
+from trinoc.cli.intrinsics import IntrinsicsCommand
+from trinoc.cli.view import read_port, show
+from trinoc.cli.views import files_of_views
+from trinoc.errors import InputError, TrinocError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from trinoc.calib.targets.abstract_target import AbstractTarget
-    from trinoc.capture.judgement import Judgement
-
-
-class WatchSession:
-    """What was judged so far, and how it is said."""
-
-    def __init__(self, target: "AbstractTarget", source: str, json: bool, quiet: bool) -> None:
-        from trinoc.serving.watching import WatchState
-
-        self._target, self._stream = target, sys.stderr if json else sys.stdout
-        self._silent = json and quiet
-        self.judgements: list[Judgement] = []
-        self.written: list[Path] = []
-        self.watched: WatchState = WatchState(f"trinoc watch {source}")
-
-    def look(self, name: str, image: "np.ndarray | InputError") -> "Judgement":
-        """Judge a picture, and say so."""
-        from trinoc.capture.advice import next_step
-        from trinoc.capture.judgement import judge, judge_unread, judgement_line
-        from trinoc.serving.watching import thumbnail
-
-        try:
-            if isinstance(image, InputError):
-                raise image
-            judgement = judge(name, image, self._target)
-            small = thumbnail(image, judgement)
-        except InputError as error:
-            judgement, small = judge_unread(name, self._target, str(error)), b""
-        # A picture that is written again takes the place of its former self.
-        self.judgements = [j for j in self.judgements if j.name != name] + [judgement]
-        self.watched = self.watched._replace(judgements=tuple(self.judgements), thumbnail=small)
-        if not self._silent:
-            advice = f"\n  {next_step(self.judgements)}" if judgement.good else ""
-            print(judgement_line(judgement) + advice, file=self._stream, flush=True)
-        return judgement
-
-    def outcome(self) -> Outcome:
-        """The summary."""
-        from trinoc.capture.advice import field_share, next_step, summary_lines
-
-        lines = summary_lines(self.judgements)
-        record: dict[str, Any] = {
-            "pictures": [_record(judgement) for judgement in self.judgements],
-            "field": field_share(self.judgements),
-            "next": next_step(self.judgements),
-        }
-        return Outcome("\n".join(lines), record, written=self.written)
-
-
-def _record(judgement: "Judgement") -> dict[str, Any]:
-    return {
-        "name": judgement.name,
-        "good": judgement.good,
-        "found": len(judgement.places_px),
-        "of": judgement.of_places,
-        "refusal": judgement.refusal,
-        "faults": list(judgement.faults),
-        "edges_px": _none_if_nan(judgement.blur_px),
-        "saturated": _none_if_nan(judgement.exposure.saturated),
-        "dark": _none_if_nan(judgement.exposure.dark),
-        "lean": list(judgement.lean),
-    }
-
-
-def _none_if_nan(value: float) -> float | None:
-    return value if value == value else None
-
-
-# Scans after which a picture without its end mark is taken as it is.
-PATIENCE = 10
-
-
-class FolderArrivals:
-    """Pictures of a folder, each once it is written to its end, and again when it is replaced."""
-
-    def __init__(self, folder: Path) -> None:
-        if not folder.is_dir():
-            raise InputError(f"{folder} is no folder: give the one that pictures arrive in.")
-        self._folder = folder
-        self._seen: dict[Path, tuple[tuple[int, int], int]] = {}
-        self._told: dict[Path, tuple[int, int]] = {}
-
-    def ready(self, *, at_once: bool = False) -> list[Path]:
-        """Pictures not told yet that did not change since the last call, the oldest first.
-
-        at_once : also those seen for the first time.
-        """
-        from trinoc.io.images import IMAGE_SUFFIXES, is_whole_picture
-
-        found = []
-        for path in self._folder.iterdir():
-            if path.suffix.lower() not in IMAGE_SUFFIXES:
-                continue
-            with contextlib.suppress(OSError):  # gone again, or not yet to be read
-                status = path.stat()
-                signature = status.st_size, status.st_mtime_ns
-                before, scans = self._seen.get(path, (None, 0))
-                scans = scans + 1 if before == signature else 0
-                self._seen[path] = signature, scans
-                if self._told.get(path) == signature or not (scans or at_once):
-                    continue
-                if at_once or scans >= PATIENCE or is_whole_picture(path):
-                    found.append((status.st_mtime_ns, path))
-                    self._told[path] = signature
-        return [path for _, path in sorted(found)]
-
-
-def camera_frames(number: int, every_s: float) -> "Iterator[np.ndarray]":
-    """The newest frame of a camera, every so many seconds. Raises InputError."""
-    import cv2
-
-    camera: Any = cv2.VideoCapture(number)
-    try:
-        if not camera.isOpened():
-            raise InputError(f"Camera {number} does not open: see that nobody else uses it.")
-        while True:
-            # A camera keeps frames waiting: all are taken, and the last is looked at.
-            until = time.monotonic() + every_s
-            there = camera.grab()
-            while there and time.monotonic() < until:
-                there = camera.grab()
-            there, frame = camera.retrieve() if there else (False, None)
-            if frame is None:
-                raise InputError(f"Camera {number} sends no picture any more: look at its cable.")
-            yield frame
-    finally:
-        camera.release()
+    from trinoc.serving.kept_shots import KeptShots
+    from trinoc.serving.session import WatchSession
+    from trinoc.serving.sources import Moment
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class WatchCommand(Command):
-    """Judge pictures of a board as they arrive, and say what to show next, until Ctrl-C."""
+class WatchCommand(ReportOption, Command):
+    """Judge pictures of a board as they arrive, say what to show next, and calibrate with them."""
 
-    source: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="FOLDER|CAMERA")]
-    """The folder that pictures of one camera arrive in, or the number of a camera of this machine,
-    such as 0."""
+    sources: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="[NAME=]FOLDER|CAMERA|VIDEO", help_behavior_hint="(required)"),
+    ]
+    """A folder that pictures arrive in, or the number of a camera, such as 0, until Ctrl-C; or a
+    video. Of several cameras each with its name: left=0 right=1."""
 
     board: BoardFile
     """Layout of the sheet or board (JSON), as `trinoc pattern` writes it."""
 
     every_s: float = 1.0
-    """Look so often."""
+    """Look so often, at the sharpest moment since."""
 
     keep: Annotated[
-        Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: none)")
+        Path | None,
+        tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: beside the rig)"),
     ] = None
-    """Of a camera: write good pictures that show something new here, as PNG."""
+    """Keep shots that are good and new here, as PNG; those that are there count."""
+
+    out: Annotated[FileOrNone, tyro.conf.arg(aliases=("-o",))] = None
+    """Calibrate with what was kept, and write the rig here; of one camera without a name its
+    lens."""
 
     once: bool = False
     """Judge the pictures that are there, and end."""
 
     port: Annotated[
-        Literal["none"] | int,
-        tyro.conf.arg(metavar="N|none", help_behavior_hint="(default: a free one)"),
+        Literal["none", "open"] | int,
+        tyro.conf.arg(metavar="N|open|none", help_behavior_hint="(default: a free one)"),
     ] = 0
-    """Of the page, on this machine's own address, 127.0.0.1, which no other machine reaches; none
-    for no page, so that everything is said in the terminal alone."""
-
-    open: bool = False
-    """Open the browser."""
+    """Of the page, on 127.0.0.1, which no other machine reaches; open: the browser shows it; none:
+    no page."""
 
     def run(self, command_line: str) -> Outcome:
-        """Watch until interrupted."""
+        """Watch until interrupted or to the end, and calibrate where a rig is asked for."""
         if not 0 < self.every_s <= 3600:
             raise UsageError(f"--every-s is {self.every_s:g}: give seconds, such as 1.")
-        port = None if self.port == "none" else self.port
-        if port is not None:
-            expect_port(port)
-        number = int(self.source) if self.source.isdecimal() else None
-        if number is None and self.keep is not None:
-            raise UsageError("--keep goes with a camera: the pictures of a folder are kept there.")
-        if number is not None and self.once:
-            raise UsageError("--once goes with a folder: a camera has always one more picture.")
+        port = None if self.port == "none" else read_port(self.port)
+        if self.report is not None and self.out is None:
+            raise UsageError("--report is of a calibration: say by -o where the rig goes.")
+        places = self._places()
+        kind = self._kind(places)
+        target = self._target()
+        self._expect_results("" in places, target)
+        from trinoc.serving.sources import open_source
 
+        # Before the page is shown: what is no source ends the command.
+        moments = open_source(places, self.every_s, once=self.once, warn=LOGGER.warning)
+        kept = self._open_kept(places, kind)
+
+        from trinoc.serving.session import WatchSession
+
+        stream = sys.stderr if self.json else sys.stdout
+        is_silent = self.json and self.quiet
+
+        def say(line: str) -> None:
+            if not is_silent:
+                print(line, file=stream, flush=True)
+
+        session = WatchSession(target, " ".join(self.sources), tuple(places), kept, say)
+        with contextlib.ExitStack() as stack:
+            has_page = False
+            if port is not None and not self.once:
+                has_page = True
+                show(stack.enter_context(session.serve(port)), self.port == "open")
+            self._watch(session, moments)
+            numbers = {name: int(place) for name, place in places.items() if kind == "camera"}
+            return self._finish(session, command_line, numbers if has_page else {})
+
+    def _places(self) -> dict[str, str]:
+        """The source of each camera; of one without a name under ""."""
+        if not self.sources:
+            raise UsageError("No source is given: give a folder, a camera's number, or a video.")
+        if len(self.sources) == 1 and "=" not in self.sources[0]:
+            return {"": self.sources[0]}
+        return {name: str(place) for name, place in files_of_views(self.sources).items()}
+
+    def _kind(self, places: Mapping[str, str]) -> str:
+        """ "camera", "video" or "folder"; raises UsageError for options that do not go with it."""
+        from trinoc.serving.sources import find_kind
+
+        kinds = {find_kind(place) for place in places.values()}
+        if len(kinds) > 1:
+            raise UsageError("Cameras, folders and videos do not go together: give one kind.")
+        if len({int(p) if p.isdecimal() else Path(p) for p in places.values()}) < len(places):
+            raise UsageError("Two cameras are given one source: give each its own.")
+        (kind,) = kinds
+        if self.once and kind != "folder":
+            raise UsageError(
+                "--once goes with a folder: a camera has always one more picture, and a video ends "
+                "by itself."
+            )
+        if self.keep is not None and kind == "folder" and "" in places:
+            raise UsageError("--keep goes with a camera: the pictures of a folder are kept there.")
+        return kind
+
+    def _target(self) -> "AbstractTarget":
         from trinoc.calib.targets.board_set import BoardSet
         from trinoc.io.board_json import load_target
 
-        # Before the page is shown: a folder that is none ends the command.
-        source = FolderArrivals(Path(self.source)) if number is None else number
         target = load_target(self.board)
         if isinstance(target, BoardSet):
             raise UsageError(
                 f"{self.board} holds several boards, and one is watched at a time: give the "
                 "layout of one of them."
             )
-        session = WatchSession(target, self.source, self.json, self.quiet)
-        with contextlib.ExitStack() as stack:
-            if port is not None and not self.once:
-                show(stack.enter_context(_page(session, port)), self.open)
-            try:
-                for name, image in self._pictures(source):
-                    self._keep(session, session.look(name, image), image)
-            except KeyboardInterrupt:
-                print(file=sys.stderr)
-        return session.outcome()
+        return target
 
-    def _pictures(
-        self, source: int | FolderArrivals
-    ) -> "Iterator[tuple[str, np.ndarray | InputError]]":
-        """Names and pictures of a camera or a folder, or why one is none."""
-        if isinstance(source, int):
-            for count, frame in enumerate(camera_frames(source, self.every_s), 1):
-                yield f"picture {count}", frame
+    def _expect_results(self, is_lens: bool, target: "AbstractTarget") -> None:
+        """Before anything is watched, that what is to come of it can be written."""
+        if self.out is None:
             return
 
-        from trinoc.io.images import read_image
+        from trinoc.calib.targets.pattern import Pattern
+        from trinoc.geometry.intrinsics import Intrinsics
+        from trinoc.geometry.rig import Rig
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.saving import expect_replaceable
 
-        while True:
-            for path in source.ready(at_once=self.once):
-                try:
-                    image = read_image(path)
-                except (InputError, OSError) as error:
-                    yield path.name, InputError(str(error))
-                else:
-                    yield path.name, image
-            if self.once:
-                return
-            time.sleep(self.every_s)
+        if is_lens and (self.report is not None or not isinstance(target, Pattern)):
+            raise UsageError(
+                "Of a camera without a name comes a lens, which has no report and takes a sheet of "
+                f"circles: name it, such as camera={self.sources[0]}, and a rig of one comes."
+            )
+        expect_place(self.out, self.report)
+        expect_replaceable(self.out, Intrinsics if is_lens else Rig, force=self.force)
 
-    def _keep(
-        self, session: WatchSession, judgement: "Judgement", image: "np.ndarray | InputError"
-    ) -> None:
-        if self.keep is None or isinstance(image, InputError):
-            return
+    def _open_kept(self, places: Mapping[str, str], kind: str) -> "KeptShots | None":
+        """Where shots are kept: where that is said, or beside the result."""
+        from trinoc.serving.kept_shots import KeptShots
 
-        import cv2
+        if self.keep is not None:
+            kept = KeptShots(self.keep, tuple(places))
+            watched = {Path(place).resolve() for place in places.values()}
+            if watched & {place.resolve() for place in kept.places.values()}:
+                raise UsageError(
+                    f"--keep {self.keep} would write into a folder that is watched: give another."
+                )
+            return kept
+        if self.out is None or (kind == "folder" and "" in places):
+            return None
+        kept = KeptShots(self.out.with_name(f"{self.out.stem}_shots"), tuple(places))
+        if kept.names():
+            raise UsageError(
+                f"{kept.folder} holds {len(kept.names())} shots of an earlier run: go on with them "
+                f"by --keep {shlex.quote(str(kept.folder))}, or give another folder."
+            )
+        return kept
 
-        from trinoc.capture.advice import shows_something_new
-        from trinoc.io.atomic import atomic_write
+    def _watch(self, session: "WatchSession", moments: "Iterator[Moment]") -> None:
+        try:
+            if session.kept is not None:
+                for moment in session.kept.read():
+                    session.look(moment, is_kept=True)
+            for moment in moments:
+                session.look(moment)
+        except KeyboardInterrupt:
+            print(file=sys.stderr)
+        except InputError as error:
+            # What was kept is not lost by a cable that was pulled.
+            if self.out is None or not session.shots:
+                raise
+            LOGGER.warning("%s", error)
 
-        if shows_something_new(session.judgements[:-1], judgement):
-            self.keep.mkdir(parents=True, exist_ok=True)
-            numbers = (path.stem.removeprefix("shot_") for path in self.keep.glob("shot_*.png"))
-            taken = max((int(number) for number in numbers if number.isdecimal()), default=0)
-            place = self.keep / f"shot_{taken + 1:04d}.png"
-            with atomic_write(place) as file:
-                file.write(cv2.imencode(".png", image)[1].tobytes())
-            session.written.append(place)
-            LOGGER.info("kept %s", place)
+    def _finish(
+        self, session: "WatchSession", command_line: str, numbers: Mapping[str, int]
+    ) -> Outcome:
+        """The summary; and where it is asked for the calibration, then, with a page, lines of the
+        scene before the cameras of these numbers, until Ctrl-C."""
+        from trinoc.capture.shots import find_missing
 
+        written = [] if session.kept is None else session.kept.written
+        outcome = Outcome(session.summarise(), session.record(), written=written)
+        if self.out is None:
+            return outcome
+        missing = find_missing(session.telling_shots, session.cameras)
+        if missing is not None:
+            return self._refuse(session, outcome, missing, command_line)
+        LOGGER.info("calibrating with %d shots", len(session.telling_shots))
+        session.announce("Calibrating with what was kept ...")
+        goes_on = session.is_named and len(numbers) > 1
+        try:
+            found = self._calibrate(session, command_line, is_last=not goes_on)
+        except TrinocError as error:
+            return self._refuse(session, outcome, str(error), command_line)
+        except KeyboardInterrupt:
+            raise Interruption(f"Interrupted: {self._way_on(session, command_line)}") from None
+        if goes_on:
+            self._show_lines(session, numbers)
+        else:
+            session.wait_for_reader()
+        return Outcome(
+            f"{outcome.text}\n{found.text}",
+            {**outcome.record, "calibration": found.record},
+            written=[*written, *(found.written or ())],
+        )
 
-@contextlib.contextmanager
-def _page(session: WatchSession, port: int) -> Iterator[str]:
-    """The address of a page that shows how the session stands."""
-    from trinoc.serving.pages import serve_pages
-    from trinoc.serving.watching import picture_page, watch_page
+    def _calibrate(self, session: "WatchSession", command_line: str, *, is_last: bool) -> Outcome:
+        """What `intrinsics` or `calibrate-rig` makes of the shots."""
+        shared: Any = {"out": self.out, "quiet": self.quiet, "force": self.force}
+        if not session.is_named:
+            if session.kept is not None:
+                folder, names = session.kept.folder, [f"{n}.png" for n in session.kept.names()]
+            else:
+                folder, names = Path(self.sources[0]), [s.name for s in session.shots if s.good]
+            images = tuple(folder / name for name in names)
+            found = IntrinsicsCommand(images=images, board=self.board, **shared).run(command_line)
+            session.announce("The lens is calibrated.", [f"written: {self.out}"], is_last=is_last)
+            return found
 
-    pages = {
-        "/": lambda: watch_page(session.watched),
-        "/last.jpg": lambda: picture_page(session.watched),
-    }
-    with serve_pages(pages, port=port) as url:
-        yield url
+        import numpy as np
+
+        from trinoc.report.checks import Level
+        from trinoc.report.html import judge_shots
+
+        assert session.kept is not None
+        shots = tuple(f"{name}={place}" for name, place in session.kept.places.items())
+        command = CalibrateRigCommand(
+            shots=shots, board=(self.board,), report=self.report, **shared
+        )
+        result, found = command.calibrate(command_line)
+        verdict, advice = judge_shots(result), found.record["next_shot"]
+        if advice is not None and result.rig is not None:
+            session.draw_next_shot(
+                result.rig, advice["cameras"], np.array(advice["world_from_board"])
+            )
+        if verdict is not None:
+            files = ", ".join(str(path) for path in (self.out, self.report) if path is not None)
+            details = [verdict.reason, f"written: {files}"]
+            details += [] if advice is None else [advice["sentence"]]
+            tones: Any = {Level.GOOD: "good", Level.BAD: "bad"}
+            session.announce(
+                verdict.sentence, details, tone=tones.get(verdict.level, "plain"), is_last=is_last
+            )
+            found = found._replace(text=f"{found.text}\n{verdict.sentence} {verdict.reason}")
+        return found
+
+    def _show_lines(self, session: "WatchSession", numbers: Mapping[str, int]) -> None:
+        """Match what the cameras see now by the rig that was written, until Ctrl-C."""
+        from trinoc.io.rig_json import load_rig
+        from trinoc.serving.live_lines import watch_lines
+
+        assert self.out is not None
+        LOGGER.info("%s is written; the page shows lines of the scene until Ctrl-C", self.out)
+        try:
+            watch_lines(numbers, load_rig(self.out), session.show_live)
+        except KeyboardInterrupt:
+            print(file=sys.stderr)
+        except InputError as error:
+            LOGGER.warning("%s", error)
+
+    def _refuse(
+        self, session: "WatchSession", outcome: Outcome, why: str, command_line: str
+    ) -> Outcome:
+        session.announce(why, tone="bad", is_last=True)
+        session.wait_for_reader()
+        return outcome._replace(refusal=f"{why} {self._way_on(session, command_line)}")
+
+    def _way_on(self, session: "WatchSession", command_line: str) -> str:
+        """Where the shots are, and what to type to go on with them."""
+        if session.kept is None:
+            return f"The pictures are where they were; go on by: {command_line}"
+        folder = shlex.quote(str(session.kept.folder))
+        more = "" if self.keep is not None else f" --keep {folder}"
+        return f"The shots are kept in {folder}; go on by: {command_line}{more}"

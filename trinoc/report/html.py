@@ -36,7 +36,7 @@ from trinoc.report.pictures import PagePicture, page_pictures
 from trinoc.report.plan_part import draw_plans
 from trinoc.report.shots_part import boards_in_space, shot_table
 from trinoc.report.space_part import SpaceFigure, space_figure
-from trinoc.report.verdict import find_verdict
+from trinoc.report.verdict import Verdict, find_verdict
 
 
 class ReportPart(NamedTuple):
@@ -188,6 +188,11 @@ def render_report(
     parts.append(_space_part(with_features(space, features), tracks=matches is not None))
     pictures = [picture for picture in (*sheet.values(), *scene.values()) if picture.uri]
     return _render(title, parts, subject, provenance, pictures, " with Z up out of the sheet")
+
+
+def judge_shots(shots: RigFromShots) -> Verdict | None:
+    """The verdict that the report on a rig from many shots begins with."""
+    return find_verdict(_parts_of_shots(shots, "")[1])
 
 
 def _parts_of_shots(shots: RigFromShots, advice: str) -> tuple[list[ReportPart], Subject]:

@@ -1,5 +1,7 @@
-"""Pages for a browser on this machine: who may ask, a page that refreshes itself, a scene to turn.
+"""Where pictures come from while somebody waits, and pages for a browser on this machine.
 
-Whatever opens a port stands here. It listens on the loopback address alone, answers no request
-that another site had a browser send (`loopback`), and serves no file of the machine.
+`sources` opens cameras and videos and looks into folders as they fill; `session` judges what comes,
+and `kept_shots` keeps of it what is new. Whatever opens a port stands here, too: a page that
+refreshes itself, a scene to turn. It listens on the loopback address alone, answers no request that
+another site had a browser send (`loopback`), and serves no file of the machine.
 """
