@@ -8,7 +8,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, Shaped, UInt8
 
-from trinoc.calib.detection.corners import corner_covariance_px2, levels_of_8_bit
+from trinoc.calib.detection.corners import (
+    corner_covariance_px2,
+    distances_to_next,
+    levels_of_8_bit,
+    refine_corners,
+)
 from trinoc.calib.detection.detection import Detection, build_detection, rightward_share
 from trinoc.calib.detection.search_image import search_image
 from trinoc.calib.targets.checkers import Chessboard
@@ -58,8 +63,10 @@ def detect_chessboard(image: Shaped[np.ndarray, "..."], board: Chessboard) -> De
         (np.argsort(order) for order in orders),
         key=lambda index: -rightward_share(corners_px, board.centres_mm[index]),
     )
-    covariance_px2 = corner_covariance_px2(picture, corners_px)
-    return build_detection(np.stack(labellings), corners_px, covariance_px2, picture.size_px)
+    # The search puts outer rows of slanted boards aside by some tenths of a pixel.
+    places = refine_corners(grey, corners_px, distances_to_next(corners_px))
+    covariance_px2 = corner_covariance_px2(picture, places)
+    return build_detection(np.stack(labellings), places, covariance_px2, picture.size_px)
 
 
 def _orders_from_front(

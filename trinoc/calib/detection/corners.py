@@ -7,6 +7,30 @@ from jaxtyping import Float, UInt8
 
 from trinoc.calib.detection.search_image import SearchImage
 from trinoc.calib.tuning.every_group import TUNING
+from trinoc.numerics.joins import point_tree
+
+
+def refine_corners(
+    grey: UInt8[np.ndarray, "h w"],
+    start_px: Float[np.ndarray, "n 2"],
+    room_px: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "n 2"]:
+    """Corners as all that is around them shows them: there, gradients point past them (W. Forstner
+    and E. Gulch, "A fast operator for detection and precise location of distinct points, corners
+    and centres of circular features", 1987; `cv2.cornerSubPix`).
+
+    room_px : beside each corner to the next thing.
+    """
+    share, limits = TUNING.detection.refined_share, TUNING.detection.refined_half_px
+    half = int(np.clip(share * np.median(room_px), *limits))
+    places = cv2.cornerSubPix(
+        grey,
+        start_px.astype(np.float32).reshape(-1, 1, 2),
+        (half, half),
+        (-1, -1),
+        (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3),
+    )
+    return places.reshape(-1, 2).astype(np.float64)
 
 
 def corner_covariance_px2(
@@ -42,10 +66,13 @@ def corner_covariance_px2(
 
 
 def _half_window_px(corners_px: Float[np.ndarray, "m 2"]) -> int:
-    apart = np.linalg.norm(corners_px[:, None] - corners_px[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    pitch = float(np.median(apart.min(axis=1)))
+    pitch = float(np.median(distances_to_next(corners_px)))
     return int(np.clip(TUNING.detection.window_share * pitch, *TUNING.detection.half_window_px))
+
+
+def distances_to_next(corners_px: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m"]:
+    """From each corner to the nearest other one."""
+    return np.asarray(point_tree(corners_px).query(corners_px, 2)[0])[:, 1]
 
 
 def levels_of_8_bit(grey: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:

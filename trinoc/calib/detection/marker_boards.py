@@ -11,7 +11,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
-from trinoc.calib.detection.corners import corner_covariance_px2, levels_of_8_bit
+from trinoc.calib.detection.corners import (
+    corner_covariance_px2,
+    distances_to_next,
+    levels_of_8_bit,
+    refine_corners,
+)
 from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.detection.search_image import search_image
 from trinoc.calib.targets.april_grid import AprilGrid
@@ -19,7 +24,6 @@ from trinoc.calib.targets.checkers import Charuco, opencv_board
 from trinoc.calib.targets.markers import opencv_dictionary
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import DetectionError
-from trinoc.numerics.joins import point_tree
 
 # numerical: the fewest tags that have as many corners.
 _FEWEST_TAGS = -(-TUNING.detection.fewest_places // 4)
@@ -51,9 +55,8 @@ def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detectio
     order = np.argsort(index)
     index, corners_px = index[order], corners_px[order]
     # OpenCV 4 puts them half a pixel aside: they are found again, in what markers leave of room.
-    nearest = np.asarray(point_tree(corners_px).query(corners_px, 2)[0])[:, 1]
-    room = nearest * (1 - board.marker_mm / board.square_mm)
-    places = _refine_corners(grey, corners_px, room)
+    room = distances_to_next(corners_px) * (1 - board.marker_mm / board.square_mm)
+    places = refine_corners(grey, corners_px, room)
     covariance_px2 = corner_covariance_px2(picture, places)
     return build_detection(index[None], places, covariance_px2, picture.size_px)
 
@@ -141,28 +144,10 @@ def _refine_tags(
     """(places, which of them the picture shows as corners between dark squares)."""
     side = np.linalg.norm(corners_px - np.roll(corners_px, 1, axis=1), axis=2).min(axis=1)
     gap, start = np.repeat(spacing * side, 4), corners_px.reshape(-1, 2)
-    places = _refine_corners(grey, start, gap)
+    places = refine_corners(grey, start, gap)
     # Farther, a corner is nearer to another one.
     sharp = np.linalg.norm(places - start, axis=1) < np.maximum(0.5 * gap, 1.5)
     return places, sharp & _is_saddle(grey, corners_px, places, spacing)
-
-
-def _refine_corners(
-    grey: UInt8[np.ndarray, "h w"],
-    start_px: Float[np.ndarray, "n 2"],
-    room_px: Float[np.ndarray, "n"],
-) -> Float[np.ndarray, "n 2"]:
-    """Corners as what is around them shows them; room_px : beside them to the next thing."""
-    share, limits = TUNING.detection.refined_share, TUNING.detection.refined_half_px
-    half = int(np.clip(share * np.median(room_px), *limits))
-    places = cv2.cornerSubPix(
-        grey,
-        start_px.astype(np.float32).reshape(-1, 1, 2),
-        (half, half),
-        (-1, -1),
-        (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3),
-    )
-    return places.reshape(-1, 2).astype(np.float64)
 
 
 def _is_saddle(
