@@ -9,7 +9,14 @@ from jaxtyping import Array, Float, Int
 
 from trinoc.calib.problem.places import linearise, whitened_residuals
 from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations
-from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, evaluate_prior, retract
+from trinoc.calib.problem.variables import (
+    POSE_SIZE,
+    Chart,
+    RigState,
+    evaluate_prior,
+    head_columns,
+    retract,
+)
 from trinoc.calib.problem.views import ViewTable
 from trinoc.numerics.block_arrow import BlockArrow
 from trinoc.numerics.precision import ArrayLike
@@ -46,11 +53,13 @@ class PlacesProblem(AbstractArrowProblem):
         seen = jax.vmap(of_view)(self.table, self.loss)
         columns, own, gradient = seen
         size, prior = columns.shape[1], evaluate_prior(state, self.chart)
-        head = (
-            jnp.asarray(prior.information)
-            .at[columns[:, :, None], columns[:, None, :]]
-            .add(own[:, :size, :size])
-        )
+        # Views of one board by one camera have the same columns: sums are scattered, not views.
+        cameras, boards = state.cam_from_rig.shape[0], self.chart.boards
+        kind = jnp.asarray(self.table.board) * cameras + self.table.camera
+        of_kinds = jax.ops.segment_sum(own[:, :size, :size], kind, cameras * boards)
+        every = jnp.arange(cameras * boards)
+        those = jax.vmap(lambda k: head_columns(self.chart, k % cameras, k // cameras))(every)
+        head = jnp.asarray(prior.information).at[those[:, :, None], those[:, None, :]].add(of_kinds)
         of_head = jnp.asarray(prior.gradient).at[columns].add(gradient[:, :size])
         coupling, blocks, of_boards = sum_boards(state, self.chart, self.table, *seen)
         return ArrowEquations(BlockArrow(head, coupling, blocks), (of_head, of_boards))

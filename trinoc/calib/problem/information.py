@@ -76,10 +76,12 @@ def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, .
     columns, own, gradient = seen
     size, shots, heads = columns.shape[1], state.rig_from_board.shape[0], chart.free.shape[0]
     shot = jnp.asarray(table.shot)
-    head = jnp.zeros((shots, heads, heads), own.dtype)
-    head = head.at[shot[:, None, None], columns[:, :, None], columns[:, None, :]].add(
-        own[:, :size, :size]
-    )
+    # From each step of the head to its column, the last one for what a view does not have: to look
+    # numbers up is quicker than to scatter them.
+    column = jax.vmap(lambda own: jnp.full(heads, size).at[own].set(jnp.arange(size)))(columns)
+    padded = jnp.pad(own[:, :size, :size], ((0, 0), (0, 1), (0, 1)))
+    of_views = jax.vmap(lambda own, at: own[at][:, at])(padded, column)
+    head = jax.ops.segment_sum(of_views, shot, shots)
     of_head = jnp.zeros((shots, heads), own.dtype)
     of_head = of_head.at[shot[:, None], columns].add(gradient[:, :size])
     coupling, block, of_board = sum_boards(state, chart, table, *seen)
@@ -124,6 +126,8 @@ def whiten_views(problem: Problem) -> WhitenedViews:
 @partial(kept_jit, optimized_from=1 << 20)
 def _whiten_views(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, Array, Array]:
     near = jax.vmap(lambda view: linearise(state, chart, view))(table)
-    views, places, _, columns = near.jacobian.shape
-    jacobian = near.jacobian.reshape(views, 2 * places, columns)[..., :-POSE_SIZE]
+    views, places, _, _ = near.jacobian.shape
+    by_places = jax.vmap(lambda one: one.by_all_places)(near)
+    jacobian = jnp.concatenate([near.jacobian[..., :-POSE_SIZE], by_places], axis=-1)
+    jacobian = jacobian.reshape(views, 2 * places, -1)
     return near.columns, jacobian, near.residual.reshape(views, 2 * places)

@@ -135,28 +135,78 @@ class LinearisedView(eqx.Module):
 
     Fields
     ------
-    columns : (k,) of the head by whose steps, and those of the shot's board, they change.
-    jacobian : (n, 2, k + 6) by these steps, lastly the board's, whether they are free or not.
+    columns : (k,) of the head by whose steps they change: the m that move all places of the view,
+        then those of the places themselves.
+    jacobian : (n, 2, m + 6) by the m and by the steps of the shot's board, whether free or not.
+    by_places : by steps of places: (n, 2, 3) by each one's own where errors of places share
+        nothing, else (n, 2, k - m) by all.
+    place : (n,) which of the places each is.
     residual : (n, 2) predicted minus observed.
     """
 
     columns: Array
-    jacobian: Float[Array, "n 2 k"]
+    jacobian: Float[Array, "n 2 _m"]
+    by_places: Float[Array, "n 2 _p"]
+    place: Array
     residual: Float[Array, "n 2"]
+
+    @property
+    def is_own(self) -> Float[Array, "n p"]:
+        """1 where a place is that of a column, else 0."""
+        count = (len(self.columns) - self.jacobian.shape[-1] + POSE_SIZE) // 3
+        return (self.place[:, None] == jnp.arange(count)[None]).astype(self.jacobian.dtype)
+
+    @property
+    def by_all_places(self) -> Float[Array, "n 2 p"]:
+        """By the steps of all places."""
+        own = self.is_own
+        if self.by_places.shape[-1] == 3 * own.shape[1]:
+            return self.by_places
+        every = own[:, None, :, None] * self.by_places[:, :, None, :]
+        return every.reshape(*self.by_places.shape[:2], -1)
 
     def weigh(
         self, chart: Chart, loss: AbstractRobustLoss
     ) -> tuple[Float[Array, "k k"], Float[Array, "k"]]:
-        """J^T W J and J^T W r by the free steps, W the loss's weight of each place."""
-        boards = jnp.full(POSE_SIZE, chart.boards_free)
-        free = jnp.concatenate([jnp.asarray(chart.free)[self.columns], boards])
-        jacobian = free[None, None] * self.jacobian
-        weight = loss.weight(jnp.sum(jnp.square(self.residual), axis=-1))
-        scaled = weight[:, None, None] * jacobian
-        return (
-            jnp.einsum("nik,nil->kl", scaled, jacobian),
-            jnp.einsum("nik,ni->k", scaled, self.residual),
+        """J^T W J and J^T W r by the free steps of the head, and then of the board; W the loss's
+        weight of each place."""
+        of_board, first = (
+            jnp.full(POSE_SIZE, chart.boards_free),
+            self.jacobian.shape[-1] - POSE_SIZE,
         )
+        of_view, of_places = jnp.split(jnp.asarray(chart.free)[self.columns], [first])
+        weight = loss.weight(jnp.sum(jnp.square(self.residual), axis=-1))[:, None, None]
+        jacobian = jnp.concatenate([of_view, of_board])[None, None] * self.jacobian
+        scaled = weight * jacobian
+        information = jnp.einsum("nik,nil->kl", scaled, jacobian)
+        gradient = jnp.einsum("nik,ni->k", scaled, self.residual)
+        if not len(of_places):
+            return information, gradient
+        own = self.is_own
+        if self.by_places.shape[-1] == len(of_places):
+            by_places = of_places[None, None] * self.by_places
+            across = jnp.einsum("nik,nij->kj", scaled, by_places)
+            inner = jnp.einsum("nij,nil->jl", weight * by_places, by_places)
+            pull = jnp.einsum("nij,ni->j", weight * by_places, self.residual)
+        else:
+            # Each moves its own image alone.
+            by_own = (own @ of_places.reshape(-1, 3))[:, None] * self.by_places
+            products = jnp.einsum("nij,nil->njl", weight * by_own, by_own)
+            inner = jnp.einsum("np,njl,pq->pjql", own, products, jnp.eye(own.shape[1]))
+            inner = inner.reshape(len(of_places), -1)
+            across = jnp.einsum("nik,nij->nkj", scaled, by_own)
+            across = jnp.einsum("np,nkj->kpj", own, across).reshape(-1, len(of_places))
+            pull = jnp.einsum("nij,ni->nj", weight * by_own, self.residual)
+            pull = (own.T @ pull).reshape(-1)
+        head, board = slice(None, first), slice(first, None)
+        information = jnp.block(
+            [
+                [information[head, head], across[head], information[head, board]],
+                [across[head].T, inner, across[board].T],
+                [information[board, head], across[board], information[board, board]],
+            ]
+        )
+        return information, jnp.concatenate([gradient[head], pull, gradient[board]])
 
 
 def linearise(state: RigState, chart: Chart, view: ViewTable) -> LinearisedView:
@@ -176,21 +226,19 @@ def linearise(state: RigState, chart: Chart, view: ViewTable) -> LinearisedView:
 
     zero = jnp.zeros(curved + others + (3 if places else 0), basis.dtype)
     jacobian, residual = jax.jacfwd(after, has_aux=True)(zero)
-    by_lens, by_rest, by_board, by_aside = jnp.split(
-        jacobian, [curved, curved + others - POSE_SIZE, curved + others], axis=-1
-    )
+    by_lens, by_rest, by_aside = jnp.split(jacobian, [curved, curved + others], axis=-1)
     if linear:
         by_control = jnp.diagonal(basis)[None, None, curved:] * _by_control(state, chart, view)
         by_lens = jnp.concatenate([by_lens, by_control], axis=-1)
-    # Every place moves its own image alone.
-    own = view.place[:, None] == jnp.arange(places)[None]
-    by_shape = jnp.where(own[:, None, :, None], by_aside[:, :, None, :], 0.0)
-    by_shape = by_shape.reshape(*residual.shape, 3 * places)
+    every = jnp.concatenate([by_lens, by_rest, residual[..., None]], axis=-1)
+    standard = _whiten(view.whitening, every)
     columns = head_columns(chart, view.camera, view.board)
-    by_head = jnp.concatenate([by_lens, by_rest, by_shape], axis=-1)
-    every = [by_head, by_board, residual[..., None]]
-    standard = _whiten(view.whitening, jnp.concatenate(every, axis=-1))
-    return LinearisedView(columns, standard[..., :-1], standard[..., -1])
+    near = LinearisedView(
+        columns, standard[..., :-1], by_aside, jnp.asarray(view.place), standard[..., -1]
+    )
+    share_errors = view.whitening.shape[-1] > 2
+    by_places = near.by_all_places if share_errors else by_aside
+    return eqx.tree_at(lambda n: n.by_places, near, _whiten(view.whitening, by_places))
 
 
 def _residuals(

@@ -7,7 +7,6 @@ Jacobian is never formed. Source: Triggs et al., "Bundle adjustment: a modern sy
 
 from abc import abstractmethod
 from collections.abc import Callable
-from functools import partial
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -19,7 +18,10 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from trinoc.numerics.block_arrow import BlockArrow, BlockArrowSolver
 from trinoc.numerics.precision import ArrayLike, ScalarLike
-from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.programs import count_numbers, kept_jit
+
+# numerical: a state of so many numbers takes steps that run for longer than they compile.
+_MANY_NUMBERS = 256
 
 State = TypeVar("State")
 
@@ -121,11 +123,11 @@ def solve(
     more numbers than freedoms.
     """
     damping = problem.first_damping if first_damping is None else first_damping
-    return _solve(problem, state, jnp.asarray(damping))
+    descend = _descend_many if count_numbers(state) >= _MANY_NUMBERS else _descend_few
+    return descend(problem, state, jnp.asarray(damping))
 
 
-@partial(kept_jit, optimized_from=1 << 20)
-def _solve(
+def _descend(
     problem: AbstractArrowProblem[State], state: State, first_damping: Float[Array, ""]
 ) -> Solution[State]:
     solution = optx.minimise(
@@ -143,6 +145,10 @@ def _solve(
         solution.stats["num_steps"],
         solution.result == optx.RESULTS.successful,
     )
+
+
+_descend_few = kept_jit(_descend, optimized_from=1 << 20)
+_descend_many = kept_jit(_descend, optimized_from=0)
 
 
 class _Progress(eqx.Module):

@@ -71,7 +71,8 @@ class View(NamedTuple):
     @property
     def rows(self) -> int:
         """How many places stand for this view in the table."""
-        return len(self.detection) if self.shown is None else len(self.shown.place_mm)
+        places = self.detection.centres_px if self.shown is None else self.shown.place_mm
+        return len(places)
 
     @property
     def kept(self) -> Bool[np.ndarray, "_r"]:
@@ -145,6 +146,7 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
         np.zeros((count, rows, 2)),
         np.zeros((count, 1, 2 * rows, 2 * rows) if shared else (count, rows, 2, 2)),
     )
+    centres_mm, radius_mm = target.centres_mm, target.radius_mm
     for v, view in enumerate(views):
         table.camera[v], table.shot[v], table.board[v] = view.camera, view.shot, view.board
         seen = slice(view.rows)
@@ -159,9 +161,8 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
             continue
         index = view.detection.circle_index
         table.place[v, seen] = index
-        places = target.centres_mm[index]
-        table.place_mm[v, seen, : places.shape[1]] = places
-        radius = target.radius_mm[index]
+        table.place_mm[v, seen, : centres_mm.shape[1]] = centres_mm[index]
+        radius = radius_mm[index]
         table.radius_mm[v, seen] = np.where(radius > 0, radius + view.ink_spread_mm, 0.0)
         table.uv_px[v, seen] = view.detection.centres_px
         whitening = whitening_of_covariance(view.detection.covariance_px2)
