@@ -147,8 +147,9 @@ def _descend(
     )
 
 
+# numerical: a descent of few numbers is not optimized, one of many always.
 _descend_few = kept_jit(_descend, optimized_from=1 << 20)
-_descend_many = kept_jit(_descend, optimized_from=0)
+_descend_many = kept_jit(_descend, optimized_from=0)  # numerical: see above
 
 
 class _Progress(eqx.Module):
