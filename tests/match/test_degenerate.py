@@ -3,6 +3,7 @@
 The cases are those of the table in docs/limits.md.
 """
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.errors import InputError, MatchError, TrinocError
 from trinoc.geometry import Pose
 from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 
 RIG = rig_of("upper", "right", "left")
@@ -35,6 +37,14 @@ BEHIND_EACH_OTHER = Rig(
 )
 AT_ONE_PLACE = Rig(
     {"a": looking((-100, 0, 400)), "b": looking((-100, 0, 400), (9, 0, 0)), "c": IN_LINE["c"]}
+)
+
+
+# r - 50 r^3 is largest at r^2 = 1 / 150: 1600 r (1 - 1 / 3) = 87.1 px.
+FOLDED = eqx.tree_at(
+    lambda rig: rig.cameras[1].intrinsics,
+    IN_LINE,
+    Intrinsics(focal_length_px=1600.0, image_size_px=(512, 480), distortion=[-50.0, 0, 0, 0, 0]),
 )
 
 
@@ -83,6 +93,10 @@ ERRORS = {
     "two cameras at one place": (
         lambda: matched(AT_ONE_PLACE, loose_lines(COUNT, 3)),
         'The cameras "a" and "b" stand at one place, which leaves depth unknown',
+    ),
+    "a lens that folds its picture": (
+        lambda: trinoc.match_segments(seen(IN_LINE, loose_lines(COUNT, 3)), FOLDED),
+        'The lens of the camera "b" folds the picture 87 px from the principal point',
     ),
     "identical pictures": (
         lambda: trinoc.match_segments(

@@ -233,6 +233,19 @@ def _positive_pair(
 
 
 @in_float64
+def fold_in_picture_px(lens: Intrinsics) -> tuple[float, float] | None:
+    """How far from the principal point the distortion folds the picture, and how far its farthest
+    corner lies, in px; None where it folds beyond all corners, or nowhere.
+
+    Beyond the fold two rays meet one pixel, and none meets the pixels farther out.
+    """
+    width, height = lens.image_size_px
+    corners = np.array([(u, v) for u in (0, width - 1) for v in (0, height - 1)], dtype=float)
+    away_px = np.linalg.norm(corners - np.asarray(lens.principal_point_px), axis=1).max()
+    fold_px = lens.lens.fold_radius_px()
+    return (fold_px, float(away_px)) if fold_px < away_px else None
+
+
 def undistort_pixels(
     lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]
 ) -> Float[np.ndarray, "*n 2"]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.intrinsics import Intrinsics, fold_in_picture_px
 from trinoc.geometry.lenses.registry import LENS_MODELS, promote_lens
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.geometry.rig import at_one_place
@@ -37,20 +37,17 @@ def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
             f"{where} has a focal length of {focal_px[0]:.4g} x {focal_px[1]:.4g} px for pictures "
             f"{side_px} px wide, which no lens has: check the numbers and their units."
         )
-    fold_px = lens.lens.fold_radius_px()
-    width, height = lens.image_size_px
-    corners = np.array([(u, v) for u in (0, width - 1) for v in (0, height - 1)], dtype=float)
     centre_px = np.asarray(lens.principal_point_px)
     if not (np.abs(centre_px) <= FOCAL_RANGE[1] * side_px).all():
         raise InputError(
             f"{where} has its principal point at {centre_px[0]:.4g}, {centre_px[1]:.4g} px, where "
             "no lens has it: check the numbers and their units."
         )
-    corner_px = np.linalg.norm(corners - centre_px, axis=1).max()
-    if fold_px < corner_px:
+    fold = fold_in_picture_px(lens)
+    if fold is not None:
         raise InputError(
-            f"{where} has a distortion that folds the picture {fold_px:.0f} px from the principal "
-            f"point, where corners lie {corner_px:.0f} px away: check the coefficients, their "
+            f"{where} has a distortion that folds the picture {fold[0]:.0f} px from the principal "
+            f"point, where corners lie {fold[1]:.0f} px away: check the coefficients, their "
             "order and signs, or fit fewer of them."
         )
     if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import MatchError, check_kind
-from trinoc.geometry.intrinsics import Intrinsics, undistort_pixels
+from trinoc.geometry.intrinsics import Intrinsics, fold_in_picture_px, undistort_pixels
 from trinoc.geometry.rig import A_RIG, Rig, at_one_place
 from trinoc.geometry.segments import (
     DEFAULT_SIGMA_PX,
@@ -121,11 +121,13 @@ def prepare(
 def prepare_cameras(rig: Rig, names: Iterable[str]) -> CamerasInput:
     """What is needed of a rig's cameras.
 
-    Raises InputError where one is mirrored, MatchError where two stand at one place.
+    Raises InputError where one is mirrored, MatchError where two stand at one place or a lens
+    folds its picture.
     """
     cameras = {name: rig[name] for name in names}
     check_not_mirrored(cameras)
     _check_apart(cameras, rig)
+    _check_lenses(cameras, rig)
     return CamerasInput(
         np.stack([camera.matrix_px for camera in cameras.values()]),
         np.stack([np.asarray(camera.centre_world_mm) for camera in cameras.values()]),
@@ -257,6 +259,17 @@ def _check_apart(names: Iterable[str], rig: Rig) -> None:
             f'The cameras "{pair[0]}" and "{pair[1]}" stand at one place, which leaves depth '
             "unknown: leave one of them out, or calibrate them again."
         )
+
+
+def _check_lenses(names: Iterable[str], rig: Rig) -> None:
+    for name in names:
+        fold = fold_in_picture_px(rig[name].intrinsics)
+        if fold is not None:
+            raise MatchError(
+                f'The lens of the camera "{name}" folds the picture {fold[0]:.0f} px from the '
+                f"principal point, where corners lie {fold[1]:.0f} px away: check the distortion's "
+                "coefficients, their order and signs."
+            )
 
 
 def _check_different(views: Mapping[str, _PreparedView]) -> None:
