@@ -1,6 +1,8 @@
 """`trinoc calibrate`: one picture of the sheet per camera to a rig.json."""
 
 import dataclasses
+import re
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -22,18 +24,12 @@ from trinoc.cli.views import files_of_views
 from trinoc.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from trinoc.calib.result.calibration import CalibrationResult
-    from trinoc.calib.uncertainty.systematics import Systematics
-    from trinoc.geometry.intrinsics import Intrinsics
-import re
-from collections.abc import Callable, Collection, Mapping
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
     import numpy as np
 
     from trinoc.calib.result.calibration import CalibrationResult
     from trinoc.calib.targets.pattern import Pattern
+    from trinoc.calib.uncertainty.systematics import Systematics
+    from trinoc.geometry.intrinsics import Intrinsics
 
 
 # Of bars that somebody measured without saying how well: a ruler.

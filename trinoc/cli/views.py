@@ -1,20 +1,12 @@
 """Arguments NAME=FILE, or FILE alone: one file for each camera."""
 
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from trinoc.cli.command import LOGGER, UsageError
-
-if TYPE_CHECKING:
-    from trinoc.geometry.rig import Rig
-    from trinoc.report.html import ExtraTable
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
-
-from trinoc.cli.command import each
+from trinoc.cli.command import LOGGER, UsageError, each
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,12 +14,8 @@ if TYPE_CHECKING:
 
     from trinoc.geometry.rig import Rig
     from trinoc.geometry.segments import Segments
-from typing import TYPE_CHECKING, NamedTuple
-
-if TYPE_CHECKING:
-    from trinoc.geometry.rig import Rig
     from trinoc.match.tracks.matches import Matches
-
+    from trinoc.report.html import ExtraTable
 
 # What stands between the words of a file's name.
 _BETWEEN = "_-. "
