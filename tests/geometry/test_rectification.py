@@ -147,9 +147,17 @@ def pairs() -> st.SearchStrategy[Rig]:
         first, second = (Camera(lens, camera.pose) for camera in found[:2])
         return Rig({"a": first, "b": second})
 
-    return st.builds(
-        choose, rigs_of_three().flatmap(st.permutations), st.sampled_from([LENS, DISTORTED_LENS])
-    )
+    lenses = st.sampled_from([LENS, DISTORTED_LENS])
+    every = st.builds(choose, rigs_of_three().flatmap(st.permutations), lenses)
+    return every.filter(are_beside_each_other)
+
+
+def are_beside_each_other(rig: Rig) -> bool:
+    """Whether no camera looks within 40 degrees along the line to the other one."""
+    first, second = rig.cameras
+    line = np.asarray(second.centre_world_mm) - np.asarray(first.centre_world_mm)
+    along = [abs(camera.pose.rotation[2] @ line) for camera in rig.cameras]
+    return max(along) < np.cos(np.radians(40.0)) * np.linalg.norm(line)
 
 
 @given(rig=pairs(), alpha=st.sampled_from([0.0, 0.3, 1.0]))

@@ -5,6 +5,7 @@ from scipy.special import ndtr
 
 from trinoc.calib.detection.corners import corner_covariance_px2
 from trinoc.calib.detection.search_image import SearchImage
+from trinoc.calib.tuning.every_group import TUNING
 
 # So blurred that a gradient over three pixels is that of the edge.
 NOISE, BLUR_PX = 3.0, 3.0
@@ -12,7 +13,7 @@ NOISE, BLUR_PX = 3.0, 3.0
 NORMALS = np.array([[np.cos(0.3), np.sin(0.3)], [np.cos(1.2), np.sin(1.2)]])
 CORNERS = np.array([[30.0, 30.0], [60.0, 30.0], [30.0, 60.0], [60.0, 60.0]])
 # The detector's own error, as `corners` states it.
-FLOOR = 0.01**2 * np.eye(2)
+FLOOR = TUNING.detection.corner_floor_px**2 * np.eye(2)
 
 
 def picture_of(corners):

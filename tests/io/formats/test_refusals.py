@@ -367,12 +367,14 @@ def test_names_given_must_be_as_many_and_different(tmp_path):
 
 
 def test_opencv_says_nothing_of_a_broken_file_and_keeps_its_voice(tmp_path, capfd):
+    new = hasattr(cv2.utils, "logging")
+    log_level = cv2.utils.logging.getLogLevel if new else cv2.getLogLevel  # pyright: ignore
+    before = log_level()
     (tmp_path / "rig.yml").write_text("%YAML:1.0\n---\na: [1,\n")
     with pytest.raises(InputError, match=r"not a file of cv2\.FileStorage"):
         FORMATS["opencv"].load(tmp_path / "rig.yml")
     assert capfd.readouterr().err == ""
-    assert cv2.imread(str(tmp_path / "there is none.png")) is None
-    assert "there is none.png" in capfd.readouterr().err
+    assert log_level() == before
 
 
 @pytest.mark.parametrize(("module", "extra"), [("pyarrow", "parquet"), ("ruamel.yaml", "export")])

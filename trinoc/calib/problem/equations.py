@@ -3,6 +3,8 @@
 The head holds the lenses, the cameras and the sheet; each block the board's pose in one shot.
 """
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -32,6 +34,9 @@ class PlacesProblem(AbstractArrowProblem):
     table : v views.
     loss : of each view's places, along a first axis of its fields.
     """
+
+    # numerical: of some twenty shots.
+    optimized_from: ClassVar[float] = 256
 
     chart: Chart
     table: ViewTable

@@ -20,9 +20,6 @@ from trinoc.numerics.block_arrow import BlockArrow, BlockArrowSolver
 from trinoc.numerics.precision import ArrayLike, ScalarLike
 from trinoc.numerics.programs import count_numbers, kept_jit
 
-# numerical: a state of so many numbers takes steps that run for longer than they compile.
-_MANY_NUMBERS = 256
-
 State = TypeVar("State")
 
 # numerical: the cost is a chi-square; so small a gain moves no parameter by a few hundredths of its
@@ -56,10 +53,12 @@ class ArrowEquations(NamedTuple):
 class AbstractArrowProblem(eqx.Module, Generic[State]):
     """A robust least-squares problem over states of any kind that are PyTrees of arrays.
 
-    What is held fixed has no information, no gradient, and a `retract` that ignores its step.
+    What is held fixed has no information, no gradient, and a `retract` that ignores its step. From
+    so many numbers of a state on, steps run for longer than it takes to optimize their program.
     """
 
     first_damping: ClassVar[float] = 1e-3
+    optimized_from: ClassVar[float] = float("inf")
 
     @abstractmethod
     def cost(self, state: State) -> Float[ArrayLike, ""]:
@@ -123,7 +122,7 @@ def solve(
     more numbers than freedoms.
     """
     damping = problem.first_damping if first_damping is None else first_damping
-    descend = _descend_many if count_numbers(state) >= _MANY_NUMBERS else _descend_few
+    descend = _descend_many if count_numbers(state) >= problem.optimized_from else _descend_few
     return descend(problem, state, jnp.asarray(damping))
 
 
