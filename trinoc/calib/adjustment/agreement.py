@@ -77,7 +77,7 @@ def difference_of_answers(
     residual : of the circles in sigmas, where the grey levels have the pose. by_circles, by_grey :
     derivatives of both by the pose.
     """
-    root = np.linalg.qr(by_circles, mode="r")
+    root = np.asarray(np.linalg.qr(by_circles, mode="r"))
     own = np.linalg.solve(root.T, by_circles.T @ residual)
     # The grey levels' covariance where that of the circles is one. Grey levels that leave more of
     # the light open know less than circles that take it for even.
