@@ -154,13 +154,15 @@ def _choose(
 ) -> CameraChoice:
     is_shown = camera.shown is not None
     agreement = float("nan")
-    scatter = scatter_of_blocks(of_circles, view)
     if is_shown:
         agreement = probability_of_agreement(of_circles, of_pictures, view)
-        agrees = agreement >= TUNING.answer.chance_of_answers
-        enlarged = of_circles.enlarged[view], of_pictures.enlarged[view]
-        if agrees or circles_are_refuted(scatter, *map(float, enlarged)):
-            return CameraChoice(camera, picture, "pixels", agreement, 1.0)
+    by_picture = CameraChoice(camera, picture, "pixels", agreement, 1.0)
+    if agreement >= TUNING.answer.chance_of_answers:
+        return by_picture
+    scatter = scatter_of_blocks(of_circles, view)
+    enlarged = float(of_circles.enlarged[view]), float(of_pictures.enlarged[view])
+    if is_shown and circles_are_refuted(scatter, *enlarged):
+        return by_picture
     # By all that blocks say where the model is wrong.
     scatter = scatter if is_shown or scatter > TUNING.answer.largest_scatter else 1.0
     return CameraChoice(camera, picture, "points", agreement, scatter)

@@ -62,9 +62,14 @@ def hold_outline(
     goal: Goal, places_mm: Float[np.ndarray, "m 2"], size_px: tuple[int, int]
 ) -> Float[np.ndarray, "4 2"]:
     """The corners of the rectangle around the places, as `hold_places` has them."""
+    corners_mm = outline_mm(places_mm)
+    return hold_places(goal, np.concatenate([places_mm, corners_mm]), size_px)[-4:]
+
+
+def outline_mm(places_mm: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "4 2"]:
+    """The corners of the rectangle around the places of a board, the upper left one first."""
     (left, lower), (right, upper) = places_mm.min(axis=0), places_mm.max(axis=0)
-    corners = np.array([[left, upper], [right, upper], [right, lower], [left, lower]])
-    return hold_places(goal, np.concatenate([places_mm, corners]), size_px)[-4:]
+    return np.array([[left, upper], [right, upper], [right, lower], [left, lower]])
 
 
 def _pitch_mm(places_mm: Float[np.ndarray, "m 2"]) -> float:

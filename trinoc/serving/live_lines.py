@@ -29,7 +29,6 @@ class LiveLines(NamedTuple):
     ------
     thumbnails : each camera's picture as a JPEG, lines of one track in one colour.
     captions : for each camera how many of its segments are matched.
-    tracks : how many lines in space.
     sentence : how many lines in space; or why there are none, or are not to be trusted.
     """
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.capture.advice import field_share, summary_lines
-from trinoc.capture.goal import hold_outline
+from trinoc.capture.goal import hold_outline, outline_mm
 from trinoc.capture.judgement import Judgement, judge, judge_unread, judgement_line
 from trinoc.capture.shots import (
     Shot,
@@ -113,11 +113,8 @@ class WatchSession:
         self, rig: Rig, cameras: Sequence[str], world_from_board: Float[np.ndarray, "3 4"]
     ) -> None:
         """Have the page show where these cameras of a rig would see the board if it stood so."""
-        (left, lower), (right, upper) = (
-            getattr(self._target.centres_mm, end)(axis=0) for end in ("min", "max")
-        )
-        corners = np.array([[left, upper], [right, upper], [right, lower], [left, lower]])
-        places = Pose(world_from_board).transform_points(np.pad(corners, ((0, 0), (0, 1))))
+        corners_mm = np.pad(outline_mm(self._target.centres_mm), ((0, 0), (0, 1)))
+        places = Pose(world_from_board).transform_points(corners_mm)
         self._draw({name: np.stack([rig[name].project(p) for p in places]) for name in cameras})
 
     def _judge(self, moment: Moment, camera: str) -> Judgement:

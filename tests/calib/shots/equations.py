@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from trinoc.calib.problem.equations import PlacesProblem
+from trinoc.calib.problem.places import whitened_residuals
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.variables import retract
+from trinoc.calib.problem.variables import evaluate_prior, retract
 from trinoc.numerics.robust_loss import GemanMcClure
 
 # `problem_of` rounds the number of shots up to this one, in all tests.
@@ -14,7 +15,8 @@ SHOTS = 8
 
 
 def assert_equations_are_those_of_the_cost(here: Problem) -> None:
-    """Half the gradient of the cost, a little off the state, is that of the equations."""
+    """Half the gradient of the cost, a little off the state, is that of the equations, and their
+    information that of the residuals' own derivatives, weighted by the loss, and of the prior."""
     table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
     problem = PlacesProblem(chart, table, GemanMcClure.from_scale(jnp.full(len(table.shot), 3.0)))
     off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
@@ -28,3 +30,21 @@ def assert_equations_are_those_of_the_cost(here: Problem) -> None:
     equations = jax.jit(lambda state: problem.equations(state))(start)
     for found, expected in zip(equations.gradient, gradients, strict=True):
         np.testing.assert_allclose(2 * found, expected, rtol=1e-6, atol=1e-6)
+
+    def residuals(head, boards):
+        return whitened_residuals(problem.retract(start, head, boards), chart, table)
+
+    by_head, by_boards = jax.jit(jax.jacfwd(residuals, argnums=(0, 1)))(*zero)
+    squared = jnp.sum(jnp.square(residuals(*zero)), axis=-1)
+    weight = jax.vmap(lambda loss, each: loss.weight(each))(problem.loss, squared)
+    weighted = np.asarray(weight)[..., None, None] * by_head
+    head = np.einsum("vnih,vnig->hg", weighted, by_head)
+    head += np.asarray(evaluate_prior(start, chart).information)
+    coupling = np.einsum("vnih,vnisb->shb", weighted, by_boards)
+    scale = np.sqrt(np.maximum(np.diag(head), 1.0))
+    found = equations.information
+    np.testing.assert_allclose(
+        np.asarray(found.head) / np.outer(scale, scale), head / np.outer(scale, scale), atol=1e-8
+    )
+    size = np.abs(coupling).max()
+    np.testing.assert_allclose(np.asarray(found.coupling) / size, coupling / size, atol=1e-8)
