@@ -102,6 +102,17 @@ def test_what_a_data_sheet_gives_is_read_by_every_command(run, folder):
     assert "not known" in run("compare", "plain.json", "rig.json")[1]
 
 
+def test_bars_that_measure_what_they_should_are_measured_all_the_same(run):
+    """What counts most is advised, and what was measured no more."""
+    points = calibrate("--method", "points", "--sigma", "lens=0", "-o", "bars.json", "--json")
+    assumed = json.loads(run(*points)[1])
+    assert "measure the sheet's two bars (--print-scale)" in assumed["advice"]
+    measured = json.loads(run(*points, "--print-scale", "1", "1", "--force")[1])
+    assert measured["advice"] is None
+    sigmas = [each["cameras"]["upper"]["parameters"]["distance_mm"] for each in (assumed, measured)]
+    assert sigmas[1]["sigma"] < 0.3 * sigmas[0]["sigma"]
+
+
 def test_all_that_is_exact_is_the_model_of_the_paper(run, folder):
     status, out, _ = run(*calibrate("--method", "points", *EXACT, "-o", "exact.json", "--json"))
     assert status == 0

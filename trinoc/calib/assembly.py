@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
+from trinoc.calib.adjustment.better_knowledge import advise_better_knowledge
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.adjustment.model_tests import alternatives
 from trinoc.calib.messages import (
@@ -61,6 +62,7 @@ def result_of_fits(
             values.append(values_of_parameters(fit.adjustment.parameters(k))[: len(reported)])
             told += [f"{name}.{parameter}" for parameter in reported]
     covariance = np.asarray(block_diag(*blocks))
+    better = advise_better_knowledge([fit.adjustment for fit in fits], known.systematics)
     rows = [keys.index(key) for key in told]
     return CalibrationResult(
         rig=Rig(cameras, parameters=keys, covariance=covariance),
@@ -73,6 +75,7 @@ def result_of_fits(
         failures=failures,
         systematics=known.systematics.words,
         notes=of_sheet,
+        advice="" if better is None else better.sentence,
     )
 
 

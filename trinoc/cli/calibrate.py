@@ -53,7 +53,10 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
 
     lens: LensOptions
 
-    print_scale: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")] = (1.0, 1.0)
+    print_scale: Annotated[
+        tuple[float, float] | None,
+        tyro.conf.arg(metavar="X Y", help_behavior_hint="(default: not measured)"),
+    ] = None
     """Measured over nominal length of the sheet's two scale bars."""
 
     sigma: Settings = ()
@@ -98,7 +101,8 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
         files = files_of_views(self.images, guess=True)
         if not files:
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
-        if not all(0.9 < scale < 1.1 for scale in self.print_scale):
+        scale = self.print_scale or (1.0, 1.0)
+        if not all(0.9 < each < 1.1 for each in scale):
             raise UsageError(
                 "--print-scale is a measured over a nominal length: give a number near 1, such as "
                 "1.001, for X and for Y."
@@ -120,7 +124,7 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
 
         expect_place(self.out, self.report)
         expect_replaceable(self.out, Rig, force=self.force)
-        pattern = load_pattern(self.board).rescale(*self.print_scale)
+        pattern = load_pattern(self.board).rescale(*scale)
         images = read_views(files)
         lenses = self.lens.lenses({name: _size(image) for name, image in images.items()})
         known = self._systematics(lenses, sigma)
@@ -168,7 +172,7 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
         usual = Systematics.typical(lenses)._replace(
             lens_covariance=None if "lens" in sigma else self.lens.covariance(lenses)
         )
-        if self.print_scale != (1.0, 1.0):
+        if self.print_scale is not None:
             usual = usual._replace(print_scale_sigma=MEASURED, print_size_sigma=0.0)
         if "aim_mm" in sigma:
             usual = usual._replace(aim_sigma_mm=sigma["aim_mm"])
@@ -213,6 +217,7 @@ def calibration_record(result: "CalibrationResult") -> dict[str, Any]:
         },
         "sigmas_include": ["noise", *result.systematics],
         "notes": list(result.notes),
+        "advice": result.advice or None,
     }
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.result.calibration import CalibrationResult, CameraFit
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit, ImageQuality
 from trinoc.calib.result.status import Status
 from trinoc.calib.rig_from_shots import RigFromShots
 from trinoc.geometry.rig import Rig
@@ -52,11 +52,6 @@ MEANINGS = (
     ("pixels used, cut", "near edges of ink; cut where something else is seen, such as a thumb"),
     ("blur", "sigma of the lens's blur"),
     ("ink spread", "by which the ink reaches beyond the drawing"),
-    (
-        "sigma over least possible",
-        "of the parameter that is worst off, beside what the noise of the pixels used alone would "
-        "allow: 1 if nothing but noise counts, more where sheet, aim or lens are not exact",
-    ),
 )
 
 
@@ -186,7 +181,7 @@ def _status(result: CalibrationResult, name: str) -> StatusRow:
         ("residual length, rms", f"{with_decimals(fit.rms_px if used else float('nan'), 4)} px"),
         ("chi-square of the circles / dof", with_decimals(fit.reduced_chi_square, 2)),
         ("rank", str(fit.rank)),
-        *_picture_figures(result, name),
+        *_picture_figures(fit.image),
     )
     gauge = (f"Left free by the picture: {', '.join(fit.gauge)}.",) if fit.gauge else ()
     more = (failure,) if failure and failure != status.value else ()
@@ -194,27 +189,16 @@ def _status(result: CalibrationResult, name: str) -> StatusRow:
     return StatusRow(name, status.value, verdict, more + gauge + fit.notes, figures)
 
 
-def _picture_figures(result: CalibrationResult, name: str) -> tuple[tuple[str, str], ...]:
+def _picture_figures(quality: ImageQuality | None) -> tuple[tuple[str, str], ...]:
     """What the fit to the picture's grey levels says, where there was one."""
-    quality = result.fits[name].image
     if quality is None:
         return ()
-    rows = [k for k, words in enumerate(result.parameters) if words.startswith(f"{name}.")]
-    variance = np.diagonal(result.covariance)[rows]
-    # The aim, where it was fitted without being asked for, stands last. The bound is that of flat
-    # paper's noise; where the pixels fitted are less noisy than it, they know more.
-    quieter = min(1.0, quality.reduced_chi_square)
-    bound = quieter * np.diagonal(quality.bound)[: len(variance)]
-    # A picture without noise has no bound.
-    bounded = variance.shape == bound.shape and bool((bound > 0).all())
-    over_bound = np.sqrt(variance / bound).max() if bounded else np.nan
     return (
         ("noise left by the fit", f"{with_decimals(quality.noise, 2)} grey levels"),
         ("noise that is the picture's own", f"{with_decimals(quality.noise_floor, 2)} grey levels"),
         ("pixels used, cut", f"{quality.pixels:,}, {quality.pixels_cut:,}"),
         ("blur", f"{with_decimals(quality.blur_px, 3)} px"),
         ("ink spread", f"{with_decimals(quality.ink_spread_mm, 4)} mm"),
-        ("sigma over least possible", with_decimals(float(over_bound), 2)),
     )
 
 

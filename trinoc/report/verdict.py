@@ -146,9 +146,8 @@ def _place(subject: Subject) -> Answer | None:
         "one sigma where it is largest, on the sheet and above it, by the errors of the cameras "
         "alone."
     )
-    if result is not None:
-        words += f" They include {', '.join(('noise', *result.systematics))}."
-    return Answer(field.worst_mm, f"± {millimetres(field.worst_mm)}", words)
+    advice = "" if result is None else result.advice
+    return Answer(field.worst_mm, f"± {millimetres(field.worst_mm)}", words, remedy=advice)
 
 
 def _pattern(subject: Subject) -> Answer | None:

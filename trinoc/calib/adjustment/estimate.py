@@ -105,6 +105,11 @@ class Adjustment(NamedTuple):
         last = np.concatenate([others, rows])
         return _triangle(self.root[:, last])[len(others) :, len(others) :]
 
+    def covariance_with(self, weights: Float[np.ndarray, "f"]) -> Float[np.ndarray, "f f"]:
+        """The covariance, were each free step known by so much more, in one over its sigma."""
+        inverse = _inverse(_triangle(np.concatenate([self.root, np.diag(weights)])))
+        return inverse @ inverse.T
+
     def parameters(self, view: int) -> Float[np.ndarray, "p"]:
         """Pan, tilt and swing in rad, distance and, where it is free, aim in mm."""
         return np.asarray(_parameters(self.pose(view)))[: self.model.size]
@@ -193,11 +198,12 @@ def _root(problem: Problem, views: WhitenedViews) -> tuple[Float[np.ndarray, "f 
     """R of the information R^T R of the free steps, the priors included, and which these are."""
     free = np.flatnonzero(problem.chart.free)
     rows = views.jacobian[..., free].reshape(-1, len(free))
-    return _triangle(np.concatenate([rows, _prior_rows(problem)[:, free]])), free
+    priors = np.diag(prior_weights(problem)[free])
+    return _triangle(np.concatenate([rows, priors])), free
 
 
-def _prior_rows(problem: Problem) -> Float[np.ndarray, "k h"]:
-    """Rows W of the priors, W^T W their information on steps of the head."""
+def prior_weights(problem: Problem) -> Float[np.ndarray, "h"]:
+    """Square root of the information that the priors hold on each step of the head."""
     chart = problem.chart
     weights = np.zeros(len(chart.free))
     # A step of a lens or of the sheet is a standard deviation of its prior.
@@ -206,7 +212,7 @@ def _prior_rows(problem: Problem) -> Float[np.ndarray, "k h"]:
     for camera, information in enumerate(chart.aim_information):
         aim = slice(chart.camera_rows(camera).start + 4, chart.camera_rows(camera).stop)
         weights[aim] = np.sqrt(information) * chart.unit_mm
-    return np.diag(weights * chart.free)
+    return weights * chart.free
 
 
 def _triangle(rows: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "k k"]:

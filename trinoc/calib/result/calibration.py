@@ -97,6 +97,7 @@ class CalibrationResult(Displayable, eqx.Module):
     failures : for each camera that is not in the rig, a sentence that says why.
     systematics : the errors beyond noise that the covariance holds, in words.
     notes : sentences on what the pictures say of the sheet.
+    advice : a sentence on what to know better, if that narrows the sigmas.
     """
 
     rig: Rig
@@ -109,6 +110,7 @@ class CalibrationResult(Displayable, eqx.Module):
     failures: dict[str, str] = eqx.field(default_factory=dict)
     systematics: tuple[str, ...] = eqx.field(static=True, default=())
     notes: tuple[str, ...] = eqx.field(static=True, default=())
+    advice: str = eqx.field(static=True, default="")
 
     def sigma(self, parameter: str) -> float:
         """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known."""
@@ -153,7 +155,9 @@ def summarise_calibration(result: CalibrationResult) -> str:
         for row in rows
     ]
     included = ", ".join(("noise", *result.systematics))
-    return "\n".join([*warnings, *lines, f"sigmas include {included}.", *result.notes, *remarks])
+    advice = [result.advice] if result.advice else []
+    said = [*warnings, *lines, f"sigmas include {included}.", *advice, *result.notes, *remarks]
+    return "\n".join(said)
 
 
 def _noise(fit: CameraFit) -> str:

@@ -1,0 +1,71 @@
+"""What knowing more would give is what a fit that knows more gives."""
+
+import numpy as np
+import pytest
+
+from tests.calib.adjustment.made_views import LENS_FACTOR, SHEET, made_views
+from trinoc.calib.adjustment.better_knowledge import advise_better_knowledge
+from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.pose import PoseModel
+
+AIM_MM = 20.0
+# Of a data sheet.
+WIDE = 10 * LENS_FACTOR
+SHEET_OF_PRINTER = Systematics(
+    print_scale_sigma=(7e-4, 7e-4), print_size_sigma=2e-3, flatness_mm=0.3
+)
+MADE = made_views(3, Systematics())
+
+
+def fitted(known: Systematics, lens_factor: np.ndarray | None = None) -> Adjustment:
+    """The same circles, made of an exact sheet, under what is said to be known."""
+    cameras = [each._replace(lens_factor=lens_factor) for each in MADE.cameras]
+    return adjust_cameras(cameras, SHEET, known, PoseModel.AIM_FREE, AIM_MM)
+
+
+def largest_sigmas(found: Adjustment) -> tuple[float, float]:
+    """Of angles in degrees, and of distances in mm."""
+    sigmas = []
+    for view in range(len(MADE.cameras)):
+        rows, by_step = found.rows(view), found.degrees_by_step(view)
+        own = by_step @ found.covariance[np.ix_(rows, rows)] @ by_step.T
+        sigmas.append(np.sqrt(np.diag(own)))
+    angles, distances = np.split(np.array(sigmas)[:, :4], [3], axis=1)
+    return float(angles.max()), float(distances.max())
+
+
+@pytest.mark.parametrize(
+    ("what", "known", "lens", "better", "better_lens"),
+    [
+        ("lens", SHEET_OF_PRINTER, WIDE, SHEET_OF_PRINTER, WIDE / 10),
+        (
+            "print",
+            SHEET_OF_PRINTER,
+            None,
+            SHEET_OF_PRINTER._replace(print_scale_sigma=(7e-5, 7e-5), print_size_sigma=2e-4),
+            None,
+        ),
+    ],
+)
+def test_what_is_promised_is_what_a_fit_that_knows_so_much_gives(
+    what, known, lens, better, better_lens
+) -> None:
+    found = fitted(known, lens)
+    advice = advise_better_knowledge([found], known)
+    assert advice is not None
+    assert advice.what == what
+    now, then = largest_sigmas(found), largest_sigmas(fitted(better, better_lens))
+    np.testing.assert_allclose((advice.angle_now_deg, advice.distance_now_mm), now)
+    np.testing.assert_allclose((advice.angle_then_deg, advice.distance_then_mm), then, rtol=0.02)
+    for number in (advice.distance_then_mm, advice.distance_now_mm):
+        assert f"{number:.2g}" in advice.sentence
+
+
+def test_where_nothing_is_assumed_nothing_is_advised() -> None:
+    assert advise_better_knowledge([fitted(Systematics())], Systematics()) is None
+
+
+def test_bars_that_were_measured_are_not_measured_again() -> None:
+    measured = Systematics(print_scale_sigma=(5e-4, 5e-4))
+    assert advise_better_knowledge([fitted(measured)], measured) is None
