@@ -140,9 +140,10 @@ def advise_next_image(
     information : of the pictures taken, on the free steps of the lens. open_names : parameters
     that they do not determine.
     """
-    covariance = np.linalg.inv(
-        information + np.eye(len(information)) / TUNING.advice.prior_sigma**2
-    )
+    # Of a direction that is not determined rounding may leave less than no information.
+    known, directions = np.linalg.eigh(information)
+    variance = 1 / (np.maximum(known, 0.0) + 1 / TUNING.advice.prior_sigma**2)
+    covariance = (directions * variance) @ directions.T
     best = _best_shot(problem, covariance, variance_factor)
     if best is None:
         return None
