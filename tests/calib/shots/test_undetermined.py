@@ -14,8 +14,9 @@ from tests.calib.shots.simulated_lens import (
     good_poses,
     pose,
 )
-from trinoc.calib import Detection, IntrinsicsResult, Status
+from trinoc.calib import Detection, IntrinsicsResult, Status, lens_calibration
 from trinoc.calib.advice.foreseen_shots import candidate_shots
+from trinoc.calib.advice.next_shot import advise_next_image
 from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.problem.problem import Freedom
 from trinoc.calib.problem.starting_problem import start_problem
@@ -32,7 +33,14 @@ SQUARE = [
 THE_LENS = BrownConrady.from_parameters(LENS)
 
 
-def test_pictures_square_to_the_camera_leave_focal_length_and_distance_open():
+def test_pictures_square_to_the_camera_leave_focal_length_and_distance_open(monkeypatch):
+    asked: list = []
+
+    def advise(*given):
+        asked.append(given)
+        return advise_next_image(*given)
+
+    monkeypatch.setattr(lens_calibration, "advise_next_image", advise)
     with pytest.raises(CalibrationError, match="square to the camera") as caught:
         calibrate_intrinsics(detections(SQUARE), SHEET)
     result = caught.value.result
@@ -43,6 +51,16 @@ def test_pictures_square_to_the_camera_leave_focal_length_and_distance_open():
     assert np.isnan(result.values[:2]).all()
     assert np.isnan(result.sigma("fx_px"))
     assert re.search("Next picture: hold the sheet .* tilted", str(caught.value))
+    # Rounding may leave less than no information on what is open; it is none.
+    (problem, information, *others) = asked[0]
+    known, directions = np.linalg.eigh(information)
+    none, less = (
+        advise_next_image(problem, (directions * [least, *known[1:]]) @ directions.T, *others)
+        for least in (0.0, -1.0)
+    )
+    assert none is not None
+    assert less is not None
+    assert less.sentence == none.sentence
 
 
 def test_one_picture_does_not_pass_for_a_lens():
