@@ -9,7 +9,7 @@ import pytest
 from tests.io.formats.bench import bench_matches
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.decoys import MIRRORED, TURNED, UPSIDE_DOWN, turn_view
+from trinoc.match.explanations import MIRRORED, TURNED, UPSIDE_DOWN, change_view
 from trinoc.match.matcher import match_segments
 from trinoc.match.observations.match_input import prepare_frame
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, MatchStatus
@@ -73,8 +73,8 @@ def test_segments_that_are_chance_alone_are_suspect():
 @pytest.mark.parametrize("change", [MIRRORED, UPSIDE_DOWN, TURNED])
 def test_a_view_turned_twice_is_as_it_was(boxes, change):
     frame = prepare_frame(boxes, RIG, None)
-    again = turn_view(turn_view(frame, 1, change), 1, change)
-    assert (frame.ends_px[1] != turn_view(frame, 1, change).ends_px[1]).any()
+    again = change_view(change_view(frame, 1, change), 1, change)
+    assert (frame.ends_px[1] != change_view(frame, 1, change).ends_px[1]).any()
     for name in ("order", "ends_px", "covariance_px2", "polarity", "sides"):
         np.testing.assert_allclose(getattr(again, name)[1], getattr(frame, name)[1], atol=1e-9)
 
@@ -87,7 +87,7 @@ def test_a_turned_view_and_a_camera_turned_alike_give_the_same_lines(boxes):
     rig = Rig.from_matrices(matrices, (512, 480))
     frame = prepare_frame(boxes, rig, None)
     view = frame.names.index("upper")
-    turned = turn_view(frame, view, TURNED)
+    turned = change_view(frame, view, TURNED)
     back = np.argsort(turned.order[view])
     seen = eqx.tree_at(
         lambda s: (s.endpoints_px, s.covariance_px2, s.polarity),
@@ -111,7 +111,7 @@ def test_the_darker_side_stays_on_the_right_where_picture_and_ends_are_both_turn
     frame = prepare_frame(views | {"upper": dark}, RIG, None)
     view = frame.names.index("upper")
     for change in (MIRRORED, UPSIDE_DOWN, TURNED):
-        again = turn_view(frame, view, change)
+        again = change_view(frame, view, change)
         for ends_px, sign, row in zip(again.ends_px[view], again.polarity[view], again.order[view]):
             # A place beside the segment, on the dark side before: where it goes, it is dark still.
             first, second = ends[row]

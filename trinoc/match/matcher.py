@@ -29,6 +29,7 @@ from trinoc.match.tracks.consolidation import tracks_through_views
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
+from trinoc.numerics.tables import with_field
 
 
 @in_float64
@@ -96,8 +97,13 @@ def check_together(
 ) -> Matches:
     """The matches with the status that competition with decoys gives."""
 
-    def match(other: FrameInput, names: tuple[str, ...]) -> Matches:
-        return match_frames([other], [names], depth_range_mm, tuning)[0]
+    def match(frame: FrameInput, *, in_three: bool = False) -> Matches:
+        rules = tuning
+        if in_three:
+            # No segment is left for pairs, and wrong views learn no noise for long.
+            rules = with_field(rules, "occlusion.max_matched_share", 0.0)
+            rules = with_field(rules, "noise.passes", tuning.decoys.passes)
+        return match_frames([frame], [frame.names], depth_range_mm, rules)[0]
 
     return check_set(frame, names, found, match, tuning.decoys)
 

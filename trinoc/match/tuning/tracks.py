@@ -62,3 +62,18 @@ class DecoyTuning:
     # Errors so many times those stated, where the share is below this, are of a rig that has moved.
     noisy_above: float = 2.0
     noisy_share: float = 0.7
+    # A mistake is the cause where, with it undone, so many times the sure lines are found, and so
+    # many more; or more of them with errors below this share. Tried on so many segments of a view,
+    # and with so many passes over their noise, for time.
+    explained: tuple[float, float] = (1.25, 5.0)
+    quieter: float = 0.6
+    tried_segments: int = 250
+    passes: int = 2
+    # A shift is told by the ends of segments parallel to lines of the other views, within this many
+    # degrees: by differences of up to so many px that agree within this many. Its median settles in
+    # so many rounds, and below so many px it is none.
+    parallel_deg: float = 3.0
+    reach_px: float = 80.0
+    agree_px: float = 3.0
+    shift_rounds: int = 5
+    least_shift_px: float = 2.0
