@@ -37,7 +37,8 @@ DESCRIPTION = "recording.json"
 class Folder:
     """Results of one job in a folder.
 
-    done : number of a part to its manifest lines. tally : "frames", "failed" and "tracks" of all.
+    done : number of a part to its manifest lines. tally : "frames", "failed", "suspect" and
+    "tracks" of all.
     """
 
     def __init__(self, path: Path, ending: str, manifest: Path, stream: Any) -> None:
@@ -89,6 +90,7 @@ class Folder:
         for line in lines:
             self.tally["frames"] += 1
             self.tally["failed"] += line["status"] != OK
+            self.tally["suspect"] += "suspect" in line
             self.tally["tracks"] += sum(line.get("tracks", {}).values())
 
 

@@ -34,6 +34,7 @@ class BatchOutcome:
     """What became of the frames of a job.
 
     frames, failed, tracks : numbers of frames, of those that failed, and of tracks in all.
+    suspect : how many frames are SUSPECT, as they do not seem to belong to the rig.
     earlier : how many of the frames an earlier run had done.
     workers : how many worked at once.
     """
@@ -42,6 +43,7 @@ class BatchOutcome:
     manifest: Path
     frames: int
     failed: int
+    suspect: int
     tracks: int
     earlier: int
     workers: int
@@ -145,6 +147,7 @@ def match_recording(
             manifest=folder.manifest,
             frames=tally["frames"],
             failed=tally["failed"],
+            suspect=tally["suspect"],
             tracks=tally["tracks"],
             earlier=earlier,
             workers=workers.count,

@@ -121,9 +121,12 @@ def _outcome(found: "BatchOutcome") -> Outcome:
         parts.append(f"{found.earlier} of the frames by an earlier run")
     if found.failed:
         parts.append(f"{found.failed} failed; the manifest says why")
+    if found.suspect:
+        parts.append(f"{found.suspect} do not seem to belong to the rig")
     record = {
         "frames": found.frames,
         "failed": found.failed,
+        "suspect": found.suspect,
         "tracks": found.tracks,
         "earlier": found.earlier,
         "workers": found.workers if here else 0,
@@ -131,6 +134,11 @@ def _outcome(found: "BatchOutcome") -> Outcome:
     refusal = None
     if found.frames and found.failed == found.frames:
         refusal = f"All {found.frames} frames failed: {found.manifest} says why."
+    elif found.suspect:
+        refusal = (
+            f"{found.suspect} of {found.frames} frames do not seem to belong to the rig: "
+            f"{found.manifest} says why."
+        )
     return Outcome(f"{'; '.join(parts)}.", record, refusal, (found.folder, found.manifest))
 
 

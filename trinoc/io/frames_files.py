@@ -31,7 +31,7 @@ from trinoc.io.tables_npz import (
     load_npz,
     save_npz,
 )
-from trinoc.match.tracks.matches import Matches
+from trinoc.match.tracks.matches import Matches, MatchStatus
 from trinoc.numerics.tables import list_fields
 from trinoc.recording.frame_table import FrameMatches
 
@@ -200,8 +200,10 @@ def _fate(result: FrameMatches) -> dict[str, Any]:
     if result.matches is None:
         return {"status": "failed", "why": result.status}
     stage = result.matches.stage
+    is_suspect = result.matches.status is MatchStatus.SUSPECT
     return {
         "status": result.status,
+        **({"suspect": result.matches.notes[0]} if is_suspect else {}),
         "segments": {view: len(words) for view, words in result.matches.reasons.items()},
         "tracks": {name: int((stage == name).sum()) for name in ("trinocular", "binocular")},
     }

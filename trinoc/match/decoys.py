@@ -125,6 +125,9 @@ def find_cause(
     it is undone there are more sure lines by far, or as many whose errors are smaller by far.
     """
     sample = take_longest(frame, tuning.tried_segments)
+    shifts = list(find_shifts(sample, match, tuning))
+    if not (shifts or every):
+        return None
 
     def count(other: FrameInput) -> tuple[int, float]:
         matches = match(other, in_three=True)
@@ -132,12 +135,12 @@ def find_cause(
 
     own, noise = count(sample)
     chance = [SureTracks(count(decoy)[0], 0) for decoy in decoys(sample)]
-    least = max(own, least_above_chance(chance, 0.0, tuning))
+    least = max(own, least_above_chance(chance, 0.0 if every else 1.0, tuning))
     times, more = tuning.explained
-    kinds = [*(undo_mistakes(sample) if every else []), find_shifts(sample, match, tuning)]
-    for kind in kinds:
+    for kind in (*(undo_mistakes(sample) if every else ()), shifts):
         tried = [(*count(undone), words) for words, undone in kind]
-        number, scale, words = max(tried, default=(0, noise, ""))
+        # Of shifts that explain about as many lines, the true one leaves the smallest errors.
+        number, scale, words = max(tried, key=lambda one: one[0] / one[1], default=(0, noise, ""))
         is_quieter = noise > tuning.noisy_above and scale < tuning.quieter * noise
         if number > least and (is_quieter or number > times * own + more):
             return (
