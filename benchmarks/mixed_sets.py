@@ -112,7 +112,8 @@ def mix(kind: str, how: str, seed: int) -> Case:
     elif how in ("one of another scene", "three scenes"):
         changed = (first,) if how == "one of another scene" else (first, second)
         for number, view in enumerate(changed):
-            made.segments[view] = make_scene(kind, seed + 1000 * (number + 1)).segments[view]
+            other = make_scene(kind, seed + 1000 * (number + 1))
+            made.segments[view], made.edge[view] = other.segments[view], other.edge[view]
     sigma_px = 0.25 if how == "right, noise understated" else None
     return Case(made.segments, table1_rig(), sigma_px, made.edge, changed)
 

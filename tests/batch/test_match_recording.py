@@ -5,6 +5,7 @@ import json
 import multiprocessing
 import sys
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 import trinoc
 from trinoc.batch import folder as folder_file, run, workers
 from trinoc.batch.work import MatchingJob
+from trinoc.cli.batch import _outcome
 from trinoc.cli.main import main
 from trinoc.errors import InputError, MatchError
 from trinoc.match.batch import MatchBatch
+from trinoc.match.tracks.matches import SUSPECT_SETS
 from trinoc.recording import parts
 from trinoc.synth import table1_rig
 
@@ -111,6 +114,32 @@ def test_every_frame_has_its_matches_or_its_reason(recording, tmp_path, quick):
             assert matches.counts == again.counts
     assert 'has no picture of "left"' in found.failures["4"]
     assert found.failures["6"].startswith("6_upper.csv has words in line 1")
+
+
+def test_frames_that_do_not_belong_to_the_rig_are_counted_and_fail_the_command(
+    recording, tmp_path, monkeypatch
+):
+    def suspects(segments, rig, **_):
+        found = quick_matching(segments, rig)
+        first, *others = found.matches
+        return replace(
+            found, matches=(replace(first, counts=first.counts | {SUSPECT_SETS: 1}), *others)
+        )
+
+    monkeypatch.setattr(parts, "match_many", suspects)
+    outcome = match(recording, tmp_path / "out")
+    lines = [json.loads(line) for line in outcome.manifest.read_text().splitlines()]
+    said = [line["suspect"] for line in lines if "suspect" in line]
+    assert said == ["a note"] * outcome.suspect
+    assert 0 < outcome.suspect < FRAMES
+    # And again by the files alone, where the manifest is lost.
+    outcome.manifest.write_text("")
+    assert match(recording, tmp_path / "out").suspect == outcome.suspect
+    told = _outcome(outcome)
+    assert f"{outcome.suspect} do not seem to belong to the rig" in told.text
+    assert told.record["suspect"] == outcome.suspect
+    assert str(outcome.manifest) in told.refusal
+    assert _outcome(replace(outcome, suspect=0)).refusal is None
 
 
 class Killed(BaseException):

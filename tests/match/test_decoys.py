@@ -1,5 +1,6 @@
 """Sets of segments that do not belong to their rig are SUSPECT, and right ones are not."""
 
+import re
 from dataclasses import replace
 
 import equinox as eqx
@@ -9,10 +10,18 @@ import pytest
 from tests.io.formats.bench import bench_matches
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.explanations import MIRRORED, TURNED, UPSIDE_DOWN, change_view
+from trinoc.match.explanations import (
+    MIRRORED,
+    TURNED,
+    UPSIDE_DOWN,
+    change_view,
+    estimate_shift,
+    take_longest,
+)
 from trinoc.match.matcher import match_segments
 from trinoc.match.observations.match_input import prepare_frame
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, MatchStatus
+from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.synth import Detector, loose_segments, simulate_segments, table1_rig
 from trinoc.synth.scenes import see_through_boxes
 
@@ -50,6 +59,64 @@ def test_a_view_that_is_turned_is_suspect_by_name(boxes, matrix):
     assert matches.status is MatchStatus.SUSPECT
     word = "mirrored" if np.linalg.det(matrix) < 0 else "upside down"
     assert f'the picture of "right" is {word}' in matches.notes[0]
+
+
+def changed(segments, scale, shift_px):
+    ends = scale * np.asarray(segments.endpoints_px) + shift_px
+    inside = ((ends > -0.5) & (ends < SIZE - 0.5)).all(axis=(1, 2))
+    return Segments.from_endpoints(ends[inside])
+
+
+@pytest.mark.parametrize("shift_px", [(37, 23), (-4, 3)], ids=str)
+def test_a_shifted_view_is_suspect_by_name_and_by_how_much(boxes, shift_px):
+    matches = match_segments(boxes | {"left": changed(boxes["left"], 1, shift_px)}, RIG)
+    assert matches.status is MatchStatus.SUSPECT
+    said = re.search(r'"left" is shifted by about \((-?\d+), (-?\d+)\) px', matches.notes[0])
+    np.testing.assert_allclose([int(number) for number in said.groups()], shift_px, atol=1)
+    assert (matches.posterior <= 0.5).all()
+
+
+def test_segments_of_a_picture_of_half_the_size_are_suspect_by_name(boxes):
+    matches = match_segments(boxes | {"left": changed(boxes["left"], 0.5, -0.25)}, RIG)
+    assert matches.status is MatchStatus.SUSPECT
+    assert '"left" are of a picture of half the size' in matches.notes[0]
+    assert (matches.posterior <= 0.5).all()
+
+
+def test_all_pictures_of_half_the_size_are_suspect_by_name(boxes):
+    matches = match_segments({v: changed(s, 0.5, -0.25) for v, s in boxes.items()}, RIG)
+    assert matches.status is MatchStatus.SUSPECT
+    assert "pictures of half the size of the cameras'" in matches.notes[0]
+    assert (matches.posterior <= 0.5).all()
+
+
+def test_a_right_set_with_noise_far_above_what_is_stated_is_matched(boxes):
+    matches = match_segments(boxes, RIG, sigma_px=0.15)
+    assert matches.noise_scale > DEFAULT.decoys.noisy_above
+    assert matches.status is MatchStatus.MATCHED
+    assert (matches.posterior > 0.9).sum() > 100
+
+
+def test_a_shift_is_where_ends_differ_alike():
+    rng = np.random.default_rng(3)
+    middle, half = rng.uniform(50, 450, (80, 1, 2)), rng.uniform(-30, 30, (80, 1, 2))
+    expected = np.concatenate([middle - half, middle + half], axis=1)
+    shift = np.array([-21.0, 34.0])
+    seen = expected + shift + rng.normal(0, 0.3, expected.shape)
+    # In another order, with ends the other way round, half of them gone and as many of no line.
+    seen = np.concatenate([seen[::-2, ::-1], rng.uniform(50, 450, (40, 2, 2))])
+    found = estimate_shift(expected, seen, DEFAULT.decoys)
+    np.testing.assert_allclose(found, shift, atol=0.3)
+    assert estimate_shift(expected, np.zeros((0, 2, 2)), DEFAULT.decoys) is None
+
+
+def test_the_longest_segments_are_a_set_of_their_own(boxes):
+    frame = prepare_frame(boxes, RIG, None)
+    part = take_longest(frame, 30)
+    for whole, ends, order in zip(frame.ends_px, part.ends_px, part.order, strict=True):
+        length, kept = (np.linalg.norm(np.diff(e, axis=1)[:, 0], axis=1) for e in (whole, ends))
+        np.testing.assert_array_equal(np.sort(kept), np.sort(length)[-30:])
+        np.testing.assert_array_equal(order, np.arange(30))
 
 
 def test_a_view_of_another_scene_is_suspect(boxes):

@@ -85,7 +85,7 @@ def check_set(
             mean = np.mean(chance, axis=0)[0]
             note += f", and {mean:.0f} where a picture is mirrored on purpose"
         note += f". {cause or UNKNOWN}"
-    elif is_noisy and share < tuning.noisy_share:
+    elif found.noise_scale > tuning.moved_above and share < tuning.noisy_share:
         note = (
             f"Only {sure.in_three} of {fewest} segments are sure in three views, and their errors "
             f"are {found.noise_scale:.2g} times those stated: a camera was moved, or a picture is "

@@ -20,7 +20,7 @@ from trinoc.match.tuning.tracks import DecoyTuning
 
 # numerical: what a picture is turned by about its middle: along u, along v, by half a turn.
 MIRRORED, UPSIDE_DOWN, TURNED = (np.diag(signs) for signs in ((-1.0, 1), (1, -1.0), (-1.0, -1.0)))
-SAME = np.eye(2)
+SAME = np.eye(2)  # numerical: neither turned nor of another size.
 
 
 class Explanation(NamedTuple):
@@ -32,12 +32,12 @@ class Explanation(NamedTuple):
 
 def undo_mistakes(frame: FrameInput) -> Iterator[Iterator[Explanation]]:
     """Kinds of mistakes that can be undone as they are, the commonest first."""
-    yield _exchanged(frame)
-    yield _turned(frame)
-    yield _resized(frame)
+    yield _exchange_views(frame)
+    yield _turn_views(frame)
+    yield _resize_views(frame)
 
 
-def _exchanged(frame: FrameInput) -> Iterator[Explanation]:
+def _exchange_views(frame: FrameInput) -> Iterator[Explanation]:
     for order in permutations(range(3)):
         moved = [k for k in range(3) if order[k] != k]
         if moved:
@@ -47,14 +47,14 @@ def _exchanged(frame: FrameInput) -> Iterator[Explanation]:
             yield Explanation(words, frame._replace(cameras=cameras))
 
 
-def _turned(frame: FrameInput) -> Iterator[Explanation]:
+def _turn_views(frame: FrameInput) -> Iterator[Explanation]:
     for view, name in enumerate(frame.names):
         for change, word in ((TURNED, "upside down"), (MIRRORED, "mirrored")):
             words = f'the picture of "{name}" is {word}'
             yield Explanation(words, change_view(frame, view, change))
 
 
-def _resized(frame: FrameInput) -> Iterator[Explanation]:
+def _resize_views(frame: FrameInput) -> Iterator[Explanation]:
     """Segments of pictures, all of them or one, of half or twice the size that the rig states."""
     for scale, word in ((2.0, "half"), (0.5, "twice")):
         everywhere = frame

@@ -59,8 +59,10 @@ class DecoyTuning:
     some: tuple[float, float, float] = (1.5, 3.0, 2.0)
     few: tuple[float, float, float] = (2.0, 5.0, 5.0)
     few_share: float = 0.25
-    # Errors so many times those stated, where the share is below this, are of a rig that has moved.
+    # Where errors are so many times those stated, shifts are tried; where they are so many times
+    # and the share is below this, the rig has moved. Noise understated by two shows up to 2.2.
     noisy_above: float = 2.0
+    moved_above: float = 2.5
     noisy_share: float = 0.7
     # A mistake is the cause where, with it undone, so many times the sure lines are found, and so
     # many more; or more of them with errors below this share. Tried on so many segments of a view,
