@@ -29,6 +29,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io.rig_json import load_rig
 from trinoc.match.pixels import guide
+from trinoc.match.pixels.guide import GuidedMatches
 from trinoc.match.tracks.matches import Matches
 from trinoc.synth import table1_rig
 from trinoc.synth.truth import SceneTruth, shown_parts_mm
@@ -108,7 +109,7 @@ def words(found: np.ndarray, views: np.ndarray) -> str:
     )
 
 
-def with_rims(place: Place, guided: trinoc.match.GuidedMatches) -> Matches:
+def with_rims(place: Place, guided: GuidedMatches) -> Matches:
     """Guided matches with rims, which are found among chords, without what is an outline."""
     chords = {view: trinoc.find_segments(p, arcs=True) for view, p in place.pictures.items()}
     rims = trinoc.match.find_rims(trinoc.match_segments(chords, place.rig), chords, place.rig)

@@ -52,7 +52,13 @@ def test_exchanged_views_are_suspect_by_name_and_nothing_in_them_is_sure(boxes):
     assert (matches.posterior < 0.9).all()
 
 
-@pytest.mark.parametrize("matrix", [-np.eye(2), np.diag([-1.0, 1.0])], ids=["turned", "mirrored"])
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        pytest.param(-np.eye(2), id="turned"),
+        pytest.param(np.diag([-1.0, 1.0]), marks=pytest.mark.slow, id="mirrored"),
+    ],
+)
 def test_a_view_that_is_turned_is_suspect_by_name(boxes, matrix):
     ends = np.asarray(boxes["right"].endpoints_px) @ matrix.T + (SIZE - 1) * (np.diag(matrix) < 0)
     matches = match_segments(boxes | {"right": Segments.from_endpoints(ends)}, RIG)
@@ -67,7 +73,9 @@ def changed(segments, scale, shift_px):
     return Segments.from_endpoints(ends[inside])
 
 
-@pytest.mark.parametrize("shift_px", [(37, 23), (-4, 3)], ids=str)
+@pytest.mark.parametrize(
+    "shift_px", [(-4, 3), pytest.param((37, 23), marks=pytest.mark.slow)], ids=str
+)
 def test_a_shifted_view_is_suspect_by_name_and_by_how_much(boxes, shift_px):
     matches = match_segments(boxes | {"left": changed(boxes["left"], 1, shift_px)}, RIG)
     assert matches.status is MatchStatus.SUSPECT
@@ -83,6 +91,7 @@ def test_segments_of_a_picture_of_half_the_size_are_suspect_by_name(boxes):
     assert (matches.posterior <= 0.5).all()
 
 
+@pytest.mark.slow
 def test_all_pictures_of_half_the_size_are_suspect_by_name(boxes):
     matches = match_segments({v: changed(s, 0.5, -0.25) for v, s in boxes.items()}, RIG)
     assert matches.status is MatchStatus.SUSPECT
@@ -119,6 +128,7 @@ def test_the_longest_segments_are_a_set_of_their_own(boxes):
         np.testing.assert_array_equal(order, np.arange(30))
 
 
+@pytest.mark.slow
 def test_a_view_of_another_scene_is_suspect(boxes):
     other = made(loose_segments(32, count=100), seed=32)
     matches = match_segments(boxes | {"left": other["left"]}, RIG)

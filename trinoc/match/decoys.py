@@ -74,8 +74,10 @@ def check_set(
             chance.append(count_sure(match(decoy), tuning))
             if sure.in_three > 2 * least_above_chance([chance[-1]], share, tuning):
                 break
-    by_chance = len(chance) > 0 and sure.in_three < least_above_chance(chance, share, tuning)
-    cause = find_cause(frame, match, tuning, every=bool(by_chance or share < tuning.few_share))
+    by_chance = bool(chance and sure.in_three < least_above_chance(chance, share, tuning))
+    every, cause = by_chance or bool(share < tuning.few_share), None
+    if every or found.noise_scale > tuning.shifted_above:
+        cause = find_cause(frame, match, tuning, every=every)
     if by_chance or cause:
         note = (
             f"These segments and this rig do not seem to belong together: {sure.in_three} lines "
