@@ -122,9 +122,9 @@ def test_frames_that_do_not_belong_to_the_rig_are_counted_and_fail_the_command(
     def suspects(segments, rig, **_):
         found = quick_matching(segments, rig)
         first, *others = found.matches
-        return replace(
-            found, matches=(replace(first, counts=first.counts | {SUSPECT_SETS: 1}), *others)
-        )
+        assert first is not None
+        doubted = replace(first, counts=first.counts | {SUSPECT_SETS: 1})
+        return replace(found, matches=(doubted, *others))
 
     monkeypatch.setattr(parts, "match_many", suspects)
     outcome = match(recording, tmp_path / "out")
@@ -138,6 +138,7 @@ def test_frames_that_do_not_belong_to_the_rig_are_counted_and_fail_the_command(
     told = _outcome(outcome)
     assert f"{outcome.suspect} do not seem to belong to the rig" in told.text
     assert told.record["suspect"] == outcome.suspect
+    assert told.refusal is not None
     assert str(outcome.manifest) in told.refusal
     assert _outcome(replace(outcome, suspect=0)).refusal is None
 

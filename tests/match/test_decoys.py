@@ -80,6 +80,7 @@ def test_a_shifted_view_is_suspect_by_name_and_by_how_much(boxes, shift_px):
     matches = match_segments(boxes | {"left": changed(boxes["left"], 1, shift_px)}, RIG)
     assert matches.status is MatchStatus.SUSPECT
     said = re.search(r'"left" is shifted by about \((-?\d+), (-?\d+)\) px', matches.notes[0])
+    assert said is not None
     np.testing.assert_allclose([int(number) for number in said.groups()], shift_px, atol=1)
     assert (matches.posterior <= 0.5).all()
 
@@ -115,6 +116,7 @@ def test_a_shift_is_where_ends_differ_alike():
     # In another order, with ends the other way round, half of them gone and as many of no line.
     seen = np.concatenate([seen[::-2, ::-1], rng.uniform(50, 450, (40, 2, 2))])
     found = estimate_shift(expected, seen, DEFAULT.decoys)
+    assert found is not None
     np.testing.assert_allclose(found, shift, atol=0.3)
     assert estimate_shift(expected, np.zeros((0, 2, 2)), DEFAULT.decoys) is None
 
