@@ -1,11 +1,14 @@
 """The picture's own range decides what a grey level is, and what is not found is explained."""
 
+import cv2
 import numpy as np
 import pytest
 
 import trinoc
 from trinoc.image.grey import grey_image
+from trinoc.io import demo_images
 from trinoc.segments import why_nothing
+from trinoc.segments.nothing_found import why_short
 
 
 def scene():
@@ -71,3 +74,18 @@ def test_a_disc_is_sharp_but_not_straight():
     image = 40 + 160 / (1 + np.exp(2 * (np.hypot(u, v) - 12)))
     assert len(ends(image)) == 0
     assert "none that is straight" in why_nothing(image)
+
+
+@pytest.mark.parametrize("times", [4, 8])
+def test_of_a_picture_that_was_enlarged_it_is_said_by_how_much_it_is_soft(times):
+    picture = demo_images("scene")["upper"]
+    assert why_short(picture) is None
+    # Whatever the exposure, and whichever way round the picture lies.
+    for seen in (picture, picture.T // 2):
+        enlarged = cv2.resize(seen, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC)
+        said = why_short(enlarged)
+        assert said is not None
+        # The demo's lens blurs by .7 px, and so many pixels lie within one of the picture's.
+        assert any(f"some {blur} px" in said for blur in range(times // 2, times + 1))
+    assert why_short(np.full((40, 50), 7, np.uint8)) is None
+    assert why_short(picture[:16, :40]) is None

@@ -85,7 +85,7 @@ class SegmentsCommand(Command):
         from trinoc.io.images import read_image
         from trinoc.io.saving import expect_replaceable, save
         from trinoc.segments.find import find_segments
-        from trinoc.segments.nothing_found import why_nothing
+        from trinoc.segments.nothing_found import why_nothing, why_short
 
         settings = {name: getattr(self, name) for name in FIND}
         expect_find(settings, lambda name: f"--{name.replace('_', '-')}")
@@ -96,14 +96,17 @@ class SegmentsCommand(Command):
         save(segments, self.out)
         count = len(segments)
         median_px = float(sorted(segments.length_px)[count // 2]) if count else 0.0
-        why = "" if count else f"\n{why_nothing(image, least_contrast=self.least_contrast)}"
-        text = f"{count} segments, median length {median_px:.1f} px{why}"
+        nothing = None if count else why_nothing(image, least_contrast=self.least_contrast)
+        short = why_short(image) if count else None
+        text = f"{count} segments, median length {median_px:.1f} px"
         record = {
             "segments": count,
             "median_length_px": median_px,
-            "why_nothing": why.strip() or None,
+            "why_nothing": nothing,
+            "why_short": short,
         }
-        return Outcome(text, record, written=(self.out,))
+        said = [text, *(why for why in (nothing, short) if why)]
+        return Outcome("\n".join(said), record, written=(self.out,))
 
 
 def usual_find() -> dict[str, Any]:

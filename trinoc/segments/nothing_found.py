@@ -1,14 +1,44 @@
-"""Why a picture has no segments, in a sentence for its user."""
+"""Why a picture has no segments, or short ones, in a sentence for its user."""
 
 import cv2
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 
 from trinoc.image.light import Light
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
 # Sides of an edge, this far apart, differ by its whole step also where it is blurred.
 _APART_PX = 4  # numerical: for a message only
+
+
+# The same where it is blurred by many pixels, and the blur, px, from which lines come in pieces.
+_FAR_APART_PX, _SOFT_PX = 16, 2.8  # numerical: for a message only
+
+
+def why_short(image: Shaped[np.ndarray, "..."]) -> str | None:
+    """That the edges of a picture are soft, which breaks lines into short pieces, and what to do
+    about it; None where they are not.
+
+    Raises InputError for what is no picture.
+    """
+    grey = Light.from_picture(image).levels
+    if min(grey.shape) <= _FAR_APART_PX:
+        return None
+    steepest, whole = (_strongest_step(grey, apart) for apart in (1, _FAR_APART_PX))
+    # A Gaussian's steepest slope.
+    blur_px = whole / (np.sqrt(2 * np.pi) * steepest) if steepest else 0.0
+    if blur_px < _SOFT_PX:
+        return None
+    return (
+        f"Its sharpest edges are blurred by some {blur_px:.0f} px, so that lines come in pieces: "
+        f"focus the camera, or where the picture was enlarged, shrink it by {blur_px:.0f}."
+    )
+
+
+def _strongest_step(grey: Float[np.ndarray, "h w"], apart: int) -> float:
+    """The largest change of grey levels over so many pixels, but for one in a thousand."""
+    steps = grey[:, apart:] - grey[:, :-apart], grey[apart:] - grey[:-apart]
+    return max(float(np.percentile(np.abs(step), 99.9)) for step in steps)
 
 
 def why_nothing(image: Shaped[np.ndarray, "..."], *, least_contrast: float = 7.0) -> str:
@@ -24,11 +54,7 @@ def why_nothing(image: Shaped[np.ndarray, "..."], *, least_contrast: float = 7.0
             "and its exposure."
         )
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    steps = [
-        np.abs(smooth[:, _APART_PX:] - smooth[:, :-_APART_PX]),
-        np.abs(smooth[_APART_PX:] - smooth[:-_APART_PX]),
-    ]
-    strongest = max(float(np.percentile(step, 99.9)) for step in steps)
+    strongest = _strongest_step(smooth, _APART_PX)
     noise = float(MAD_TO_SIGMA * np.median(np.abs(grey - smooth)))
     if strongest < least_contrast:
         return (
