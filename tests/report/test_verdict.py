@@ -9,7 +9,7 @@ import pytest
 
 from trinoc.calib import CalibrationResult, Status, point_covariance
 from trinoc.geometry.rig import Rig
-from trinoc.match.tracks.matches import Matches
+from trinoc.match.tracks.matches import SUSPECT_SETS, Matches
 from trinoc.report.checks import Level, Subject
 from trinoc.report.coverage import Coverage, coverage_by_circles
 from trinoc.report.field_part import FieldPart, field_part
@@ -81,6 +81,15 @@ def test_views_that_disagree_ask_for_a_check_of_the_rig(matches: Matches) -> Non
     assert verdict.level is Level.CARE
     assert verdict.reason.startswith("2.50 times")
     assert any("trinoc check" in check.remedy for check in verdict.checks)
+
+
+def test_a_set_that_does_not_belong_to_its_rig_decides_in_the_words_of_its_note(
+    matches: Matches,
+) -> None:
+    notes, counts = ("Most likely they are exchanged.",), matches.counts | {SUSPECT_SETS: 1}
+    verdict = judged(matches=dataclasses.replace(matches, notes=notes, counts=counts))
+    assert verdict.level is Level.BAD
+    assert verdict.reason == "SUSPECT: Most likely they are exchanged."
 
 
 def test_few_matches_are_no_matches(matches: Matches) -> None:

@@ -80,8 +80,8 @@ def check_set(
         cause = find_cause(frame, match, tuning, every=every)
     if by_chance or cause:
         note = (
-            f"These segments and this rig do not seem to belong together: {sure.in_three} lines "
-            "are sure in three views"
+            "These segments and this rig do not seem to belong together: sure lines in three views "
+            f"number {sure.in_three}"
         )
         if by_chance:
             mean = np.mean(chance, axis=0)[0]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.result.status import Status
-from trinoc.match.tracks.matches import TRINOCULAR
+from trinoc.match.tracks.matches import TRINOCULAR, MatchStatus
 from trinoc.report.checks import Answer, Level, Limits, ReportCheck, Subject
 from trinoc.report.matches_part import share_matched
 from trinoc.report.numbers import millimetres, percent, with_decimals
@@ -203,6 +203,13 @@ def _pixel(subject: Subject) -> Answer | None:
     return Answer(known.worst_at_boards_px, figure, words)
 
 
+def _answer_on_set(subject: Subject) -> Answer | None:
+    matches = subject.matches
+    if matches is None or matches.status is not MatchStatus.SUSPECT:
+        return None
+    return Answer(1, "SUSPECT", matches.notes[0])
+
+
 def _answer_on_matches(subject: Subject) -> Answer | None:
     matches = subject.matches
     if matches is None:
@@ -333,6 +340,12 @@ CHECKS = (
         "If that is too much: measure the bars of the sheet (--print-scale), calibrate the lens, "
         "put the cameras farther apart.",
         _place,
+    ),
+    Limits(
+        "Do segments and rig belong together?", "matches", 0,
+        "No line here is likelier than not.",
+        _answer_on_set,
+        Level.BAD,
     ),
     Limits(
         "Were the segments matched?", "matches", 0.25,
