@@ -36,7 +36,7 @@ UNKNOWN = (
 )
 
 
-# Matches a frame; with `in_three=True` of lines in three views alone, in a tenth of the time.
+# Matches a frame; with `in_three=True` of lines in three views alone, which takes less time.
 MatchFrame = Callable[..., Matches]
 
 
@@ -65,37 +65,49 @@ def check_set(
     if len(names) != 3 or fewest < tuning.fewest_segments:
         return found
     sure = count_sure(found, tuning)
-    share, chance = sure.in_three / fewest, list[SureTracks]()
-    is_noisy = found.noise_scale > tuning.noisy_above
-    if share >= tuning.clear_share and not is_noisy:
+    share = sure.in_three / fewest
+    is_clear = share >= tuning.clear_share
+    if is_clear and found.noise_scale <= tuning.noisy_above:
         return found
-    if share < tuning.clear_share:
-        for decoy in decoys(frame):
-            chance.append(count_sure(match(decoy), tuning))
-            if sure.in_three > 2 * least_above_chance([chance[-1]], share, tuning):
-                break
+    chance = [] if is_clear else count_by_chance(frame, sure, share, match, tuning)
     by_chance = bool(chance and sure.in_three < least_above_chance(chance, share, tuning))
     every, cause = by_chance or bool(share < tuning.few_share), None
     if every or found.noise_scale > tuning.shifted_above:
         cause = find_cause(frame, match, tuning, every=every)
     if by_chance or cause:
-        note = (
-            "These segments and this rig do not seem to belong together: sure lines in three views "
-            f"number {sure.in_three}"
-        )
-        if by_chance:
-            mean = np.mean(chance, axis=0)[0]
-            note += f", and {mean:.0f} where a picture is mirrored on purpose"
-        note += f". {cause or UNKNOWN}"
-    elif found.noise_scale > tuning.moved_above and share < tuning.noisy_share:
+        note = _note_of_set(sure, chance if by_chance else [], cause)
+        return _doubt(found, sure, chance if by_chance else [], note)
+    if found.noise_scale > tuning.moved_above and share < tuning.noisy_share:
         note = (
             f"Only {sure.in_three} of {fewest} segments are sure in three views, and their errors "
             f"are {found.noise_scale:.2g} times those stated: a camera was moved, or a picture is "
             "cut or shifted; check the rig (check_rig) before you use these matches."
         )
-    else:
-        return found
-    return _doubt(found, sure, chance if by_chance else [], note)
+        return _doubt(found, sure, [], note)
+    return found
+
+
+def count_by_chance(
+    frame: FrameInput, sure: SureTracks, share: float, match: MatchFrame, tuning: DecoyTuning
+) -> list[SureTracks]:
+    """Sure tracks of the decoys, until one of them leaves no doubt that the rig finds more."""
+    chance = []
+    for decoy in decoys(frame):
+        chance.append(count_sure(match(decoy), tuning))
+        if sure.in_three > 2 * least_above_chance([chance[-1]], share, tuning):
+            break
+    return chance
+
+
+def _note_of_set(sure: SureTracks, chance: Sequence[SureTracks], cause: str | None) -> str:
+    by_chance = ""
+    if chance:
+        mean = np.mean(chance, axis=0)[0]
+        by_chance = f", and {mean:.0f} where a picture is mirrored on purpose"
+    return (
+        "These segments and this rig do not seem to belong together: sure lines in three views "
+        f"number {sure.in_three}{by_chance}. {cause or UNKNOWN}"
+    )
 
 
 def count_sure(found: Matches, tuning: DecoyTuning) -> SureTracks:
@@ -137,6 +149,7 @@ def find_cause(
 
     own, noise = count(sample)
     chance = [SureTracks(count(decoy)[0], 0) for decoy in decoys(sample)]
+    # Of a set that shows next to nothing more is asked for than of one that shows a part.
     least = max(own, least_above_chance(chance, 0.0 if every else 1.0, tuning))
     times, more = tuning.explained
     for kind in (*(undo_mistakes(sample) if every else ()), shifts):
