@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from tests.match.shadows.made_shadows import FAR_LAMP, NEAR_LAMP
-from trinoc.match.bodies.casting import Lamps, cast_density, casting_pairs
+from trinoc.match.bodies.casting import Lamps, cast_density, casting_pairs, likely_casts
 from trinoc.match.tuning.shadows import ShadowTuning
+from trinoc.numerics.tables import take_rows
 
 TUNING, SIZE_MM = ShadowTuning(), 50.0
 EDGE = np.array([[10.0, -20.0, 30.0], [35.0, 5.0, 42.0]])
@@ -30,11 +31,10 @@ def density(edge, shadow, lamp, middle_mm=None) -> float:
     middle = np.zeros(3) if middle_mm is None else middle_mm
     covariance = np.tile(SIGMA_MM**2 * np.eye(6), (2, 1, 1))
     pairs = casting_pairs(lines, covariance, middle, SIZE_MM, TUNING)
-    own = np.flatnonzero((pairs.shadow == 1) & (pairs.edge == 0))
-    if len(own) == 0:
+    own = take_rows(pairs, (pairs.shadow == 1) & (pairs.edge == 0))
+    if len(own.shadow) == 0:
         return 0.0
-    found = cast_density(pairs, lamps_of(lamp, middle), 1e-6, SIZE_MM, TUNING)
-    return float(found[0, own[0]])
+    return float(cast_density(own, lamps_of(lamp, middle), 1e-6, SIZE_MM, TUNING)[0])
 
 
 @pytest.mark.parametrize("lamp", [NEAR_LAMP, FAR_LAMP], ids=["near", "far"])
@@ -68,3 +68,26 @@ def test_the_scene_may_be_moved_and_ends_exchanged() -> None:
     assert again == pytest.approx(at, rel=1e-6)
     assert density(EDGE[::-1], shadow, NEAR_LAMP) == pytest.approx(at, rel=1e-6)
     assert density(EDGE, shadow[::-1], NEAR_LAMP) == pytest.approx(at, rel=1e-6)
+
+
+@pytest.mark.parametrize("nearest", [0.0, 0.1])
+@pytest.mark.parametrize("turn_deg", [0.1, 2.0])
+def test_what_is_left_out_unseen_is_as_good_as_zero(nearest: float, turn_deg: float) -> None:
+    generator = np.random.default_rng(5)
+    ends = generator.uniform(-SIZE_MM, SIZE_MM, (24, 2, 3))
+    # Half of the lines lie in one plane, as shadows do.
+    ends[::2, :, 2] = 0.0
+    root = generator.normal(scale=SIGMA_MM, size=(24, 6, 6))
+    pairs = casting_pairs(ends, root @ root.mT, ends.mean(axis=(0, 1)), SIZE_MM, TUNING)
+    direction = generator.normal(size=(300, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    lamps = Lamps(direction, generator.uniform(0, nearest / SIZE_MM, 300))
+    turn = float(np.radians(turn_deg))
+    lamp, pair = (index.ravel() for index in np.indices((len(lamps.nearness), len(pairs.shadow))))
+    every = take_rows(pairs, pair), take_rows(lamps, lamp)
+    density = cast_density(*every, turn, SIZE_MM, TUNING).reshape(len(lamps.nearness), -1)
+    seen = np.zeros(density.shape, dtype=bool)
+    seen[likely_casts(pairs, lamps, turn, SIZE_MM, TUNING)] = True
+    assert (density > 1e-9 * density.max(axis=0)).sum() > 300
+    assert density[~seen].max() < 1e-9 * density.max()
+    assert seen.mean() < 0.3

@@ -11,7 +11,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from trinoc.geometry.segments import Segments
 from trinoc.match.line_map.corners import Corners
@@ -169,13 +169,19 @@ def _members(plane: Plane) -> int:
     return int(plane.members.sum())
 
 
+# numerical: beyond so many sigmas a density is less than 1e-10 of its peak.
+FAR_SIGMAS = 7.0
+# numerical: share of `ShadowTuning.room` by which a shadow may begin before its edge.
+BEFORE = 0.3
+
+
 class ShadowPairs(NamedTuple):
-    """Lines that may be the shadows of others, ordered by shadow.
+    """Lines that may be the shadows of others.
 
     shadow, edge : numbers of the lines. axes : of each edge, rows. middle_mm : the scene's middle
     from the edge's first end, in these axes. ends_mm : both ends of the shadow, likewise.
-    length_mm : of the edge. own_mm2 : variances of the shadow's ends normal to the plane; edge_mm2
-    those of the edge's ends and their covariance. floor_mm : what no error is below.
+    length_mm : of the edge. own_mm2 : variances of the shadow's ends normal to the plane, with the
+    error that every line has; edge_mm2 : of the edge's ends, and their covariance.
     """
 
     shadow: Int[np.ndarray, "p"]
@@ -186,7 +192,6 @@ class ShadowPairs(NamedTuple):
     length_mm: Float[np.ndarray, "p"]
     own_mm2: Float[np.ndarray, "p 2"]
     edge_mm2: Float[np.ndarray, "p 3"]
-    floor_mm: float
 
 
 class Lamps(NamedTuple):
@@ -236,23 +241,56 @@ def casting_pairs(
         np.einsum("pai,pi->pa", axes, middle_mm - lines_mm[edge, 0]),
         np.einsum("pai,pei->pea", axes, lines_mm[shadow] - lines_mm[edge, None, 0]),
         length[edge],
-        np.einsum("pi,peij,pj->pe", normal, own[shadow], normal),
+        np.einsum("pi,peij,pj->pe", normal, own[shadow], normal) + floor**2,
         np.stack([np.einsum("pi,pij,pj->p", normal, part, normal) for part in sides], axis=1),
-        floor,
     )
+
+
+def likely_casts(
+    pairs: ShadowPairs, lamps: Lamps, turn: float, size_mm: float, tuning: ShadowTuning
+) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """Lamps and pairs whose `cast_density` is not surely zero, by their numbers: few of all.
+
+    A bound of the density, which takes the largest of all errors; most of it is linear in lamps as
+    homogeneous points. Single precision serves a bound.
+    """
+    lamp = np.column_stack([lamps.direction, lamps.nearness]).astype(np.float32)
+    toward = np.concatenate([pairs.axes, pairs.middle_mm[:, :, None]], axis=2)
+    first, second = toward[:, 1], toward[:, 2]
+    reach = np.hypot(lamp @ _single(first).T, lamp @ _single(second).T)
+    away = np.maximum(abs(pairs.middle_mm[:, None]), abs(pairs.middle_mm[:, None] - pairs.ends_mm))
+    farthest = 1 + lamps.nearness.max() * np.linalg.norm(away, axis=2).max()
+    of_first, of_second, of_both = pairs.edge_mm2.T
+    # Of the edge's line, one of its lengths beyond either end.
+    moved = np.maximum(4 * of_first + of_second, of_first + 4 * of_second) - 4 * of_both
+    sigmas, before = FAR_SIGMAS * farthest, BEFORE * tuning.room * size_mm
+    near, casts = reach > tuning.least_sine / 2, np.zeros(reach.shape, dtype=bool)
+    for end in (0, 1):
+        place = pairs.ends_mm[:, end, :, None]
+        off = lamp @ _single(first * place[:, 2] - second * place[:, 1]).T
+        beyond = lamp @ _single(-first * place[:, 1] - second * place[:, 2]).T
+        known = np.sqrt(pairs.own_mm2[:, end]) + np.sqrt(moved) + turn * before
+        bound = _single(sigmas * known) * reach
+        bound += np.float32(sigmas * turn) * np.maximum(beyond, 0)
+        near &= np.abs(off) * reach <= bound
+        casts |= beyond > 0
+    return np.nonzero(near & casts)
+
+
+def _single(array: np.ndarray) -> Float32[np.ndarray, "..."]:
+    return array.astype(np.float32)
 
 
 def cast_density(
     pairs: ShadowPairs, lamps: Lamps, turn: float, size_mm: float, tuning: ShadowTuning
-) -> Float[np.ndarray, "l p"]:
-    """How likely each shadow's ends are where they are if the edge casts it, per lamp, up to a
-    factor of the shadow; lamps are `turn` (rad) unsure."""
-    toward = np.einsum("li,pai->lpa", lamps.direction, pairs.axes)
-    near = lamps.nearness[:, None]
+) -> Float[np.ndarray, "n"]:
+    """How likely each shadow's ends are where they are if the edge casts it, of one lamp for each
+    pair, up to a factor of the shadow; lamps are `turn` (rad) unsure."""
+    near = lamps.nearness
     # From a point of the edge's axes to the lamp: this less `near` times the point.
-    toward = toward + near[:, :, None] * pairs.middle_mm
-    along, first, second = toward[..., 0], toward[..., 1], toward[..., 2]
-    reach = np.maximum(np.hypot(first, second), 1e-9)
+    toward = np.einsum("pai,pi->ap", pairs.axes, lamps.direction) + near * pairs.middle_mm.T
+    along, first, second = toward
+    reach = np.hypot(first, second)
     square, variances, at, gaps, cut = 0.0, 1.0, [], [], []
     for end in (0, 1):
         place = pairs.ends_mm[:, end]
@@ -267,7 +305,7 @@ def cast_density(
         moved = (1 - share) ** 2 * of_first + share**2 * of_second
         moved = moved + 2 * share * (1 - share) * of_both
         moved = moved / np.clip(1 - near * part, 0.05, None) ** 2
-        variance = pairs.own_mm2[:, end] + moved + (turn * gap) ** 2 + pairs.floor_mm**2
+        variance = pairs.own_mm2[:, end] + moved + (turn * gap) ** 2
         square, variances = square + off**2 / variance, variances * variance
         at.append(where)
         gaps.append(gap)
@@ -275,7 +313,7 @@ def cast_density(
     low, high, room = np.minimum(*at), np.maximum(*at), tuning.room * size_mm
     reached = np.minimum(high, pairs.length_mm + room) - np.maximum(low, -room)
     reached = np.clip((reached / np.maximum(high - low, 1e-9) - 0.4) / 0.4, 0.0, 1.0)
-    beyond = (np.minimum(*gaps) > -0.3 * room) & (np.maximum(*gaps) > tuning.least_gap * size_mm)
-    beyond &= (reach > tuning.least_sine / 2) & (np.maximum(*cut) < 0.9)
+    beyond = (np.minimum(*gaps) > -BEFORE * room) & (np.maximum(*cut) < 0.9)
+    beyond &= np.maximum(*gaps) > tuning.least_gap * size_mm
     density = np.exp(-0.5 * square) / np.sqrt(variances) / pairs.length_mm
     return np.where(beyond, reached * density, 0.0)

@@ -5,14 +5,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.match.bodies.casting import Lamps, ShadowPairs, cast_density
+from trinoc.match.bodies.casting import Lamps, ShadowPairs, cast_density, likely_casts
 from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import complete_axes
 
-# numerical: lamps that are judged at once, for memory.
-AT_ONCE = 64
+# numerical: lamps that are judged at once, so that tables of pairs stay in the cache.
+AT_ONCE = 128
 
 
 class Votes(NamedTuple):
@@ -33,12 +33,15 @@ class Votes(NamedTuple):
     ) -> Float[np.ndarray, "l e"]:
         """Likelihood of each line as a shadow of each lamp, over that of any lamp."""
         found = np.zeros((len(lamps.nearness), len(self.prior)))
-        rows, starts = np.unique(self.pairs.shadow, return_index=True)
         turn = float(np.radians(turn_deg))
-        for part in blocks(len(found), AT_ONCE) if len(rows) else ():
+        for part in blocks(len(found), AT_ONCE) if len(self.weight) else ():
             some = take_rows(lamps, part)
-            density = cast_density(self.pairs, some, turn, self.size_mm, tuning) * self.weight
-            found[part, rows] = np.add.reduceat(density, starts, axis=1)
+            lamp, pair = likely_casts(self.pairs, some, turn, self.size_mm, tuning)
+            chosen = take_rows(self.pairs, pair)
+            density = cast_density(chosen, take_rows(some, lamp), turn, self.size_mm, tuning)
+            place = lamp * len(self.prior) + chosen.shadow
+            votes = np.bincount(place, density * self.weight[pair], found[part].size)
+            found[part] = votes.reshape(-1, len(self.prior))
         return found if self.mean is None else found / self.mean
 
     def scores(self, ratios: Float[np.ndarray, "l e"], tuning: ShadowTuning) -> np.ndarray:
