@@ -8,7 +8,6 @@ import itertools
 from collections.abc import Sequence
 from functools import partial
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
@@ -29,6 +28,7 @@ from trinoc.match.wire_frame.build import wireframe
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.precision import ArrayLike, as_numpy, in_float64
+from trinoc.numerics.programs import kept_jit
 
 # Tracks go through the kernel so many at a time, so that one size compiles.
 BLOCK = 128
@@ -133,10 +133,10 @@ def _of_fragments(
     cameras = stack_states(states)
     columns = (lines.fragments_px, lines.covariance_px2, lines.seen)
     of_tracks = in_blocks(partial(_derivatives, cameras), BLOCK, *columns)
-    return as_numpy((*of_tracks, eqx.filter_jit(d_parameters_d_delta)(cameras, cameras)))
+    return as_numpy((*of_tracks, kept_jit(d_parameters_d_delta)(cameras, cameras)))
 
 
-@eqx.filter_jit
+@kept_jit
 def _derivatives(
     cameras: CameraState, fragments_px: ArrayLike, covariance_px2: ArrayLike, seen: ArrayLike
 ) -> tuple[ArrayLike, ArrayLike]:

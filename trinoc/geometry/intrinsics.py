@@ -23,6 +23,7 @@ from trinoc.numerics.precision import (
     in_float64,
     is_traced,
 )
+from trinoc.numerics.programs import kept_jit
 
 # What to give where a lens is wanted.
 A_LENS = "trinoc.Intrinsics, such as load reads from a camera.json"
@@ -267,11 +268,11 @@ def _map_pixels(lens: Intrinsics, uv_px: ArrayLike, through: Callable) -> np.nda
     return in_bucket(partial(through, lens), points.reshape(-1, 2)).reshape(points.shape)
 
 
-@eqx.filter_jit
+@kept_jit
 def _undistort(lens: Intrinsics, uv_px: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 2"]:
     return jax.vmap(lens.undistort_pixel)(uv_px)
 
 
-@eqx.filter_jit
+@kept_jit
 def _distort(lens: Intrinsics, uv_px: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 2"]:
     return jax.vmap(lens.distort_pixel)(uv_px)

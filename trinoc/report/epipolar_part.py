@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import TRINOCULAR, Matches
 from trinoc.numerics.buckets import bucket, pad_rows
 from trinoc.numerics.precision import ArrayLike, in_float64
+from trinoc.numerics.programs import kept_jit
 from trinoc.report.numbers import with_decimals
 from trinoc.report.pictures import PagePicture
 from trinoc.report.space_content import PALETTE
@@ -233,12 +233,12 @@ def _in_bucket(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
     return pad_rows(points, bucket(len(points)), points[-1] if len(points) else 0)
 
 
-@eqx.filter_jit
+@kept_jit
 def _rays(camera: Camera, uv_px: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 3"]:
     return jax.vmap(camera.intrinsics.lens.unproject)(uv_px)
 
 
-@eqx.filter_jit
+@kept_jit
 def _planes(
     camera_b: Camera, camera_a: Camera, uv_a_px: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 3"]:
@@ -254,7 +254,7 @@ def _planes(
     return jax.vmap(normal)(uv_a_px)
 
 
-@eqx.filter_jit
+@kept_jit
 def _distances_px(
     camera_b: Camera,
     camera_a: Camera,
@@ -272,7 +272,7 @@ def _distances_px(
     return jax.vmap(distance)(_planes(camera_b, camera_a, uv_a_px), uv_b_px)
 
 
-@eqx.filter_jit
+@kept_jit
 def _centre_shifts(
     camera: Camera, centres_mm: Float[ArrayLike, "n 2"], radius_mm: Float[ArrayLike, "n"]
 ) -> Float[ArrayLike, "n 2"]:

@@ -8,7 +8,6 @@ Source: mrcal, "Differences in projections" of its documentation.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +22,7 @@ from trinoc.calib.uncertainty.propagation import MAP_PLACES
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point, project_points, unproject_pixels
 from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.programs import kept_jit
 
 # numerical: rounds that converge, of weights and of a motion.
 _ALIGNMENTS, _MOVES = 2, 5
@@ -131,7 +131,7 @@ def _image_field(problem: Problem, camera: int) -> _Field:
     return _Field(uv_px, np.linalg.norm(back_px - uv_px, axis=-1) < _SAME_PX, distance_mm, points)
 
 
-@eqx.filter_jit
+@kept_jit
 def _derivatives(state: RigState, chart: Chart, points: ArrayLike) -> tuple[Array, Array]:
     """Of the images (c, 2, n, 2) of each camera's points, by a motion of them all and by steps of
     the head."""
@@ -162,7 +162,7 @@ def _move(points: ArrayLike, step: ArrayLike, chart: Chart) -> ArrayLike:
     return jax.vmap(motion.transform)(points.reshape(-1, 3)).reshape(points.shape)
 
 
-_jitted_images, _jitted_move = eqx.filter_jit(_images), eqx.filter_jit(_move)
+_jitted_images, _jitted_move = kept_jit(_images), kept_jit(_move)
 
 
 def _alignment(

@@ -21,6 +21,7 @@ from trinoc.geometry.camera import (
     viewing_direction,
 )
 from trinoc.numerics.precision import ArrayLike, in_float64
+from trinoc.numerics.programs import kept_jit
 from trinoc.synth.camera_picture.paper import Paper
 
 _CHUNK = 16384
@@ -106,7 +107,7 @@ def cell_offsets_px(supersampling: int) -> Float[np.ndarray, "s s 2"]:
     return np.stack(np.meshgrid(offset, offset), axis=-1)
 
 
-@eqx.filter_jit
+@kept_jit
 def _places_seen(
     camera: Camera, paper: Paper, uv_px: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
@@ -133,7 +134,7 @@ def _places_seen(
     return jax.vmap(one)(uv_px)
 
 
-@eqx.filter_jit
+@kept_jit
 def _pixels_of_places(
     camera: Camera, paper: Paper, places_mm: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
@@ -144,7 +145,7 @@ def _pixels_of_places(
     return jax.vmap(one)(places_mm)
 
 
-@eqx.filter_jit
+@kept_jit
 def _points_of_places(paper: Paper, places_mm: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 3"]:
     return jax.vmap(lambda place: _world(paper, place))(places_mm)
 
