@@ -64,7 +64,6 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     import jax
     from jax.experimental.compilation_cache import compilation_cache
 
-    from trinoc.io.compile_cache import FolderStore
     from trinoc.numerics.programs import set_program_store
 
     # A kernel that another process is just writing is compiled once more, which is no news.
@@ -76,6 +75,14 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     compilation_cache.reset_cache()
     set_program_store(FolderStore(folder))
     return folder
+
+
+def compile_cache_folder() -> Path | None:
+    """The folder of this process, for what else is compiled; None where programs are not kept."""
+    from trinoc.numerics.programs import program_store
+
+    store = program_store()
+    return store.folder if isinstance(store, FolderStore) else None
 
 
 def _user_cache() -> Path:
@@ -119,7 +126,7 @@ class FolderStore:
     """Programs as files, each with the digest of its content before it."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self.folder = folder
         self._surroundings = ""
         self._is_complete = True
 
@@ -148,7 +155,7 @@ class FolderStore:
         # Only where a program is asked for: it costs some hundredths of a second.
         self._surroundings = self._surroundings or surroundings()
         digest = hashlib.sha256(f"{self._surroundings} {name}".encode()).hexdigest()
-        return self._folder / f"trinoc-{digest}"
+        return self.folder / f"trinoc-{digest}"
 
 
 def surroundings() -> str:

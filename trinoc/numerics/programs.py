@@ -101,9 +101,14 @@ class _KeptProgram(NamedTuple):
     result: Any
 
 
-# The store of this process, if it has one, and what each kept function has loaded from it.
+# The store, if there is one, and what each kept function has loaded from it.
 _stores: list[ProgramStore | None] = [None]
 _loaded: list[dict[Hashable, _KeptProgram | None]] = []
+
+
+def program_store() -> ProgramStore | None:
+    """The store of this process, if it has one."""
+    return _stores[0]
 
 
 def set_program_store(store: ProgramStore | None) -> ProgramStore | None:

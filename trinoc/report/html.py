@@ -1,7 +1,9 @@
 """The report: one HTML page that holds its pictures, its script and its style in itself."""
 
+import functools
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
@@ -14,6 +16,7 @@ from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import write_text
+from trinoc.io.compile_cache import compile_cache_folder
 from trinoc.match.tracks.matches import Matches
 from trinoc.report.calibration_part import cameras_part, cameras_part_of_shots, sheet_part
 from trinoc.report.checks import Subject
@@ -262,20 +265,27 @@ def _render(
     world: str = "",
 ) -> str:
     """The page; names that a template lacks raise, and what users wrote is never markup."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("trinoc.report", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("page.html.j2").render(
+    page = _templates(compile_cache_folder()).get_template("page.html.j2")
+    return page.render(
         title=title,
         verdict=find_verdict(subject),
         parts=parts,
         pictures=pictures,
         provenance=dict(provenance or {}),
         world=world,
+    )
+
+
+@functools.cache
+def _templates(compiled: Path | None) -> jinja2.Environment:
+    """The templates, whose Python code is kept in the folder between processes."""
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("trinoc.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        bytecode_cache=jinja2.FileSystemBytecodeCache(str(compiled)) if compiled else None,
     )
 
 
