@@ -2,17 +2,14 @@
 
 import os
 import stat
-from pathlib import Path
 
 import jax
 import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
-import trinoc
 from trinoc.io import compile_cache
 from trinoc.io.compile_cache import (
     COMPILE_CACHE_VARIABLE,
-    ROOMS,
     FolderStore,
     enable_compile_cache,
     surroundings,
@@ -150,17 +147,6 @@ def test_a_program_is_not_found_after_anything_changed(tmp_path, monkeypatch):
     monkeypatch.delenv("XLA_FLAGS", raising=False)
     monkeypatch.setattr("trinoc.io.compile_cache.version", lambda name: "99")
     assert surroundings() != before
-
-
-def test_programs_are_made_where_their_sources_are_looked_at():
-    root = Path(trinoc.__file__).parent
-    made_in = {
-        path.relative_to(root).parts[0]
-        for path in root.rglob("*.py")
-        if "kept_jit(" in (text := path.read_text(encoding="utf-8")) or "@kept_jit" in text
-    }
-    assert "match" in made_in
-    assert made_in <= set(ROOMS)
 
 
 def test_that_something_compiles_is_said_once(tmp_path, caplog) -> None:

@@ -17,6 +17,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.numerics.precision import ArrayLike, in_float64
+from trinoc.numerics.programs import kept_jit
 
 
 @in_float64
@@ -123,7 +124,7 @@ def with_covariance(cameras: Mapping[str, Camera], rig: Rig) -> Rig:
     return Rig(cameras, parameters=after, covariance=(covariance + covariance.T) / 2)
 
 
-@jax.jit
+@kept_jit
 def _change_of_turned(
     parameters: Float[ArrayLike, "6"], turn: Float[ArrayLike, "3 3"]
 ) -> Float[ArrayLike, "6 6"]:

@@ -14,6 +14,7 @@ from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.numerics.buckets import in_bucket
 from trinoc.numerics.precision import ArrayLike, NumpyOrTraced, array_namespace, is_traced
+from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.vectors import (
     Scalar,
     Vector2,
@@ -114,14 +115,14 @@ def unproject_pixels(
     return in_bucket(partial(_unproject_pixels, lens), uv_px)
 
 
-@jax.jit
+@kept_jit
 def _project_points(
     pose: Pose, lens: AbstractLens, points_world_mm: Float[ArrayLike, "n 3"]
 ) -> Float[ArrayLike, "n 2"]:
     return jax.vmap(partial(project_point, pose, lens))(points_world_mm)
 
 
-@jax.jit
+@kept_jit
 def _unproject_pixels(
     lens: AbstractLens, uv_px: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 3"]:

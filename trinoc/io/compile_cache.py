@@ -117,8 +117,6 @@ def _forget_oldest(folder: Path) -> None:
 
 
 LIBRARIES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "lineax", "jaxtyping")
-# Where programs are made, and all that these rooms may import: `tests/test_floors.py` holds it.
-ROOMS = ("numerics", "geometry", "image", "calib", "match")
 _DIGEST_BYTES = 32
 
 
@@ -168,10 +166,9 @@ def surroundings() -> str:
         found.update(repr(words).encode())
 
     root = Path(__file__).parent.parent
-    for room in ROOMS:
-        for path in sorted((root / room).rglob("*.py")):
-            take(str(path.relative_to(root)))
-            found.update(path.read_bytes())
+    for path in sorted(root.rglob("*.py")):
+        take(str(path.relative_to(root)))
+        found.update(path.read_bytes())
     for library in LIBRARIES:
         with contextlib.suppress(PackageNotFoundError):
             take(library, version(library))

@@ -16,6 +16,7 @@ from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.targets.board_set import board_prefixes
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.programs import kept_jit
 
 # numerical: a half of one shot has nothing left to compare.
 FEWEST_SHOTS = 4
@@ -230,7 +231,7 @@ def find_steps_to_half(problem: Problem, end: Problem) -> np.ndarray:
     return np.concatenate([by_lens.ravel(), by_pose.ravel(), of_rest])
 
 
-@jax.jit
+@kept_jit
 def _motions(
     before: Float[ArrayLike, "n 3 4"], after: Float[ArrayLike, "n 3 4"]
 ) -> Float[ArrayLike, "n 6"]:

@@ -20,6 +20,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.rig import Rig
 from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.programs import kept_jit
 
 Orientation = Literal["upright"] | Rig | None
 
@@ -82,7 +83,7 @@ def _miss_px(
     return float(np.median(np.where(np.isfinite(off), off, np.inf)))
 
 
-@jax.jit
+@kept_jit
 def _centres_px(
     camera: Camera, centres_mm: Float[ArrayLike, "m 2"], radius_mm: Float[ArrayLike, "m"]
 ) -> Float[ArrayLike, "m 2"]:

@@ -22,6 +22,7 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.programs import kept_jit
 
 # numerical: a guard: a direction that a patch shows with less than this share of the information of
 # its best one, as a line along itself, is not known; nor is a patch with less than this share of
@@ -97,7 +98,7 @@ def patch_points(
     return SheetPoints(middle, shown + shift, whitening)
 
 
-@jax.jit
+@kept_jit
 def _images(
     lens: AbstractLens,
     camera_from_sheet: Float[ArrayLike, "3 3"],

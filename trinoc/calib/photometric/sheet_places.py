@@ -14,6 +14,7 @@ from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point
 from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.small_matrices import inverse_3x3
 
 # numerical: pieces of one length, so that another number of pixels does not compile again.
@@ -137,7 +138,7 @@ def _through_distortion(
     )
 
 
-@partial(jax.jit, static_argnames="with_bend")
+@partial(kept_jit, static_argnames=("with_bend",))
 def _distorted_rays(lens: AbstractLens, uv_px: Float[ArrayLike, "n 2"], *, with_bend: bool) -> Ray:
     def ray(uv: Float[ArrayLike, "2"]) -> Ray:
         first = jax.jacfwd(lens.unproject)
@@ -150,7 +151,7 @@ def _distorted_rays(lens: AbstractLens, uv_px: Float[ArrayLike, "n 2"], *, with_
     return jax.vmap(ray)(uv_px)
 
 
-@jax.jit
+@kept_jit
 def project_to_image(
     pose: Pose, lens: AbstractLens, points_mm: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
@@ -189,7 +190,7 @@ def sheet_from_camera(pose: Pose) -> Float[ArrayLike, "3 3"]:
     return inverse / jnp.sqrt(inverse[2] @ inverse[2])
 
 
-homography_of_pose = jax.jit(sheet_from_camera)
+homography_of_pose = kept_jit(sheet_from_camera)
 
 
 def places_of_pixels(

@@ -180,7 +180,7 @@ def field_places_px(image_size_px: tuple[int, int]) -> Float[np.ndarray, "5 5 2"
     return np.stack(np.meshgrid(u, v), axis=-1)
 
 
-@functools.partial(jax.jit, static_argnames="model")
+@functools.partial(kept_jit, static_argnames=("model",))
 def _by_parameters(
     pose: Pose,
     lens: AbstractLens,
@@ -205,7 +205,7 @@ def _by_parameters(
     return jax.jacfwd(pixels)(jnp.zeros(6 + len(lens.parameter_names)))
 
 
-@jax.jit
+@kept_jit
 def field_sigma_px(
     lens: AbstractLens,
     covariance: Float[ArrayLike, "q q"],
