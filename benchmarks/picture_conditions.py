@@ -99,6 +99,7 @@ class Case(Condition):
     lens_error : what it has and is not said to have.
     aim_mm : point of the sheet on the optical axis.
     distance_scale : how much further away the camera is than the pose says.
+    focal_scale : how much longer the lens is than the reference, as everybody knows.
     turn_deg : of the camera about its axis, on top of the pose's swing.
     told : what the calibration knows besides pattern and lens.
     """
@@ -108,13 +109,14 @@ class Case(Condition):
     lens_error: LensError = LensError()
     aim_mm: tuple[float, float] = (0.0, 0.0)
     distance_scale: float = 1.0
+    focal_scale: float = 1.0
     turn_deg: float = 0.0
     told: Told = Told()
 
     def said_lens(self, ideal: Intrinsics) -> Intrinsics:
-        """An ideal lens with the distortion that everybody knows of."""
+        """An ideal lens with the length and the distortion that everybody knows of."""
         return Intrinsics(
-            focal_length_px=np.asarray(ideal.focal_length_px),
+            focal_length_px=self.focal_scale * np.asarray(ideal.focal_length_px),
             principal_point_px=np.asarray(ideal.principal_point_px),
             distortion=self.distortion or None,
             image_size_px=ideal.image_size_px,
@@ -247,6 +249,8 @@ _LIT: dict[str, Case] = {
 
 _SHEETS: dict[str, Case] = {
     "small in the picture": Case(distance_scale=1.5),
+    "half the distance": Case(sheet=SheetGrid(4, 4), distance_scale=0.5),
+    "wide lens, half the distance": Case(distance_scale=0.5, focal_scale=0.5),
     "turned by 180": Case(turn_deg=180.0),
     "4 x 4, 25 mm": Case(sheet=SheetGrid(4, 4, 25.0, 7.5)),
     "10 x 14, 12 mm": Case(sheet=SheetGrid(10, 14, 12.0, 3.6)),

@@ -1,24 +1,32 @@
 """Calibration of pictures as cameras deliver them: do the error bars hold, and who notices?
 
-    python benchmarks/real_pictures.py [--pictures 8] [--conditions NAME ...]
-        [--method pixels points] [--processes 2] [--output FILE.json] [--against FILE.json]
+    python benchmarks/real_pictures.py [--pictures 8] [--first 0] [--conditions NAME ...]
+        [--knowledge told default measured exact] [--method pixels points] [--processes 2]
+        [--output FILE.json] [--against FILE.json]
 
 The conditions are those of `benchmarks/picture_conditions.py`; --conditions takes names or
 beginnings of names. Poses alternate, three near the paper's Table 1 and one further round the
-sheet; seeds are fixed. Per condition and method, over pictures and the four parameters:
+sheet; pose and noise of a picture follow from its number. A calibration is told what its condition
+names, or one knowledge for all: "default" of a printer and a data sheet, "measured" of bars that
+were read and a lens that is taken to be exact, "exact" of everything. Per condition, knowledge and
+method, over pictures and the four parameters:
 
 z         rms of error / claimed sigma; 1 is right
 worst     the largest |error| / sigma
+50 95     percent of errors within the claimed regions of 50 and 95 %
 err/CRB   rms of error / Cramer-Rao bound of the same sheet, pose, blur and noise on a linear
           camera without saturation in even light, from `picture_bound`
 ok sus -  pictures that CONVERGED, are SUSPECT, have no answer (FAILED, or a crash)
-silent    pictures that CONVERGED without a note and are off by more than four sigmas
+far       pictures that CONVERGED and are off by more than four sigmas
+silent    those of them without a note
+s         median processor time of a calibration
 notes     what was said, by how many pictures
 
 --output stores every fit; --against prints the z and err/CRB of an earlier run beside the new.
 """
 
 import argparse
+import itertools
 import json
 import multiprocessing
 import os
@@ -45,10 +53,15 @@ from trinoc.synth.rigs import TABLE_1
 
 NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
 METHODS = ("pixels", "points")
+KNOWLEDGE = ("told", "default", "measured", "exact")
 LENS = table1_lens()
 # Rounding to whole grey levels of 8 bits adds this variance to the noise.
 ROUNDING = 1 / 12
 SILENT_SIGMAS = 4.0
+# Within so many sigmas lie half of all errors, and 95 % of them.
+HALF_SIGMAS, WIDE_SIGMAS = 0.6745, 1.96
+# Of bars that were read with a ruler, as a share of their length.
+BARS_SIGMA = 5e-4
 BOUND_SUPERSAMPLING = 4
 PAPER_LEVEL = 230.0
 
@@ -86,15 +99,16 @@ def view_of(condition: Case) -> tuple:
         condition.lens_error,
         condition.aim_mm,
         condition.distance_scale,
+        condition.focal_scale,
         condition.turn_deg,
         condition.distortion,
     )
 
 
 def records_of_picture(
-    number: int, names: tuple[str, ...], methods: tuple[str, ...]
+    number: int, names: tuple[str, ...], known: tuple[str, ...], methods: tuple[str, ...]
 ) -> list[Record]:
-    """The fits of one pose under every condition."""
+    """The fits of one pose under every condition and knowledge."""
     pose, bounds, records = pose_of(number), {}, []
     groups: dict[tuple, list[str]] = {}
     for name in names:
@@ -111,11 +125,10 @@ def records_of_picture(
                 lights[condition.optics], condition.sensor, condition.processing, seed=number
             )
             bound = bound_of(condition, pose, bounds)
-            for method in methods:
-                fit = fit_of(picture, condition, pose, method)
-                records.append(
-                    {"condition": name, "method": method, "picture": number, "bound": bound} | fit
-                )
+            for knowledge, method in itertools.product(known, methods):
+                key = {"condition": name, "knowledge": knowledge, "method": method}
+                fit = fit_of(picture, condition, pose, knowledge, method)
+                records.append(key | {"picture": number, "bound": bound} | fit)
     return records
 
 
@@ -124,12 +137,14 @@ def bound_of(condition: Case, pose: Pose, known: dict[tuple, np.ndarray]) -> lis
     """Least standard deviations of the four parameters on a linear camera."""
     paper, sensor = condition.scene.paper, condition.sensor
     blur_px = condition.optics.rms_px
-    key = (condition.sheet, condition.distance_scale, blur_px, paper.ink / paper.paper)
+    rig = condition.distance_scale, condition.focal_scale
+    key = (condition.sheet, *rig, blur_px, paper.ink / paper.paper)
     if key not in known:
         # For noise as large as the paper's own level, whatever that is.
         values = np.array([*pose[:3], pose[3] * condition.distance_scale, 0.0, 0.0])
         ink = PAPER_LEVEL * paper.ink / paper.paper
-        scene = Scene(pattern_of(condition.sheet), LENS, values, blur_px, PAPER_LEVEL, ink)
+        lens = Case(focal_scale=condition.focal_scale).said_lens(LENS)
+        scene = Scene(pattern_of(condition.sheet), lens, values, blur_px, PAPER_LEVEL, ink)
         known[key] = bound_of_image(scene, PAPER_LEVEL, 4, supersampling=BOUND_SUPERSAMPLING)
     middle = sensor.exposure * (paper.ink + paper.paper) / 2
     rounding = ROUNDING / 4 ** (condition.processing.bits - 8)
@@ -138,7 +153,7 @@ def bound_of(condition: Case, pose: Pose, known: dict[tuple, np.ndarray]) -> lis
     return [relative * float(value) for value in known[key]]
 
 
-def fit_of(picture: np.ndarray, condition: Case, pose: Pose, method: str) -> Record:
+def fit_of(picture: np.ndarray, condition: Case, pose: Pose, knowledge: str, method: str) -> Record:
     """One calibration: error, sigma, status and notes."""
     told = condition.told
     lens = condition.said_lens(LENS)
@@ -150,7 +165,7 @@ def fit_of(picture: np.ndarray, condition: Case, pose: Pose, method: str) -> Rec
             lens,
             pose_model="aimed" if told.parameters == 4 else "aim-free",
             method=method,  # pyright: ignore[reportArgumentType]
-            systematics=systematics_of(told.exact, lens),
+            systematics=systematics_of(told.exact if knowledge == "told" else knowledge, lens),
             bayer=told.bayer,
             response=told.response,
         )
@@ -177,15 +192,17 @@ def fit_of(picture: np.ndarray, condition: Case, pose: Pose, method: str) -> Rec
 
 def systematics_of(exact: str, lens: trinoc.Intrinsics) -> trinoc.Systematics:
     """What the calibration is told of everything that is not exact."""
-    if exact == "all":
+    if exact in ("all", "exact"):
         return trinoc.Systematics()
-    typical = trinoc.Systematics.typical({"a": lens})
-    covariance = {"a": data_sheet_covariance(lens)} if exact == "nothing" else None
+    typical = trinoc.Systematics.typical({})
+    if exact == "measured":
+        return typical._replace(print_scale_sigma=(BARS_SIGMA, BARS_SIGMA), print_size_sigma=0.0)
+    covariance = {"a": data_sheet_covariance(lens)} if exact in ("nothing", "default") else None
     return typical._replace(lens_covariance=covariance)
 
 
 def summary_of(records: list[Record]) -> Record:
-    """The row of one condition and method."""
+    """The row of one condition, knowledge and method."""
     fitted = [record for record in records if "error" in record]
     status = Counter(record["status"] for record in records)
     row = {
@@ -195,20 +212,26 @@ def summary_of(records: list[Record]) -> Record:
         "notes": Counter(kind_of(note) for record in records for note in record["notes"]),
     }
     if not fitted:
-        return row | {"z": np.nan, "worst": np.nan, "by_bound": np.nan, "silent": 0}
+        unknown = dict.fromkeys(("z", "worst", "half", "wide", "by_bound", "seconds"), np.nan)
+        return row | unknown | {"far": 0, "silent": 0}
     error, sigma, bound = (
         np.array([record[key] for record in fitted]) for key in ("error", "sigma", "bound")
     )
     z = np.abs(error / sigma)
-    silent = [
-        record["status"] == "CONVERGED" and not record["notes"] and each.max() > SILENT_SIGMAS
+    far = [
+        record
         for record, each in zip(fitted, z, strict=True)
+        if record["status"] == "CONVERGED" and each.max() > SILENT_SIGMAS
     ]
     return row | {
         "z": float(np.sqrt(np.mean(z**2))),
         "worst": float(z.max()),
+        "half": 100 * float(np.mean(z < HALF_SIGMAS)),
+        "wide": 100 * float(np.mean(z < WIDE_SIGMAS)),
         "by_bound": float(np.sqrt(np.mean((error / bound) ** 2))),
-        "silent": int(np.sum(silent)),
+        "far": len(far),
+        "silent": sum(not record["notes"] for record in far),
+        "seconds": float(np.median([record["seconds"] for record in fitted])),
     }
 
 
@@ -218,22 +241,38 @@ def kind_of(note: str) -> str:
     return " ".join(words[:7])
 
 
-def table_of(records: list[Record], method: str, names: list[str], earlier: list[Record]) -> None:
-    print(f"\nmethod {method}")
-    print(f"{'condition':33s} {'z':>7s} {'worst':>7s} {'err/CRB':>7s}  ok sus  - silent  notes")
+def table_of(
+    records: list[Record], knowledge: str, method: str, names: list[str], earlier: list[Record]
+) -> None:
+    print(f"\nmethod {method}, knowledge {knowledge}")
+    print(
+        f"{'condition':33s} {'z':>7s} {'worst':>7s}  50  95 {'err/CRB':>8s}  ok sus  - far silent"
+        "     s  notes"
+    )
+
+    def row_of(records: list[Record], name: str) -> Record | None:
+        wanted = (name, knowledge, method)
+        keys = ("condition", "knowledge", "method")
+        rows = [record for record in records if tuple(record[key] for key in keys) == wanted]
+        return summary_of(rows) if rows else None
+
     for name in names:
-        rows = [r for r in records if (r["condition"], r["method"]) == (name, method)]
-        row = summary_of(rows)
+        row, before = row_of(records, name), row_of(earlier, name)
+        assert row is not None
         notes = "; ".join(f"{count} x {kind}" for kind, count in row["notes"].most_common(3))
-        counts = f"{row['converged']:3d} {row['suspect']:3d} {row['failed']:2d} {row['silent']:6d}"
+        counts = f"{row['converged']:3d} {row['suspect']:3d} {row['failed']:2d} {row['far']:3d}"
         print(
-            f"{name:33s} {row['z']:7.2f} {row['worst']:7.1f} {row['by_bound']:7.2f} "
-            f"{counts}  {notes}"
+            f"{errors_of_row(name, row)} {counts} {row['silent']:6d} {row['seconds']:5.2f}  {notes}"
         )
-        before = [r for r in earlier if (r["condition"], r["method"]) == (name, method)]
-        if before:
-            old = summary_of(before)
-            print(f"{'  before':33s} {old['z']:7.2f} {old['worst']:7.1f} {old['by_bound']:7.2f}")
+        if before is not None:
+            print(errors_of_row("  before", before))
+
+
+def errors_of_row(name: str, row: Record) -> str:
+    return (
+        f"{name:33s} {row['z']:7.2f} {row['worst']:7.1f} {row['half']:3.0f} {row['wide']:3.0f} "
+        f"{row['by_bound']:8.2f}"
+    )
 
 
 def chosen(beginnings: list[str]) -> list[str]:
@@ -251,13 +290,15 @@ def chosen(beginnings: list[str]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--pictures", type=int, default=8)
+    parser.add_argument("--first", type=int, default=0, metavar="NUMBER")
     parser.add_argument("--conditions", nargs="*", default=[""], metavar="NAME")
+    parser.add_argument("--knowledge", nargs="*", choices=KNOWLEDGE, default=["told"])
     parser.add_argument("--method", nargs="*", choices=METHODS, default=list(METHODS))
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--output", type=Path)
     parser.add_argument("--against", type=Path)
     given = parser.parse_args()
-    names, methods = chosen(given.conditions), tuple(given.method)
+    names, known, methods = chosen(given.conditions), tuple(given.knowledge), tuple(given.method)
     earlier = json.loads(given.against.read_text("utf-8")) if given.against else []
     # One process a core: the libraries' own threads would only fight.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -266,16 +307,16 @@ def main() -> None:
     spawned = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(given.processes, mp_context=spawned) as pool:
         jobs = [
-            pool.submit(records_of_picture, number, tuple(names), methods)
-            for number in range(given.pictures)
+            pool.submit(records_of_picture, number, tuple(names), known, methods)
+            for number in range(given.first, given.first + given.pictures)
         ]
         for done, job in enumerate(as_completed(jobs), start=1):
             records += job.result()
             print(f"{done} of {len(jobs)} poses done", file=sys.stderr)
             if given.output:
                 given.output.write_text(json.dumps(records, indent=1), "utf-8")
-    for method in methods:
-        table_of(records, method, names, earlier)
+    for knowledge, method in itertools.product(known, methods):
+        table_of(records, knowledge, method, names, earlier)
 
 
 if __name__ == "__main__":
