@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
-from trinoc.calib.adjustment.better_knowledge import advise_better_knowledge
+from trinoc.calib.adjustment.better_knowledge import advise_better_knowledge, say_what_goes_unseen
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.adjustment.model_tests import alternatives
 from trinoc.calib.messages import (
@@ -63,6 +63,8 @@ def result_of_fits(
             told += [f"{name}.{parameter}" for parameter in reported]
     covariance = np.asarray(block_diag(*blocks))
     better = advise_better_knowledge([fit.adjustment for fit in fits], known.systematics)
+    unseen = say_what_goes_unseen({name: said[name].alternatives for name in cameras})
+    advice = [unseen] if better is None else [better.sentence, unseen]
     rows = [keys.index(key) for key in told]
     return CalibrationResult(
         rig=Rig(cameras, parameters=keys, covariance=covariance),
@@ -75,7 +77,7 @@ def result_of_fits(
         failures=failures,
         systematics=known.systematics.words,
         notes=of_sheet,
-        advice="" if better is None else better.sentence,
+        advice=" ".join(filter(None, advice)),
     )
 
 

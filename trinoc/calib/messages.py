@@ -66,8 +66,12 @@ def failure_sentence(
 
 
 def is_suspect(tests: Sequence[Alternative], reduced_chi_square: float) -> bool:
-    """Whether something that the model leaves out shows in residuals beyond their sigmas."""
-    return bool(tests and tests[0].found) and reduced_chi_square > TUNING.answer.large_chi_square
+    """Whether something that the model leaves out shows, in residuals beyond their sigmas or so
+    that it moves the camera beyond its own."""
+    if not (tests and tests[0].found):
+        return False
+    scatters = reduced_chi_square > TUNING.answer.large_chi_square
+    return scatters or tests[0].strain > TUNING.answer.strain_sigmas
 
 
 def notes_of_priors(

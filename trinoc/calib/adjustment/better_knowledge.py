@@ -1,6 +1,6 @@
 """What it would give to know the lens or the print better, without another picture of the rig."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from trinoc.calib.adjustment.estimate import Adjustment, prior_weights
 from trinoc.calib.problem.sheet import BentPaper
+from trinoc.calib.result.alternative import Alternative
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
@@ -17,6 +18,15 @@ _HOW = {
     "lens": "calibrate the lens (`trinoc intrinsics`, ten pictures of the sheet)",
     "print": "measure the sheet's two bars (--print-scale)",
 }
+# What is taken to be exact and may be wrong, and how to say better.
+_UNSEEN = {
+    "aim": "an optical axis {:.2g} mm beside the origin of the sheet",
+    "focal length": "a focal length {:.2%} off",
+    "aspect": "a focal length along v {:.2%} off against that along u",
+    "radial distortion": "a radial distortion k1 {:.2g} off",
+}
+_SAY_LENS = "give a lens with its covariance, as `trinoc intrinsics` writes it"
+_SAY_AIM = "state its sigma"
 
 
 class BetterKnowledge(NamedTuple):
@@ -90,6 +100,26 @@ def advise_better_knowledge(
     most, then = now.max(axis=0), gains[what][1]
     return BetterKnowledge(
         what, float(most[:3].max()), float(then[:3].max()), float(most[3]), float(then[3])
+    )
+
+
+def say_what_goes_unseen(alternatives: Mapping[str, Sequence[Alternative]]) -> str:
+    """The worst that may be wrong with what is taken to be exact, and does not show; empty where
+    nothing of it moves a camera by much.
+
+    alternatives : for each camera, what its residuals say of all that is held fixed.
+    """
+    tests = [(test, name) for name, own in alternatives.items() for test in own]
+    if not tests:
+        return ""
+    worst, name = max(tests, key=lambda item: item[0].unseen_strain)
+    if worst.unseen_strain <= TUNING.answer.strain_sigmas:
+        return ""
+    of, better = ("aim", _SAY_AIM) if worst.name == "aim" else ("lens", _SAY_LENS)
+    return (
+        f"The {of} is taken to be exact. The picture of {name} may well not show "
+        f"{_UNSEEN[worst.name].format(worst.unseen.max())}, which moves the camera by "
+        f"{worst.unseen_strain:.0f} of its sigmas: {better}."
     )
 
 

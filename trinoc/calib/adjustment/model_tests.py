@@ -1,21 +1,30 @@
 """What of all that is still held fixed do the residuals speak against?
 
 Score tests: each alternative is one more unknown, of which the residuals tell how much chi-square
-it would take away, without another adjustment.
+it would take away, without another adjustment. What such a test would miss may still move the
+camera by many of its sigmas: W. Baarda, "A testing procedure for use in geodetic networks",
+Netherlands Geodetic Commission, 1968, calls the one internal and the other external reliability.
 """
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
+from scipy.stats import norm
 
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.result.alternative import Alternative
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.tails import chi_square_tail
 
 # numerical: an alternative of which a smaller share is not fitted along already is no other model.
 _LEAST_SHARE = 1e-9
 # numerical: columns of a lens and of a pose.
 _FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 6)
+# A change of the aspect leaves the mean of both focal lengths as it is.
+_ASPECT = np.array([-0.5, 0.5])
+
+# The least error, in sigmas of its estimate, that the test finds so often.
+UNSEEN_SIGMAS = float(norm.isf(TUNING.answer.chance / 2) + norm.ppf(TUNING.answer.power))
 
 
 def alternatives(
@@ -34,6 +43,7 @@ def alternatives(
         by_lens = by_head[:, row * size : (row + 1) * size] / chart.lens_scale[row]
         focal = np.asarray(adjustment.lens(view).focal_length_px)
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
+        columns["aspect"] = by_lens[:, _FOCAL] @ (focal * _ASPECT)[:, None]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
     unit = {"aim": float(chart.unit_mm)}
     tests = [
@@ -62,10 +72,33 @@ def _score(
     drop = float(estimate @ normal @ estimate)
     # Places that scatter more than they claim scatter alike in every direction.
     scale = max(1.0, (float(residual @ residual) - drop) / (freedom - len(estimate)))
-    sigma = unit * np.sqrt(scale * np.diag(np.linalg.inv(normal)))
-    p_value = float(chi_square_tail(drop / scale, len(estimate)))
-    sentence = _sentence(name, unit * estimate, sigma)
-    return Alternative(name, drop / scale, p_value, unit * estimate, sigma, sentence)
+    covariance = scale * np.linalg.inv(normal)
+    sigma = unit * np.sqrt(np.diag(covariance))
+    by_pose = pose_by_extra(extra, adjustment, view)
+    most = np.linalg.norm(by_pose @ np.linalg.cholesky(covariance), ord=2)
+    return Alternative(
+        name=name,
+        chi_square_drop=drop / scale,
+        p_value=float(chi_square_tail(drop / scale, len(estimate))),
+        estimate=unit * estimate,
+        sigma=sigma,
+        sentence=_sentence(name, unit * estimate, sigma),
+        strain=float(np.linalg.norm(by_pose @ estimate)),
+        unseen=UNSEEN_SIGMAS * sigma,
+        unseen_strain=UNSEEN_SIGMAS * float(most),
+    )
+
+
+def pose_by_extra(
+    extra: Float[np.ndarray, "n k"], adjustment: Adjustment, view: int
+) -> Float[np.ndarray, "p k"]:
+    """By how many sigmas a camera moves for a unit of what is held fixed.
+
+    Its square is the squared Mahalanobis distance of the pose.
+    """
+    base = adjustment.near.jacobian[view][:, adjustment.free]
+    step = -adjustment.covariance @ (base.T @ extra)
+    return adjustment.pose_root(view) @ step[adjustment.rows(view)]
 
 
 def information_left(
@@ -92,6 +125,11 @@ def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarr
         return (
             f"the residuals look like a focal length {100 * estimate[0]:+.3f} +- "
             f"{100 * sigma[0]:.1g} % off: check the lens and its focus."
+        )
+    if name == "aspect":
+        return (
+            f"the residuals look like a focal length along v {100 * estimate[0]:+.3f} +- "
+            f"{100 * sigma[0]:.1g} % off against that along u: check the pixel pitch."
         )
     return (
         f"the residuals look like radial distortion k1 = {estimate[0]:+.3f} +- {sigma[0]:.3f} "

@@ -13,12 +13,16 @@ class Alternative(NamedTuple):
 
     Fields
     ------
-    name : "aim", "focal length" or "radial distortion".
+    name : "aim", "focal length", "aspect" or "radial distortion".
     chi_square_drop : likelihood ratio against the model as it is.
     p_value : probability of such a drop by noise alone.
-    estimate : of the change, in mm of aim, share of the focal length, or k1.
+    estimate : of the change, in mm of aim, share of the focal length, that along v against that
+        along u, or k1.
     sigma : of the estimate.
     sentence : what it means.
+    strain : by how many of its sigmas the change would move the camera (Mahalanobis distance).
+    unseen : the largest change that the residuals may well not show.
+    unseen_strain : by how many of its sigmas that would move the camera.
     """
 
     name: str
@@ -27,6 +31,9 @@ class Alternative(NamedTuple):
     estimate: Float[np.ndarray, "k"]
     sigma: Float[np.ndarray, "k"]
     sentence: str
+    strain: float
+    unseen: Float[np.ndarray, "k"]
+    unseen_strain: float
 
     @property
     def found(self) -> bool:

@@ -199,6 +199,8 @@ class AnswerTuning:
     # The same of two answers of a picture, by circles and by grey levels, that differ so much: one
     # right picture in a hundred pays with a third of its sigmas.
     chance_of_answers: float = 1e-2
+    # An error that the test at `chance` finds less often goes unseen. Baarda's share, by hand.
+    power: float = 0.8
     # Blocks of right circles scatter so many times as much as claimed once in hundreds of pictures.
     largest_scatter: float = 1.5
     # Shifts of places by less, px, do not bend an edge's profile: pictures say nothing new.

@@ -1,0 +1,101 @@
+"""What is taken to be exact and is not: the pictures refute it, or it is said that they may not."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, detection, seen_px
+from tests.calib.simulated import LENS, TABLE_1
+from trinoc.calib.adjustment.better_knowledge import say_what_goes_unseen
+from trinoc.calib.adjustment.estimate import adjust_cameras
+from trinoc.calib.adjustment.model_tests import alternatives
+from trinoc.calib.messages import is_suspect
+from trinoc.calib.problem.sheet import BentPaper
+from trinoc.calib.problem.sheet_problem import SheetCamera
+from trinoc.calib.result.alternative import Alternative
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry import Pose
+from trinoc.geometry.pose import PoseModel
+
+# Bars were read; paper and aim are as anybody's.
+MEASURED = Systematics(print_scale_sigma=(5e-4, 5e-4), flatness_mm=0.3, aim_sigma_mm=20.0)
+DRAWS = 40
+FOCAL_PX = np.asarray(LENS.focal_length_px)
+# Change of fx, fy, cx, cy, k1 for a unit of each alternative.
+CHANGES = {
+    "focal length": np.array([*FOCAL_PX, 0.0, 0.0, 0.0]),
+    "aspect": np.array([-0.5 * FOCAL_PX[0], 0.5 * FOCAL_PX[1], 0.0, 0.0, 0.0]),
+    "radial distortion": np.array([0.0, 0.0, 0.0, 0.0, 1.0]),
+}
+
+
+class Fitted(NamedTuple):
+    """What its residuals say of a camera, and how far it is off, in its sigmas."""
+
+    tests: dict[str, Alternative]
+    distance: float
+    scatter: float
+
+
+def fitted(seed: int, change: np.ndarray) -> Fitted:
+    """One camera through a lens that differs from what is said to be exact, over a sheet as chance
+    has it."""
+    random = np.random.default_rng([6, seed])
+    sigma = BentPaper.sigmas(0.0, MEASURED.print_scale_sigma, MEASURED.flatness_mm)
+    values = np.append(np.radians(TABLE_1["left"][:3]), TABLE_1["left"][3])
+    pose = Pose.from_parameters(jnp.array([*values, *random.normal(size=2)]))
+    noise = SIGMA_PX * random.normal(size=(len(SHEET), 2))
+    seen = detection(
+        seen_px(pose, change, sigma * random.normal(size=len(sigma))) + noise, SIGMA_PX
+    )
+    camera = SheetCamera("left", seen, LENS, None, pose)
+    near = adjust_cameras([camera], SHEET, MEASURED, PoseModel.AIM_FREE, MEASURED.aim_sigma_mm)
+    tests = alternatives(near, 0, near.freedom[0], lens_is_free=False, aim_is_held=False)
+    off = near.parameters(0) - np.asarray(pose.parameters)
+    off[:3] = np.degrees(off[:3])
+    step = np.linalg.solve(near.degrees_by_step(0), off)
+    distance = float(np.linalg.norm(near.pose_root(0) @ step))
+    return Fitted({test.name: test for test in tests}, distance, float(near.reduced_chi_square[0]))
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_four_in_five_changes_that_may_go_unseen_are_found_and_all_move_the_camera(name) -> None:
+    unseen = fitted(0, np.zeros(5)).tests[name].unseen[0]
+    made = [fitted(seed, unseen * CHANGES[name]) for seed in range(DRAWS)]
+    share = np.mean([one.tests[name].found for one in made])
+    power = TUNING.answer.power
+    assert share == pytest.approx(power, abs=3 * np.sqrt(power * (1 - power) / DRAWS))
+    # The change, and what chance does in six directions.
+    foreseen = np.hypot([one.tests[name].unseen_strain for one in made], np.sqrt(6))
+    distance = np.array([one.distance for one in made])
+    assert np.mean(distance / foreseen) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["focal length", "aspect"])
+def test_what_is_found_and_moves_the_camera_far_is_suspect_though_places_scatter_little(
+    name,
+) -> None:
+    change = 1.1 * fitted(0, np.zeros(5)).tests[name].unseen[0] * CHANGES[name]
+    found = [one for one in (fitted(seed, change) for seed in range(8)) if one.tests[name].found]
+    assert len(found) > 4
+    for one in found:
+        assert one.scatter < TUNING.answer.large_chi_square
+        assert is_suspect([one.tests[name]], one.scatter)
+        assert not is_suspect([one.tests[name]._replace(strain=3.9)], one.scatter)
+
+
+def test_what_may_go_unseen_is_said_of_the_worst() -> None:
+    tests = list(fitted(0, np.zeros(5)).tests.values())
+    worst = max(tests, key=lambda test: test.unseen_strain)
+    said = say_what_goes_unseen({"left": tests})
+    assert f"{worst.unseen_strain:.0f} of its sigmas" in said
+    assert f"{worst.unseen[0]:.2%}" in said
+
+
+def test_what_would_move_no_camera_is_not_worth_saying() -> None:
+    tests = [test._replace(unseen_strain=3.9) for test in fitted(0, np.zeros(5)).tests.values()]
+    assert say_what_goes_unseen({"left": tests}) == ""
+    assert say_what_goes_unseen({}) == ""
