@@ -30,6 +30,7 @@ import itertools
 import json
 import multiprocessing
 import os
+import pickle
 import sys
 import time
 from collections import Counter
@@ -91,9 +92,9 @@ def pattern_of(sheet: SheetGrid) -> trinoc.Pattern:
     )
 
 
-def view_of(condition: Case) -> tuple:
+def view_of(condition: Case) -> bytes:
     """What the radiance depends on besides the pose."""
-    return (
+    view = (
         condition.scene,
         condition.sheet,
         condition.lens_error,
@@ -103,6 +104,7 @@ def view_of(condition: Case) -> tuple:
         condition.turn_deg,
         condition.distortion,
     )
+    return pickle.dumps(view)
 
 
 def records_of_picture(
@@ -110,7 +112,7 @@ def records_of_picture(
 ) -> list[Record]:
     """The fits of one pose under every condition and knowledge."""
     pose, bounds, records = pose_of(number), {}, []
-    groups: dict[tuple, list[str]] = {}
+    groups: dict[bytes, list[str]] = {}
     for name in names:
         groups.setdefault(view_of(CONDITIONS[name]), []).append(name)
     for group in groups.values():

@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.detection.ellipse_fit import Ellipses
 from trinoc.calib.detection.ellipse_pixels import (
@@ -110,6 +110,15 @@ def _robust_line(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3"]:
         weight = 1.0 / (1.0 + (distance / scale) ** 2)
         line = np.append(normal, -(normal @ mean))
     return line
+
+
+def are_clear_of_lines(pattern: Pattern, index: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+    """Whether no line darkens the paper beside each circle, where its grey is read."""
+    centre_mm = np.abs(pattern.centres_mm[index])
+    reach_mm = TUNING.detection.outer_radii * pattern.radius_mm[index, None]
+    beside = centre_mm[:, ::-1] < reach_mm + 0.5 * pattern.line_width_mm
+    along = centre_mm < reach_mm + np.array(pattern.line_half_length_mm)
+    return ~np.any(beside & along, axis=1) | (pattern.line_width_mm == 0.0)
 
 
 def subtract_line_blur(

@@ -1,9 +1,9 @@
 """Every circle of a labelled sheet measured, those that the search missed included."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.detection.cross_lines import subtract_line_blur
+from trinoc.calib.detection.cross_lines import are_clear_of_lines, subtract_line_blur
 from trinoc.calib.detection.ellipse_fit import Ellipses, refine_ellipses, start_ellipses
 from trinoc.calib.detection.ellipse_pixels import pixels_round, quick_median, smallest_axis
 from trinoc.calib.detection.labels import PatternSymmetry
@@ -109,7 +109,8 @@ def _fit_finely(
     """Fits with all pixels of a band round the outer edge, again for those circles that moved too
     far for one step to be the last."""
     pattern = symmetry.pattern
-    slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper)
+    clear = are_clear_of_lines(pattern, index)
+    slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper, clear)
     halfway = 0.5 * (1.0 + symmetry.hole_ratio) if symmetry.hole_ratio > 0 else 0.3
 
     def fit(start: Ellipses, rows: np.ndarray) -> Ellipses:
@@ -134,7 +135,8 @@ def _fit_finely(
         moving = moving[_has_moved(before, now)]
         if not len(moving):
             break
-        before = fine.take(moving)
+        # What is known of the light stays what it was, not what the last fit made of it.
+        before = fine.take(moving)._replace(slope=slope[moving])
         for field, new in zip(fine, fit(before, moving), strict=True):
             field[moving] = new
     return fine
@@ -154,9 +156,14 @@ def _has_moved(before: Ellipses, now: Ellipses) -> np.ndarray:
 
 
 def light_slope(
-    centres_px: Float[np.ndarray, "n 2"], paper: Float[np.ndarray, "n"]
+    centres_px: Float[np.ndarray, "n 2"],
+    paper: Float[np.ndarray, "n"],
+    clear: Bool[np.ndarray, "n"],
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
     """Relative change of the paper's grey per pixel at each circle, and how sure it is.
+
+    clear : circles whose paper is no darker than light makes it. Of others, as far as there are
+        enough of these, the grey is not believed.
 
     A quadratic through the greys round all circles says more of the slope across one circle
     than its own pixels do, and costs its centre nothing. Where the greys do not lie on that
@@ -166,6 +173,8 @@ def light_slope(
     if count < fewest:
         # Nothing is claimed of as few circles.
         return np.zeros((count, 2)), np.zeros(count)
+    if clear.sum() < fewest:
+        clear = np.ones(count, dtype=bool)
     middle = centres_px.mean(axis=0)
     extent = max(float(np.abs(centres_px - middle).max()), 1.0)
     x, y = ((centres_px - middle) / extent).T
@@ -173,24 +182,24 @@ def light_slope(
     terms = [one, x, y]
     terms_x, terms_y = [zero, one, zero], [zero, zero, one]
     # Twice the unknowns of a plane, twice the circles.
-    if count >= 2 * fewest:
+    if clear.sum() >= 2 * fewest:
         terms += [x * x, x * y, y * y]
         terms_x += [2 * x, y, zero]
         terms_y += [zero, x, 2 * y]
     basis = np.stack(terms, axis=1)
-    weight = one
+    seen, rows = paper[clear], basis[clear]
+    weight = np.ones(len(seen))
     for _ in range(_LIGHT_REWEIGHTINGS):
-        weighted = basis * weight[:, None]
-        surface, *_ = np.linalg.lstsq(weighted, paper * weight, rcond=None)
-        miss = np.abs(paper - basis @ surface)
-        scale = 3.0 * quick_median(miss) + 1e-9 * np.abs(paper).max() + 1e-30
+        surface, *_ = np.linalg.lstsq(rows * weight[:, None], seen * weight, rcond=None)
+        miss = np.abs(seen - rows @ surface)
+        scale = 3.0 * quick_median(miss) + 1e-9 * np.abs(seen).max() + 1e-30
         weight = 1.0 / (1.0 + (miss / scale) ** 2)
     light = basis @ surface
     light = np.where(np.abs(light) > 1e-9, light, 1e-9)
     slope = np.stack([np.stack(terms_x, 1) @ surface, np.stack(terms_y, 1) @ surface], axis=1)
-    distance = np.linalg.norm(centres_px[:, None] - centres_px[None], axis=2)
+    distance = np.linalg.norm(centres_px[:, None] - centres_px[clear][None], axis=2)
     nearest = np.argsort(distance, axis=1)[:, :_NEIGHBOURS]
-    pitch_px = quick_median(distance[np.arange(count), nearest[:, 1]])
-    relative_miss = (paper - basis @ surface) / light
-    unsure = np.sqrt(np.mean(relative_miss[nearest] ** 2, axis=1)) / pitch_px
+    between = np.sort(distance[clear], axis=1)[:, 1]
+    relative_miss = miss / light[clear]
+    unsure = np.sqrt(np.mean(relative_miss[nearest] ** 2, axis=1)) / quick_median(between)
     return slope / extent / light[:, None], unsure
