@@ -20,10 +20,10 @@ from trinoc.numerics.tails import chi_square_tail
 _LEAST_SHARE = 1e-9
 # numerical: columns of a lens and of a pose.
 _FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 6)
-# A change of the aspect leaves the mean of both focal lengths as it is.
+# numerical: a change of the aspect leaves the mean of both focal lengths as it is.
 _ASPECT = np.array([-0.5, 0.5])
 
-# The least error, in sigmas of its estimate, that the test finds so often.
+# numerical: the least error, in sigmas of its estimate, that the test finds so often.
 UNSEEN_SIGMAS = float(norm.isf(TUNING.answer.chance / 2) + norm.ppf(TUNING.answer.power))
 
 
