@@ -1,9 +1,9 @@
 """Compiled programs: by one thread only, several at a time, and kept for the next process.
 
 JAX's own cache keeps what was compiled, but finds it by the traced and lowered program: a process
-that computes for a tenth of a second traces for ten. Large programs that `kept_jit` makes are found
-by what they are made from: the function, its static arguments, the kinds of its arrays, and,
-through the store, everything else that could change them. Without a store (`keep_programs_in`),
+that computes for a tenth of a second traces for ten. Programs that `kept_jit` makes are found by
+what they are made from: the function, its static arguments, the kinds of its arrays, and,
+through the store, everything else that could change them. Without a store (`set_program_store`),
 inside `jit`, `grad` or `vmap`, and with values of classes that are not trinoc's, they are plain
 `jax.jit`.
 """
