@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.matcher import match_segments
@@ -47,9 +48,9 @@ def scenes(seeds: range, loose: int = 150, boxes: int = 12) -> Iterator[tuple[st
         yield "table", seed, block_scene(seed, count=8)
 
 
-def collinear_rig() -> Rig:
+def collinear_rig(lens: Intrinsics | None = None) -> Rig:
     """Three cameras in one line, at the height of those of Table 1, that look at the origin."""
-    lens, cameras = table1_lens(), {}
+    lens, cameras = lens or table1_lens(), {}
     for name, x in (("upper", 0.0), ("left", -190.0), ("right", 190.0)):
         centre = np.array([x, -370.0, 300.0])
         distance = np.linalg.norm(centre)

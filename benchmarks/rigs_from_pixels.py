@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import jax
@@ -68,7 +68,8 @@ VARIANCE = NOISE**2 + 1 / 12
 SHOTS, HEAD = 10, 14 * 3
 # Numbers of a lens that are found: k3 of the first is held.
 FOUND = 8
-BARE = SimpleNamespace(
+# Ink of boards of squares is painted over a sheet that has none.
+BARE: Any = SimpleNamespace(
     centres_mm=np.zeros((0, 2)), radius_mm=np.zeros(0), inner_radius_mm=np.zeros(0),
     line_width_mm=0.0, line_half_length_mm=(0.0, 0.0), line_style="stop", line_gap_mm=0.0,
 )  # fmt: skip
