@@ -274,7 +274,8 @@ def likely_casts(
         bound += np.float32(sigmas * turn) * np.maximum(beyond, 0)
         near &= np.abs(off) * reach <= bound
         casts |= beyond > 0
-    return np.nonzero(near & casts)
+    which, pair = np.nonzero(near & casts)
+    return which, pair
 
 
 def _single(array: np.ndarray) -> Float32[np.ndarray, "..."]:
