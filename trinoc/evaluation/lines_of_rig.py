@@ -133,7 +133,7 @@ def _of_fragments(
     cameras = stack_states(states)
     columns = (lines.fragments_px, lines.covariance_px2, lines.seen)
     of_tracks = in_blocks(partial(_derivatives, cameras), BLOCK, *columns)
-    return as_numpy((*of_tracks, kept_jit(d_parameters_d_delta)(cameras, cameras)))
+    return as_numpy((*of_tracks, _parameters_by_step(cameras, cameras)))
 
 
 @kept_jit
@@ -144,3 +144,6 @@ def _derivatives(
         cameras, fragments_px, covariance_px2, seen
     )
     return ends, by_steps
+
+
+_parameters_by_step = kept_jit(d_parameters_d_delta)

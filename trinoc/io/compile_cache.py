@@ -77,14 +77,6 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     return folder
 
 
-def compile_cache_folder() -> Path | None:
-    """The folder of this process, for what else is compiled; None where programs are not kept."""
-    from trinoc.numerics.programs import program_store
-
-    store = program_store()
-    return store.folder if isinstance(store, FolderStore) else None
-
-
 def _user_cache() -> Path:
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
@@ -124,7 +116,7 @@ class FolderStore:
     """Programs as files, each with the digest of its content before it."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self._folder = folder
         self._surroundings = ""
         self._is_complete = True
 
@@ -153,7 +145,7 @@ class FolderStore:
         # Only where a program is asked for: it costs some hundredths of a second.
         self._surroundings = self._surroundings or surroundings()
         digest = hashlib.sha256(f"{self._surroundings} {name}".encode()).hexdigest()
-        return self.folder / f"trinoc-{digest}"
+        return self._folder / f"trinoc-{digest}"
 
 
 def surroundings() -> str:

@@ -3,11 +3,11 @@
 import functools
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
+from jinja2.bccache import Bucket
 
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.rig_from_shots import RigFromShots
@@ -16,8 +16,8 @@ from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import write_text
-from trinoc.io.compile_cache import compile_cache_folder
 from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.programs import program_store
 from trinoc.report.calibration_part import cameras_part, cameras_part_of_shots, sheet_part
 from trinoc.report.checks import Subject
 from trinoc.report.coverage import (
@@ -265,28 +265,45 @@ def _render(
     world: str = "",
 ) -> str:
     """The page; names that a template lacks raise, and what users wrote is never markup."""
-    page = _templates(compile_cache_folder()).get_template("page.html.j2")
-    return page.render(
-        title=title,
-        verdict=find_verdict(subject),
-        parts=parts,
-        pictures=pictures,
-        provenance=dict(provenance or {}),
-        world=world,
+    return (
+        _templates()
+        .get_template("page.html.j2")
+        .render(
+            title=title,
+            verdict=find_verdict(subject),
+            parts=parts,
+            pictures=pictures,
+            provenance=dict(provenance or {}),
+            world=world,
+        )
     )
 
 
 @functools.cache
-def _templates(compiled: Path | None) -> jinja2.Environment:
-    """The templates, whose Python code is kept in the folder between processes."""
+def _templates() -> jinja2.Environment:
     return jinja2.Environment(
         loader=jinja2.PackageLoader("trinoc.report", "templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        bytecode_cache=jinja2.FileSystemBytecodeCache(str(compiled)) if compiled else None,
+        bytecode_cache=_KeptTemplates(),
     )
+
+
+class _KeptTemplates(jinja2.BytecodeCache):
+    """Templates as Python code, where programs are kept; jinja2 compares their text."""
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        store = program_store()
+        content = None if store is None else store.get(f"template {bucket.key}")
+        if content is not None:
+            bucket.bytecode_from_string(content)
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        store = program_store()
+        if store is not None:
+            store.put(f"template {bucket.key}", bucket.bytecode_to_string())
 
 
 def _check_views(what: str, names: Mapping[str, Any] | Sequence[str], rig: Rig) -> None:

@@ -249,17 +249,20 @@ def casting_pairs(
 def likely_casts(
     pairs: ShadowPairs, lamps: Lamps, turn: float, size_mm: float, tuning: ShadowTuning
 ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Lamps and pairs whose `cast_density` is not surely zero, by their numbers: few of all.
+    """Lamps and pairs whose `cast_density` may count, by their numbers: few of all.
 
-    A bound of the density, which takes the largest of all errors; most of it is linear in lamps as
-    homogeneous points. Single precision serves a bound.
+    There an end lies |off| <= k (sigma + turn gap) from the plane of lamp and edge, k = FAR_SIGMAS.
+    Both sides times `reach`, which `off` and `beyond` are divided by in `cast_density`, are linear
+    in the lamp as a homogeneous point, but for `reach` itself; what else grows with a near lamp
+    does by at most `farthest`, the length of the way to the lamp from any place. Of sigma the
+    largest is taken. Single precision serves a bound.
     """
     lamp = np.column_stack([lamps.direction, lamps.nearness]).astype(np.float32)
     toward = np.concatenate([pairs.axes, pairs.middle_mm[:, :, None]], axis=2)
     first, second = toward[:, 1], toward[:, 2]
     reach = np.hypot(lamp @ _single(first).T, lamp @ _single(second).T)
-    away = np.maximum(abs(pairs.middle_mm[:, None]), abs(pairs.middle_mm[:, None] - pairs.ends_mm))
-    farthest = 1 + lamps.nearness.max() * np.linalg.norm(away, axis=2).max()
+    from_middle = np.stack([np.zeros_like(pairs.ends_mm), pairs.ends_mm]) - pairs.middle_mm[:, None]
+    farthest = 1 + lamps.nearness.max() * np.linalg.norm(from_middle, axis=-1).max()
     of_first, of_second, of_both = pairs.edge_mm2.T
     # Of the edge's line, one of its lengths beyond either end.
     moved = np.maximum(4 * of_first + of_second, of_first + 4 * of_second) - 4 * of_both
@@ -269,8 +272,8 @@ def likely_casts(
         place = pairs.ends_mm[:, end, :, None]
         off = lamp @ _single(first * place[:, 2] - second * place[:, 1]).T
         beyond = lamp @ _single(-first * place[:, 1] - second * place[:, 2]).T
-        known = np.sqrt(pairs.own_mm2[:, end]) + np.sqrt(moved) + turn * before
-        bound = _single(sigmas * known) * reach
+        sigma = np.sqrt(pairs.own_mm2[:, end]) + np.sqrt(moved) + turn * before
+        bound = _single(sigmas * sigma) * reach
         bound += np.float32(sigmas * turn) * np.maximum(beyond, 0)
         near &= np.abs(off) * reach <= bound
         casts |= beyond > 0
