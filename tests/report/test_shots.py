@@ -229,5 +229,8 @@ def test_the_maps_grow_as_the_sigmas_of_the_rig(result) -> None:
     )
     doubled = uncertainty_maps(wider)
     assert doubled is not None
+    for wide, level in zip(doubled.levels, maps.levels, strict=True):
+        assert (wide.said, wide.stands) == (level.said, level.stands)
+    assert [level.said.split()[0] for level in maps.levels if level.stands] == ["1", "3"]
     assert doubled.worst_at_boards_px == pytest.approx(2 * maps.worst_at_boards_px)
     assert doubled.worst_farther_px == pytest.approx(2 * maps.worst_farther_px)

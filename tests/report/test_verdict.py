@@ -115,7 +115,8 @@ def test_coverage_is_the_share_that_the_circles_surround(
 def test_the_maps_show_what_the_library_says(
     result: CalibrationResult, field: FieldPart, rig: Rig
 ) -> None:
-    low = field.planes[0]
+    low, high = (level for level in field.planes if level.stands)
+    (low,) = low.maps
     assert low.name == "Z = 0 mm"
     sigmas = []
     for cell, (u, v) in ((low.cells[k], low.middles[k]) for k in (3, 12)):
@@ -125,6 +126,13 @@ def test_the_maps_show_what_the_library_says(
         assert shown == pytest.approx(sigmas[-1], abs=5e-5)
     # In the middle, where all axes meet, nothing is wrong by the sigmas of four parameters.
     assert field.worst_mm >= sigmas[0] > 10 * sigmas[1]
+    # Above and below what the rig looks at, all is less well known; worst_mm is of what stands.
+    corners = [float(level.maps[0].cells[0].text) for level in field.planes]
+    assert corners[0] > corners[field.planes.index(high)] < corners[-1]
+    heights = [
+        float(level.said.split()[2].replace("\N{MINUS SIGN}", "-")) for level in field.planes
+    ]
+    assert heights == sorted(heights)
     assert len(field.pictures) == len(rig)
     assert all(0 <= cell.shade <= 1 for map_ in field.pictures for cell in map_.cells)
     assert max(cell.shade for map_ in field.pictures for cell in map_.cells) == 1

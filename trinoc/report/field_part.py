@@ -19,6 +19,10 @@ from trinoc.report.space_content import content_box
 
 # Numbers of a map along each side.
 PLACES = 5
+# Levels of points in space below, within and above what the rig looks at.
+LEVELS = (3, 5, 3)
+# Distances of points from a camera, over that of the boards; at the last, poses hardly matter.
+DISTANCES = (0.5, 0.7, 1.0, 1.5, 2.0, TUNING.advice.farther, 5.0, 10.0, 100.0)
 # So many claimed sigmas between two halves are as dark as a tile becomes.
 _DARKEST = 3.0
 
@@ -72,23 +76,30 @@ class FieldMap(NamedTuple):
     cells: tuple[FieldCell, ...]
 
 
+class FieldLevel(NamedTuple):
+    """Maps of one height or distance; those that `stand` are shown first, and on paper."""
+
+    said: str
+    maps: tuple[FieldMap, ...]
+    stands: bool
+
+
 class FieldPart(NamedTuple):
     """Maps of epipolar lines (px) and of points in space (mm); sigmas of the cameras alone.
 
-    `worst_mm` is the largest sigma of a point on the maps, not of one in the middle: where all axes
-    meet, a rig knows its points best, or exactly.
+    `worst_mm` is the largest sigma of a point on the levels that stand, not of one in the middle:
+    where all axes meet, a rig knows its points best, or exactly.
     """
 
     pictures: tuple[FieldMap, ...]
-    planes: tuple[FieldMap, ...]
+    planes: tuple[FieldLevel, ...]
     worst_mm: float
 
 
 class Uncertainty(NamedTuple):
-    """Maps of the cameras at the boards and farther off; the largest numbers of each, px."""
+    """Maps of the cameras from half the boards' distance on; the largest numbers of two, px."""
 
-    at_boards: tuple[FieldMap, ...]
-    farther: tuple[FieldMap, ...]
+    levels: tuple[FieldLevel, ...]
     worst_at_boards_px: float
     worst_farther_px: float
 
@@ -142,34 +153,42 @@ def field_part(
 
 def _planes(
     rig: Rig, pattern: Pattern | None, matches: Matches | None
-) -> tuple[tuple[FieldMap, ...], float]:
-    """Maps of two levels, the lower and the upper end of what the rig looks at."""
+) -> tuple[tuple[FieldLevel, ...], float]:
+    """Maps of levels; the lower and the upper end of what the rig looks at stand."""
     box = content_box(pattern, matches)
     if box is None:
         return (), np.nan
     size = box.high_mm - box.low_mm
+    side = float(size[:2].max())
     flat = matches is None or not len(matches)
-    heights = (0.0, 0.25 * float(size[:2].max())) if flat else (box.low_mm[2], box.high_mm[2])
+    low, high = (0.0, 0.25 * side) if flat else (float(box.low_mm[2]), float(box.high_mm[2]))
+    below, within, above = LEVELS
+    heights = np.concatenate(
+        [
+            np.linspace(low - side, low, below, endpoint=False),
+            np.linspace(low, high, within),
+            np.linspace(high, high + side, above + 1)[1:],
+        ]
+    )
     step = size[:2] / PLACES
     x = box.low_mm[0] + step[0] * (np.arange(PLACES) + 0.5)
     y = box.low_mm[1] + step[1] * (np.arange(PLACES) + 0.5)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    levels = [_point_sigmas(rig, grid, float(height)) for height in heights]
-    scale = Scale.of(np.concatenate(levels))
+    sigmas = [_point_sigmas(rig, grid, float(height)) for height in heights]
+    scale = Scale.of(np.concatenate([sigmas[below], sigmas[below + within - 1]]))
     window = Window(float(box.low_mm[0]), float(-box.high_mm[1]), float(size[0]), float(size[1]))
-    maps = tuple(
-        FieldMap(
-            f"Z = {with_decimals(height, 0)} mm",
-            f"largest sigma of a point there, {'µm' if scale.thousandths else 'mm'}",
-            None,
-            window,
-            (float(step[0]), float(step[1])),
-            grid * [1, -1],
-            tuple(scale.cell(float(one)) for one in sigma),
-        )
-        for height, sigma in zip(heights, levels, strict=True)
+    caption = (
+        f"largest sigma of a point there, {'µm' if scale.thousandths else 'mm'}; seen from above, "
+        f"{size[0]:.0f} x {size[1]:.0f} mm"
     )
-    return maps, scale.largest
+    levels = []
+    for height, sigma in zip(heights, sigmas, strict=True):
+        said = f"Z = {with_decimals(height, 0)} mm"
+        cells = tuple(scale.cell(float(one)) for one in sigma)
+        cell = (float(step[0]), float(step[1]))
+        map_ = FieldMap(said, caption, None, window, cell, grid * [1, -1], cells)
+        levels.append(FieldLevel(said, (map_,), height in (low, high)))
+    return tuple(levels), scale.largest
 
 
 def _point_sigmas(
@@ -187,14 +206,15 @@ def uncertainty_maps(result: RigFromShots) -> Uncertainty | None:
     """How well each camera knows where it images a point; None without a rig or a covariance."""
     if result.rig is None or not len(result.rig.parameters):
         return None
-    near, worst_near = _uncertainty_maps(result, result.rig, 1.0)
-    far, worst_far = _uncertainty_maps(result, result.rig, TUNING.advice.farther)
-    return Uncertainty(near, far, worst_near, worst_far)
+    levels, worst = [], {}
+    for times in DISTANCES:
+        maps, worst[times] = _maps_at(result, result.rig, times)
+        said = f"{times:g} times as far as the boards"
+        levels.append(FieldLevel(said, maps, times in (1.0, TUNING.advice.farther)))
+    return Uncertainty(tuple(levels), worst[1.0], worst[TUNING.advice.farther])
 
 
-def _uncertainty_maps(
-    result: RigFromShots, rig: Rig, times: float
-) -> tuple[tuple[FieldMap, ...], float]:
+def _maps_at(result: RigFromShots, rig: Rig, times: float) -> tuple[tuple[FieldMap, ...], float]:
     maps, worst = [], 0.0
     for name in result.cameras:
         distance = times * _distance_mm(result, rig, name)
