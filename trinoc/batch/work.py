@@ -38,7 +38,7 @@ def part_results(
         if stopped():
             raise CancelledError
         try:
-            found[frame.name] = _segments(work, frame)
+            found[frame.name] = frame_segments(work, frame)
         except TrinocError as error:
             # The recording may be moved between two runs: its folder is no part of the answer.
             found[frame.name] = str(error).replace(f"{work.folder}{os.sep}", "")
@@ -47,7 +47,11 @@ def part_results(
     return match_part_frames(found, work.rig, depth_range_mm=work.depth_range_mm)
 
 
-def _segments(work: MatchingJob, frame: Frame) -> dict[str, Segments]:
+def frame_segments(work: MatchingJob, frame: Frame) -> dict[str, Segments]:
+    """The segments of each view of a frame, found in its pictures or read from its files.
+
+    Raises InputError where a file is not there, is no picture of its camera, or stands twice.
+    """
     segments: dict[str, Segments] = {}
     view_of: dict[bytes, str] = {}
     for camera in work.rig.names:

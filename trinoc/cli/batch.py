@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import math
 import re
 import sys
 import time
@@ -12,21 +11,29 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from trinoc.cli.command import LOGGER, Command, Interruption, Out, Outcome, UsageError
-from trinoc.cli.segments import FindOption
-from trinoc.cli.views import read_rig
+from trinoc.cli.command import (
+    LOGGER,
+    Command,
+    Interruption,
+    Out,
+    Outcome,
+    ReportOption,
+    UsageError,
+)
+from trinoc.cli.segments import DepthOption, FindOption
+from trinoc.cli.views import SEGMENT_SUFFIXES, doubts_table, find_doubts, read_rig
 
 if TYPE_CHECKING:
     from trinoc.batch.run import BatchOutcome, BatchProgress
+    from trinoc.geometry.rig import Rig
 
-ANYWHERE = (0.0, math.inf)
 # Where no bar can be drawn, a line so often.
 LINE_EVERY_S = 60.0
 _BY_ITSELF = "(default: found by itself)"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class BatchCommand(FindOption, Command):
+class BatchCommand(DepthOption, FindOption, ReportOption, Command):
     """Match every frame of a recording. Stopped or killed, the same command goes on."""
 
     frames: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER|TABLE.csv")]
@@ -38,12 +45,6 @@ class BatchCommand(FindOption, Command):
 
     template: Annotated[str | None, tyro.conf.arg(help_behavior_hint=_BY_ITSELF)] = None
     """How the files are named: {frame}_{camera}.png, {camera}/{frame}.tif, with * for anything."""
-
-    depth_range_mm: Annotated[
-        tuple[float, float],
-        tyro.conf.arg(metavar="NEAR FAR", help_behavior_hint="(default: anywhere before them)"),
-    ] = ANYWHERE
-    """Least and greatest depth of lines before every camera that sees them."""
 
     shard: Annotated[str, tyro.conf.arg(metavar="I/N")] = "1/1"
     """Job I of N, which does each N-th file of results; jobs may run at once in one folder."""
@@ -74,12 +75,7 @@ class BatchCommand(FindOption, Command):
         settings = self.find_settings()
         threads, scheduler = _workers(self.workers)
         shard = _shard(self.shard)
-        near, far = self.depth_range_mm
-        if not 0 <= near < far:
-            raise UsageError(
-                f"--depth-range-mm {near:g} {far:g} holds no depth: give the least, then the "
-                "greatest, in mm."
-            )
+        depths = self.depths_mm()
         for name in ("frames_per_file", "memory_gb"):
             value = getattr(self, name)
             if value is not None and not value > 0:
@@ -96,7 +92,7 @@ class BatchCommand(FindOption, Command):
                     self.out,
                     template=self.template,
                     find=settings,
-                    depth_range_mm=None if self.depth_range_mm == ANYWHERE else (near, far),
+                    depth_range_mm=depths,
                     shard=shard,
                     frames_per_file=self.frames_per_file,
                     ending=None if self.files == "auto" else f".{self.files}",
@@ -111,10 +107,44 @@ class BatchCommand(FindOption, Command):
                     f"Interrupted: {tell.done} of {tell.total} frames are done and kept in "
                     f"{self.out}; the same command goes on from there."
                 ) from error
-        return _outcome(outcome)
+        if self.report is not None and outcome.failed < outcome.frames:
+            self._write_report(rig, command_line)
+        return _outcome(outcome, self.report)
+
+    def _write_report(self, rig: "Rig", command_line: str) -> None:
+        """All frames of the folder, and the middle one with its pictures."""
+        from trinoc.batch.source import find_frames
+        from trinoc.batch.work import MatchingJob, frame_segments
+        from trinoc.cli.command import provenance
+        from trinoc.io.frames_files import load_recording
+        from trinoc.io.images import read_image
+        from trinoc.report.recording_part import recording_part
+
+        LOGGER.info("reading the results of all frames")
+        results = load_recording(self.out)
+        recording = recording_part(results, results.failures)
+        source = find_frames(self.frames, rig.names, self.template)
+        (frame,) = (each for each in source.frames if each.name == recording.middle)
+        files = {name: source.folder / frame.files[name] for name in rig.names}
+        job = MatchingJob(source.folder, rig, self.find_settings(), self.depths_mm())
+        self.write_report(
+            provenance(command_line, {**files, "rig": self.rig}),
+            rig=rig,
+            segments=frame_segments(job, frame),
+            matches=results[frame.name],
+            scene_pictures={
+                name: read_image(file)
+                for name, file in files.items()
+                if file.suffix.lower() not in SEGMENT_SUFFIXES
+            },
+            title=f"Recording of {len(results):,} frames",
+            tables=doubts_table(self.rig),
+            doubts=find_doubts(self.rig),
+            recording=recording,
+        )
 
 
-def _outcome(found: "BatchOutcome") -> Outcome:
+def _outcome(found: "BatchOutcome", report: Path | None) -> Outcome:
     here = found.frames - found.earlier
     parts = [f"{found.frames} frames done, {found.tracks} tracks"]
     if found.earlier:
@@ -139,7 +169,8 @@ def _outcome(found: "BatchOutcome") -> Outcome:
             f"{found.suspect} of {found.frames} frames do not seem to belong to the rig: "
             f"{found.manifest} says why."
         )
-    return Outcome(f"{'; '.join(parts)}.", record, refusal, (found.folder, found.manifest))
+    written = (found.folder, found.manifest, report)
+    return Outcome(f"{'; '.join(parts)}.", record, refusal, written)
 
 
 def _shard(text: str) -> tuple[int, int]:

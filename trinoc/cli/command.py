@@ -271,10 +271,15 @@ def _names(command: object) -> list[str]:
 _WRITTEN = ("out", "report", "plot")
 # A rig may take the place of the one that it was made from.
 _REPLACED = ("rig", "orientation")
+# What all pages and figures of ours hold: a file without it is not theirs to replace.
+_MARKS = {"report": b"<!doctype html>", "plot": b"matplotlib"}
 
 
 def expect_places(command: object) -> None:
-    """Raise UsageError where two results, or a result and what it is made of, are one file."""
+    """Raise UsageError where two results, or a result and what it is made of, are one file.
+
+    Raises InputError where a page or a figure would replace something else.
+    """
     taken: dict[Path, str] = {}
     kept = {_same(path) for path in _read(command, (*_WRITTEN, *_REPLACED))}
     read = {_same(path) for path in _read(command, _WRITTEN)}
@@ -292,6 +297,10 @@ def expect_places(command: object) -> None:
                 f"{taken[place]} and {option} are both {path}: give each a name of its own."
             )
         taken[place] = option
+        if name in _MARKS:
+            from trinoc.io.saving import expect_marked
+
+            expect_marked(path, _MARKS[name], force=getattr(command, "force", False))
 
 
 def _read(options: object, but: tuple[str, ...]) -> Iterator[Path]:

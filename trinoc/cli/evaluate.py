@@ -90,9 +90,12 @@ class EvaluateCommand(Command):
 
         from trinoc.io.atomic import expect_place, save_table
         from trinoc.io.known_shape import load_shape
+        from trinoc.io.saving import expect_marked
         from trinoc.report.evaluations import evaluation_text
 
         expect_place(self.out, self.plot)
+        # Every table of this command has this column.
+        expect_marked(self.out, b"least_posterior", force=self.force)
         if self.plot is not None:
             from trinoc.report.evaluations import expect_plotter
 

@@ -110,11 +110,12 @@ class ExportCommand(Command):
         from trinoc.io.formats.format import LOSSES
         from trinoc.io.formats.registry import FORMATS
         from trinoc.io.intrinsics_json import load_lens_covariance
-        from trinoc.io.saving import load
+        from trinoc.io.saving import expect_foreign, load
 
         if self.names is not None or self.lens:
             raise UsageError("--names and --lens go with --from: leave them out.")
         target = FORMATS[name]
+        expect_foreign(self.out, force=self.force)
         value = load(self.file)
         target.save(value, self.out, unit_mm=self.unit_mm)
         lost = target.lost(value)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from trinoc.cli.command import LOGGER, Command, DryRunOption, Out, Outcome, ReportOption, UsageError
+from trinoc.cli.segments import DepthOption, FindOption
 from trinoc.cli.views import (
     SEGMENT_SUFFIXES,
     check_views,
@@ -19,28 +20,16 @@ from trinoc.cli.views import (
     read_rig,
     read_segments,
 )
+from trinoc.match.step_names import StepName
 
 if TYPE_CHECKING:
     from trinoc.geometry.segments import Segments
     from trinoc.match.tracks.matches import Matches
-import math
-
-from trinoc.cli.segments import FindOption
-from trinoc.match.step_names import StepName
-
-# Not None: an option that may be a pair or nothing would take pictures that follow it.
-ANYWHERE = (0.0, math.inf)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class MatchOptions(FindOption):
+class MatchOptions(DepthOption, FindOption):
     """Options of the steps from segments to tracks and features."""
-
-    depth_range_mm: Annotated[
-        tuple[float, float],
-        tyro.conf.arg(metavar="NEAR FAR", help_behavior_hint="(default: anywhere before them)"),
-    ] = ANYWHERE
-    """Least and greatest depth of lines before every camera that sees them."""
 
     steps: Annotated[
         tuple[StepName, ...], tyro.conf.arg(metavar="STEP...", help_behavior_hint="(default: none)")
@@ -82,12 +71,7 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
         settings = self.find_settings()
         if not files_of_views(self.images, guess=True, say=False):
             raise UsageError("No picture is given: write NAME=FILE for each camera.")
-        near, far = self.depth_range_mm
-        if not 0 <= near < far:
-            raise UsageError(
-                f"--depth-range-mm {near:g} {far:g} holds no depth: give the least, then the "
-                "greatest, in mm."
-            )
+        depths = self.depths_mm()
 
         from trinoc.cli.command import provenance
         from trinoc.io.atomic import expect_place
@@ -114,7 +98,6 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
             return self.plan(f"match with {self.rig}", files, sizes, places)
         images, segments = read_segments(files, rig, self.find_in, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
-        depths = None if self.depth_range_mm == ANYWHERE else self.depth_range_mm
         matches, segments, features, shadows = improve(
             match_segments(segments, rig, depth_range_mm=depths),
             segments,

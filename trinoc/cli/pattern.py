@@ -3,7 +3,7 @@
 import dataclasses
 import importlib.util
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -19,6 +19,7 @@ from trinoc.cli.settings import (
     parse_word,
     read_settings,
 )
+from trinoc.errors import InputError
 
 if TYPE_CHECKING:
     from trinoc.calib.targets.abstract_target import AbstractBoard
@@ -151,7 +152,9 @@ class PatternCommand(Command):
         from trinoc.calib.targets.abstract_target import AbstractTarget
         from trinoc.io.saving import expect_replaceable
 
-        expect_replaceable(self.out.with_suffix(".json"), AbstractTarget, force=self.force)
+        layout = self.out.with_suffix(".json")
+        expect_replaceable(layout, AbstractTarget, force=self.force)
+        self._expect_drawings(layout, (".png",) if kind == ".png" else (".svg", ".pdf"))
         screen = read_screen(self.screen, is_meant=kind == ".png")
         proposal = self._proposal(screen)
         sheet = self._board(proposal)
@@ -165,6 +168,15 @@ class PatternCommand(Command):
         text = f"{len(sheet)} {sheet.places}, {sheet.name}\n" + "\n".join(notes)
         record = {"name": sheet.name, sheet.places: len(sheet)}
         return Outcome(text, record, written=written)
+
+    def _expect_drawings(self, layout: Path, kinds: Sequence[str]) -> None:
+        """Raise InputError where a picture that no layout stands beside would be replaced."""
+        for place in map(layout.with_suffix, kinds):
+            if place.exists() and not layout.exists() and not self.force:
+                raise InputError(
+                    f"{place} is there, and no layout {layout.name} beside it, so that it may be "
+                    "something else, which would be lost: give another name, or --force."
+                )
 
     def _print(self, sheet: "AbstractBoard") -> tuple[list[Path], list[str]]:
         """Layout and drawings on paper: the files, and what to do with them."""

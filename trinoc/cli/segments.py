@@ -1,6 +1,7 @@
 """`trinoc segments`: the straight edges of one picture."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -112,6 +113,31 @@ class SegmentsCommand(Command):
 def usual_find() -> dict[str, Any]:
     """The settings where nothing is said."""
     return {name: getattr(SegmentsCommand, name) for name in FIND}
+
+
+# Not None: an option that may be a pair or nothing would take pictures that follow it.
+ANYWHERE = (0.0, math.inf)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DepthOption:
+    """Of commands that match."""
+
+    depth_range_mm: Annotated[
+        tuple[float, float],
+        tyro.conf.arg(metavar="NEAR FAR", help_behavior_hint="(default: anywhere before them)"),
+    ] = ANYWHERE
+    """Least and greatest depth of lines before every camera that sees them."""
+
+    def depths_mm(self) -> tuple[float, float] | None:
+        """The range, or None where all depths are allowed. Raises UsageError."""
+        near, far = self.depth_range_mm
+        if not 0 <= near < far:
+            raise UsageError(
+                f"--depth-range-mm {near:g} {far:g} holds no depth: give the least, then the "
+                "greatest, in mm."
+            )
+        return None if (near, far) == ANYWHERE else (near, far)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -93,6 +93,16 @@ def size_px(content: bytes) -> tuple[int, int] | None:
             return None
 
 
+def _count_pictures(content: bytes) -> int:
+    """Pictures of one size: of a stack or a film, without the previews that cameras add."""
+    with Image.open(io.BytesIO(content)) as picture:
+        count, size = getattr(picture, "n_frames", 1), picture.size
+        if count == 1 or picture.format == "MPO":
+            return 1
+        picture.seek(1)
+        return count if picture.size == size else 1
+
+
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp")
 # Uncompressed, colours of 16 bit.
 MOST_BYTES = 7 * MOST_PIXELS
@@ -174,7 +184,10 @@ def _content(file: Path) -> bytes:
         if not inside:
             raise InputError(f"{file} is a folder without pictures: give a picture file.")
         raise InputError(f"{file} is a folder: give one picture in it, such as {file / inside[0]}.")
-    return read_bytes(file, MOST_BYTES)
+    content = read_bytes(file, MOST_BYTES)
+    if not content:
+        raise InputError(f"{file} is empty: copy the picture again from where it came.")
+    return content
 
 
 def _decode(file: Path, content: bytes) -> np.ndarray:
@@ -192,15 +205,16 @@ def _decode(file: Path, content: bytes) -> np.ndarray:
         )
     if size is None or min(size) < 1:
         raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
+    count = _count_pictures(content)
+    if count > 1:
+        raise InputError(
+            f"{file} holds {count} pictures: save the one that is meant to a file of its own."
+        )
     if not ends_as_it_should(content):
         raise InputError(f"{file} ends before its picture does: copy it again.")
     try:
         with silent_opencv():
-            image = (
-                cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-                if content
-                else None
-            )
+            image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except (cv2.error, MemoryError):
         image = None
     if image is None:

@@ -26,6 +26,8 @@ def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
     Raises InputError for what is not JSON, NaN and infinities, keys given twice, numbers that are
     too long, texts that no file can hold, and nesting that is too deep.
     """
+    if not text.strip():
+        raise InputError(f"{file} is empty: give another file.")
     _check_depth(text, file)
     try:
         values = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique)

@@ -68,9 +68,32 @@ def expect_replaceable(
         stated = None
     if stated not in _list_formats(kind):
         held = f"a file of {stated}" if isinstance(stated, str) and stated else "something else"
-        raise InputError(
-            f"{path} is there and holds {held}, which would be lost: give another name, or --force."
-        )
+        raise InputError(_say_lost(path, held))
+
+
+def expect_marked(path: str | os.PathLike[str] | None, mark: bytes, *, force: bool = False) -> None:
+    """The same of files that are no values: all that trinoc writes there hold the mark."""
+    if path is None or force or not Path(path).is_file():
+        return
+    content = Path(path).read_bytes()
+    if content and mark.lower() not in content.lower():
+        raise InputError(_say_lost(path, "something else"))
+
+
+def expect_foreign(path: str | os.PathLike[str], *, force: bool = False) -> None:
+    """The same of other tools' files: none of ours may stand there."""
+    if force or not Path(path).is_file() or Path(path).suffix.lower() not in (".json", ".npz"):
+        return
+    try:
+        stated = _stated_format(Path(path))
+    except InputError:
+        return
+    if isinstance(stated, str) and stated.startswith("trinoc-"):
+        raise InputError(_say_lost(path, f"a file of {stated}"))
+
+
+def _say_lost(path: str | os.PathLike[str], held: str) -> str:
+    return f"{path} is there and holds {held}, which would be lost: give another name, or --force."
 
 
 def _stated_format(file: Path) -> object:

@@ -17,6 +17,8 @@ TABLE_SUFFIXES = (".npy", ".csv", ".txt")
 _REMEDY = "give rows of x1 y1 x2 y2 in pixels"
 # With these names above it a table may have no row.
 COLUMNS = {"x1", "y1", "x2", "y2"}
+# Rows below such names are boxes or polar lines.
+_OTHER_COLUMNS = {"w", "h", "width", "height", "length", "angle", "theta", "rho"}
 
 
 def load_segments(path: str | os.PathLike[str]) -> Segments:
@@ -37,6 +39,10 @@ def load_segments(path: str | os.PathLike[str]) -> Segments:
         text = str(error)
         raise error if text.startswith(str(file)) else InputError(f"{file}: {text}") from error
     ends = np.abs(np.asarray(segments.endpoints_px))
+    if len(ends) and ends.max() <= 1:
+        raise InputError(
+            f"{file} has no coordinate above 1, as shares of a picture have: {_REMEDY}."
+        )
     far = np.flatnonzero((ends > LARGEST_PX).any(axis=(1, 2)))
     if len(far):
         raise InputError(
@@ -76,6 +82,12 @@ def _text_table(text: str, file: Path) -> np.ndarray:
             )
         if row is None and heading is None and not rows and _is_names(line):
             heading = number, line
+            other = _OTHER_COLUMNS.intersection(_words(line.lower()))
+            if other:
+                raise InputError(
+                    f'{file}, line {number}, names a column "{min(other)}": {_REMEDY}, the two '
+                    "ends of a segment."
+                )
         elif row is None:
             raise InputError(f"{file}, line {number}, is not a table of numbers: {_REMEDY}.")
         elif rows and len(row) != len(rows[0]):

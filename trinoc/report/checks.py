@@ -12,6 +12,7 @@ from trinoc.match.tracks.matches import Matches
 from trinoc.report.coverage import Coverage, MeanResiduals
 from trinoc.report.epipolar_part import EpipolarPart
 from trinoc.report.field_part import FieldPart, Uncertainty
+from trinoc.report.recording_part import RecordingPart
 
 
 class Level(enum.Enum):
@@ -35,6 +36,7 @@ class Subject(NamedTuple):
     epipolar: Sequence[EpipolarPart] = ()
     field: FieldPart | None = None
     uncertainty: Uncertainty | None = None
+    recording: RecordingPart | None = None
 
 
 class Answer(NamedTuple):

@@ -36,9 +36,9 @@ from trinoc.report.features_part import feature_table, with_features
 from trinoc.report.field_part import field_part, halves_maps, uncertainty_maps
 from trinoc.report.matches_part import matches_part
 from trinoc.report.pictures import PagePicture, page_pictures
-from trinoc.report.plan_part import draw_plans
+from trinoc.report.recording_part import RecordingPart
 from trinoc.report.shots_part import boards_in_space, shot_table
-from trinoc.report.space_part import SpaceFigure, space_figure
+from trinoc.report.space_part import SpaceFigure, draw_plans, space_figure
 from trinoc.report.verdict import Verdict, find_verdict
 
 
@@ -78,6 +78,7 @@ def write_report(
     doubts: Mapping[str, str] | None = None,
     features: Sequence[Feature] = (),
     advice: str = "",
+    recording: RecordingPart | None = None,
 ) -> None:
     """Write a self-contained HTML page about a calibration, a matching, or both.
 
@@ -96,6 +97,7 @@ def write_report(
     provenance : what to say at the foot: command, version, files.
     doubts : for cameras of `rig` whose calibration was suspect, why.
     features : found in `matches`, shown among them in space and as tables.
+    recording : all frames of it; `matches` are those of its middle one.
 
     Raises InputError where neither a rig nor a calibration nor segments are given, where the
     segments' or matches' views are not those of the rig, where many shots stand beside a
@@ -119,6 +121,7 @@ def write_report(
             doubts=doubts,
             features=features,
             advice=advice,
+            recording=recording,
         ),
     )
 
@@ -140,6 +143,7 @@ def render_report(
     doubts: Mapping[str, str] | None = None,
     features: Sequence[Feature] = (),
     advice: str = "",
+    recording: RecordingPart | None = None,
 ) -> str:
     """The page of `write_report` as text."""
     if shots is not None:
@@ -165,9 +169,13 @@ def render_report(
         coverage=() if result is None else coverage_by_circles(result, sheet),
         epipolar=_epipolar_parts(rig, result, matches, sheet, scene),
         field=field_part(rig, pattern, matches, sheet if result is not None else scene),
+        recording=recording,
     )
+    parts = []
+    if recording is not None:
+        parts.append(ReportPart("recording", "All frames", "recording", recording))
     cameras = cameras_part(rig, result, reference, reference_name)
-    parts = [ReportPart("cameras", "Cameras", "cameras", cameras)]
+    parts.append(ReportPart("cameras", "Cameras", "cameras", cameras))
     if result is not None and result.fits:
         found = sheet_part(result, subject.coverage, sheet)
         parts.append(ReportPart("detection", "The sheet: coverage and residuals", "sheet", found))

@@ -9,13 +9,14 @@ from jaxtyping import Float
 
 from trinoc.geometry.line_lengths import LineSigmas, line_sigmas
 from trinoc.geometry.segments import Segments
+from trinoc.match.tracks.answers import MATCHED
 from trinoc.match.tracks.matches import (
     BINOCULAR,
     EVEN,
     TRINOCULAR,
     Matches,
 )
-from trinoc.report.numbers import in_words, percent, with_decimals, with_sigma
+from trinoc.report.numbers import in_words, with_decimals, with_sigma
 from trinoc.report.pictures import PagePicture, Window
 from trinoc.report.space_content import PALETTE, distinct_neighbours
 
@@ -173,7 +174,6 @@ def tracks_figures(
 
 
 TABLE_ROWS = 300
-MATCHED = "matched"
 
 
 class TrackRow(NamedTuple):
@@ -313,7 +313,7 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: LineSigmas) -> tup
     return tuple(rows)
 
 
-def share_matched(matches: Matches) -> str:
-    """The share of all segments that are on a track, as words."""
+def share_matched(matches: Matches) -> float:
+    """The share of all segments that are on a track; NaN without any."""
     words = np.concatenate([np.asarray(matches.reasons[view], dtype=str) for view in matches.views])
-    return percent(float(np.mean(words == MATCHED))) if len(words) else percent(float("nan"))
+    return float(np.mean(words == MATCHED)) if len(words) else np.nan

@@ -220,8 +220,8 @@ def _answer_on_matches(subject: Subject) -> Answer | None:
     found = len(matches) if two_views else in_three
     figure = f"{found} tracks in {'both views' if two_views else 'three views or more'}"
     words = (
-        f"and {len(matches) - found} in two; {share_matched(matches)} of all segments are on a "
-        "track."
+        f"and {len(matches) - found} in two; {percent(share_matched(matches))} of all segments are "
+        "on a track."
     )
     return Answer(found / max(fewest, 1), figure, words)
 
@@ -236,6 +236,26 @@ def _agreeing(subject: Subject) -> Answer | None:
         "segments were measured."
     )
     return Answer(scale, f"{with_decimals(scale, 2)} times their sigma", words)
+
+
+def _answer_on_frames(subject: Subject) -> Answer | None:
+    recording = subject.recording
+    if recording is None:
+        return None
+    bad = [fate for fate in recording.frames if fate.said]
+    count = len(recording.frames)
+    words = f"{bad[0].name}: {bad[0].said}" if bad else "none failed, and none is suspect."
+    return Answer(len(bad) / count, f"{count - len(bad):,} of {count:,} frames", words)
+
+
+def _answer_on_time(subject: Subject) -> Answer | None:
+    recording = subject.recording
+    if recording is None or not len(recording.agreement):
+        return None
+    least, most = recording.agreement.min(), recording.agreement.max()
+    words = "medians of frames in a row, by which the views place a segment differently."
+    figure = f"{with_decimals(least, 2)} to {with_decimals(most, 2)} times their sigma"
+    return Answer(most, figure, words)
 
 
 def _answer_on_sigmas(subject: Subject) -> Answer | None:
@@ -254,6 +274,17 @@ APART, FAR_APART = 1.5, 3.0
 NOISY = 2**0.5
 
 CHECKS = (
+    Limits(
+        "Did every frame work?", "recording", 0,
+        "Look at these frames; where they are many in a row, something moved there.",
+        _answer_on_frames,
+        bad=0.5,
+    ),
+    Limits(
+        "Do the views agree all along?", "recording", 2,
+        "A camera was knocked where the line steps: run trinoc check on a frame behind it.",
+        _answer_on_time,
+    ),
     Limits(
         "Is every camera calibrated?", "cameras", 0,
         "The picture is not what the model says, so its sigmas are too small: check the pattern "

@@ -106,7 +106,9 @@ def _refine(
 
     refined = refine_image(image, pattern, lens, start, model, shift=shift, encoding=encoding)
     if refined is None:
-        return silent("the picture has too little contrast to be fitted itself.")
+        two_levels = len(np.unique(image[:: len(image) // 8 + 1])) <= 2
+        why = "has two grey levels alone" if two_levels else "shows too little of the sheet's edges"
+        return silent(f"the picture {why}, and so cannot be fitted itself.")
     finite = np.isfinite(refined.information).all() and len(refined.points.place_mm) > 0
     if not refined.converged or not finite:
         return silent("the fit of the picture itself did not converge.")

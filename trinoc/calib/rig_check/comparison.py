@@ -84,6 +84,10 @@ def compare_rigs(
         )
     if len(common) > 1 and len(moved) == len(common):
         sentences.append("Every camera changed: it may be the sheet that moved.")
+    for name in common:
+        one, other = (" x ".join(map(str, rig[name].image_size_px)) for rig in (now, before))
+        if one != other:
+            sentences.append(f'The pictures of "{name}" are {one} px, and were {other} px.')
     sentences.extend(
         f'Camera "{name}" is not in the earlier rig.' for name in now if name not in common
     )

@@ -46,8 +46,8 @@ def ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
 def _ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
     if rows * columns > _MOST_CIRCLES:
         raise InputError(
-            f"A ring code for {rows} x {columns} circles is not searched for;"
-            f" give `rings=` yourself or use at most {_MOST_CIRCLES} circles."
+            f"A ring code for {rows} x {columns} circles is not searched for: take at most "
+            f"{_MOST_CIRCLES} circles, or give `rings=` in Python."
         )
     if min(rows, columns) < 3:
         return _fewest_rings(rows, columns)

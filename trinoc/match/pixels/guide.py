@@ -15,6 +15,7 @@ from trinoc.match.pixels.new_lines import with_new_lines
 from trinoc.match.pixels.prolong import prolong_segments
 from trinoc.match.pixels.state import State, build_tables, ends_are_swapped, initial_state
 from trinoc.match.pixels.views import PictureInput, picture_inputs, with_usual_width
+from trinoc.match.tracks.answers import MATCHED
 from trinoc.match.tracks.assembly import flag_viewpoint_dependent
 from trinoc.match.tracks.line_fit import (
     common_ends,
@@ -31,8 +32,6 @@ from trinoc.match.tracks.unequal_errors import (
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
-
-MATCHED = "matched"
 
 
 class GuidedMatches(eqx.Module):

@@ -1,0 +1,143 @@
+"""What became of a recording: each frame's tracks over time, the frames to look at, and one to
+show whole.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.errors import InputError
+from trinoc.match.tracks.matches import TRINOCULAR, Matches, MatchStatus
+from trinoc.report.matches_part import share_matched
+from trinoc.report.numbers import percent, with_decimals
+
+# A chart has at most so many columns, of several frames each in long recordings.
+COLUMNS = 400
+# Rows of the table of frames to look at.
+LISTED = 50
+# A frame with less than this share of the median of tracks is one to look at.
+FEW = 0.5
+# The views' agreement is judged over so many frames in a row, and no fewer than some.
+RUNS, LEAST_RUN = 10, 5
+
+
+class FrameFate(NamedTuple):
+    """What became of one frame; numbers are NaN where it failed.
+
+    Fields
+    ------
+    tracks : in three views or more, of two views in both.
+    share : of all segments, those on a track.
+    agreement : the noise scale of its matches.
+    said : why it failed or is suspect; empty where it is well.
+    """
+
+    name: str
+    tracks: float
+    share: float
+    agreement: float
+    said: str
+
+
+class FrameChart(NamedTuple):
+    """A number of the frames over time: (n, 3) least, median and most of each column.
+
+    Fields
+    ------
+    low, high : the ends of its axis, in words.
+    points : columns from 0 to 1, numbers as shares of the axis.
+    """
+
+    title: str
+    low: str
+    high: str
+    points: Float[np.ndarray, "n 3"]
+
+
+class RecordingPart(NamedTuple):
+    """Charts of all frames; those to look at, with why; the middle one, which is shown whole.
+
+    `agreement` holds the medians of the noise scales of frames in a row, the first run first.
+    """
+
+    frames: tuple[FrameFate, ...]
+    charts: tuple[FrameChart, ...]
+    bad: tuple[float, ...]
+    to_look_at: tuple[FrameFate, ...]
+    omitted: int
+    middle: str
+    agreement: Float[np.ndarray, "r"]
+
+
+def recording_part(
+    frames: Mapping[str, Matches | None], failures: Mapping[str, str]
+) -> RecordingPart:
+    """Read through the results of all frames, one at a time.
+
+    Raises InputError where all frames failed: there is nothing to show.
+    """
+    fates = tuple(_frame_fate(name, frames[name], failures.get(name, "")) for name in frames)
+    well = [fate for fate in fates if not fate.said] or [
+        fate for fate in fates if np.isfinite(fate.tracks)
+    ]
+    if not well:
+        raise InputError("Every frame failed: there is nothing to report but the manifest.")
+    tracks = np.array([fate.tracks for fate in well])
+    median = float(np.median(tracks))
+    middle = well[int(np.argmin(np.abs(tracks - median)))].name
+    few = f"fewer tracks than {percent(FEW)} of the median ({median:.0f})"
+    odd = [
+        fate if fate.said else fate._replace(said=few)
+        for fate in fates
+        if fate.said or fate.tracks < FEW * median
+    ]
+    numbers = np.array([(f.tracks, f.share, f.agreement) for f in fates]).T
+    many, share, agreement = (_columns(row) for row in numbers)
+    most = max(float(np.nanmax(numbers[0])), 1.0)
+    noisiest = max(float(np.nanmax(numbers[2], initial=0.0)), 2.0)
+    charts = (
+        FrameChart("Tracks", "0", f"{most:.0f}", many / most),
+        FrameChart("Segments on a track", "0 %", "100 %", share),
+        FrameChart(
+            "Views apart, in sigmas",
+            "0",
+            with_decimals(noisiest, 1),
+            agreement / noisiest,
+        ),
+    )
+    bad = tuple((at + 0.5) / len(fates) for at, fate in enumerate(fates) if fate.said)
+    return RecordingPart(
+        *(fates, charts, bad, tuple(odd[:LISTED]), max(len(odd) - LISTED, 0), middle),
+        _run_medians(np.array([fate.agreement for fate in well])),
+    )
+
+
+def _frame_fate(name: str, matches: Matches | None, failure: str) -> FrameFate:
+    if matches is None:
+        return FrameFate(name, np.nan, np.nan, np.nan, failure or "failed")
+    in_three = np.asarray(matches.stage) == TRINOCULAR
+    suspect = matches.status is MatchStatus.SUSPECT
+    return FrameFate(
+        name,
+        float(in_three.sum() if len(matches.views) > 2 else len(matches)),
+        share_matched(matches),
+        float(matches.noise_scale) if in_three.any() else np.nan,
+        matches.notes[0] if suspect else "",
+    )
+
+
+def _columns(values: Float[np.ndarray, "f"]) -> Float[np.ndarray, "n 3"]:
+    """Least, median and most of as many frames as a column holds; NaN where all failed."""
+    columns = []
+    for part in np.array_split(values, min(COLUMNS, len(values))):
+        known = part[np.isfinite(part)]
+        columns.append(np.quantile(known, (0, 0.5, 1)) if len(known) else [np.nan] * 3)
+    return np.array(columns)
+
+
+def _run_medians(values: Float[np.ndarray, "f"]) -> Float[np.ndarray, "r"]:
+    known = values[np.isfinite(values)]
+    runs = min(RUNS, len(known) // LEAST_RUN) or min(len(known), 1)
+    return np.array([np.median(run) for run in np.array_split(known, runs)] if runs else [])
