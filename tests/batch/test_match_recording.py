@@ -116,6 +116,17 @@ def test_every_frame_has_its_matches_or_its_reason(recording, tmp_path, quick):
     assert found.failures["6"].startswith("6_upper.csv has words in line 1")
 
 
+def test_a_report_shows_all_frames_and_the_middle_one(recording, tmp_path, quick, monkeypatch):
+    monkeypatch.chdir(recording)
+    words = ["batch", "frames", "--rig", "rig.json", "-o", str(tmp_path / "out"), "--quiet"]
+    page = tmp_path / "r.html"
+    assert main([*words, "--files", "npz", "--workers", "2", "--report", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert f"{FRAMES - 2} of {FRAMES} frames" in text
+    assert "has no picture of &#34;left&#34;" in text
+    assert 'id="segments"' in text
+
+
 def test_frames_that_do_not_belong_to_the_rig_are_counted_and_fail_the_command(
     recording, tmp_path, monkeypatch
 ):
@@ -135,12 +146,12 @@ def test_frames_that_do_not_belong_to_the_rig_are_counted_and_fail_the_command(
     # And again by the files alone, where the manifest is lost.
     outcome.manifest.write_text("")
     assert match(recording, tmp_path / "out").suspect == outcome.suspect
-    told = _outcome(outcome)
+    told = _outcome(outcome, None)
     assert f"{outcome.suspect} do not seem to belong to the rig" in told.text
     assert told.record["suspect"] == outcome.suspect
     assert told.refusal is not None
     assert str(outcome.manifest) in told.refusal
-    assert _outcome(replace(outcome, suspect=0)).refusal is None
+    assert _outcome(replace(outcome, suspect=0), None).refusal is None
 
 
 class Killed(BaseException):

@@ -122,7 +122,7 @@ def test_depths_that_leave_nothing_are_named():
     words = {view: np.full(len(w), "outside depth") for view, w in matches.reasons.items()}
     none = dataclasses.replace(matches, stage=np.full(len(matches), "binocular"), reasons=words)
     (said,) = remarks(none)
-    assert "check --depth-range-mm" in said
+    assert "check depth_range_mm" in said
 
 
 def test_a_remedy_that_no_option_has_is_not_said():
@@ -142,6 +142,16 @@ def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):
         assert "which would be lost: give another name, or --force" in capsys.readouterr().err
     for place in ("mine.npz",):
         assert main([*MATCH, "-o", place]) == 1
+        assert "which would be lost" in capsys.readouterr().err
+    evaluate = ("evaluate", "--matches", "upper.npz", "--truth", "sheet.json")
+    for words in (
+        (*MATCH, "-o", "new.npz", "--report", "mine.npz"),
+        (*evaluate, "-o", "rig.json"),
+        (*evaluate, "--plot", "left.png"),
+        ("export", "left.npz", "--to", "json", "-o", "rig.json"),
+        ("pattern", "-o", "right.png", "--screen", "size_px=400,300", "pitch_mm=0.3"),
+    ):
+        assert main([*words]) == 1, words
         assert "which would be lost" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
     assert main(["pattern", "-o", "sheet.json"]) == 0

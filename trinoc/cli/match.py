@@ -187,16 +187,15 @@ def remarks(matches: "Matches") -> list[str]:
     Segments of pictures that a rig did not take, or took with other cameras, meet by chance
     in two views, but hardly in three.
     """
+    from trinoc.match.decoys import say_excluded_depths
+
     fewest = min(len(words) for words in matches.reasons.values())
     found = matches.stage == "trinocular" if len(matches.views) > 2 else matches.index[:, 0] >= 0
     if found.sum() > LEAST_SHARE * fewest:
         return []
-    words = Counter(str(word) for column in matches.reasons.values() for word in column)
-    if words["outside depth"] > words["matched"]:
-        return [
-            f"{words['outside depth']} segments have no partner in the depths allowed: check "
-            "--depth-range-mm, which is from each camera, in mm."
-        ]
+    excluded = say_excluded_depths(matches)
+    if excluded is not None:
+        return [excluded]
     many = "three views" if len(matches.views) > 2 else "both views"
     return [
         f"Few segments were matched in {many}: check that this rig took these pictures of "

@@ -27,6 +27,7 @@ from trinoc.match.explanations import (
 )
 from trinoc.match.observations.match_input import FrameInput
 from trinoc.match.observations.unusable import EQUAL, UNPLACED
+from trinoc.match.tracks.answers import MATCHED, OUTSIDE
 from trinoc.match.tracks.matches import EVEN, SUSPECT_SETS, TRINOCULAR, Matches
 from trinoc.match.tuning.tracks import DecoyTuning
 
@@ -71,8 +72,9 @@ def check_set(
         return found
     chance = [] if is_clear else count_by_chance(frame, sure, share, match, tuning)
     by_chance = bool(chance and sure.in_three < least_above_chance(chance, share, tuning))
-    every, cause = by_chance or bool(share < tuning.few_share), None
-    if every or found.noise_scale > tuning.shifted_above:
+    every = by_chance or bool(share < tuning.few_share)
+    cause = say_excluded_depths(found) if every else None
+    if cause is None and (every or found.noise_scale > tuning.shifted_above):
         cause = find_cause(frame, match, tuning, every=every)
     if by_chance or cause:
         note = _note_of_set(sure, chance if by_chance else [], cause)
@@ -85,6 +87,18 @@ def check_set(
         )
         return _doubt(found, sure, [], note)
     return found
+
+
+def say_excluded_depths(found: Matches) -> str | None:
+    """What to check where the allowed depths leave out more segments than are matched."""
+    words = np.concatenate([np.asarray(words, dtype=str) for words in found.reasons.values()])
+    excluded = int((words == OUTSIDE).sum())
+    if excluded <= (words == MATCHED).sum():
+        return None
+    return (
+        f"{excluded} segments have no partner in the depths allowed: check depth_range_mm, which "
+        "is from each camera, in mm."
+    )
 
 
 def count_by_chance(

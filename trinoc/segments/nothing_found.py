@@ -59,15 +59,15 @@ def why_nothing(image: Shaped[np.ndarray, "..."], *, least_contrast: float = 7.0
     if strongest < least_contrast:
         return (
             f"Its grey levels go from {low:.4g} to {high:.4g} of 255 and change by at most "
-            f"{strongest:.2g} across an edge, where {least_contrast:g} are asked for: expose "
+            f"{strongest:.3g} across an edge, where {least_contrast:g} are asked for: expose "
             "longer, or take a smaller least_contrast."
         )
     if strongest < 6 * noise:
         return (
-            f"Its grey levels change by {strongest:.2g} of 255 across the strongest edges, hardly "
+            f"Its grey levels change by {strongest:.3g} of 255 across the strongest edges, hardly "
             f"more than its noise of {noise:.2g}: expose longer or light the scene."
         )
     return (
-        f"It has edges of {strongest:.2g} grey levels of 255, but none that is straight, sharp and "
+        f"It has edges of {strongest:.3g} grey levels of 255, but none that is straight, sharp and "
         "long enough: check the focus and what it shows, or take a larger tolerance_px, or arcs."
     )
