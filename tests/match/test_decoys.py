@@ -52,6 +52,13 @@ def test_exchanged_views_are_suspect_by_name_and_nothing_in_them_is_sure(boxes):
     assert (matches.posterior < 0.9).all()
 
 
+def test_depths_that_leave_out_the_scene_are_named_and_not_the_rig(boxes):
+    matches = match_segments(boxes, RIG, depth_range_mm=(0.3, 0.6))
+    assert matches.status is MatchStatus.SUSPECT
+    assert "check depth_range_mm" in matches.notes[0]
+    assert say_excluded_depths(match_segments(boxes, RIG)) is None
+
+
 @pytest.mark.parametrize(
     "matrix",
     [

@@ -128,6 +128,20 @@ def test_keys_turn_the_figure_and_walk_through_the_segments(browser: Any) -> Non
     assert browser.find_element("id", "readout").text.startswith("segment 1 of upper")
 
 
+def test_a_slider_shows_one_height_at_a_time(browser: Any) -> None:
+    shown = """const block = document.querySelector('#field .levels');
+        const input = block.querySelector('input');
+        return [...Array(Number(input.max) + 1).keys()].map((at) => {
+          input.value = at;
+          input.dispatchEvent(new Event('input'));
+          const levels = [...block.querySelectorAll('[data-said]')];
+          return [levels.filter((e) => e.offsetHeight > 0).map((e) => e.dataset.said),
+                  block.querySelector('output').textContent]; });"""
+    found = browser.execute_script(shown)
+    assert len({said for _, said in found}) == len(found) > 5
+    assert all(levels == [said] for levels, said in found)
+
+
 def test_a_phone_shows_all_cameras_without_scrolling_sideways(browser: Any) -> None:
     _metrics(browser, 390, mobile=True)
     assert browser.execute_script("return document.documentElement.scrollWidth") == 390

@@ -118,11 +118,11 @@ class BatchCommand(DepthOption, FindOption, ReportOption, Command):
         from trinoc.cli.command import provenance
         from trinoc.io.frames_files import load_recording
         from trinoc.io.images import read_image
-        from trinoc.report.recording_part import recording_part
+        from trinoc.report.frames_part import frames_part
 
         LOGGER.info("reading the results of all frames")
         results = load_recording(self.out)
-        recording = recording_part(results, results.failures)
+        recording = frames_part(results, results.failures)
         source = find_frames(self.frames, rig.names, self.template)
         (frame,) = (each for each in source.frames if each.name == recording.middle)
         files = {name: source.folder / frame.files[name] for name in rig.names}

@@ -12,7 +12,7 @@ from trinoc.match.tracks.matches import Matches
 from trinoc.report.coverage import Coverage, MeanResiduals
 from trinoc.report.epipolar_part import EpipolarPart
 from trinoc.report.field_part import FieldPart, Uncertainty
-from trinoc.report.recording_part import RecordingPart
+from trinoc.report.frames_part import FramesPart
 
 
 class Level(enum.Enum):
@@ -36,7 +36,7 @@ class Subject(NamedTuple):
     epipolar: Sequence[EpipolarPart] = ()
     field: FieldPart | None = None
     uncertainty: Uncertainty | None = None
-    recording: RecordingPart | None = None
+    recording: FramesPart | None = None
 
 
 class Answer(NamedTuple):

@@ -208,13 +208,13 @@ def uncertainty_maps(result: RigFromShots) -> Uncertainty | None:
         return None
     levels, worst = [], {}
     for times in DISTANCES:
-        maps, worst[times] = _maps_at(result, result.rig, times)
+        maps, worst[times] = _draw_maps(result, result.rig, times)
         said = f"{times:g} times as far as the boards"
         levels.append(FieldLevel(said, maps, times in (1.0, TUNING.advice.farther)))
     return Uncertainty(tuple(levels), worst[1.0], worst[TUNING.advice.farther])
 
 
-def _maps_at(result: RigFromShots, rig: Rig, times: float) -> tuple[tuple[FieldMap, ...], float]:
+def _draw_maps(result: RigFromShots, rig: Rig, times: float) -> tuple[tuple[FieldMap, ...], float]:
     maps, worst = [], 0.0
     for name in result.cameras:
         distance = times * _distance_mm(result, rig, name)

@@ -34,9 +34,9 @@ from trinoc.report.epipolar_part import (
 )
 from trinoc.report.features_part import feature_table, with_features
 from trinoc.report.field_part import field_part, halves_maps, uncertainty_maps
+from trinoc.report.frames_part import FramesPart
 from trinoc.report.matches_part import matches_part
 from trinoc.report.pictures import PagePicture, page_pictures
-from trinoc.report.recording_part import RecordingPart
 from trinoc.report.shots_part import boards_in_space, shot_table
 from trinoc.report.space_part import SpaceFigure, draw_plans, space_figure
 from trinoc.report.verdict import Verdict, find_verdict
@@ -78,7 +78,7 @@ def write_report(
     doubts: Mapping[str, str] | None = None,
     features: Sequence[Feature] = (),
     advice: str = "",
-    recording: RecordingPart | None = None,
+    recording: FramesPart | None = None,
 ) -> None:
     """Write a self-contained HTML page about a calibration, a matching, or both.
 
@@ -143,7 +143,7 @@ def render_report(
     doubts: Mapping[str, str] | None = None,
     features: Sequence[Feature] = (),
     advice: str = "",
-    recording: RecordingPart | None = None,
+    recording: FramesPart | None = None,
 ) -> str:
     """The page of `write_report` as text."""
     if shots is not None:

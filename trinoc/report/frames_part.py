@@ -56,7 +56,7 @@ class FrameChart(NamedTuple):
     points: Float[np.ndarray, "n 3"]
 
 
-class RecordingPart(NamedTuple):
+class FramesPart(NamedTuple):
     """Charts of all frames; those to look at, with why; the middle one, which is shown whole.
 
     `agreement` holds the medians of the noise scales of frames in a row, the first run first.
@@ -71,9 +71,7 @@ class RecordingPart(NamedTuple):
     agreement: Float[np.ndarray, "r"]
 
 
-def recording_part(
-    frames: Mapping[str, Matches | None], failures: Mapping[str, str]
-) -> RecordingPart:
+def frames_part(frames: Mapping[str, Matches | None], failures: Mapping[str, str]) -> FramesPart:
     """Read through the results of all frames, one at a time.
 
     Raises InputError where all frames failed: there is nothing to show.
@@ -108,7 +106,7 @@ def recording_part(
         ),
     )
     bad = tuple((at + 0.5) / len(fates) for at, fate in enumerate(fates) if fate.said)
-    return RecordingPart(
+    return FramesPart(
         *(fates, charts, bad, tuple(odd[:LISTED]), max(len(odd) - LISTED, 0), middle),
         _run_medians(np.array([fate.agreement for fate in well])),
     )

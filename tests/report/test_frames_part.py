@@ -10,8 +10,8 @@ from tests.io.formats.bench import bench_matches
 from trinoc.errors import InputError
 from trinoc.match.tracks.matches import SUSPECT_SETS, TRINOCULAR, Matches
 from trinoc.report.checks import Level, Subject
+from trinoc.report.frames_part import COLUMNS, LEAST_RUN, RUNS, frames_part
 from trinoc.report.html import render_report
-from trinoc.report.recording_part import COLUMNS, LEAST_RUN, RUNS, recording_part
 from trinoc.report.verdict import find_verdict
 from trinoc.synth import table1_rig
 
@@ -35,9 +35,9 @@ def test_a_chart_holds_every_frame(tracks):
     failures = {name: "no picture" for name, each in frames.items() if each is None}
     if not known:
         with pytest.raises(InputError, match="Every frame failed"):
-            recording_part(frames, failures)
+            frames_part(frames, failures)
         return
-    part = recording_part(frames, failures)
+    part = frames_part(frames, failures)
     chart = part.charts[0]
     lowest, median, highest = (chart.points * max(max(known), 1)).T
     assert (np.nanmin(lowest), np.nanmax(highest)) == pytest.approx((min(known), max(known)))
@@ -53,7 +53,7 @@ def test_a_chart_holds_every_frame(tracks):
 
 def test_many_frames_share_columns_and_none_is_dropped():
     frames = {str(k): with_tracks(0 if k == 777 else 3) for k in range(3 * COLUMNS)}
-    part = recording_part(frames, {})
+    part = frames_part(frames, {})
     (lowest, median, highest) = part.charts[0].points.T
     assert len(median) == COLUMNS
     assert (lowest.min(), median.min(), highest.min()) == (0, 1, 1)
@@ -63,7 +63,7 @@ def test_many_frames_share_columns_and_none_is_dropped():
 def test_a_camera_that_is_knocked_on_the_way_shows_in_the_runs():
     count = RUNS * LEAST_RUN
     frames = {str(k): with_tracks(3, 1.0 if k < 0.7 * count else 4.0) for k in range(count)}
-    part = recording_part(frames, {})
+    part = frames_part(frames, {})
     assert part.agreement.tolist() == pytest.approx([1.0] * 7 + [4.0] * 3)
     verdict = find_verdict(Subject(matches=with_tracks(3), recording=part))
     assert verdict is not None
@@ -77,7 +77,7 @@ def test_a_camera_that_is_knocked_on_the_way_shows_in_the_runs():
 )
 def test_frames_that_are_suspect_are_counted_and_told(suspect, level):
     frames = {str(k): doubted(with_tracks(3)) if k < suspect else with_tracks(3) for k in range(10)}
-    part = recording_part(frames, {})
+    part = frames_part(frames, {})
     verdict = find_verdict(Subject(matches=with_tracks(3), recording=part))
     assert verdict is not None
     row = verdict.checks[0]
