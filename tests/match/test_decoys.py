@@ -10,6 +10,7 @@ import pytest
 from tests.io.formats.bench import bench_matches
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
+from trinoc.match.decoys import say_excluded_depths
 from trinoc.match.explanations import (
     MIRRORED,
     TURNED,
