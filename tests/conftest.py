@@ -10,6 +10,8 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import jaxlib.version
+
 # Threads of several test workers fight over the cores: one each, set before NumPy and OpenCV load.
 for _variable in (
     "OMP_NUM_THREADS",
@@ -22,7 +24,9 @@ for _variable in (
 # Tests compile far longer than they compute: XLA's costly passes do not pay here. What users run,
 # with these passes, is run by `.ci/run` in the demo. The code generator is the commands' own.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+# XLA ends the process for an option that it does not know, as versions from 0.12 on do.
+if jaxlib.version.__version__.startswith("0.10."):
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 # Workers and notebooks compile the same kernels. They share them through a folder that the
 # first process makes and removes; the others find its name in their environment.
