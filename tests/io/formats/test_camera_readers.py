@@ -2,6 +2,9 @@
 
 import ast
 import json
+import os
+import subprocess
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,6 +17,8 @@ from trinoc.geometry.camera import Camera
 from trinoc.io import FORMATS
 
 SAME = {"rtol": 0, "atol": 1e-9}
+# The interpreter that Debian's python3-mrcal and python3-camera-calibration-parsers are made for.
+DEBIAN = Path("/usr/bin/python3")
 RIG = bench_rig()
 
 
@@ -219,6 +224,56 @@ def test_a_cameramodel_is_what_mrcal_documents(tmp_path):
         matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         found = by_opencv(CORNERS, rotation, translation, matrix, distortion)
         np.testing.assert_allclose(found, pixels(camera), **SAME)
+
+
+def read_by_debian(module, program, *arguments):
+    """What a program of Debian's Python prints as JSON; skips where its module is not there."""
+    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    call = {"capture_output": True, "text": True, "env": alone}
+    if not DEBIAN.exists() or subprocess.run([DEBIAN, "-c", f"import {module}"], **call).returncode:
+        pytest.skip(f"Debian's {module} is not installed")
+    done = subprocess.run([DEBIAN, "-c", program, *map(str, arguments)], **call)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_mrcal_projects_the_same_points_alike(tmp_path):
+    program = """if True:
+        import json, sys, mrcal, numpy as np
+        points = np.array(json.loads(sys.argv[1])) / 1000
+        models = [mrcal.cameramodel(name) for name in sys.argv[2:]]
+        seen = [mrcal.transform_point_rt(m.extrinsics_rt_fromref(), points) for m in models]
+        images = [mrcal.project(s, *m.intrinsics()) for s, m in zip(seen, models)]
+        print(json.dumps([each.tolist() for each in images]))
+    """
+    FORMATS["mrcal"].save(RIG, tmp_path / "models")
+    files = [tmp_path / "models" / f"{name}.cameramodel" for name in RIG]
+    for camera, found in zip(
+        RIG.cameras,
+        read_by_debian("mrcal", program, json.dumps(CORNERS.tolist()), *files),
+        strict=True,
+    ):
+        np.testing.assert_allclose(found, pixels(camera), **SAME)
+
+
+def test_ros_reads_the_lens_of_each_camera(tmp_path):
+    program = """if True:
+        import json, sys, camera_calibration_parsers
+        found = [camera_calibration_parsers.readCalibration(name) for name in sys.argv[1:]]
+        keys = ("width", "height", "distortion_model")
+        print(json.dumps([[name, [getattr(info, key) for key in keys], info.K, info.D]
+                          for name, info in found]))
+    """
+    FORMATS["ros"].save(RIG, tmp_path / "ros")
+    files = [tmp_path / "ros" / f"{name}.yaml" for name in RIG]
+    for (name, camera), found in zip(
+        RIG.items(), read_by_debian("camera_calibration_parsers", program, *files), strict=True
+    ):
+        assert found[:2] == [name, [*camera.image_size_px, "plumb_bob"]]
+        still = np.eye(3), np.zeros(3)
+        matrix, distortion = np.reshape(found[2], (3, 3)), found[3]
+        seen = by_opencv(in_frame_of(camera), *still, matrix, distortion)
+        np.testing.assert_allclose(seen, pixels(camera), **SAME)
 
 
 def test_matlab_s_rows_and_pixels_count_from_one(tmp_path):
