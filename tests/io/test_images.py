@@ -37,7 +37,7 @@ def test_colours_come_as_red_green_blue_without_transparency(tmp_path):
 def test_what_is_no_picture_is_refused(tmp_path, capfd):
     cut = cv2.imencode(".png", GREY)[1].tobytes()[:40]
     for name, content, said in [
-        ("empty.png", b"", "is not a readable picture"),
+        ("empty.png", b"", "is empty: copy"),
         ("text.png", b"hello", "is not a readable picture"),
         ("cut.png", cut, "is a PNG that is cut off"),
     ]:

@@ -139,7 +139,7 @@ def test_files_that_are_no_json(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         load_rig(path)
     for text, sentence in [
-        ("", "is not JSON"),
+        (" ", "is empty: give another file"),
         ("{", r"is not JSON \(line 1, column 2"),
         ("[]", "has the format missing"),
         ('{"format": "trinoc-rig", "format": "trinoc-rig"}', 'key "format" stands twice'),

@@ -95,12 +95,17 @@ def size_px(content: bytes) -> tuple[int, int] | None:
 
 def _count_pictures(content: bytes) -> int:
     """Pictures of one size: of a stack or a film, without the previews that cameras add."""
-    with Image.open(io.BytesIO(content)) as picture:
-        count, size = getattr(picture, "n_frames", 1), picture.size
-        if count == 1 or picture.format == "MPO":
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            with Image.open(io.BytesIO(content)) as picture:
+                count, size = getattr(picture, "n_frames", 1), picture.size
+                if count == 1 or picture.format == "MPO":
+                    return 1
+                picture.seek(1)
+                return count if picture.size == size else 1
+        except Exception:  # as in size_px
             return 1
-        picture.seek(1)
-        return count if picture.size == size else 1
 
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp")
