@@ -82,10 +82,7 @@ def notes_of_priors(
     lens_is_free = choice.camera.lens_factor is not None
     strain = float(np.abs(adjustment.lens_steps(view)).max()) if lens_is_free else 0.0
     if strain > most:
-        notes.append(
-            f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal "
-            "length, pixel pitch and focus, or calibrate its intrinsics."
-        )
+        notes.append(lens_strain_sentence(strain))
     if _is_aim_refuted(adjustment, view, known):
         aim = adjustment.parameters(view)[4:6]
         notes.append(
@@ -93,6 +90,14 @@ def notes_of_priors(
             f"where {known.aim_sigma_mm:.2g} mm was expected: aim at it, or state a larger sigma."
         )
     return tuple(notes)
+
+
+def lens_strain_sentence(strain: float) -> str:
+    """strain : by how many of its sigmas a lens is off that was stated with a covariance."""
+    return (
+        f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal "
+        "length, pixel pitch and focus, or calibrate its intrinsics."
+    )
 
 
 def _is_aim_refuted(adjustment: Adjustment, view: int, known: Knowledge) -> bool:

@@ -12,12 +12,10 @@ from scipy.linalg import solve_triangular
 from scipy.stats import norm
 
 from trinoc.calib.adjustment.estimate import Adjustment
+from trinoc.calib.problem.rao_test import judge_pull
 from trinoc.calib.result.alternative import Alternative
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.numerics.tails import chi_square_tail
 
-# numerical: an alternative of which a smaller share is not fitted along already is no other model.
-_LEAST_SHARE = 1e-9
 # numerical: columns of a lens and of a pose.
 _FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 6)
 # numerical: a change of the aspect leaves the mean of both focal lengths as it is.
@@ -64,26 +62,24 @@ def _score(
 ) -> Alternative | None:
     """The test of one alternative; None where the residuals cannot tell it from what is fitted."""
     base, residual = adjustment.near.jacobian[view], adjustment.near.residual[view]
-    normal = information_left(extra, base[:, adjustment.free], adjustment.root)
-    whole = np.sqrt(np.diag(extra.T @ extra))
-    if np.linalg.eigvalsh(normal / np.outer(whole, whole)).min() < _LEAST_SHARE:
+    left = information_left(extra, base[:, adjustment.free], adjustment.root)
+    test = judge_pull(left, extra.T @ residual, np.sum(extra**2, axis=0))
+    if test.freedom < extra.shape[1]:
         return None
-    estimate = -np.linalg.solve(normal, extra.T @ residual)
-    drop = float(estimate @ normal @ estimate)
     # Places that scatter more than they claim scatter alike in every direction.
-    scale = max(1.0, (float(residual @ residual) - drop) / (freedom - len(estimate)))
-    covariance = scale * np.linalg.inv(normal)
-    sigma = unit * np.sqrt(np.diag(covariance))
+    scale = max(1.0, test.noise_variance(float(residual @ residual), freedom))
+    test = test._replace(chi_square=test.chi_square / scale, covariance=scale * test.covariance)
+    sigma = unit * np.sqrt(np.diag(test.covariance))
     by_pose = pose_by_extra(extra, adjustment, view)
-    most = np.linalg.norm(by_pose @ np.linalg.cholesky(covariance), ord=2)
+    most = np.linalg.norm(by_pose @ np.linalg.cholesky(test.covariance), ord=2)
     return Alternative(
         name=name,
-        chi_square_drop=drop / scale,
-        p_value=float(chi_square_tail(drop / scale, len(estimate))),
-        estimate=unit * estimate,
+        chi_square_drop=test.chi_square,
+        p_value=test.chance,
+        estimate=unit * test.step,
         sigma=sigma,
-        sentence=_sentence(name, unit * estimate, sigma),
-        strain=float(np.linalg.norm(by_pose @ estimate)),
+        sentence=_sentence(name, unit * test.step, sigma),
+        strain=float(np.linalg.norm(by_pose @ test.step)),
         unseen=UNSEEN_SIGMAS * sigma,
         unseen_strain=UNSEEN_SIGMAS * float(most),
     )

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
+from scipy.special import fdtrc
 
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
@@ -20,16 +21,60 @@ _OPEN_SHARE = 1e-11
 
 
 class RaoTest(NamedTuple):
-    """chi_square : of the pull at the held parameters. freedom : in how many directions of them
-    the shots can pull at all."""
+    """What the residuals say of parameters that were held.
+
+    Fields
+    ------
+    chi_square : of the pull at the held parameters.
+    freedom : in how many directions of them the residuals can pull at all.
+    step : (k,) by which they would move, were they free.
+    covariance : (k, k) of the step, for residuals in sigmas; zero in directions without a pull.
+    """
 
     chi_square: float
     freedom: int
+    step: Float[np.ndarray, "k"]
+    covariance: Float[np.ndarray, "k k"]
 
     @property
     def chance(self) -> float:
         """Probability by which noise pulls so much; uniform where the held values are right."""
         return float(chi_square_tail(self.chi_square, self.freedom)) if self.freedom else 1.0
+
+    def noise_variance(self, squared: float, freedom: float) -> float:
+        """Of the residuals, were the held parameters free.
+
+        squared, freedom : sum of the residuals' squares, and its degrees of freedom, as it is.
+        """
+        return max(squared - self.chi_square, 1e-12 * squared) / (freedom - self.freedom)
+
+    def chance_beside(self, squared: float, freedom: float) -> float:
+        """`chance` where the noise is known by the residuals alone, whence an F test."""
+        if not self.freedom or freedom - self.freedom < 1:
+            return 1.0
+        ratio = self.chi_square / self.freedom / self.noise_variance(squared, freedom)
+        return float(fdtrc(self.freedom, freedom - self.freedom, ratio))
+
+
+def judge_pull(
+    left: Float[np.ndarray, "k k"], pull: Float[np.ndarray, "k"], whole: Float[np.ndarray, "k"]
+) -> RaoTest:
+    """The score test, after what is fitted has explained what it can.
+
+    left : information on held parameters that is left. pull : the gradient of half of chi-square
+    by them, less what is explained. whole : (k,) information on each, had nothing been fitted.
+    """
+    scale = np.sqrt(np.maximum(whole, 1e-300))
+    shares, directions = np.linalg.eigh(left / np.outer(scale, scale))
+    shares, directions = (part[..., shares > _LEAST_SHARE] for part in (shares, directions))
+    along = directions.T @ (pull / scale)
+    by_share = directions / shares / scale[:, None]
+    return RaoTest(
+        chi_square=float(np.sum(along**2 / shares)),
+        freedom=len(shares),
+        step=-by_share @ along,
+        covariance=by_share @ (directions / scale[:, None]).T,
+    )
 
 
 def rao_test(information: Information, held: Bool[np.ndarray, "f"]) -> RaoTest:
@@ -50,10 +95,9 @@ def rao_test(information: Information, held: Bool[np.ndarray, "f"]) -> RaoTest:
         whole[np.ix_(~held, ~held)], rcond=_OPEN_SHARE, hermitian=True
     )
     left = whole[np.ix_(held, held)] - explained @ whole[np.ix_(~held, held)]
-    shares, directions = np.linalg.eigh(left)
-    determined = shares > _LEAST_SHARE
-    along = directions[:, determined].T @ (pull[held] - explained @ pull[~held])
-    return RaoTest(float(np.sum(along**2 / shares[determined])), int(determined.sum()))
+    test = judge_pull(left, pull[held] - explained @ pull[~held], np.ones(int(held.sum())))
+    unit = scale[held]
+    return test._replace(step=test.step / unit, covariance=test.covariance / np.outer(unit, unit))
 
 
 def rational_lens_test(

@@ -75,7 +75,7 @@ class AbstractLens(eqx.Module):
     ------
     focal_length_px : (2,) along u and v.
     principal_point_px : (2,)
-    skew_px : () entry K[0, 1]; 0 for every real sensor, and never fitted.
+    skew_px : () entry K[0, 1]; 0 for every real sensor; fitted by `lenses.skewed` alone.
     coefficients : (c,) of the distortion.
 
     Class variables

@@ -1,0 +1,148 @@
+"""Points ask for the lens that they were seen through, or refute the one that was held."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest
+
+from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
+from trinoc.calib import Status
+from trinoc.calib.from_points import PointsCalibration, calibrate_points
+from trinoc.calib.lens_of_points import (
+    PointResiduals,
+    fit_without_outliers,
+    lens_parameter_names,
+    problem_of_points,
+)
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.pose import PoseModel
+
+NOISE_PX = 0.05
+SIZE_PX = LENS.image_size_px
+# As of a sensor that is tilted against its lens.
+SKEWED = Intrinsics(
+    focal_length_px=LENS.focal_length_px,
+    image_size_px=SIZE_PX,
+    skew_px=3e-3 * float(LENS.focal_length_px[0]),
+)
+
+
+def block(random: np.random.Generator, count: int = 150) -> np.ndarray:
+    return random.uniform([-60, -60, -40], [60, 60, 40], (count, 3))
+
+
+def see(camera: Camera, points: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    exact = np.stack([camera.project(point) for point in points])
+    return exact + random.normal(0, NOISE_PX, exact.shape)
+
+
+def squared_error_of_centre(found: PointsCalibration, camera: Camera) -> float:
+    """By the claimed covariance: chi-square of three degrees of freedom."""
+    error = np.asarray(found.camera.pose.centre_world_mm) - camera.pose.centre_world_mm
+    return float(error @ np.linalg.solve(found.covariance[3:6, 3:6], error))
+
+
+@pytest.mark.parametrize("group", [("skew_px",), ("fx_px", "fy_px"), ("k1", "k2", "p1", "p2")])
+def test_noise_alone_asks_for_no_other_lens_by_its_chance_and_no_oftener(
+    group: tuple[str, ...],
+) -> None:
+    """The test's chance is uniform where what is held is right, with as few points as 12."""
+    camera, chances = camera_of(TABLE_1["left"]), []
+    for seed in range(120):
+        random = np.random.default_rng([7, seed])
+        points = block(random, 12)
+        uv_px = see(camera, points, random)
+        problem = problem_of_points(camera, points, uv_px, (), PoseModel.RIGID)
+        asked = PointResiduals.of(fit_without_outliers(problem))
+        columns = [lens_parameter_names(problem).index(name) for name in group]
+        chances.append(asked.chance(asked.judge(columns)))
+    assert kstest(chances, "uniform").pvalue > 1e-3
+
+
+def test_a_skew_that_points_ask_for_is_fitted_and_its_covariance_is_true() -> None:
+    """Held at 0 it leaves centres 4 to 13 claimed sigmas away, and no word."""
+    camera, squared = camera_of(TABLE_1["left"], SKEWED), []
+    for seed in range(40):
+        random = np.random.default_rng([8, seed])
+        points = block(random)
+        found = calibrate_points(points, see(camera, points, random), image_size_px=SIZE_PX)
+        assert found.status is Status.CONVERGED
+        assert found.parameters[6:] == (*AFFINE_PARAMETERS, "skew_px")
+        assert "no sensor has" in found.notes[0]
+        off = float(found.camera.intrinsics.skew_px) - float(SKEWED.skew_px)
+        assert abs(off) < 4.5 * found.sigma("skew_px")
+        squared.append(squared_error_of_centre(found, camera))
+    # Shares of 40 by the binomial law, three standard deviations wide.
+    assert np.mean(np.array(squared) < chi2.ppf(0.5, 3)) == pytest.approx(0.5, abs=0.24)
+    assert np.mean(np.array(squared) < chi2.ppf(0.95, 3)) >= 0.85
+
+
+def test_skew_and_distortion_are_found_together() -> None:
+    lens = Intrinsics(
+        focal_length_px=LENS.focal_length_px,
+        image_size_px=SIZE_PX,
+        skew_px=SKEWED.skew_px,
+        distortion=(-0.2, 0.0, 0.0, 0.0, 0.0),
+    )
+    camera, random = camera_of(TABLE_1["left"], lens), np.random.default_rng(3)
+    points = block(random, 400)
+    found = calibrate_points(points, see(camera, points, random), image_size_px=SIZE_PX)
+    assert {"skew_px", "k1"} <= set(found.parameters)
+    assert squared_error_of_centre(found, camera) < chi2.ppf(0.9999, 3)
+
+
+def test_points_that_ask_for_a_lens_that_is_held_are_suspect_and_say_for_what() -> None:
+    random = np.random.default_rng(11)
+    points = block(random, 80)
+    bent = see(camera_of(TABLE_1["left"], DISTORTED_LENS), points, random)
+    skewed = see(camera_of(TABLE_1["left"], SKEWED), points, random)
+    for uv_px, cause in ((bent, "free k1"), (skewed, "free skew_px")):
+        held = calibrate_points(points, uv_px, image_size_px=SIZE_PX, free=AFFINE_PARAMETERS)
+        posed = calibrate_points(points, uv_px, LENS, systematics=Systematics())
+        usual = calibrate_points(points, uv_px, LENS)
+        for found in (held, posed, usual):
+            assert found.status is Status.SUSPECT
+            assert len(found.notes) >= 1
+        assert "ask for another lens" in held.notes[0]
+        assert cause in held.notes[0]
+    right = calibrate_points(points, bent, DISTORTED_LENS, systematics=Systematics())
+    assert right.status is Status.CONVERGED
+    assert right.notes == ()
+
+
+def test_an_aim_that_is_held_and_is_not_is_suspect() -> None:
+    random = np.random.default_rng(12)
+    points = block(random)
+    beside = camera_of(TABLE_1["left"], LENS, (3.0, -2.0))
+    exact = Systematics()
+    for camera, status in (
+        (camera_of(TABLE_1["left"]), Status.CONVERGED),
+        (beside, Status.SUSPECT),
+    ):
+        uv_px = see(camera, points, random)
+        found = calibrate_points(points, uv_px, LENS, pose_model="aimed", systematics=exact)
+        assert found.status is status
+    numbers = re.findall(r"[-\d.]+", found.notes[0].split("+-")[0])
+    np.testing.assert_allclose([float(number) for number in numbers], [3.0, -2.0], atol=0.1)
+
+
+@pytest.mark.parametrize(("sigmas", "status"), [(2.0, Status.CONVERGED), (9.0, Status.SUSPECT)])
+def test_a_lens_is_refuted_beyond_what_is_said_of_it(sigmas: float, status: Status) -> None:
+    """Also where a rigid motion takes up much of it: to first order a principal point is a turn."""
+    sigma_px = 10.0
+    lens = Intrinsics(
+        focal_length_px=LENS.focal_length_px,
+        image_size_px=SIZE_PX,
+        principal_point_px=LENS.principal_point_px + sigmas * np.array([sigma_px, -sigma_px]),
+    )
+    random = np.random.default_rng(13)
+    points = block(random, 300)
+    uv_px = see(camera_of(TABLE_1["left"], lens), points, random)
+    stated = Systematics(lens_covariance=np.diag([25.0, 25.0, sigma_px**2, sigma_px**2]))
+    found = calibrate_points(points, uv_px, LENS, systematics=stated)
+    assert found.status is status
+    assert all("another than was said" in note for note in found.notes)

@@ -1,0 +1,77 @@
+"""A camera to start from, by points of known places: its pose, or its lens, too.
+
+Hartley and Zisserman call it resection, Multiple View Geometry, chapter 7.
+"""
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.errors import CalibrationError
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import Pose
+
+
+def is_flat(points: Float[np.ndarray, "n 3"]) -> bool:
+    """Whether the points lie in one plane, or in less."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[2] < 1e-6 * spread[0])
+
+
+def find_pose(
+    points: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 2"], lens: Intrinsics
+) -> Pose:
+    """By SQPnP (Terzakis and Lourakis 2020), on a plane and off it."""
+    rays = np.asarray(jax.vmap(lens.normalised_from_pixel)(jnp.asarray(seen)))
+    try:
+        good, turn, shift = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error as error:  # of points that are all one
+        raise CalibrationError(
+            f"The {len(points)} points do not spread enough to tell a pose: give points that "
+            "spread in depth and across the picture."
+        ) from error
+    if not good:
+        raise CalibrationError(
+            f"No pose sees the {len(points)} points in front of the camera: check that places "
+            "and pixels belong together, and that the frame of the places is right-handed."
+        )
+    return Pose(np.concatenate([cv2.Rodrigues(turn)[0], shift.reshape(3, 1)], axis=1))
+
+
+def find_linear_camera(
+    points: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 2"], size_px: tuple[int, int]
+) -> Camera:
+    """The direct linear transform, both sides normalised."""
+    middle, spread = points.mean(axis=0), points.std()
+    centre, width = seen.mean(axis=0), seen.std()
+    unit = np.concatenate([(points - middle) / spread, np.ones((len(points), 1))], axis=1)
+    x, y = ((seen - centre) / width).T
+    zero = np.zeros_like(unit)
+    rows = np.concatenate(
+        [
+            np.concatenate([unit, zero, -x[:, None] * unit], axis=1),
+            np.concatenate([zero, unit, -y[:, None] * unit], axis=1),
+        ]
+    )
+    matrix = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 4)
+    to_world = np.diag([1 / spread] * 3 + [1.0])
+    to_world[:3, 3] = -middle / spread
+    from_unit = np.array([[width, 0, centre[0]], [0, width, centre[1]], [0, 0, 1]])
+    camera = Camera.from_matrix(from_unit @ matrix @ to_world, size_px)
+    depth = points @ camera.cam_from_world[2, :3] + camera.cam_from_world[2, 3]
+    if np.median(depth) <= 0:
+        raise CalibrationError(
+            "The points are seen behind the camera: the frame of their places is left-handed; "
+            "turn one axis round."
+        )
+    # A real sensor has no skew.
+    lens = camera.intrinsics
+    straight = Intrinsics(
+        focal_length_px=np.asarray(lens.focal_length_px),
+        principal_point_px=np.asarray(lens.principal_point_px),
+        image_size_px=size_px,
+    )
+    return Camera(straight, camera.pose)
