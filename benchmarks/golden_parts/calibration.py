@@ -26,8 +26,8 @@ def calibrate_circles() -> Values:
     for label, options in {
         "typical": {},
         "exact": {"systematics": EXACT},
-        "six": {"parameters": 6},
-        "exact six": {"systematics": EXACT, "parameters": 6},
+        "six": {"pose_model": "aim-free"},
+        "exact six": {"systematics": EXACT, "pose_model": "aim-free"},
         "terms": {"systematics": TERMS},
     }.items():
         results[label] = calibrate_detections(found, pattern, lens, **options)
@@ -83,7 +83,7 @@ def calibrate_pictures() -> Values:
     for label, options in {
         "typical": {},
         "exact": {"systematics": EXACT},
-        "exact six": {"systematics": EXACT, "parameters": 6},
+        "exact six": {"systematics": EXACT, "pose_model": "aim-free"},
         "terms": {"systematics": TERMS},
     }.items():
         result = trinoc.calibrate(images, pattern, lens, **options)
@@ -130,8 +130,9 @@ def _conditions(*names: str) -> Values:
         told = condition.told
         options = {} if told.exact == "nothing" else {"systematics": EXACT}
         call = partial(
-            trinoc.calibrate, {"a": picture}, pattern, lens, parameters=told.parameters,
-            bayer=told.bayer, response=told.response, **options,
+            trinoc.calibrate, {"a": picture}, pattern, lens, bayer=told.bayer,
+            pose_model="aimed" if told.parameters == 4 else "aim-free",
+            response=told.response, **options,
         )  # fmt: skip
         yield from attempt(name, call, records.calibration)
 
