@@ -88,7 +88,7 @@ def _sentence(
     chart = problem.chart
     unit = chart.unit_mm if cause is _AIM else np.asarray(chart.lens_scale)[0][columns]
     off = unit * test.step
-    sigma = unit * np.sqrt(points.noise_variance(test) * np.diag(test.covariance))
+    sigma = unit * np.sqrt(np.diag(test.with_noise(points.noise_variance(test)).covariance))
     if cause is _AIM:
         return (
             f"The optical axis misses the origin by ({off[0]:.3g}, {off[1]:.3g}) +- "
@@ -96,7 +96,7 @@ def _sentence(
         )
     by = ", ".join(f"{n} by {o:+.3g} +- {s:.1g}" for n, o, s in zip(cause, off, sigma))
     return (
-        f"The points ask for another lens than was held, most of all for another {by}: free "
+        f"The points ask for another lens than was held, above all in {by}: free "
         f"{', '.join(cause)}, or see that places and pixels are those of one camera."
     )
 

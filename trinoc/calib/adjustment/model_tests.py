@@ -67,8 +67,7 @@ def _score(
     if test.freedom < extra.shape[1]:
         return None
     # Places that scatter more than they claim scatter alike in every direction.
-    scale = max(1.0, test.noise_variance(float(residual @ residual), freedom))
-    test = test._replace(chi_square=test.chi_square / scale, covariance=scale * test.covariance)
+    test = test.with_noise(max(1.0, test.noise_variance(float(residual @ residual), freedom)))
     sigma = unit * np.sqrt(np.diag(test.covariance))
     by_pose = pose_by_extra(extra, adjustment, view)
     most = np.linalg.norm(by_pose @ np.linalg.cholesky(test.covariance), ord=2)

@@ -9,8 +9,7 @@ from scipy.special import fdtrc
 
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
-from trinoc.geometry.lenses.registry import lens_model
+from trinoc.geometry.lenses.registry import lens_model, widen_lens
 from trinoc.numerics.tails import chi_square_tail
 
 # numerical: shares of the information on held parameters, after what is free has explained what it
@@ -40,6 +39,12 @@ class RaoTest(NamedTuple):
     def chance(self) -> float:
         """Probability by which noise pulls so much; uniform where the held values are right."""
         return float(chi_square_tail(self.chi_square, self.freedom)) if self.freedom else 1.0
+
+    def with_noise(self, variance: float) -> "RaoTest":
+        """The same where the residuals' noise has this variance, in sigmas squared."""
+        return self._replace(
+            chi_square=self.chi_square / variance, covariance=variance * self.covariance
+        )
 
     def noise_variance(self, squared: float, freedom: float) -> float:
         """Of the residuals, were the held parameters free.
@@ -108,12 +113,7 @@ def rational_lens_test(
     That is the rational lens whose last three coefficients are 0. image_sizes_px : of each lens.
     """
     model, count = lens_model("rational"), problem.chart.lens_shape[0]
-    more = len(model.parameter_names) - len(BrownConrady.parameter_names)
-    lenses = []
-    for k in range(count):
-        lens = lens_number(problem, k)
-        wider = np.append(lens.coefficients, np.zeros(more))
-        lenses.append(model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, wider))
+    lenses = [widen_lens(lens_number(problem, k), model) for k in range(count)]
     return wider_lens_test(
         problem, with_wider_lenses(problem, lenses, image_sizes_px), variance_factor
     )
@@ -127,4 +127,4 @@ def wider_lens_test(problem: Problem, wider: Problem, variance_factor: float) ->
     column = np.arange(len(wider.chart.free))
     is_added = (column < wider.chart.lens_count) & (column % wider_size >= size)
     test = rao_test(information, is_added[information.free])
-    return test._replace(chi_square=test.chi_square / variance_factor)
+    return test.with_noise(variance_factor)

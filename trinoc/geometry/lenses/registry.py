@@ -42,6 +42,14 @@ def promote_lens(
     return model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, zeros)
 
 
+def widen_lens(lens: AbstractLens, model: type[AbstractLens]) -> AbstractLens:
+    """A lens as one of a model whose coefficients begin with its own, and whose others are 0 where
+    it is the same lens."""
+    zeros = np.zeros(len(model.coefficient_names) - len(lens.coefficient_names))
+    coefficients = np.append(np.asarray(lens.coefficients), zeros)
+    return model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, coefficients)
+
+
 def simplify_lens(lens: AbstractLens) -> AbstractLens:
     """An ideal lens where all coefficients are zero and say so, the core of a splined lens without
     a correction; the lens as it is otherwise."""

@@ -15,6 +15,7 @@ from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.pinhole import Pinhole
 from trinoc.geometry.lenses.rational import Rational, ThinPrism
+from trinoc.geometry.lenses.registry import widen_lens
 from trinoc.numerics.precision import ArrayLike, array_namespace
 
 if TYPE_CHECKING:
@@ -71,20 +72,17 @@ class SkewedKannalaBrandt(AbstractSkewedLens, KannalaBrandt):
 
 # From the one that contains least; each has the coefficients of those before it first.
 _NESTED = (BrownConrady, Rational, ThinPrism)
+_SKEWED: dict[type[AbstractLens], type[AbstractSkewedLens]] = {
+    KannalaBrandt: SkewedKannalaBrandt,
+    **dict.fromkeys((Pinhole, *_NESTED), SkewedThinPrism),
+}
 
 
 def skew_lens(lens: AbstractLens) -> AbstractLens:
     """The lens as one of the widest model that contains it, whose skew is a parameter; as it is
     where its model has none such."""
-    names = lens.coefficient_names
-    for model in (SkewedThinPrism, SkewedKannalaBrandt):
-        if type(lens) in (Pinhole, *_NESTED, KannalaBrandt) and (
-            model.coefficient_names[: len(names)] == names
-        ):
-            zeros = np.zeros(len(model.coefficient_names) - len(names))
-            coefficients = np.append(lens.coefficients, zeros)
-            return model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, coefficients)
-    return lens
+    model = _SKEWED.get(type(lens))
+    return lens if model is None else widen_lens(lens, model)
 
 
 def straighten_lens(lens: AbstractLens, model: type[AbstractLens]) -> AbstractLens:
