@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.lens_of_points import (
     CAMERA,
+    extend_lens,
     fit_without_outliers,
-    free_what_is_asked_for,
     problem_of_points,
 )
 from trinoc.calib.points_refutations import list_refutations
@@ -120,7 +120,7 @@ def calibrate_points(
         camera = Camera(lens, find_pose(points, seen, lens))
     problem = fit_without_outliers(problem_of_points(camera, points, seen, names, model))
     if lens is None and free is None:
-        problem, names = free_what_is_asked_for(problem, names)
+        problem, names = extend_lens(problem, names)
     known = systematics or Systematics.typical({CAMERA: camera.intrinsics} if lens else {})
     factor = known.lens_factors({CAMERA: camera.intrinsics}).get(CAMERA, np.zeros((0, 0)))
     held = np.zeros((problem.chart.lens_shape[1], factor.shape[1]))

@@ -101,9 +101,7 @@ def fit_without_outliers(problem: Problem) -> Problem:
     return problem
 
 
-def free_what_is_asked_for(
-    problem: Problem, names: tuple[str, ...]
-) -> tuple[Problem, tuple[str, ...]]:
+def extend_lens(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tuple[str, ...]]:
     """The fit with as many coefficients, and with a skew, as the points ask for, and the names of
     all that is then free. Each time that which noise alone explains least is freed.
 
