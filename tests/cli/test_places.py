@@ -49,6 +49,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (("refine", "--matches", "left.npz", "--rig", "rig.json", "-o", "left.npz"), "is read"),
         (("export", "left.npz", "--to", "lsd", "-o", "left.npz"), "which is read"),
         (("segments", "left.png", "-o", "left.png"), "which is read"),
+        ((*MATCH, "-o", "x.npz", "--report", "x.pdf"), "a report is HTML"),
     ],
 )
 def test_no_result_goes_over_another_file_of_the_job(folder, arguments, said, capsys):
@@ -136,6 +137,7 @@ def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):
     Path("link.json").symlink_to("rig.json")
     Path("mine.json").write_text('{"mine": 1}')
     Path("mine.npz").write_bytes(b"none of ours")
+    Path("mine.html").write_text("<p>mine</p>")
     before = {path: path.read_bytes() for path in folder.iterdir()}
     for place in ("rig.json", "link.json", "mine.json"):
         assert main(["pattern", "-o", place]) == 1
@@ -145,7 +147,7 @@ def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):
         assert "which would be lost" in capsys.readouterr().err
     evaluate = ("evaluate", "--matches", "upper.npz", "--truth", "sheet.json")
     for words in (
-        (*MATCH, "-o", "new.npz", "--report", "mine.npz"),
+        (*MATCH, "-o", "new.npz", "--report", "mine.html"),
         (*evaluate, "-o", "rig.json"),
         (*evaluate, "--plot", "left.png"),
         ("export", "left.npz", "--to", "json", "-o", "rig.json"),

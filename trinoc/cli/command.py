@@ -297,6 +297,8 @@ def expect_places(command: object) -> None:
                 f"{taken[place]} and {option} are both {path}: give each a name of its own."
             )
         taken[place] = option
+        if name == "report" and path.suffix.lower() not in (".html", ".htm"):
+            raise UsageError(f"--report is {path}: a report is HTML, choose a name such as r.html.")
         if name in _MARKS:
             from trinoc.io.saving import expect_marked
 
