@@ -120,7 +120,7 @@ def test_a_report_shows_all_frames_and_the_middle_one(recording, tmp_path, quick
     monkeypatch.chdir(recording)
     words = ["batch", "frames", "--rig", "rig.json", "-o", str(tmp_path / "out"), "--quiet"]
     page = tmp_path / "r.html"
-    assert main([*words, "--files", "npz", "--workers", "2", "--report", str(page)]) == 0
+    assert main([*words, "--workers", "2", "--report", str(page)]) == 0
     text = page.read_text(encoding="utf-8")
     assert f"{FRAMES - 2} of {FRAMES} frames" in text
     assert "has no picture of &#34;left&#34;" in text

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -52,9 +52,6 @@ class BatchCommand(DepthOption, FindOption, ReportOption, Command):
     frames_per_file: int = 16
     """Frames that are matched together and stand in one file of results."""
 
-    files: Literal["auto", "npz", "parquet"] = "auto"
-    """Kind of the files of results; Parquet where pyarrow is installed."""
-
     workers: Annotated[
         str | None,
         tyro.conf.arg(metavar="N|tcp://...", help_behavior_hint="(default: all cores)"),
@@ -95,7 +92,6 @@ class BatchCommand(DepthOption, FindOption, ReportOption, Command):
                     depth_range_mm=depths,
                     shard=shard,
                     frames_per_file=self.frames_per_file,
-                    ending=None if self.files == "auto" else f".{self.files}",
                     threads_at_most=threads,
                     in_processes=True,
                     scheduler=scheduler,
