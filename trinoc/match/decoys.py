@@ -58,7 +58,8 @@ def check_set(
     """The matches, SUSPECT where chance gives about as many lines as the rig does, or where some
     mistake undone gives more.
 
-    `frame` is what was matched, `names` are the caller's views, `match` matches a frame. Of a
+    `frame` is what was matched, `names` are the caller's views, `match` matches a frame as if no
+    pattern repeated: of patterns little is sure, and that says nothing about the set. Of a
     suspect set no track is likelier than not, and of tracks that chance gives none; a note says
     the likeliest cause. Three views are asked; more, and two, are not.
     """
@@ -66,6 +67,8 @@ def check_set(
     if len(names) != 3 or fewest < tuning.fewest_segments:
         return found
     sure = count_sure(found, tuning)
+    if sure.in_three < tuning.clear_share * fewest:
+        sure = count_sure(match(frame), tuning)
     share = sure.in_three / fewest
     is_clear = share >= tuning.clear_share
     if is_clear and found.noise_scale <= tuning.noisy_above:

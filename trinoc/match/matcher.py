@@ -98,7 +98,8 @@ def check_together(
     """The matches with the status that competition with decoys gives."""
 
     def match(frame: FrameInput, *, in_three: bool = False) -> Matches:
-        rules = tuning
+        # Chance is as sure of patterns as the rig: both are counted as if nothing repeated.
+        rules = with_field(tuning, "repetition.greatest_log_odds", np.inf)
         if in_three:
             # No segment is left for pairs, and wrong views learn no noise for long.
             rules = with_field(rules, "occlusion.max_matched_share", 0.0)

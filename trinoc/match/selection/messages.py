@@ -237,7 +237,7 @@ def sum_product(
         np.asarray(before is None),
         slot,
         rival_slot,
-        pad_rows(_frames(frame, count)[rows], candidates),
+        pad_rows(label_frames(frame, count)[rows], candidates),
         _Rules(tuning.damping, tuning.settled, tuning.iterations),
         graph.views,
     )
@@ -266,7 +266,8 @@ def _renumber_slots(
     return (number[owner] * views + view).astype(np.int32)
 
 
-def _frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "m"]:
+def label_frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "m"]:
+    """The frame of each of `count` candidates, 0 where there is no stack."""
     return np.zeros(count, np.int32) if frame is None else frame.astype(np.int32)
 
 

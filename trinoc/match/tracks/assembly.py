@@ -23,6 +23,13 @@ from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.observations.table import SegmentTable, look_up_frames, take_matrices
 from trinoc.match.occlusion.possible_pairs import Pairs
 from trinoc.match.selection.marginals import Selection, Tracks
+from trinoc.match.selection.repetition import (
+    NO_REPETITION,
+    Repetition,
+    find_repetition,
+    greatest_log_odds,
+    limit_log_odds,
+)
 from trinoc.match.tracks.answers import LET_GO, UNLOCATED, Lines, answers, reasons
 from trinoc.match.tracks.line_fit import (
     before_cameras,
@@ -42,7 +49,7 @@ from trinoc.numerics.joins import (
     group_sums,
     take_groups,
 )
-from trinoc.numerics.tables import take_rows
+from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.tails import chi_square_limit, chi_square_quantile
 
 
@@ -62,7 +69,12 @@ def assemble(
     stated, `outside` the segments of triples that the depth range excluded, or that lie behind a
     camera. Tracks that no pair of views can locate are left out, and their segments say so.
     """
-    found, unlocated = _lines(seen, tracks, pairs.take(pairs.taken), rules.tracks)
+    repeating = [
+        find_repetition(own.candidates, own.log_odds, own.graph, rules.repetition)
+        for own in selections
+    ]
+    repetition = concatenate_rows([NO_REPETITION, *repeating])
+    found, unlocated = _lines(seen, tracks, pairs.take(pairs.taken), repetition, rules.tracks)
     words = _reasons(seen, selections, pairs, outside, unlocated, found.index, rules.tracks)
     of_each = {
         "triples considered": [selection.candidates.index for selection in selections],
@@ -92,12 +104,17 @@ def _of_each_frame(seen: MatchInput, groups: list[np.ndarray]) -> Int[np.ndarray
 
 
 def _lines(
-    seen: MatchInput, tracks: Tracks, taken: Pairs, tuning: TrackTuning
+    seen: MatchInput, tracks: Tracks, taken: Pairs, repetition: Repetition, tuning: TrackTuning
 ) -> tuple[Lines, Int[np.ndarray, "u v"]]:
     """(lines in space, segments of tracks that no pair of views can locate)."""
     index = np.concatenate([tracks.candidates.index, taken.candidates.index])
     interval = np.concatenate([tracks.candidates.interval, taken.candidates.interval])
-    posterior_log_odds = np.concatenate([tracks.posterior_log_odds, taken.posterior_log_odds])
+    posterior_log_odds = np.concatenate(
+        [
+            limit_log_odds(each.posterior_log_odds, greatest_log_odds(each.candidates, repetition))
+            for each in (tracks, taken)
+        ]
+    )
     rival_posterior = np.concatenate([tracks.rival_posterior, np.full(len(taken.taken), -np.inf)])
     common_mm = np.concatenate([tracks.candidates.ends_mm, taken.candidates.ends_mm])
     doubt = direction_doubt(seen.lines, index)

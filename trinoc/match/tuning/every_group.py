@@ -20,7 +20,12 @@ from trinoc.match.tuning.line_map import (
 )
 from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.match.tuning.rims import RimTuning
-from trinoc.match.tuning.selection import JunctionTuning, NoiseTuning, SelectionTuning
+from trinoc.match.tuning.selection import (
+    JunctionTuning,
+    NoiseTuning,
+    RepetitionTuning,
+    SelectionTuning,
+)
 from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.match.tuning.tracks import DecoyTuning, TrackTuning
 
@@ -38,6 +43,7 @@ class MatchTuning:
     evidence: EvidenceTuning = field(default_factory=EvidenceTuning)
     junctions: JunctionTuning = field(default_factory=JunctionTuning)
     selection: SelectionTuning = field(default_factory=SelectionTuning)
+    repetition: RepetitionTuning = field(default_factory=RepetitionTuning)
     noise: NoiseTuning = field(default_factory=NoiseTuning)
     occlusion: OcclusionTuning = field(default_factory=OcclusionTuning)
     tracks: TrackTuning = field(default_factory=TrackTuning)

@@ -1,4 +1,4 @@
-"""Tuned constants of step 2: junctions, learning and exclusion, noise."""
+"""Tuned constants of step 2: junctions, learning and exclusion, patterns, noise."""
 
 from dataclasses import dataclass
 
@@ -52,6 +52,25 @@ class SelectionTuning:
     # Of more possible conflicts than this, the likeliest candidates are kept that have so many: it
     # bounds the memory, 40 bytes for each. By hand; no scene of 10,000 segments per view has them.
     most_conflicts: int = 1 << 22
+
+
+@dataclass(frozen=True)
+class RepetitionTuning:
+    """Patterns that repeat along epipolar lines. Shown by benchmarks/repetition.py, on whose seeds
+    1 to 3 all of it was chosen, beside boxes, loose lines and blocks (seeds 701 to 703)."""
+
+    # Candidates of such log odds are asked whether they are contested, and a rival of such log odds
+    # contests those that surpass it by less than the second.
+    likely_log_odds: float = 4.0
+    nearly_log_odds: float = 3.0
+    # So many of them about a place are asked: of 25, ordinary scenes show many by chance.
+    neighbours: int = 50
+    # Share of them that is contested in ordinary scenes and in patterns. Measured: medians of .0 to
+    # .1, and of .4 to .9. Log odds of a pattern before they are asked: few lines say little.
+    contested_shares: tuple[float, float] = (0.15, 0.5)
+    prior_log_odds: float = -3.0
+    # Log odds of a track of a pattern: one in four or five is right.
+    greatest_log_odds: float = -1.2
 
 
 @dataclass(frozen=True)
