@@ -57,7 +57,8 @@ class SelectionTuning:
 @dataclass(frozen=True)
 class RepetitionTuning:
     """Patterns that repeat along epipolar lines. Shown by benchmarks/repetition.py, on whose seeds
-    1 to 3 all of it was chosen, beside boxes, loose lines and blocks (seeds 701 to 703)."""
+    1 to 3 it was chosen, the last on seed 1, beside boxes, loose lines and blocks (seeds 701 to
+    703)."""
 
     # Candidates of such log odds are asked whether they are contested, and a rival of such log odds
     # contests those that surpass it by less than the second.
