@@ -9,6 +9,8 @@ TrinocError
 Each message is one sentence that says what is wrong, where, and what to do next.
 """
 
+import importlib.util
+
 
 class TrinocError(Exception):
     """Base of every error that trinoc raises on purpose."""
@@ -49,3 +51,9 @@ def check_kind(value: object, kinds: type | tuple[type, ...], name: str, wanted:
     if not isinstance(value, kinds):
         kind = "None" if value is None else f"of type {type(value).__name__}"
         raise InputError(f"The {name} is {kind}: give {wanted}.")
+
+
+def expect_extra(library: str, extra: str) -> None:
+    """Raise InputError, with the command that installs it, where a library is missing."""
+    if importlib.util.find_spec(library) is None:
+        raise InputError(f"This needs {library}: pip install 'trinoc[{extra}]'.")

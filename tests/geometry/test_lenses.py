@@ -11,10 +11,9 @@ from trinoc.errors import InputError
 from trinoc.geometry import AbstractLens
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.brown_conrady import BrownConrady, Rational, ThinPrism
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.pinhole import Pinhole
-from trinoc.geometry.lenses.rational import Rational, ThinPrism
 from trinoc.geometry.lenses.registry import (
     LENS_MODELS,
     lens_model,

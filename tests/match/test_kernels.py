@@ -9,9 +9,8 @@ import pytest
 
 from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.match import match_many, warm_up
-from trinoc.match.matcher import match_segments
+from trinoc.match.matcher import compile_together, match_segments
 from trinoc.match.observations.match_input import prepare
-from trinoc.match.rehearsal import compile_together
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import with_field

@@ -18,7 +18,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.display import Displayable
-from trinoc.report.notebook import axes, cards, figures
+from trinoc.report.notebook import axes, cards, displays
 from trinoc.report.notebook.tables import list_columns
 
 mpl.use("agg")
@@ -30,7 +30,7 @@ def test_every_value_that_shows_itself_can() -> None:
     kinds = [kind for kind in handed_on if isinstance(kind, type)]
     shown = {kind for kind in kinds if issubclass(kind, Displayable)}
     assert len(shown) >= 5
-    for verb in (axes._plot, cards.heading, cards.small_picture, figures._figure, list_columns):
+    for verb in (axes._plot, cards.heading, cards.small_picture, displays._figure, list_columns):
         assert {kind for kind in shown if verb.dispatch(kind) is verb.dispatch(object)} == set()
 
 

@@ -23,8 +23,6 @@ from .intrinsics_result import (
 from .result.calibration import (
     CalibrationResult as CalibrationResult,
     CameraFit as CameraFit,
-)
-from .result.status import (
     Status as Status,
 )
 from .rig_check.knocked import (

@@ -17,9 +17,8 @@ from trinoc.calib.messages import (
     notes_of_sheet,
 )
 from trinoc.calib.problem.robust_fit import errors_px
-from trinoc.calib.result.calibration import CalibrationResult, CameraFit
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit, Status
 from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
-from trinoc.calib.result.status import Status
 from trinoc.calib.rig_fit import Knowledge, RigFit
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics

@@ -11,7 +11,7 @@ from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.orientation import Orientation, resolve_orientation
 from trinoc.calib.from_detections import Search, lens_of_each, outcome_of_search
 from trinoc.calib.messages import failure_sentence
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_fit import Knowledge
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.systematics import Systematics

@@ -12,9 +12,8 @@ from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.orientation import Orientation, resolve_orientation
 from trinoc.calib.messages import failure_sentence
 from trinoc.calib.problem.sheet_problem import SheetCamera
-from trinoc.calib.result.calibration import CalibrationResult, CameraFit
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit, Status
 from trinoc.calib.result.degrees import pose_of_values
-from trinoc.calib.result.status import Status
 from trinoc.calib.rig_fit import Knowledge, fit_circles, fit_rig
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.systematics import Systematics

@@ -16,8 +16,8 @@ from trinoc.calib.points_refutations import list_refutations
 from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.result.degrees import degrees_by_step
-from trinoc.calib.result.status import Status
 from trinoc.calib.starts.resection import find_linear_camera, find_pose, is_flat
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics

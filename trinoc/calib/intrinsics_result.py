@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.advice.next_shot import NextImage
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.shot_messages import value_words
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.intrinsics import Intrinsics

@@ -21,7 +21,7 @@ from trinoc.calib.problem.problem import Freedom, Problem, cam_from_board, lens_
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, fit_robustly
 from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import View
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import expect_coefficients
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
 from trinoc.calib.shot_messages import (

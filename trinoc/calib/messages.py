@@ -9,8 +9,7 @@ from trinoc.calib.adjustment.each_camera import PoseEstimate
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.sheet import BentPaper
-from trinoc.calib.result.alternative import Alternative
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import Alternative, Status
 from trinoc.calib.rig_fit import CameraChoice, Knowledge
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING

@@ -28,7 +28,7 @@ from trinoc.calib.problem.problem import Freedom, Problem
 from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
 from trinoc.calib.problem.robust_fit import RobustFit, fit_robustly
 from trinoc.calib.problem.starting_problem import start_problem
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_from_shots import RigFromShots, result_from_fit
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
 from trinoc.calib.starts.camera_start import FEWEST_PLACES, CameraStart, start_camera

@@ -19,7 +19,7 @@ from trinoc.calib.photometric.scene import ShiftOfPlaces
 from trinoc.calib.photometric.views import PictureFit, refine_views
 from trinoc.calib.problem.apparent_shift import apparent_shift
 from trinoc.calib.problem.sheet_problem import SheetCamera
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics

@@ -19,7 +19,7 @@ from trinoc.calib.problem.outcome import assess_fit
 from trinoc.calib.problem.problem import EndedProblem, Problem, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.problem.views import View
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.shot_messages import (
     list_refusals,
     notes_of_fit,

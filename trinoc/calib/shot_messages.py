@@ -8,7 +8,7 @@ from trinoc.calib.problem.lens_correction import correction_sentences
 from trinoc.calib.problem.outcome import FitOutcome
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.starts.placing import boards_are_parallel
 from trinoc.calib.targets.board_set import board_names, list_boards
 from trinoc.calib.tuning.every_group import TUNING

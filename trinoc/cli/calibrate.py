@@ -181,7 +181,7 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
 
 def suspicion(result: "CalibrationResult", out: Path) -> str | None:
     """Why the rig is not written unless that is wanted; None where no camera is suspect."""
-    from trinoc.calib.result.status import Status
+    from trinoc.calib.result.calibration import Status
 
     suspects = [name for name, status in result.status.items() if status is Status.SUSPECT]
     if not suspects:

@@ -62,7 +62,7 @@ class ViewCommand(Command):
     def run(self, command_line: str) -> Outcome:
         """Serve until interrupted."""
         port = read_port(self.port)
-        from trinoc.report.notebook.extras import expect_extra
+        from trinoc.errors import expect_extra
 
         expect_extra("viser", "view")
         figure, ellipsoids, said = self._content()

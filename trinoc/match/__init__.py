@@ -16,8 +16,8 @@ vision" (1986), on a likelihood that knows every segment's covariance:
 `evidence` holds the log likelihood ratios that the steps share, and their learning by EM. `tracks`
 merges more than three views and puts out `Matches`. `guided` asks the pictures again where their
 lines must be. `line_map` goes on from there: collinear tracks as one line, ends that meet as
-corners, depth. `matcher` is the loop over all of it, `rehearsal` compiles a first call's kernels
-beside each other, `tuning` holds the constants that users may set."""
+corners, depth. `matcher` is the loop over all of it, `tuning` holds the constants that users may
+set."""
 
 import lazy_loader
 

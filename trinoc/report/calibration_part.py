@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.result.calibration import CalibrationResult, CameraFit, ImageQuality
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit, ImageQuality, Status
 from trinoc.calib.rig_from_shots import RigFromShots
 from trinoc.geometry.rig import Rig
 from trinoc.report.coverage import Coverage

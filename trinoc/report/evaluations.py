@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_extra
 from trinoc.evaluation.sweep import Row
 from trinoc.io.atomic import atomic_write
-from trinoc.report.notebook.extras import expect_extra
 from trinoc.report.numbers import with_decimals
 from trinoc.report.space_content import PALETTE
 from trinoc.report.text import text_table

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import Status
 from trinoc.match.tracks.matches import TRINOCULAR, MatchStatus
 from trinoc.report.checks import Answer, Level, Limits, ReportCheck, Subject
 from trinoc.report.matches_part import share_matched

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from trinoc.errors import InputError
-from trinoc.report.notebook.extras import expect_extra
+from trinoc.errors import InputError, expect_extra
 from trinoc.report.space_content import COLOUR_OF_ROLE, Ellipsoids, visible_factor
 from trinoc.report.space_part import LineLayer, SpaceFigure
 from trinoc.serving.loopback import ADDRESS, REFUSAL, may_ask

@@ -14,7 +14,7 @@ from trinoc.calib.adjustment.model_tests import alternatives
 from trinoc.calib.messages import is_suspect
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.sheet_problem import SheetCamera
-from trinoc.calib.result.alternative import Alternative
+from trinoc.calib.result.calibration import Alternative
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry import Pose

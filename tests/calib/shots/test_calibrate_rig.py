@@ -5,7 +5,7 @@ import pytest
 
 from tests.calib.shots.made_shots import BOARD, LENSES, cam_from_rig, lens_of, shots
 from trinoc.calib import projection_sigma
-from trinoc.calib.result.status import Status
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError

@@ -11,7 +11,7 @@ from tests.match.made import loose_lines, rig_of
 from trinoc.errors import InputError
 from trinoc.match import Cylinders, MatchTuning, find_cylinders
 from trinoc.match.matcher import match_segments
-from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.match.tuning.bodies import CylinderTuning
 from trinoc.numerics.vectors import complete_axes
 from trinoc.synth.solids import box
 

@@ -10,7 +10,7 @@ from trinoc.match.bodies.cylinder_fit import ROUND, STRAIGHT, Members, fit_cylin
 from trinoc.match.bodies.cylinder_search import place_ends
 from trinoc.match.bodies.outlines import Outlines, possible_outlines, ray_axis_distances
 from trinoc.match.observations.match_input import prepare
-from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.match.tuning.bodies import CylinderTuning
 from trinoc.numerics.vectors import complete_axes
 
 VIEWS = ("upper", "left", "right")

@@ -10,10 +10,10 @@ from tests.match.made import loose_lines, pictures, rig_of
 from tests.match.rims.made_rims import Ring, chords_seen, projected
 from trinoc.errors import InputError
 from trinoc.match import MatchTuning, add_rims, find_rims
-from trinoc.match.bodies import rim_hypotheses as hypotheses, rim_support as support
+from trinoc.match.bodies import rim_search as search, rim_support as support
 from trinoc.match.bodies.circles import Circles, image_circles
 from trinoc.match.matcher import match_segments
-from trinoc.match.tuning.rims import RimTuning
+from trinoc.match.tuning.bodies import RimTuning
 from trinoc.synth.solids import Cylinder
 
 VIEWS = ("upper", "left", "right")
@@ -67,7 +67,7 @@ def test_few_neighbours_and_small_parts_find_the_same(rig, monkeypatch) -> None:
     segments = chords_seen(rig, [FLAT, TILTED], loose_lines(8, seed=1))
     matches = match_segments(segments, rig)
     whole = find_rims(matches, segments, rig)
-    for room in (hypotheses, support):
+    for room in (search, support):
         monkeypatch.setattr(room, "MOST_AT_ONCE", 1000)
     near = MatchTuning(rims=RimTuning(neighbours=12))
     parts = find_rims(matches, segments, rig, tuning=near)

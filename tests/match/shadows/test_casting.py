@@ -5,7 +5,7 @@ import pytest
 
 from tests.match.shadows.made_shadows import FAR_LAMP, NEAR_LAMP
 from trinoc.match.bodies.casting import Lamps, cast_density, casting_pairs, likely_casts
-from trinoc.match.tuning.shadows import ShadowTuning
+from trinoc.match.tuning.bodies import ShadowTuning
 from trinoc.numerics.tables import take_rows
 
 TUNING, SIZE_MM = ShadowTuning(), 50.0

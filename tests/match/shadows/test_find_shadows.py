@@ -11,7 +11,7 @@ from tests.match.shadows.made_shadows import NEAR_LAMP, scene_of, unit_toward
 from trinoc.errors import InputError
 from trinoc.match import MatchTuning, find_shadows
 from trinoc.match.matcher import match_segments
-from trinoc.match.tuning.shadows import ShadowTuning
+from trinoc.match.tuning.bodies import ShadowTuning
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from trinoc.match.bodies.casting import Lamps, ShadowPairs
 from trinoc.match.bodies.lamp import Votes, _mean_lamp
-from trinoc.match.tuning.shadows import ShadowTuning
+from trinoc.match.tuning.bodies import ShadowTuning
 from trinoc.numerics.vectors import complete_axes
 
 STEP_DEG, CHANGE = 2.0, 4e-4

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from trinoc.calib.adjustment.estimate import Adjustment, prior_weights
 from trinoc.calib.problem.sheet import BentPaper
-from trinoc.calib.result.alternative import Alternative
+from trinoc.calib.result.calibration import Alternative
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel

@@ -11,8 +11,8 @@ from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.robust_fit import errors_px, robust_scale
 from trinoc.calib.problem.sheet_problem import SheetCamera
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
-from trinoc.calib.result.status import Status
 from trinoc.calib.starts.camera_start import plane_pose
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.problem.rao_test import judge_pull
-from trinoc.calib.result.alternative import Alternative
+from trinoc.calib.result.calibration import Alternative
 from trinoc.calib.tuning.every_group import TUNING
 
 # numerical: columns of a lens and of a pose.

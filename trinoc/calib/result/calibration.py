@@ -1,15 +1,61 @@
 """The answer of a calibration, which never travels without its status and its sigmas."""
 
+import enum
+from typing import NamedTuple
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.result.alternative import Alternative
-from trinoc.calib.result.status import Status
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.numerics.display import Displayable
+
+
+class Status(enum.Enum):
+    """How the fit of one camera ended; the value is the sentence shown to people."""
+
+    CONVERGED = "The fit converged and its parameters are determined."
+    SUSPECT = "The fit converged, but its residuals are not those of this model: see the notes."
+    NOT_CONVERGED = "The fit did not converge: its parameters are not a result."
+    NOT_DETECTED = "The sheet was not found in the picture."
+    AMBIGUOUS = "The sheet looks the same turned, and nothing says which way round it lies."
+    RANK_DEFICIENT = "The observations leave some parameters free: see the named gauge."
+
+
+class Alternative(NamedTuple):
+    """One thing that the model holds fixed, and what the residuals say of it.
+
+    Fields
+    ------
+    name : "aim", "focal length", "aspect" or "radial distortion".
+    chi_square_drop : likelihood ratio against the model as it is.
+    p_value : probability of such a drop by noise alone.
+    estimate : of the change, in mm of aim, share of the focal length, that along v against that
+        along u, or k1.
+    sigma : of the estimate.
+    sentence : what it means.
+    strain : by how many of its sigmas the change would move the camera (Mahalanobis distance).
+    unseen : the largest change that the residuals may well not show.
+    unseen_strain : by how many of its sigmas that would move the camera.
+    """
+
+    name: str
+    chi_square_drop: float
+    p_value: float
+    estimate: Float[np.ndarray, "k"]
+    sigma: Float[np.ndarray, "k"]
+    sentence: str
+    strain: float
+    unseen: Float[np.ndarray, "k"]
+    unseen_strain: float
+
+    @property
+    def found(self) -> bool:
+        """Whether noise alone would hardly make it."""
+        return self.p_value < TUNING.answer.chance
 
 
 class ImageQuality(eqx.Module):

@@ -1,6 +1,9 @@
-"""Brown-Conrady distortion, as OpenCV's first five coefficients describe it.
+"""Distortion by polynomials, as OpenCV describes it: Brown-Conrady by its first five coefficients,
+the rational one by eight, without and with its thin prism.
 
-Source: D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37(8), 1971.
+Sources: D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37(8), 1971;
+OpenCV, "Camera Calibration and 3D Reconstruction", the model of `cv2.projectPoints`; the quotient
+is that of D. Claus and A. Fitzgibbon, "A rational function lens distortion model", CVPR 2005.
 """
 
 from typing import ClassVar
@@ -50,3 +53,68 @@ def radial_and_tangential(
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         ]
     )
+
+
+_RATIONAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_POWERS = (2, 4, 1, 1, 6, 2, 4, 6)
+
+
+class Rational(AbstractPlaneLens):
+    """Radial distortion as a quotient of two cubics in r^2, with tangential (p1, p2)."""
+
+    model: ClassVar[str] = "rational"
+    coefficient_names: ClassVar[tuple[str, ...]] = _RATIONAL
+    parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_PARAMETERS, *coefficient_names)
+    coefficient_powers: ClassVar[tuple[int, ...]] = _POWERS
+    coefficient_counts: ClassVar[tuple[int, ...]] = (0, 1, 2, 4, 5, 8)
+    dispensable: ClassVar[tuple[str, ...]] = ("k6", "k5", "k4", "k3", "k2")
+
+    def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """The place after quotient and tangential part."""
+        return _by_quotient(ideal, self.coefficients)
+
+    def radial_part(self) -> RadialPart:
+        """The quotient."""
+        return _radial_part(np.asarray(self.coefficients, dtype=np.float64))
+
+
+class ThinPrism(AbstractPlaneLens):
+    """`Rational` with OpenCV's thin prism: (s1 r^2 + s2 r^4, s3 r^2 + s4 r^4) besides."""
+
+    model: ClassVar[str] = "thin_prism"
+    coefficient_names: ClassVar[tuple[str, ...]] = (*_RATIONAL, "s1", "s2", "s3", "s4")
+    parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_PARAMETERS, *coefficient_names)
+    coefficient_powers: ClassVar[tuple[int, ...]] = (*_POWERS, 1, 3, 1, 3)
+    coefficient_counts: ClassVar[tuple[int, ...]] = (0, 1, 2, 4, 5, 8, 12)
+    dispensable: ClassVar[tuple[str, ...]] = (
+        *("s4", "s2", "s3", "s1"),
+        *("k6", "k5", "k4", "k3", "k2"),
+    )
+
+    def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """The place after quotient, tangential part and prism."""
+        s1, s2, s3, s4 = (self.coefficients[i] for i in range(8, 12))
+        r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]
+        prism = jnp.stack([r2 * (s1 + r2 * s2), r2 * (s3 + r2 * s4)])
+        return _by_quotient(ideal, self.coefficients) + prism
+
+    def radial_part(self) -> RadialPart:
+        """The quotient."""
+        return _radial_part(np.asarray(self.coefficients, dtype=np.float64))
+
+
+def _by_quotient(
+    ideal: Float[ArrayLike, "2"], coefficients: Float[ArrayLike, "c"]
+) -> Float[ArrayLike, "2"]:
+    """(x/z, y/z) of an ideal pinhole to those of the lens, by the first eight coefficients."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = (coefficients[i] for i in range(8))
+    r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]
+    above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    return radial_and_tangential(ideal, above / below, p1, p2)
+
+
+def _radial_part(coefficients: Float[np.ndarray, "c"]) -> RadialPart:
+    k1, k2, _, _, k3, k4, k5, k6 = coefficients[:8]
+    above, below = np.array([k3, k2, k1, 1.0]), np.array([k6, k5, k4, 1.0])
+    return RadialPart(above, below, by_angle=False)

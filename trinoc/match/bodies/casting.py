@@ -17,8 +17,8 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.line_map.corners import Corners
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.bodies import ShadowTuning
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.vectors import complete_axes, cross_3d
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, ray_axis_distances
-from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.match.tuning.bodies import CylinderTuning
 from trinoc.numerics.robust_loss import ScaleMixture
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.tables import take_rows

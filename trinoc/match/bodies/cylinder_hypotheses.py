@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from trinoc.match.bodies.cylinder_fit import Members
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, before_camera, ray_axis_distances
-from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.match.tuning.bodies import CylinderTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import cross_3d

@@ -18,7 +18,7 @@ from trinoc.match.bodies.outlines import Outlines, abreast_mm, possible_outlines
 from trinoc.match.observations.match_input import prepare, with_noise_scale
 from trinoc.match.observations.pictures_of_views import segments_of_views
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.match.tuning.bodies import CylinderTuning
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.tables import take_rows

@@ -7,7 +7,7 @@ from trinoc.match.bodies.cylinder_fit import ROUND, STRAIGHT, Fits, Members, fit
 from trinoc.match.bodies.cylinder_hypotheses import Start
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, before_camera, ray_axis_distances
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.match.tuning.bodies import CylinderTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.tails import chi_square_limit

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.bodies.circles import ENDS, Chords, Circles
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tuning.rims import RimTuning
+from trinoc.match.tuning.bodies import RimTuning
 from trinoc.numerics.vectors import cross_3d
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.match.bodies.casting import Lamps, ShadowPairs, cast_density, likely_casts
-from trinoc.match.tuning.shadows import ShadowTuning
+from trinoc.match.tuning.bodies import ShadowTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import complete_axes

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tuning.cylinders import CylinderTuning
+from trinoc.match.tuning.bodies import CylinderTuning
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import complete_axes, cross_3d
 

@@ -22,8 +22,8 @@ from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.tracks.line_fit import cut_fragments, ending_view, track_intervals
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tuning.bodies import RimTuning
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import complete_axes, cross_3d
 

@@ -16,7 +16,7 @@ from trinoc.match.bodies.circles import (
     off_circles,
     touching,
 )
-from trinoc.match.tuning.rims import RimTuning
+from trinoc.match.tuning.bodies import RimTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import take_rows
 

@@ -24,8 +24,8 @@ from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations.match_input import prepare
 from trinoc.match.observations.pictures_of_views import segments_of_views
 from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.bodies import RimTuning
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
 
 _ROWS = (

@@ -21,8 +21,8 @@ from trinoc.match.line_map.collinear_merge import join_collinear
 from trinoc.match.line_map.corners import snap_corners
 from trinoc.match.observations.pictures_of_views import segments_of_views
 from trinoc.match.tracks.matches import EVEN, Matches
+from trinoc.match.tuning.bodies import ShadowTuning
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
 
 

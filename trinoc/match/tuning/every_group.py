@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from trinoc.match.tuning.bodies import CylinderTuning, RimTuning, ShadowTuning
 from trinoc.match.tuning.candidates import CandidateTuning, ScoutTuning
-from trinoc.match.tuning.cylinders import CylinderTuning
 from trinoc.match.tuning.evidence import (
     ClutterTuning,
     EndTuning,
@@ -19,14 +19,12 @@ from trinoc.match.tuning.line_map import (
     WireframeTuning,
 )
 from trinoc.match.tuning.occlusion import OcclusionTuning
-from trinoc.match.tuning.rims import RimTuning
 from trinoc.match.tuning.selection import (
     JunctionTuning,
     NoiseTuning,
     RepetitionTuning,
     SelectionTuning,
 )
-from trinoc.match.tuning.shadows import ShadowTuning
 from trinoc.match.tuning.tracks import DecoyTuning, TrackTuning
 
 

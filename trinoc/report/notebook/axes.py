@@ -9,6 +9,7 @@ import numpy as np
 from trinoc.calib.bundle.result import RefineResult
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.errors import expect_extra
 from trinoc.evaluation.evaluation import Evaluation
 from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
@@ -16,7 +17,6 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import TRINOCULAR, Matches
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.report import plot
-from trinoc.report.notebook.extras import expect_extra
 from trinoc.report.numbers import plain, round_scale
 from trinoc.report.space_content import BLACK, BLUE, GREEN, VERMILION, frusta, sheet_outlines
 
