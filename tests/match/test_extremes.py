@@ -73,13 +73,13 @@ def test_segments_that_say_nothing_change_no_other_match():
 
 
 def test_copies_that_differ_by_less_than_their_sigmas_make_nothing_sure():
-    """Each of 30 segments may belong to each: no posterior may say which, whatever memory bears."""
+    """Each of 20 segments may belong to each: no posterior may say which, whatever memory bears."""
     line = np.array([[[-60.0, -20.0, 5.0], [60.0, 30.0, 5.0]]])
     rng, segments = np.random.default_rng(1), {}
     for view, ends in pictures(RIG, line).items():
-        copies = np.repeat(ends, 30, axis=0) + 0.2 * rng.normal(size=(30, 2, 2))
+        copies = np.repeat(ends, 20, axis=0) + 0.2 * rng.normal(size=(20, 2, 2))
         segments[view] = stated(copies, 0.3)
-    few = with_field(DEFAULT, "selection.most_conflicts", 1 << 20)
+    few = with_field(DEFAULT, "selection.most_conflicts", 1 << 18)
     tracemalloc.start()
     matches = match_segments(segments, RIG, tuning=few)
     _, peak = tracemalloc.get_traced_memory()

@@ -89,7 +89,7 @@ def test_matching_again_while_checking_finds_the_camera():
     ids=["at rest", "lines may be hidden", "a motion shows"],
 )
 def test_a_scene_is_matched_again_only_where_something_calls_for_it(share, camera, asked):
-    lines, _, _ = made_tracks(84, 60)
+    lines, _, _ = made_tracks(84, 100)
     calls = []
 
     class Tracks:

@@ -28,7 +28,7 @@ from trinoc.calib.bundle.covariance import (
     segment_factor,
     sheet_factor,
 )
-from trinoc.calib.bundle.factors import PosePrior, d_parameters_d_delta
+from trinoc.calib.bundle.factors import PosePrior
 from trinoc.calib.bundle.joint_problem import (
     CamerasAndLines,
     FragmentTable,
@@ -260,6 +260,7 @@ def _fit(
     converged = converged[-1] & jnp.isfinite(costs[-1])
     end = jax.tree.map(lambda a, b: jnp.where(without_sheet, a, b), scaled, end)
     end = jax.tree.map(lambda a, b: jnp.where(converged, a, b), end, start)
+    of_sheet = prior.normal_equations(end.cameras)
     ends_mm, own, by_cameras = jax.vmap(segment_and_errors, (None, 0, 0, 0))(end.cameras, *tracks)
     return _Fit(
         end.cameras,
@@ -267,10 +268,10 @@ def _fit(
         costs[-1],
         JointProblem(tracks, prior, LOSS).cost(start),
         squared_distances(end, tracks),
-        problem.camera_information(end),
-        prior.normal_equations(end.cameras)[0],
+        problem.line_information(end) + of_sheet.information,
+        of_sheet.information,
         prior.cost(end.cameras),
-        d_parameters_d_delta(end.cameras, sheet_cameras),
+        of_sheet.by_step,
         parameters(end.cameras, sheet_cameras),
         ends_mm,
         own,

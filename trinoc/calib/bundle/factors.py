@@ -111,6 +111,20 @@ def line_from_two_views(
     return jnp.where((jnp.sum(seen) == 2) & jnp.all(jnp.isfinite(line)), line, anchors_mm)
 
 
+class PriorEquations(NamedTuple):
+    """What the prior says at given cameras.
+
+    Fields
+    ------
+    by_step : (k, k) derivatives of all public parameters by all cameras' steps.
+    information, gradient : (k, k) and (k,) by those steps.
+    """
+
+    by_step: Float[ArrayLike, "k k"]
+    information: Float[ArrayLike, "k k"]
+    gradient: Float[ArrayLike, "k"]
+
+
 class PosePrior(NamedTuple):
     """Cost (x - x0)^T L (x - x0) of the public parameters x (degrees, mm, px).
 
@@ -137,13 +151,11 @@ class PosePrior(NamedTuple):
         difference = self.difference(cameras)
         return difference @ self.information @ difference
 
-    def normal_equations(
-        self, cameras: CameraState
-    ) -> tuple[Float[ArrayLike, "k k"], Float[ArrayLike, "k"]]:
-        """(information, gradient) by the step of the cameras."""
+    def normal_equations(self, cameras: CameraState) -> PriorEquations:
+        """By the step of the cameras."""
         by_step = d_parameters_d_delta(cameras, self.start)
         weighted = by_step.T @ self.information
-        return weighted @ by_step, weighted @ self.difference(cameras)
+        return PriorEquations(by_step, weighted @ by_step, weighted @ self.difference(cameras))
 
 
 def d_parameters_d_delta(cameras: CameraState, start: CameraState) -> Float[ArrayLike, "k k"]:

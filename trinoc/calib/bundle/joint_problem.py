@@ -100,21 +100,21 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
         view = jnp.arange(views)
         head = jnp.zeros((views, size, views, size))
         head = head.at[view, :, view, :].set(jnp.einsum("tvrp,tvrq->vpq", of_camera, by_camera))
-        known, gradient = self.prior.normal_equations(state.cameras)
+        known = self.prior.normal_equations(state.cameras)
         return ArrowEquations(
             BlockArrow(
-                head.reshape(views * size, -1) + known,
+                head.reshape(views * size, -1) + known.information,
                 jnp.einsum("tvrp,tvri->tvpi", by_camera, of_line).reshape(tracks, -1, 4),
                 blocks,
             ),
             (
-                jnp.einsum("tvrp,tvr->vp", of_camera, residual).reshape(-1) + gradient,
+                jnp.einsum("tvrp,tvr->vp", of_camera, residual).reshape(-1) + known.gradient,
                 jnp.einsum("tvri,tvr->ti", of_line, residual),
             ),
         )
 
-    def camera_information(self, state: CamerasAndLines) -> Float[ArrayLike, "k k"]:
-        """What is known of the cameras' steps while the lines are free, by Gauss and Newton.
+    def line_information(self, state: CamerasAndLines) -> Float[ArrayLike, "k k"]:
+        """What the lines tell of the cameras' steps while they are free, by Gauss and Newton.
 
         The Schur complement of the equations, but made of their rows, from which those of each
         line are projected out: the rounding of a difference of two informations would pass for
@@ -135,8 +135,7 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
             length = jnp.sqrt(jnp.sum(own**2, axis=1, keepdims=True))
             unit = own / jnp.where(length > 0, length, 1.0)
             rows = rows - unit * jnp.sum(unit * rows, axis=1, keepdims=True)
-        known = self.prior.normal_equations(state.cameras)[0]
-        return jnp.einsum("tri,trj->ij", rows, rows) + known
+        return jnp.einsum("tri,trj->ij", rows, rows)
 
     def retract(
         self, state: CamerasAndLines, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "t 4"]

@@ -16,7 +16,8 @@ from jaxtyping import Float
 from trinoc.calib.photometric.sheet_places import Ray, SheetPoint, sheet_point
 from trinoc.numerics.precision import ArrayLike
 
-Scalar = Float[ArrayLike, ""]
+# Of one pixel or of many.
+Scalar = Float[ArrayLike, "*n"]
 
 # numerical: beyond so many sigmas the coverage is 0 or 1, and its series mean nothing.
 _REACH = 6.0
@@ -51,7 +52,9 @@ class Edge(NamedTuple):
     unit: Scalar
 
 
-def straight_edge(point: SheetPoint, normal_x: Scalar, normal_y: Scalar, offset_mm: Scalar) -> Edge:
+def straight_edge(
+    point: SheetPoint, normal_x: Scalar, normal_y: Scalar, offset_mm: Float[ArrayLike, "*#n"]
+) -> Edge:
     """An edge F = n . (X, Y) - offset, for a unit normal n."""
     value = normal_x * point.point_mm[0] + normal_y * point.point_mm[1] - offset_mm
     gradient, normal_u, normal_v = _gradient(point, normal_x, normal_y)
@@ -80,24 +83,11 @@ def straight_edge(point: SheetPoint, normal_x: Scalar, normal_y: Scalar, offset_
     )
 
 
-def opposite(edge: Edge, distance: Scalar) -> Edge:
-    """A parallel edge with ink on the other side, at its own distance."""
-    return edge._replace(
-        distance=distance,
-        normal_u=-edge.normal_u,
-        normal_v=-edge.normal_v,
-        normal_x=-edge.normal_x,
-        normal_y=-edge.normal_y,
-        curvature=-edge.curvature,
-        curvature_change=-edge.curvature_change,
-    )
-
-
 def circular_edge(
     sheet_from_camera: Float[ArrayLike, "3 3"],
     ray: Ray,
     point: SheetPoint,
-    centre_mm: Float[ArrayLike, "2"],
+    centre_mm: Float[ArrayLike, "2 *n"],
     radius_mm: Scalar,
 ) -> Edge:
     """An edge F = |(X, Y) - centre| - radius.
@@ -257,7 +247,7 @@ def common(first: EdgeCoverage, second: EdgeCoverage) -> Scalar:
 
 
 def _from_centre(
-    point: SheetPoint, centre_mm: Float[ArrayLike, "2"]
+    point: SheetPoint, centre_mm: Float[ArrayLike, "2 *n"]
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Direction and distance of a point of the sheet from a circle's centre."""
     dx, dy = point.point_mm[0] - centre_mm[0], point.point_mm[1] - centre_mm[1]

@@ -15,7 +15,15 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from trinoc.calib.photometric.edges import Kernel
-from trinoc.calib.photometric.ink import Circle, Cross, InkDrawing, PixelView, Squares, nearest_ink
+from trinoc.calib.photometric.ink import (
+    Circle,
+    Cross,
+    InkDrawing,
+    InkShare,
+    PixelView,
+    Squares,
+    nearest_ink,
+)
 from trinoc.calib.photometric.sheet_places import Ray, SheetPoint, sheet_point
 from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.image.response import PowerResponse
@@ -25,12 +33,12 @@ Scalar = Float[ArrayLike, ""]
 
 
 class Pixels(NamedTuple):
-    """Pixels of one picture that take part, each with what the model needs of it.
+    """Pixels of one picture that take part, along the first axis, and what the model needs of them.
 
     Fields
     ------
     ray : where it looks.
-    place : (2,) (u, v) about the picture's middle in units of half its width.
+    place : (n, 2) (u, v) about the picture's middle in units of half its width.
     grey : observed.
     weight : 1, or 0 for padding and for pixels that were cut.
     sigma : standard deviation of its noise, before saturation.
@@ -39,11 +47,11 @@ class Pixels(NamedTuple):
     """
 
     ray: Ray
-    place: Float[ArrayLike, "2"]
-    grey: Float[ArrayLike, ""]
-    weight: Float[ArrayLike, ""]
-    sigma: Float[ArrayLike, ""]
-    unit: Float[ArrayLike, ""]
+    place: Float[ArrayLike, "n 2"]
+    grey: Float[ArrayLike, "n"]
+    weight: Float[ArrayLike, "n"]
+    sigma: Float[ArrayLike, "n"]
+    unit: Float[ArrayLike, "n"]
     figure: Circle | Squares
 
 
@@ -92,7 +100,7 @@ class Levels(NamedTuple):
 
 
 class _Ink(NamedTuple):
-    """The share of ink that a pixel sees, and its derivatives."""
+    """The share of ink that pixels see, and its derivatives."""
 
     share: Float[ArrayLike, "*n"]
     by_x: Float[ArrayLike, "*n"]
@@ -117,11 +125,12 @@ def predict_levels(
     white : grey level of a signal of 1. The derivatives by the response hold the middle's light.
     """
     look = {name: state[name] for name in state.unknowns.look}
-    ink_of = partial(_ink, sheet_from_camera, cross=cross, drawing=drawing, near_line=near_line)
-    inks = jax.vmap(ink_of, in_axes=(0, None, None))
-    point = jax.vmap(sheet_point, in_axes=(None, 0, 0))(sheet_from_camera, pixels.ray, pixels.unit)
+    ray, figure = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), (pixels.ray, pixels.figure))
+    point = sheet_point(sheet_from_camera, ray, pixels.unit)
+    view = PixelView(sheet_from_camera, ray, point)
+    ink_of = nearest_ink(view, figure, cross, drawing, near_line)
     if state.unknowns.is_ideal:
-        ink = inks(pixels, look["spread_mm"], Kernel(look["sigma_px"]))
+        ink = _ink(ink_of, pixels.unit, look["spread_mm"], Kernel(look["sigma_px"]))
         reflected = 1 + look["ratio"] * ink.share
         slope = light * look["ratio"]
         moved = slope * ink.by_x, slope * ink.by_y
@@ -131,7 +140,7 @@ def predict_levels(
         )
     blurs, pull_back = jax.vjp(_blurs, look)
     # One after the other: the compiler would look at the edges anew for both.
-    ink = jax.lax.map(lambda blur: inks(pixels, *blur), blurs)
+    ink = jax.lax.map(lambda blur: _ink(ink_of, pixels.unit, *blur), blurs)
     tone = Tone(**{name: look[name] for name in Tone._fields})
     sharp, soft = ink.share
     signal = Signal(sharp, soft, light, veil)
@@ -171,21 +180,13 @@ def _grey_level(signal: Signal, tone: Tone, *, paper: Scalar, white: Scalar) -> 
     return level + tone.lobe * (level - below)
 
 
-def _ink(
-    sheet_from_camera: Float[ArrayLike, "3 3"],
-    pixel: Pixels,
-    spread_mm: Scalar,
-    kernel: Kernel,
-    cross: Cross,
-    drawing: InkDrawing,
-    near_line: bool,
-) -> _Ink:
-    point = sheet_point(sheet_from_camera, pixel.ray, pixel.unit)
-    view = PixelView(sheet_from_camera, pixel.ray, point)
-    ink = nearest_ink(view, pixel.figure, cross, drawing, near_line)
-    zero = jnp.zeros_like(spread_mm)
-    share, partials = jax.value_and_grad(ink, argnums=(0, 1, 2, 3))(zero, zero, spread_mm, kernel)
-    return jax.tree.map(lambda value: value / pixel.unit, _Ink(share, *partials))
+def _ink(ink_of: InkShare, unit: Float[ArrayLike, "n"], spread_mm: Scalar, kernel: Kernel) -> _Ink:
+    """Derivatives of all pixels at once: none depends on another's displacement or blur."""
+    zero = jnp.zeros_like(unit)
+    blur = jax.tree.map(lambda value: jnp.broadcast_to(value, unit.shape), (spread_mm, kernel))
+    share, pull_back = jax.vjp(ink_of, zero, zero, *blur)
+    ink = _Ink(share, *pull_back(jnp.ones_like(share)))
+    return jax.tree.map(lambda value: value / unit, ink)
 
 
 def _blurs(look: dict[str, Scalar]) -> tuple[Float[ArrayLike, "2"], Kernel]:
@@ -200,5 +201,5 @@ def _blurs(look: dict[str, Scalar]) -> tuple[Float[ArrayLike, "2"], Kernel]:
 def _by_homography(
     point: SheetPoint, by_x: Float[ArrayLike, "n"], by_y: Float[ArrayLike, "n"]
 ) -> list[Float[ArrayLike, "_n"]]:
-    by_w = -(by_x * point.point_mm[:, 0] + by_y * point.point_mm[:, 1])
-    return [row * point.by_matrix[:, k] for row in (by_x, by_y, by_w) for k in range(3)]
+    by_w = -(by_x * point.point_mm[0] + by_y * point.point_mm[1])
+    return [row * point.by_matrix[k] for row in (by_x, by_y, by_w) for k in range(3)]

@@ -7,8 +7,9 @@ the Jacobian by a percent and the answer not at all.
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
@@ -19,18 +20,16 @@ from trinoc.calib.photometric.edges import (
     circular_edge,
     common,
     coverage,
-    opposite,
     straight_edge,
 )
 from trinoc.calib.photometric.sheet_places import Ray, SheetPoint
 from trinoc.numerics.precision import ArrayLike
 
-Scalar = Float[ArrayLike, ""]
+# Of one pixel or of many, along the last axis.
+Scalar = Float[ArrayLike, "*n"]
 # (displacement on the sheet X, Y in mm, ink spread in mm, kernel) -> share of ink.
 InkShare = Callable[[Scalar, Scalar, Scalar, Kernel], Scalar]
-Band = tuple[EdgeCoverage, EdgeCoverage]
-# What lies before a line of an edge whose ink has spread one way, and the other.
-_SpreadSides = tuple[EdgeCoverage, EdgeCoverage]
+_Edges = TypeVar("_Edges", Edge, EdgeCoverage)
 # The line style of boards of squares, which have no lines.
 SQUARES = "squares"
 
@@ -58,7 +57,7 @@ class Circle(NamedTuple):
     present : 1, or 0 for a pixel that is near no circle.
     """
 
-    centre_mm: Float[ArrayLike, "2"]
+    centre_mm: Float[ArrayLike, "2 *n"]
     radius_mm: Scalar
     inner_radius_mm: Scalar
     present: Scalar
@@ -67,9 +66,9 @@ class Circle(NamedTuple):
 class Cross(NamedTuple):
     """The crossed lines, in mm: half their width, their reach, and their gap at a circle."""
 
-    half_width_mm: Scalar
+    half_width_mm: Float[ArrayLike, ""]
     half_length_mm: Float[ArrayLike, "2"]
-    gap_mm: Scalar
+    gap_mm: Float[ArrayLike, ""]
 
 
 class Squares(NamedTuple):
@@ -81,9 +80,9 @@ class Squares(NamedTuple):
     ink : (9,) 1 for each inked cell between them, the lowest row first.
     """
 
-    x_mm: Float[ArrayLike, "2"]
-    y_mm: Float[ArrayLike, "2"]
-    ink: Float[ArrayLike, "9"]
+    x_mm: Float[ArrayLike, "2 *n"]
+    y_mm: Float[ArrayLike, "2 *n"]
+    ink: Float[ArrayLike, "9 *n"]
 
 
 class PixelView(NamedTuple):
@@ -126,77 +125,86 @@ def ink_of_circle(view: PixelView, circle: Circle, drawing: InkDrawing) -> InkSh
 
 
 def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDrawing) -> InkShare:
-    """Ink of the crossed lines and the nearest circle, by how lines and circles meet."""
-    outer = view.circle(circle, circle.radius_mm)
+    """Ink of the crossed lines and the nearest circle, by how lines and circles meet.
+
+    What lies on both of two edges is added and taken away: an end of a line, the crossing of both
+    lines, and what of them lies on a disc. All edges are looked at together.
+    """
     hole, has_hole = _hole(view, circle, drawing)
-    gap = view.circle(circle, circle.radius_mm + cross.gap_mm)
-    rings = ink_of_circle(view, circle, drawing)
-    point = view.point
+    # Lines end at a gap about the circle, or at the circle.
+    gap = [view.circle(circle, circle.radius_mm + cross.gap_mm)] * (drawing.line_style == "stop")
+    discs = [view.circle(circle, circle.radius_mm), *gap, *([] if hole is None else [hole])]
+    lines = _edges_of_lines(view.point, cross)
+    edges = jax.tree.map(
+        lambda straight, *curved: jnp.concatenate([straight, jnp.stack(curved)]), lines, *discs
+    )
+    # With the spread of ink discs and lines grow, and gap and hole shrink.
+    grows = [1.0] * 7 + [-1.0] * (len(discs) - 1)
+
+    def share(dx: Scalar, dy: Scalar, spread: Scalar, kernel: Kernel) -> Scalar:
+        def cover(edge: Edge, grows: Scalar) -> EdgeCoverage:
+            return coverage(edge, _shift(edge, dx, dy) - grows * spread, kernel)
+
+        signs = jnp.asarray(grows, spread.dtype)
+        covered = jax.vmap(cover)(edges, signs)
+        sides, ends = _by_line(covered), _take(covered, slice(4, 6))
+        outer, last = _take(covered, 6), _take(covered, -1)
+        crossing = _crossing(sides)
+        short = jax.vmap(jax.vmap(common, (0, None)))(sides, ends)
+        black = jnp.sum(short, axis=(0, 1)) - jnp.sum(ends.share, axis=0) - crossing
+        circles = circle.present * outer.share
+        if hole is not None:
+            circles = circles - has_hole * last.share
+        if drawing.line_style == "stop":
+            limit = _take(covered, 7)
+            return circles + black - circle.present * _lines_on_disc(sides, crossing, limit)
+        black = black - circle.present * _lines_on_disc(sides, crossing, outer)
+        if drawing.line_style == "white":
+            # Ink spreads into a white line from both sides.
+            sides = _by_line(jax.vmap(cover)(_take(edges, slice(4)), -signs[:4]))
+            crossing = _crossing(sides)
+            black = black - circle.present * _lines_on_disc(sides, crossing, outer)
+        if hole is None:
+            return circles + black
+        return circles + black + has_hole * _lines_on_disc(sides, crossing, last)
+
+    return share
+
+
+def _edges_of_lines(point: SheetPoint, cross: Cross) -> Edge:
+    """Both sides of the line along X, both of the line along Y, and the nearer end of each."""
     x, y = point.point_mm[0], point.point_mm[1]
     one, zero = jnp.ones_like(x), jnp.zeros_like(x)
     side_x, side_y = jnp.where(x < 0, -one, one), jnp.where(y < 0, -one, one)
-    half_width = cross.half_width_mm
-    sides_x = _sides(point, zero, one, half_width)
-    sides_y = _sides(point, one, zero, half_width)
-    end_x = straight_edge(point, side_x, zero, cross.half_length_mm[0])
-    end_y = straight_edge(point, zero, side_y, cross.half_length_mm[1])
-
-    def share(dx: Scalar, dy: Scalar, spread: Scalar, kernel: Kernel) -> Scalar:
-        def cover(edge: Edge, grown: Scalar) -> EdgeCoverage:
-            return coverage(edge, _shift(edge, dx, dy) - grown, kernel)
-
-        def band(sides: tuple[Edge, Edge], grown: Scalar) -> Band:
-            return cover(sides[0], grown), cover(sides[1], grown)
-
-        def lines_on_disc(disc: EdgeCoverage, first: Band, second: Band) -> Scalar:
-            crossing = _crossing(first, second) * disc.share
-            return circle.present * (
-                _lies_in_band(first, disc) + _lies_in_band(second, disc) - crossing
-            )
-
-        band_x, band_y = band(sides_x, spread), band(sides_y, spread)
-        lines = _lies_in_band(band_x, cover(end_x, spread)) + _lies_in_band(
-            band_y, cover(end_y, spread)
-        )
-        circles, lines = rings(dx, dy, spread, kernel), lines - _crossing(band_x, band_y)
-        if drawing.line_style == "stop":
-            return circles + lines - lines_on_disc(cover(gap, -spread), band_x, band_y)
-        disc = cover(outer, spread)
-        black = lines - lines_on_disc(disc, band_x, band_y)
-        if drawing.line_style == "white":
-            # Ink spreads into a white line from both sides.
-            band_x, band_y = band(sides_x, -spread), band(sides_y, -spread)
-            black = black - lines_on_disc(disc, band_x, band_y)
-        if hole is None:
-            return circles + black
-        return circles + black + has_hole * lines_on_disc(cover(hole, -spread), band_x, band_y)
-
-    return share
+    normal_x = jnp.stack([zero, zero, one, -one, side_x, zero])
+    normal_y = jnp.stack([one, -one, zero, zero, zero, side_y])
+    offset_mm = jnp.stack([*[cross.half_width_mm] * 4, *cross.half_length_mm])
+    return jax.vmap(straight_edge, (None, 0, 0, 0))(point, normal_x, normal_y, offset_mm)
 
 
 def _shift(edge: Edge, dx: Scalar, dy: Scalar) -> Scalar:
     return edge.normal_x * dx + edge.normal_y * dy
 
 
-def _sides(
-    point: SheetPoint, normal_x: Scalar, normal_y: Scalar, half_width_mm: Scalar
-) -> tuple[Edge, Edge]:
-    """The two edges of a line through the origin."""
-    above = straight_edge(point, normal_x, normal_y, half_width_mm)
-    below = straight_edge(point, normal_x, normal_y, -half_width_mm)
-    return above, opposite(below, -below.distance)
+def _by_line(covered: EdgeCoverage) -> EdgeCoverage:
+    """Of the first four edges: two sides of two lines."""
+    return jax.tree.map(lambda leaf: leaf[:4].reshape(2, 2, *leaf.shape[1:]), covered)
 
 
-def _share(band: Band) -> Scalar:
-    return band[0].share + band[1].share - 1
+def _take(edges: _Edges, which: int | slice) -> _Edges:
+    return jax.tree.map(lambda leaf: leaf[which], edges)
 
 
-def _crossing(first: Band, second: Band) -> Scalar:
-    return _lies_in_band(first, second[0]) + _lies_in_band(first, second[1]) - _share(first)
+def _crossing(sides: EdgeCoverage) -> Scalar:
+    """What lies in both lines."""
+    both = jax.vmap(jax.vmap(common, (0, None)), (None, 0))(_take(sides, 0), _take(sides, 1))
+    return jnp.sum(both, axis=(0, 1)) - jnp.sum(sides.share, axis=(0, 1)) + 1
 
 
-def _lies_in_band(band: Band, other: EdgeCoverage) -> Scalar:
-    return common(band[0], other) + common(band[1], other) - other.share
+def _lines_on_disc(sides: EdgeCoverage, crossing: Scalar, disc: EdgeCoverage) -> Scalar:
+    """What of the lines lies on a disc."""
+    both = jax.vmap(jax.vmap(common, (0, None)), (0, None))(sides, disc)
+    return jnp.sum(both, axis=(0, 1)) - (2 + crossing) * disc.share
 
 
 def _hole(view: PixelView, circle: Circle, drawing: InkDrawing) -> tuple[Edge | None, Scalar]:
@@ -219,47 +227,38 @@ def ink_of_squares(
 ) -> Scalar:
     """The share of ink where the pixel's point is displaced by (dx, dy) and ink spreads."""
     one, zero = jnp.ones_like(dx), jnp.zeros_like(dx)
-    left_of = [
-        _spread_both_ways(straight_edge(point, one, zero, squares.x_mm[k]), dx, spread_mm, kernel)
-        for k in range(2)
-    ]
-    below = [
-        _spread_both_ways(straight_edge(point, zero, one, squares.y_mm[k]), dy, spread_mm, kernel)
-        for k in range(2)
-    ]
-    ink = [[squares.ink[3 * row + column] for column in range(3)] for row in range(3)]
+    normal_x, normal_y = jnp.stack([one, one, zero, zero]), jnp.stack([zero, zero, one, one])
+    offset_mm = jnp.concatenate([squares.x_mm, squares.y_mm])
+    edges = jax.vmap(straight_edge, (None, 0, 0, 0))(point, normal_x, normal_y, offset_mm)
+    ways = jnp.stack([-spread_mm, spread_mm])
+
+    def cover_both_ways(edge: Edge) -> EdgeCoverage:
+        shift = _shift(edge, dx, dy)
+        return jax.vmap(lambda way: coverage(edge, shift + way, kernel))(ways)
+
+    covered = jax.vmap(cover_both_ways)(edges)
+    ink = squares.ink.reshape(3, 3, *dx.shape)
     # Far up and far right there is the last cell; steps along the last row and the last column.
-    share = ink[2][2]
-    for k in range(2):
-        step_x, step_y = ink[2][k] - ink[2][k + 1], ink[k][2] - ink[k + 1][2]
-        share = share + step_x * _grown(left_of[k], step_x).share
-        share = share + step_y * _grown(below[k], step_y).share
-    for i in range(2):
-        for j in range(2):
-            fields = (ink[j][i], ink[j][i + 1], ink[j + 1][i], ink[j + 1][i + 1])
-            share = share + _crossing_of_squares(left_of[i], below[j], *fields)
-    return share
-
-
-def _spread_both_ways(
-    edge: Edge, shift_mm: Scalar, spread_mm: Scalar, kernel: Kernel
-) -> _SpreadSides:
-    """What lies before an edge, with ink spread to behind it and with ink spread to before it."""
-    return coverage(edge, shift_mm - spread_mm, kernel), coverage(
-        edge, shift_mm + spread_mm, kernel
+    steps = jnp.concatenate([ink[2, :2] - ink[2, 1:], ink[:2, 2] - ink[1:, 2]])
+    share = ink[2, 2] + jnp.sum(steps * jax.vmap(_grown)(covered, steps).share, axis=0)
+    of_row = jax.vmap(_crossing_of_squares, (0, None, 0, 0, 0, 0))
+    crossings = jax.vmap(of_row, (None, 0, 0, 0, 0, 0))(
+        _take(covered, slice(2)),
+        _take(covered, slice(2, 4)),
+        *(ink[row : row + 2, column : column + 2] for row in range(2) for column in range(2)),
     )
+    return share + jnp.sum(crossings, axis=(0, 1))
 
 
-def _grown(sides: _SpreadSides, ink_before: Scalar) -> EdgeCoverage:
-    """What lies before an edge that has its ink before it (1) or behind it (-1)."""
-    return EdgeCoverage(
-        *(jnp.where(ink_before > 0, more, less) for more, less in zip(*sides, strict=True))
-    )
+def _grown(sides: EdgeCoverage, ink_before: Scalar) -> EdgeCoverage:
+    """What lies before an edge that has its ink before it (1) or behind it (-1), ink having spread
+    to behind it (the first of `sides`) and to before it."""
+    return jax.tree.map(lambda leaf: jnp.where(ink_before > 0, leaf[0], leaf[1]), sides)
 
 
 def _crossing_of_squares(
-    left_of: _SpreadSides,
-    below: _SpreadSides,
+    left_of: EdgeCoverage,
+    below: EdgeCoverage,
     lower_left: Scalar,
     lower_right: Scalar,
     upper_left: Scalar,

@@ -23,7 +23,7 @@ _CIRCLE_POINTS, _SIDE_POINTS = 32, 16  # numerical: points of outlines
 
 
 class Ray(NamedTuple):
-    """A pixel after the lens: fixed while the pose moves, so it is computed once.
+    """A pixel after the lens, or many, along the last axis: fixed while the pose moves.
 
     Fields
     ------
@@ -33,11 +33,11 @@ class Ray(NamedTuple):
         for a lens that keeps lines straight.
     """
 
-    direction: Float[ArrayLike, "3"]
-    by_pixel: Float[ArrayLike, "3 2"]
-    bend: Float[ArrayLike, "3 3"] | None = None
+    direction: Float[ArrayLike, "3 *n"]
+    by_pixel: Float[ArrayLike, "3 2 *n"]
+    bend: Float[ArrayLike, "3 3 *n"] | None = None
 
-    def move(self, du: Float[ArrayLike, ""], dv: Float[ArrayLike, ""]) -> "Ray":
+    def move(self, du: Float[ArrayLike, "*n"], dv: Float[ArrayLike, "*n"]) -> "Ray":
         """The ray of a place (du, dv) pixels aside, by the lens's derivatives here."""
         direction, by_pixel = [], []
         for k in range(3):
@@ -53,7 +53,7 @@ class Ray(NamedTuple):
 
 
 class SheetPoint(NamedTuple):
-    """A pixel's point on the sheet.
+    """A pixel's point on the sheet, or those of many, along the last axis.
 
     Fields
     ------
@@ -68,16 +68,16 @@ class SheetPoint(NamedTuple):
     bend : (2, 3) second derivatives by uu, uv and vv that the lens adds; None for none.
     """
 
-    point_mm: Float[ArrayLike, "2"]
-    by_pixel: Float[ArrayLike, "2 2"]
-    depth_slope: Float[ArrayLike, "2"]
-    by_matrix: Float[ArrayLike, "3"]
-    unit: Float[ArrayLike, ""]
-    bend: Float[ArrayLike, "2 3"] | None = None
+    point_mm: Float[ArrayLike, "2 *n"]
+    by_pixel: Float[ArrayLike, "2 2 *n"]
+    depth_slope: Float[ArrayLike, "2 *n"]
+    by_matrix: Float[ArrayLike, "3 *n"]
+    unit: Float[ArrayLike, "*n"]
+    bend: Float[ArrayLike, "2 3 *n"] | None = None
 
 
 def sheet_point(
-    sheet_from_camera: Float[ArrayLike, "3 3"], ray: Ray, unit: Float[ArrayLike, ""]
+    sheet_from_camera: Float[ArrayLike, "3 3"], ray: Ray, unit: Float[ArrayLike, "*n"]
 ) -> SheetPoint:
     """The point of a ray under the homography M from directions in the camera to the sheet.
 
@@ -95,7 +95,7 @@ def sheet_point(
 
     def interpolate(
         row: Sequence[ArrayLike], columns: ArrayLike, count: int
-    ) -> Float[ArrayLike, "k"]:
+    ) -> Float[ArrayLike, "k *n"]:
         return jnp.stack([sum(row[k] * columns[k, j] for k in range(3)) for j in range(count)])
 
     bend = None

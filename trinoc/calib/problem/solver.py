@@ -220,13 +220,14 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
         factored = solver.init(information, {})
         solution = lx.linear_solve(information, gradient, solver, state=factored, throw=False)
         head, blocks = jax.tree.map(jnp.negative, solution.value)
-        tried = problem.retract(y, head, blocks)
         if not isinstance(problem, AbstractSeparableProblem):
+            tried = problem.retract(y, head, blocks)
             promised = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
             follows = jnp.ones(len(blocks), bool)
             return _TrialStep(promised, tried, problem.cost(tried), follows, self.atol)
-        moved = problem.costs(tried)
-        stayed = problem.costs(problem.retract(y, head, jnp.zeros_like(blocks)))
+        both = jnp.stack([blocks, jnp.zeros_like(blocks)])
+        costs = jax.vmap(lambda step: problem.costs(problem.retract(y, head, step)))(both)
+        moved, stayed = (jax.tree.map(lambda leaf, k=k: leaf[k], costs) for k in range(2))
         follows = moved.blocks <= stayed.blocks
         tried = problem.retract(y, head, jnp.where(follows[:, None], blocks, 0.0))
         costs = moved._replace(blocks=jnp.where(follows, moved.blocks, stayed.blocks))
