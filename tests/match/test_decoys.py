@@ -37,7 +37,7 @@ def made(scene, seed):
 
 @pytest.fixture(scope="module")
 def boxes():
-    return made(see_through_boxes(31, count=8), seed=31)
+    return made(see_through_boxes(31, count=5), seed=31)
 
 
 def test_a_right_set_is_matched(boxes):
@@ -112,7 +112,7 @@ def test_a_right_set_with_noise_far_above_what_is_stated_is_matched(boxes):
     matches = match_segments(boxes, RIG, sigma_px=0.15)
     assert matches.noise_scale > DEFAULT.decoys.noisy_above
     assert matches.status is MatchStatus.MATCHED
-    assert (matches.posterior > 0.9).sum() > 100
+    assert (matches.posterior > 0.9).mean() > 0.9
 
 
 def test_a_shift_is_where_ends_differ_alike():
@@ -149,7 +149,7 @@ def test_a_view_of_another_scene_is_suspect(boxes):
 def test_segments_that_are_chance_alone_are_suspect():
     rng, found = np.random.default_rng(5), {}
     for view in RIG.names:
-        middle, angle = rng.uniform(20, 450, (180, 1, 2)), rng.uniform(0, np.pi, 180)
+        middle, angle = rng.uniform(20, 450, (120, 1, 2)), rng.uniform(0, np.pi, 120)
         half = 8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         found[view] = Segments.from_endpoints(middle + np.stack([-half, half], axis=1))
     matches = match_segments(found, RIG)
