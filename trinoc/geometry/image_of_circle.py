@@ -18,7 +18,9 @@ from trinoc.numerics.precision import ArrayLike, ScalarLike
 # with so many points, for a circle of 25 mm seen obliquely from 250 mm.
 _EDGE_POINTS = 12
 _ANGLES_RAD = np.arange(_EDGE_POINTS) * (2 * np.pi / _EDGE_POINTS)
-_EDGE_OF_UNIT_CIRCLE = np.stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD)], axis=1)
+_CENTRE_AND_EDGE = np.r_[
+    np.zeros((1, 2)), np.stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD)], axis=1)
+]
 
 
 def image_of_circle_centre(
@@ -44,10 +46,10 @@ def circle_centre_offset(
     for common lenses. Perspective moves it by 0.09 px for the reference rig.
     """
     is_circle = jnp.asarray(radius) > 0
-    around = _EDGE_OF_UNIT_CIRCLE.astype(jnp.result_type(centre))
+    offset = _CENTRE_AND_EDGE.astype(jnp.result_type(centre))
     # A radius of 0 has no area to divide by: a derivative of what is not used stays finite.
-    edge = jax.vmap(mapping)(centre[None] + jnp.where(is_circle, radius, 1.0) * around)
-    return jnp.where(is_circle, centroid_of_region(edge - mapping(centre)[None]), 0.0)
+    image = jax.vmap(mapping)(centre[None] + jnp.where(is_circle, radius, 1.0) * offset)
+    return jnp.where(is_circle, centroid_of_region(image[1:] - image[:1]), 0.0)
 
 
 def centroid_of_region(edge: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "2"]:
