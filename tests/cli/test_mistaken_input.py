@@ -14,6 +14,7 @@ import pytest
 import trinoc
 from trinoc.cli import program
 from trinoc.cli.command import in_options
+from trinoc.cli.lens_options import LensOptions
 from trinoc.cli.main import main
 from trinoc.cli.views import doubts_table, read_rig
 from trinoc.io.rig_json import load_rig_status, save_rig
@@ -165,3 +166,11 @@ def test_an_orientation_that_is_neither_word_nor_file_is_named(capsys):
     options = ("--board", "none.json", *LENS, ".0162", ".0134", "--orientation", "sideways")
     assert main(["calibrate", "a=none.png", *options]) == 2
     assert "give upright, or the file" in capsys.readouterr().err
+
+
+def test_pictures_of_other_sizes_than_the_one_lens_has_are_named(caplog):
+    lens = LensOptions(lens_mm=(16.0, 0.0162, 0.0134))
+    lens.lenses({"upper": (512, 480), "left": (512, 480)})
+    assert not caplog.messages
+    lens.lenses({"upper": (256, 240), "left": (512, 480)})
+    assert "upper 256 x 240, left 512 x 480 px" in caplog.text

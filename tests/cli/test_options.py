@@ -182,6 +182,7 @@ def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
         (("charuco", "marker=3"), "write marker_mm=VALUE"),
         (("charuco", "square_mm"), "as NAME=VALUE"),
         (("chessboard", "pitch_mm=3"), 'no setting "pitch_mm": it has square_mm'),
+        (("chessboard", "rows=6"), "write --rows=6"),
         (("sheet", "pitch_mm=wide"), "is no number"),
         (("sheet", "line_style=red"), "give stop, through or white"),
         (("aprilgrid", "first=1.5"), "no whole number"),

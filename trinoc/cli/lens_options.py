@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from trinoc.cli.command import UsageError
+from trinoc.cli.command import LOGGER, UsageError
 from trinoc.cli.settings import parse_number, parse_pair
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
@@ -91,6 +91,18 @@ def expect_focal_length(focal_length_mm: float) -> None:
             )
 
 
+def _warn_of_sizes(sizes_px: Mapping[str, tuple[int, int]]) -> None:
+    """Pictures of one kind of camera have one size as long as nobody edits them."""
+    if len(set(sizes_px.values())) > 1:
+        said = ", ".join(f"{name} {width} x {height}" for name, (width, height) in sizes_px.items())
+        LOGGER.warning(
+            "--lens-mm is the lens of all cameras, but their pictures differ in size (%s px): a "
+            "picture that was resized or turned has other pixels, one that was cut another middle. "
+            "Give each as its camera took it, or --lens NAME=camera.json for each.",
+            said,
+        )
+
+
 @dataclasses.dataclass(frozen=True)
 class LensOptions:
     """The lens: from a file, or as its data sheet has it."""
@@ -128,6 +140,7 @@ class LensOptions:
             )
         if by_numbers:
             focal_mm, width_mm, height_mm = self.lens_mm
+            _warn_of_sizes(sizes_px)
             return {
                 name: expect_lens(
                     Intrinsics(

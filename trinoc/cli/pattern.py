@@ -305,6 +305,9 @@ class PatternCommand(Command):
             raise UsageError(
                 f"{kind} is no kind of board: give {', '.join(BOARDS)}, or a layout, FILE.json."
             )
+        for word in words:
+            if word.startswith(("rows=", "columns=")):
+                raise UsageError(f"{word} is an option of its own: write --{word}.")
         rows = _COUNT if self.rows is None else self.rows
         columns = _COUNT if self.columns is None else self.columns
         if kind == SHEET:

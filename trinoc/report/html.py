@@ -2,12 +2,14 @@
 
 import functools
 import os
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
 from jinja2.bccache import Bucket
+from markupsafe import Markup, escape
 
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.rig_from_shots import RigFromShots
@@ -289,7 +291,7 @@ def _render(
 
 @functools.cache
 def _templates() -> jinja2.Environment:
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("trinoc.report", "templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -297,6 +299,13 @@ def _templates() -> jinja2.Environment:
         lstrip_blocks=True,
         bytecode_cache=_KeptTemplates(),
     )
+    environment.filters["code"] = _with_code
+    return environment
+
+
+def _with_code(words: str) -> Markup:
+    """A sentence as HTML, where what stands between backticks is code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(words))))
 
 
 class _KeptTemplates(jinja2.BytecodeCache):

@@ -244,8 +244,8 @@ def _answer_on_frames(subject: Subject) -> Answer | None:
         return None
     bad = [fate for fate in recording.frames if fate.said]
     count = len(recording.frames)
-    words = f"{bad[0].name}: {bad[0].said}" if bad else "none failed, and none is suspect."
-    return Answer(len(bad) / count, f"{count - len(bad):,} of {count:,} frames", words)
+    words = f"Frame {bad[0].name}: {bad[0].said}" if bad else "none failed, and none is suspect."
+    return Answer(len(bad) / count, f"{count - len(bad):,} of {count:,} frames are well", words)
 
 
 def _answer_on_time(subject: Subject) -> Answer | None:
