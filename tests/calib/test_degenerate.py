@@ -38,7 +38,10 @@ def one_row():
 
 
 CASES = {
-    "sheet edge-on": (edge_on, "was found in the picture; see that it lies flat, in focus"),
+    "sheet edge-on": (
+        edge_on,
+        "was found in the picture; see that it lies flat, uncovered, in focus",
+    ),
     "all circles in one line": (one_row, "has too few circles off one line to be found"),
     "all points in one line": (
         lambda: by_points(np.stack([STEPS_MM, STEPS_MM, 0 * STEPS_MM], axis=1)),

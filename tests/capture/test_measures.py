@@ -101,3 +101,10 @@ def test_a_board_that_moves_along_its_own_edges_is_blurred(
     if moved.found:
         across = smear_px / np.sqrt(12.0) * max(np.cos(np.radians([roll_deg, 90.0 - roll_deg])))
         assert moved.blur_px > 0.8 * across
+
+
+def test_a_picture_without_an_edge_says_so() -> None:
+    blank = np.full((480, 512), 128, np.uint8)
+    assert [fault.split(":")[0] for fault in judge("a", blank, SHEET).faults] == [
+        "hardly anything has an edge"
+    ]

@@ -107,7 +107,7 @@ def result() -> RigFromShots:
 
 def test_every_camera_parameter_and_shot_is_shown_and_nothing_is_fetched(result) -> None:
     page = Page(render_report(shots=result))
-    for word in (*result.cameras, *SHOTS, "pan_deg", "scale_x", "print size (0.2 %)"):
+    for word in (*result.cameras, *SHOTS, "pan (deg)", "scale_x", "print size (0.2 %)"):
         assert word in page.text
     assert {"cameras", "shots", "field-of-board", "uncertainty", "space"} <= set(
         page.attributes("id")

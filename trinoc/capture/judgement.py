@@ -102,7 +102,7 @@ def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -
         blur_px=blur,
         exposure=exposure,
         lean=measure_lean(on_board, places),
-        faults=tuple(_faults(blur, exposure, smallest)),
+        faults=tuple(_faults(blur, exposure, smallest, seen=not refusal)),
     )
 
 
@@ -141,8 +141,12 @@ def _window(places_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]) -> tu
     return slice(upper, lower), slice(left, right)
 
 
-def _faults(blur_px: float, exposure: Exposure, smallest_px: float) -> list[str]:
+def _faults(blur_px: float, exposure: Exposure, smallest_px: float, *, seen: bool) -> list[str]:
     found = []
+    if not seen and math.isnan(blur_px):
+        found.append(
+            "hardly anything has an edge: see that the lens cap is off, and the file right"
+        )
     if blur_px > SOFTEST_PX:
         found.append(f"edges are {blur_px:.1f} px wide: focus on the board, hold it still")
     if exposure.saturated > MOST_SATURATED:

@@ -139,7 +139,7 @@ class CalibrateRigCommand(ReportOption, Command):
         save(result, self.out, provenance=made_by)
         advice = next_shot(result)
         said = "" if advice is None else advice.sentence
-        self.write_report(made_by, shots=result, title="trinoc calibrate-rig", advice=said)
+        self.write_report(made_by, shots=result, title="Rig from many shots", advice=said)
         text = "\n".join(filter(None, [result.summary(), said]))
         record = {**rig_record(result), "next_shot": shot_record(advice)}
         return result, Outcome(text, record, written=(self.out, self.report))

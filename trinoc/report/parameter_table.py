@@ -110,7 +110,10 @@ def parameter_rows_of_shots(result: RigFromShots) -> Rows:
         if name.startswith(f"{camera}.")
     )
     return tuple(
-        (name, tuple(_cell_of_shots(result, f"{camera}.{name}") for camera in result.cameras))
+        (
+            LABELS.get(name, name),
+            tuple(_cell_of_shots(result, f"{camera}.{name}") for camera in result.cameras),
+        )
         for name in names
         if name not in SPLINE_PARAMETERS
     )

@@ -58,7 +58,8 @@ def _answer_on_calibration(subject: Subject) -> Answer | None:
     if suspects:
         notes = result.fits[suspects[0]].notes
         why = notes[0] if notes else result.status[suspects[0]].value
-        return Answer(len(suspects), figure, f"{', '.join(suspects)}: suspect. {why}")
+        words = f"{', '.join(suspects)}: suspect. {why[0].upper()}{why[1:]}"
+        return Answer(len(suspects), figure, words)
     return Answer(0, figure, "all fits converged.")
 
 
@@ -66,7 +67,7 @@ def _answer_on_doubts(subject: Subject) -> Answer | None:
     if subject.result is not None or not subject.doubts:
         return None
     name, why = next(iter(subject.doubts.items()))
-    words = f"the calibration of {name} was suspect. {why}"
+    words = f"the calibration of {name} was suspect. {why[0].upper()}{why[1:]}"
     return Answer(len(subject.doubts), f"{len(subject.doubts)} suspect", words)
 
 
@@ -116,7 +117,7 @@ def _noisy(subject: Subject) -> Answer | None:
 
 def _answer_on_scatter(subject: Subject) -> Answer | None:
     factors = {} if subject.shots is None else subject.shots.sigma_factor
-    words = "the scatter of the places in {}; all sigmas have grown by it."
+    words = "the scatter of the places in {}, by which all sigmas are multiplied."
     return _worst_ratio(factors, words)
 
 

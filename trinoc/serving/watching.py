@@ -142,7 +142,7 @@ def thumbnail(
         # A dark edge, so that it is seen on paper as well as on ink.
         for colour, more in ((_EDGE, 4), (_WANTED, 0)):
             for k in range(4):
-                width = more + (6 if k == 0 else 3)
+                width = more + (9 if k == 0 else 2)
                 cv2.line(colours, corners[k], corners[(k + 1) % 4], colour, width, cv2.LINE_AA)
     return encode_jpeg(colours)
 

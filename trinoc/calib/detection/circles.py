@@ -67,7 +67,7 @@ def detect_circles(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
 def _nothing_found(pattern: Pattern) -> DetectionError:
     return DetectionError(
         f"No sheet of the pattern {pattern.name!r} was found in the picture; see that it lies"
-        " flat, in focus, and large enough."
+        " flat, uncovered, in focus, and large enough."
     )
 
 
@@ -141,9 +141,10 @@ def _read_sheet(
         image, coarse.take(on_pattern), index[on_pattern], symmetry
     )
     if len(index) < fewest:
+        count = f"Only {len(index)}" if len(index) else "None of the"
         raise DetectionError(
-            f"Only {len(index)} circles of the pattern {pattern.name!r} can be measured; show"
-            f" at least {fewest} of them whole."
+            f"{count} circles of the pattern {pattern.name!r} can be measured; show at least"
+            f" {fewest} of them whole, at rest and in focus."
         )
     labellings = symmetry.symmetries[:, index]
     right = [rightward_share(ellipses.centres_px, pattern.centres_mm[each]) for each in labellings]
