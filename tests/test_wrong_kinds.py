@@ -47,6 +47,8 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
         5.0,
         "holds no depth",
     ),
+    (lambda sigma: trinoc.match_segments(SEGMENTS, RIG, sigma_px=sigma), -1.0, "no end is exact"),
+    (lambda sigma: trinoc.match_segments(SEGMENTS, RIG, sigma_px=sigma), 0.0, "no end is exact"),
     (lambda rig: trinoc.refine(rig, MATCHES), MATCHES, "The rig is of type Matches"),
     (lambda matches: trinoc.refine(RIG, matches), GREY, "set of matches is of type dict"),
     (lambda rig: trinoc.check_rig(rig, MATCHES), "rig.json", "The rig is of type str"),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import trinoc
+from trinoc.calib.detection.registry import detect_pattern
 from trinoc.errors import TrinocError
 from trinoc.geometry.camera import Camera
 from trinoc.synth import table1_lens, table1_rig
@@ -11,6 +12,7 @@ from trinoc.synth.camera_picture.render import render_sheet
 
 RIG, LENS = table1_rig(), table1_lens()
 PATTERN = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=24.0, radius_mm=7.0)
+TINY = trinoc.Intrinsics(focal_length_mm=16.0, pixel_pitch_mm=(0.01, 0.01), image_size_px=(12, 10))
 STEPS_MM = 20.0 * np.arange(-3, 4)
 
 
@@ -51,6 +53,10 @@ CASES = {
         lambda: by_points(np.full((8, 3), 5.0)),
         "points do not spread enough to tell a pose",
     ),
+    "a picture of a few pixels": (
+        lambda: trinoc.calibrate({"upper": np.zeros((10, 12))}, PATTERN, TINY),
+        'Camera "upper": The picture is 12 x 10 px',
+    ),
     "identical pictures": (
         lambda: calibrated(upper=picture(), left=picture()),
         "The same picture was given for cameras",
@@ -69,3 +75,13 @@ def test_what_tells_no_camera_is_named(case):
         call()
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_circles_below_a_black_bar_are_left_out_without_a_warning():
+    """As where rows of a picture are lost; warnings are errors here."""
+    first, last = 200, 259
+    lost = picture()
+    lost[first : last + 1] = 0
+    rows = detect_pattern(lost, PATTERN).centres_px[:, 1]
+    assert len(rows) > 6
+    assert not ((rows > first) & (rows < last)).any()

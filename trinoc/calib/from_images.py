@@ -81,6 +81,8 @@ def calibrate(
             detections[name] = detect_pattern(looked_at, pattern)
         except DetectionError as error:
             failures[name] = str(error)
+        except InputError as error:
+            raise InputError(f'Camera "{name}": {error}') from error
     images = {name: grey_image(np.asarray(images[name])).grey for name in detections}
     search = Search(tuple(lenses), detections, images if method == "pixels" else {}, failures)
     return calibration_of_search(search, lenses, known, orientation, throw=throw)

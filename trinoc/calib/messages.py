@@ -94,8 +94,9 @@ def notes_of_priors(
 def lens_strain_sentence(strain: float) -> str:
     """strain : by how many of its sigmas a lens is off that was stated with a covariance."""
     return (
-        f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal "
-        "length, pixel pitch and focus, or calibrate its intrinsics."
+        f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal length, "
+        "pixel pitch and focus, that nobody resized or turned the picture, or calibrate its "
+        "intrinsics."
     )
 
 

@@ -57,6 +57,20 @@ def test_no_error_beyond_four_sigmas_is_silent(name, known, method) -> None:
 
 
 @pytest.mark.slow
+def test_a_picture_of_two_levels_counts_by_its_circles_alone() -> None:
+    """A threshold moves edges, which no model of light explains."""
+    condition = CONDITIONS["sRGB, dark ink"]
+    pattern = Pattern.cross_grid(rows=8, columns=8, pitch_mm=20.0, radius_mm=6.0)
+    picture = camera_picture(pattern, condition.camera(LENS, POSE), condition, seed=41)
+    two_levels = np.where(picture > picture.mean(), 255, 0).astype(np.uint8)
+    result = calibrate({"a": two_levels}, pattern, LENS, systematics=BENCH)
+    assert result.fits["a"].method == "points"
+    assert any("has two grey levels alone" in note for note in result.fits["a"].notes)
+    z = (result.values - POSE) / np.sqrt(np.diag(result.covariance))
+    assert np.abs(z).max() < 4
+
+
+@pytest.mark.slow
 def test_an_aim_beside_the_origin_is_said_and_allowed_for() -> None:
     result, _ = answer("aim .1 mm off", BENCH)
     assert "misses the origin of the sheet by (0.06, 0.08)" in result.fits["a"].notes[0]

@@ -212,7 +212,9 @@ def _linearise(
             np.multiply(inked, inner, out=jacobian[:, _HOLE])
         coverage -= _column(state.hole) * inner
     model = light - inked * coverage
-    np.multiply(model, _column(1.0 / state.paper), out=jacobian[:, _PAPER])
+    # Where all is black there is no paper, and the fit comes to nothing.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        np.multiply(model, _column(1.0 / state.paper), out=jacobian[:, _PAPER])
     np.multiply(light, -coverage, out=jacobian[:, _INK])
     if free_slope:
         np.multiply(model, dx, out=jacobian[:, -2])

@@ -27,9 +27,10 @@ def are_plausible(
     area_ratio = area_ratio / quick_median(area_ratio)
     contrast = fitted.paper * fitted.ink
     typical = quick_median(contrast)
-    relative = np.abs(fitted.residual_sigma / contrast)
-    misfit = max(0.12, 1.6 * float(quick_median(relative)))
-    allowed = np.sqrt((1.6 * noise_sigma / contrast) ** 2 + misfit**2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.abs(fitted.residual_sigma / contrast)
+        misfit = max(0.12, 1.6 * float(quick_median(relative)))
+        allowed = np.sqrt((1.6 * noise_sigma / contrast) ** 2 + misfit**2)
     return (
         np.isfinite(miss2)
         & (miss2 < 0.5**2)

@@ -14,7 +14,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.errors import MatchError, check_kind
+from trinoc.errors import InputError, MatchError, check_kind
 from trinoc.geometry.intrinsics import Intrinsics, fold_in_picture_px, undistort_pixels
 from trinoc.geometry.rig import A_RIG, Rig, at_one_place
 from trinoc.geometry.segments import (
@@ -295,9 +295,12 @@ def _check_counts(segments: Mapping[str, Segments | ArrayLike]) -> None:
 
 def _as_segments(given: Segments | ArrayLike, sigma_px: float | None) -> Segments:
     if not isinstance(given, Segments):
-        return Segments.from_endpoints(given, sigma_px=sigma_px or DEFAULT_SIGMA_PX)
+        stated = DEFAULT_SIGMA_PX if sigma_px is None else sigma_px
+        return Segments.from_endpoints(given, sigma_px=stated)
     if sigma_px is None:
         return given
+    if not sigma_px > 0:
+        raise InputError(f"sigma_px is {sigma_px}, but must be positive: no end is exact.")
     ends = np.asarray(given.endpoints_px)
     covariance = covariance_of_ends(ends, sigma_px, 4 * sigma_px)
     return eqx.tree_at(lambda s: s.covariance_px2, given, covariance)
