@@ -40,6 +40,7 @@ def test_what_is_no_picture_is_refused(tmp_path, capfd):
         ("empty.png", b"", "is empty: copy"),
         ("text.png", b"hello", "is not a readable picture"),
         ("cut.png", cut, "is a PNG that is cut off"),
+        ("left.mp4", b"hello", "is a video: write its frames"),
     ]:
         (tmp_path / name).write_bytes(content)
         with pytest.raises(InputError, match=f"{name} {said}"):

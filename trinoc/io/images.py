@@ -8,6 +8,7 @@ import glob
 import hashlib
 import io
 import itertools
+import mimetypes
 import os
 import struct
 import warnings
@@ -128,7 +129,7 @@ def read_size_px(path: str | os.PathLike[str]) -> tuple[int, int]:
     file = Path(path)
     size = size_px(_content(file))
     if size is None:
-        raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
+        raise _unreadable(file)
     return size
 
 
@@ -195,6 +196,16 @@ def _content(file: Path) -> bytes:
     return content
 
 
+def _unreadable(file: Path) -> InputError:
+    kind, _ = mimetypes.guess_type(file.name)
+    if kind is not None and kind.startswith("video/"):
+        return InputError(
+            f"{file} is a video: write its frames as pictures first, such as by ffmpeg -i "
+            f"{file.name} %06d_left.png, or give it to `trinoc watch`."
+        )
+    return InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
+
+
 def _decode(file: Path, content: bytes) -> np.ndarray:
     try:
         size = size_px(content)
@@ -209,7 +220,7 @@ def _decode(file: Path, content: bytes) -> np.ndarray:
             "again from where it came."
         )
     if size is None or min(size) < 1:
-        raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
+        raise _unreadable(file)
     count = _count_pictures(content)
     if count > 1:
         raise InputError(
@@ -223,7 +234,7 @@ def _decode(file: Path, content: bytes) -> np.ndarray:
     except (cv2.error, MemoryError):
         image = None
     if image is None:
-        raise InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
+        raise _unreadable(file)
     if image.ndim == 2:
         return image
     if image.shape[2] == 4:
