@@ -1,6 +1,6 @@
 """A real stereo rig: does the relative pose scatter between shots as every shot claims?
 
-    TRINOC_DATA=... python benchmarks/real_rig.py [--shots N] [--method pixels points]
+    TRINOC_DATA=... python benchmarks/real_rig.py [--shots N] [--method pixels points] [--corners]
 
 The data are `stereo_circle_plate`: 15 synchronous shots of a plate of 10 x 10 dark circles at
 30 mm, back-lit. Each camera's lens comes from all of its pictures; then every shot is calibrated
@@ -12,6 +12,9 @@ z         rms over shots of (relative pose - weighted mean) / claimed sigma, for
           of the rotation and the three of the translation
 whole     chi-square of all six together over its degrees of freedom; 1 is right
 used      cameras whose grey levels were used
+
+With `--corners` instead, of `stereo_chessboard`: each camera alone, by the odd and by the even
+shots, with the board's own shape; by how much its corners scatter over what they claim.
 """
 
 import argparse
@@ -110,11 +113,29 @@ def report(label: str, found: list[tuple[np.ndarray, np.ndarray]], used: Counter
     )
 
 
+def corners_over_claims(folder: Path) -> None:
+    board = trinoc.Chessboard(rows=6, columns=9, square_mm=1.0)
+    for camera in CAMERAS:
+        images = [
+            cv2.imread(str(f), cv2.IMREAD_GRAYSCALE) for f in sorted(folder.glob(f"{camera}*"))
+        ]
+        for said, shots in (("odd", images[::2]), ("even", images[1::2])):
+            found = trinoc.calibrate_rig({camera: shots}, board)
+            print(
+                f"{camera}, {said} shots: rms {found.rms_px() / np.sqrt(2):.4f} px per axis, "
+                f"over claimed sigmas {found.sigma_factor[camera]:.2f}"
+            )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--shots", type=int, default=15)
     parser.add_argument("--method", nargs="*", default=["pixels", "points"])
+    parser.add_argument("--corners", action="store_true")
     given = parser.parse_args()
+    if given.corners:
+        corners_over_claims(Path(os.environ["TRINOC_DATA"]) / "stereo_chessboard")
+        return
     folder = Path(os.environ["TRINOC_DATA"]) / "stereo_circle_plate"
     images = {camera: pictures(folder, camera, given.shots) for camera in CAMERAS}
     radius_mm = measured_radius_mm(images["left"][0])

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped, UInt8
 
 from trinoc.calib.detection.corners import (
-    corner_covariance_px2,
     distances_to_next,
     levels_of_8_bit,
     refine_corners,
@@ -64,9 +63,8 @@ def detect_chessboard(image: Shaped[np.ndarray, "..."], board: Chessboard) -> De
         key=lambda index: -rightward_share(corners_px, board.centres_mm[index]),
     )
     # The search puts outer rows of slanted boards aside by some tenths of a pixel.
-    places = refine_corners(grey, corners_px, distances_to_next(corners_px))
-    covariance_px2 = corner_covariance_px2(picture, places)
-    return build_detection(np.stack(labellings), places, covariance_px2, picture.size_px)
+    fitted = refine_corners(picture, grey, corners_px, distances_to_next(corners_px))
+    return build_detection(np.stack(labellings), *fitted, picture.size_px)
 
 
 def _orders_from_front(

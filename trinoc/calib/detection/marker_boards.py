@@ -11,14 +11,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
-from trinoc.calib.detection.corners import (
-    corner_covariance_px2,
-    distances_to_next,
-    levels_of_8_bit,
-    refine_corners,
-)
+from trinoc.calib.detection.corner_fit import FittedCorners
+from trinoc.calib.detection.corners import distances_to_next, levels_of_8_bit, refine_corners
 from trinoc.calib.detection.detection import Detection, build_detection
-from trinoc.calib.detection.search_image import search_image
+from trinoc.calib.detection.search_image import SearchImage, search_image
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.checkers import Charuco, opencv_board
 from trinoc.calib.targets.markers import opencv_dictionary
@@ -56,9 +52,8 @@ def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detectio
     index, corners_px = index[order], corners_px[order]
     # OpenCV 4 puts them half a pixel aside: they are found again, in what markers leave of room.
     room = distances_to_next(corners_px) * (1 - board.marker_mm / board.square_mm)
-    places = refine_corners(grey, corners_px, room)
-    covariance_px2 = corner_covariance_px2(picture, places)
-    return build_detection(index[None], places, covariance_px2, picture.size_px)
+    fitted = refine_corners(picture, grey, corners_px, room)
+    return build_detection(index[None], *fitted, picture.size_px)
 
 
 def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Detection:
@@ -71,10 +66,9 @@ def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Det
     find, layout = partial(_find_tags, board=board), "dictionary, border"
     tags, corners_px = _find_enough(find, grey, wanted, _FEWEST_TAGS, layout)
     index = (4 * tags[:, None] + np.arange(4)).ravel()
-    places, is_sharp = _refine_tags(grey, corners_px, board.spacing)
-    index, places = index[is_sharp], places[is_sharp]
-    covariance_px2 = corner_covariance_px2(picture, places)
-    return build_detection(index[None], places, covariance_px2, picture.size_px)
+    fitted, is_sharp = _refine_tags(picture, grey, corners_px, board.spacing)
+    places, covariance_px2 = fitted.places_px[is_sharp], fitted.covariance_px2[is_sharp]
+    return build_detection(index[None, is_sharp], places, covariance_px2, picture.size_px)
 
 
 def _find_enough(
@@ -139,15 +133,18 @@ def _distances_in_sides(
 
 
 def _refine_tags(
-    grey: UInt8[np.ndarray, "h w"], corners_px: Float[np.ndarray, "t 4 2"], spacing: float
-) -> tuple[Float[np.ndarray, "n 2"], np.ndarray]:
+    image: SearchImage,
+    grey: UInt8[np.ndarray, "h w"],
+    corners_px: Float[np.ndarray, "t 4 2"],
+    spacing: float,
+) -> tuple[FittedCorners, Bool[np.ndarray, "n"]]:
     """(places, which of them the picture shows as corners between dark squares)."""
     side = np.linalg.norm(corners_px - np.roll(corners_px, 1, axis=1), axis=2).min(axis=1)
     gap, start = np.repeat(spacing * side, 4), corners_px.reshape(-1, 2)
-    places = refine_corners(grey, start, gap)
+    fitted = refine_corners(image, grey, start, gap)
     # Farther, a corner is nearer to another one.
-    sharp = np.linalg.norm(places - start, axis=1) < np.maximum(0.5 * gap, 1.5)
-    return places, sharp & _is_saddle(grey, corners_px, places, spacing)
+    sharp = np.linalg.norm(fitted.places_px - start, axis=1) < np.maximum(0.5 * gap, 1.5)
+    return fitted, sharp & _is_saddle(grey, corners_px, fitted.places_px, spacing)
 
 
 def _is_saddle(

@@ -58,7 +58,7 @@ class RobustFit(NamedTuple):
 def fit_robustly(problem: Problem) -> RobustFit:
     """Bounded ever more tightly, then without what noise does not make, then as least squares.
 
-    The sigmas of corners, which detectors do not know, are those that each camera's residuals
+    The sigmas of corners, which users may give by guess, are those that each camera's residuals
     show; those of circles grow where the residuals refute them.
     """
     for factor in TUNING.problem.annealing:

@@ -71,15 +71,10 @@ class DetectionTuning:
     # Places along a crossed line that must be seen.
     fewest_stations: int = 10
 
-    # The least that a corner is missed by, per axis, px: of made boards without noise, slanted by
-    # up to 50 degrees, drawn at a 24th of a pixel (.020 rms, .013 of it the drawing's).
-    corner_floor_px: float = 0.015
-    # Half the window whose gradients tell a corner's covariance, as a share of the distance to the
-    # nearest corner, and its limits, px.
-    window_share: float = 0.4
-    half_window_px: tuple[int, int] = (3, 12)
-    # The same of the window in which a tag's corner is refined, as a share of the gap, so that no
-    # other edge is in it.
+    # The least that a corner is missed by, per axis, px: of made sharp boards with little noise.
+    corner_floor_px: float = 0.002
+    # Half the window in which a corner is refined, as a share of the distance to the next thing,
+    # and its limits, px: no other edge is in it.
     refined_share: float = 0.45
     refined_half_px: tuple[int, int] = (2, 11)
     # How far from a corner its four fields are looked at, over the gap, and by how much, over the

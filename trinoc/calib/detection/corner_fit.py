@@ -1,0 +1,203 @@
+"""Corners between four squares, fitted to the grey levels around them.
+
+Two edges cross at a corner. Without a response and in even light, blur makes of dark and light, -1
+and 1, at x the mean of the product of both sides' signs, with normal errors along either normal:
+
+    P = E[sign(z1 + e1) sign(z2 + e2)],    z = n.(x - c) / blur,    E[e1 e2] = n1.n2,
+
+and the picture is (m + d P + q P^2)(1 + g.x): q is a response's bend, g the slope of the light.
+All but that slope is symmetric about the corner, so that what the model has not of blur and
+response (sharpening, saturation) does not move it; it is seen in the residuals.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Shaped
+
+from trinoc.calib.detection.ellipse_pixels import column_32 as _column, normal_cdf
+from trinoc.calib.detection.search_image import SearchImage
+from trinoc.calib.detection.window_noise import sandwich_covariance
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.numerics.small_least_squares import Residuals, gauss_newton
+
+# numerical: parameters of a corner, in the order of the Jacobian's columns.
+_PLACE, _ANGLES, _LOG_BLUR, _MEAN, _CONTRAST, _BEND, _SLOPE = (
+    slice(0, 2), slice(2, 4), 4, 5, 6, 7, slice(8, 10)
+)  # fmt: skip
+_PARAMETERS = 10  # numerical: as above
+# numerical: steps, of which the last changes nothing; where blur starts and how far it is free, in
+# its logarithm; the longest steps.
+_STEPS, _START, _WIDTH = 5, -0.3, 1.0
+_LARGEST_STEP = np.array([1.0, 1.0, 0.2, 0.2, 0.4, *[np.inf] * 5])  # numerical: as above
+_DENSITY = np.float32(1.0 / np.sqrt(2.0 * np.pi))  # numerical: of the normal distribution at 0
+
+
+class FittedCorners(NamedTuple):
+    """Places (n, 2) in px, and their covariances (n, 2, 2)."""
+
+    places_px: Float[np.ndarray, "n 2"]
+    covariance_px2: Float[np.ndarray, "n 2 2"]
+
+
+class _Windows(NamedTuple):
+    """Square windows about the pixels nearest to the corners, row by row.
+
+    Fields
+    ------
+    side : in pixels. origin_px : (n, 2) the middle pixels. x, y : (k,) from these.
+    grey : (n, k). used : (n, k) what is in the picture, and in reach of the corner.
+    """
+
+    side: int
+    origin_px: Float[np.ndarray, "n 2"]
+    x: Float[np.ndarray, "k"]
+    y: Float[np.ndarray, "k"]
+    grey: Float[np.ndarray, "n k"]
+    used: Bool[np.ndarray, "n k"]
+
+    def tiles(self, values: Shaped[np.ndarray, "n k *p"]) -> Shaped[np.ndarray, "n side side *p"]:
+        """What belongs to pixels, as they lie."""
+        return values.reshape(len(values), self.side, self.side, *values.shape[2:])
+
+
+def fit_corners(
+    image: SearchImage, start_px: Float[np.ndarray, "n 2"], radius_px: Float[np.ndarray, "n"]
+) -> FittedCorners:
+    """Each corner by the grey levels within a radius of it.
+
+    Where the picture shows no corner, the start is kept, to within the radius.
+    """
+    windows = _cut_windows(image, start_px, radius_px)
+    noise = max(image.noise_sigma, 1e-3 * float(np.ptp(windows.grey)), 1e-9)
+
+    def residuals(state: Float[np.ndarray, "n p"]) -> Residuals:
+        model, jacobian = _predict(windows, state)
+        known = np.zeros((len(state), _PARAMETERS))
+        known[:, _LOG_BLUR] = state[:, _LOG_BLUR] - _START
+        precision = np.zeros_like(known)
+        precision[:, _LOG_BLUR] = 1 / _WIDTH**2
+        return Residuals(
+            ((model - windows.grey) / noise)[..., None],
+            (jacobian / noise)[:, :, None],
+            windows.used,
+            known,
+            precision,
+        )
+
+    state, equations = gauss_newton(
+        residuals,
+        lambda state, step: state + step,
+        _start_corners(windows, start_px, radius_px),
+        steps=_STEPS,
+        largest_step=_LARGEST_STEP,
+    )
+    places_px = windows.origin_px + state[:, _PLACE]
+    shown = np.linalg.norm(places_px - start_px, axis=1) < 0.5 * radius_px
+    model, jacobian = _predict(windows, state)
+    independent = equations.covariance()
+    shown &= np.isfinite(independent).all(axis=(1, 2))
+    independent[~shown] = np.eye(_PARAMETERS)
+    covariance_px2 = sandwich_covariance(
+        windows.tiles(windows.used * (model - windows.grey) / noise),
+        windows.tiles(windows.used[..., None] * jacobian / noise),
+        windows.tiles(windows.used),
+        windows.tiles(_looks(jacobian)),
+        independent,
+        _PLACE,
+    )
+    covariance_px2 += TUNING.detection.corner_floor_px**2 * np.eye(2)
+    covariance_px2[~shown] = radius_px[~shown, None, None] ** 2 * np.eye(2)
+    return FittedCorners(np.where(shown[:, None], places_px, start_px), covariance_px2)
+
+
+def _cut_windows(
+    image: SearchImage, centres_px: Float[np.ndarray, "n 2"], radius_px: Float[np.ndarray, "n"]
+) -> _Windows:
+    half, (width, height) = int(np.ceil(radius_px.max())), image.size_px
+    reach = np.arange(-half, half + 1)
+    y, x = (part.ravel() for part in np.meshgrid(reach, reach, indexing="ij"))
+    origin = np.rint(centres_px)
+    column, row = (origin.astype(int).T[:, :, None] + np.stack([x, y])[:, None]).astype(int)
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    grey = image.grey[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    aside = np.stack([column, row], axis=-1) - centres_px[:, None]
+    used = inside & (np.sum(aside**2, axis=-1) <= radius_px[:, None] ** 2)
+    of_32 = np.float32
+    return _Windows(
+        2 * half + 1, origin, x.astype(of_32), y.astype(of_32), grey.astype(of_32), used
+    )
+
+
+def _start_corners(
+    windows: _Windows, start_px: Float[np.ndarray, "n 2"], radius_px: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n p"]:
+    """By a saddle of second degree: its level directions are the edges."""
+    state = np.zeros((len(start_px), _PARAMETERS))
+    state[:, _PLACE], state[:, _LOG_BLUR] = start_px - windows.origin_px, _START
+    u, v = (at - _column(of) for at, of in zip((windows.x, windows.y), state[:, _PLACE].T))
+    near = windows.used * np.exp(-2.0 * (u * u + v * v) / _column(radius_px) ** 2)
+    terms = np.stack([np.ones_like(u), u, v, 0.5 * u * u, u * v, 0.5 * v * v], axis=-1)
+    weighted = (near[..., None] * terms).mT
+    saddle = np.linalg.solve(
+        (weighted @ terms).astype(float) + 1e-6 * np.eye(6),
+        (weighted @ windows.grey[..., None]).astype(float),
+    )[..., 0]
+    curvature = saddle[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
+    values, vectors = np.linalg.eigh(curvature)
+    root = np.sqrt(np.maximum(values * [-1, 1], 1e-9 * np.abs(values).max(axis=1, keepdims=True)))
+    for k, sign in enumerate((1, -1)):
+        # Along e the saddle is level; its normal is (-e_v, e_u).
+        e = root[:, 1, None] * vectors[:, :, 0] + sign * root[:, 0, None] * vectors[:, :, 1]
+        state[:, 2 + k] = np.arctan2(e[:, 0], -e[:, 1])
+    state[:, _CONTRAST] = 1.0
+    product = _predict(windows, state)[0] * windows.used
+    count = windows.used.sum(axis=1)
+    state[:, _MEAN] = (windows.grey * windows.used).sum(axis=1) / count
+    # A line through grey levels over products.
+    spread = product - windows.used * _column(product.sum(axis=1) / count)
+    state[:, _CONTRAST] = (spread * windows.grey).sum(axis=1) / np.maximum(
+        (spread**2).sum(axis=1), 1e-9
+    )
+    return state
+
+
+def _predict(
+    windows: _Windows, state: Float[np.ndarray, "n p"]
+) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k p"]]:
+    """The grey levels, and their derivatives, in 32 bit."""
+    u, v = (at - _column(of) for at, of in zip((windows.x, windows.y), state[:, _PLACE].T))
+    inverse_blur = _column(np.exp(-state[:, _LOG_BLUR]))
+    cosine, sine = (f(state[:, _ANGLES]).astype(np.float32).T[..., None] for f in (np.cos, np.sin))
+    z = inverse_blur * (cosine * u + sine * v)
+    along = inverse_blur * (cosine * v - sine * u)
+    side = 2 * normal_cdf(z) - 1
+    density = 2 * _DENSITY * np.exp(-0.5 * z * z)
+    # Of the correlation of both errors, the terms of first and second degree.
+    shared = cosine[0] * cosine[1] + sine[0] * sine[1]
+    both, bent = shared * density[0] * density[1], 1 + 0.5 * shared * z[0] * z[1]
+    product = side[0] * side[1] + both * bent
+    by_z = density * side[::-1] + both * (0.5 * shared * z[::-1] - z * bent)
+    mean, contrast, bend = (_column(state[:, k]) for k in (_MEAN, _CONTRAST, _BEND))
+    slope = state[:, _SLOPE].astype(np.float32)
+    light = 1 + slope[:, :1] * windows.x + slope[:, 1:] * windows.y
+    level = mean + product * (contrast + product * bend)
+    by_z = by_z * (light * (contrast + 2 * bend * product))
+    jacobian = np.empty((*u.shape, _PARAMETERS), np.float32)
+    jacobian[..., 0] = -inverse_blur * (cosine * by_z).sum(axis=0)
+    jacobian[..., 1] = -inverse_blur * (sine * by_z).sum(axis=0)
+    jacobian[..., _ANGLES] = np.moveaxis(by_z * along, 0, -1)
+    jacobian[..., _LOG_BLUR] = -(by_z * z).sum(axis=0)
+    jacobian[..., _MEAN] = light
+    jacobian[..., _CONTRAST] = light * product
+    jacobian[..., _BEND] = light * product**2
+    jacobian[..., 8] = level * windows.x
+    jacobian[..., 9] = level * windows.y
+    return level * light, jacobian
+
+
+def _looks(jacobian: Float[np.ndarray, "n k p"]) -> Float[np.ndarray, "n k 2"]:
+    """What noise may vary with: everywhere alike, and more on edges, where the model is wrong."""
+    edges = np.sum(jacobian[..., _PLACE] ** 2, axis=-1)
+    edges = edges / (edges.max(axis=1, keepdims=True) + 1e-9)
+    return np.stack([np.ones_like(edges), edges], axis=-1)
