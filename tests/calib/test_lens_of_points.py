@@ -95,6 +95,32 @@ def test_skew_and_distortion_are_found_together() -> None:
     assert squared_error_of_centre(found, camera) < chi2.ppf(0.9999, 3)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_skew_that_gains_nothing_beside_what_is_freed_later_is_held_again(seed: int) -> None:
+    """A long lens, far off its axis, that is not centred: its skew alone is asked for first."""
+    lens = Intrinsics(
+        focal_length_px=6600.0,
+        image_size_px=(1280, 1024),
+        principal_point_px=(1430.0, 745.0),
+        distortion=(0.24, -0.62, 0.012, 0.031, 0.0),
+    )
+    camera = Camera.from_degrees(
+        lens,
+        pan_deg=-100.0,
+        tilt_deg=73.0,
+        swing_deg=-100.0,
+        distance_mm=584.0,
+        aim_mm=(105.0, 13.0),
+    )
+    random = np.random.default_rng([14, seed])
+    points = random.uniform([0, 0, -12], [68, 66, 0], (430, 3))
+    found = calibrate_points(points, see(camera, points, random), image_size_px=lens.image_size_px)
+    assert found.status is Status.CONVERGED
+    assert found.parameters[10:14] == ("k1", "k2", "p1", "p2")
+    assert "skew_px" not in found.parameters
+    assert squared_error_of_centre(found, camera) < chi2.ppf(0.9999, 3)
+
+
 def test_points_that_ask_for_a_lens_that_is_held_are_suspect_and_say_for_what() -> None:
     random = np.random.default_rng(11)
     points = block(random, 80)

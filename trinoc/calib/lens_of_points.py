@@ -103,27 +103,43 @@ def fit_without_outliers(problem: Problem) -> Problem:
 
 def extend_lens(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tuple[str, ...]]:
     """The fit with as many coefficients, and with a skew, as the points ask for, and the names of
-    all that is then free. Each time that which noise alone explains least is freed.
+    all that is then free. Each time that which noise alone explains least is freed; a skew that is
+    not asked for any more, beside what was freed later, is held again.
 
     problem : the fit with `names` free.
     """
     every, coefficients = lens_parameter_names(problem), DEFAULT_DISTORTION.coefficient_names
     wider = [coefficients[:count] for count in DEFAULT_DISTORTION.coefficient_counts]
+    straight = None
     while True:
         points, asked = PointResiduals.of(problem), []
         for group in (*wider, (SKEW,)):
             columns = [every.index(name) for name in group if name not in names]
             if columns:
                 asked.append((*points.rank(points.judge(columns)), group))
-        if not asked:
-            return problem, names
-        chance, _, best = min(asked)
-        if chance * len(asked) > TUNING.answer.chance:
-            return problem, names
+        chance, _, best = min(asked, default=(1.0, 0.0, ()))
+        if chance * len(asked) > TUNING.answer.chance or not asked:
+            break
+        straight = problem if best == (SKEW,) else straight
         names = tuple(name for name in every if name in {*names, *best})
-        used = np.ones(len(problem.views[0].used), dtype=bool)
-        problem = problem._replace(views=(problem.views[0]._replace(used=used),))
-        problem = fit_without_outliers(with_lens_parameters_free(problem, names))
+        problem = _fit_with_free(problem, names)
+    if straight is None:
+        return problem, names
+    fewer = tuple(name for name in names if name != SKEW)
+    try:
+        held = _fit_with_free(straight, fewer)
+    except CalibrationError:  # without a skew the points have no fit
+        return problem, names
+    points = PointResiduals.of(held)
+    is_idle = points.chance(points.judge([every.index(SKEW)])) > TUNING.answer.chance
+    return (held, fewer) if is_idle else (problem, names)
+
+
+def _fit_with_free(problem: Problem, names: tuple[str, ...]) -> Problem:
+    """The fit of all points with these of the lens's parameters free, from where it stands."""
+    used = np.ones(len(problem.views[0].used), dtype=bool)
+    problem = problem._replace(views=(problem.views[0]._replace(used=used),))
+    return fit_without_outliers(with_lens_parameters_free(problem, names))
 
 
 def lens_parameter_names(problem: Problem) -> tuple[str, ...]:
