@@ -23,7 +23,7 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry import Pose
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.lenses.registry import simplify_lens
 from trinoc.synth.camera_picture.render import render_sheet
 

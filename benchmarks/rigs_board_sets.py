@@ -25,7 +25,7 @@ from trinoc.calib.starts.connected import solve_hand_eye
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry import Pose
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 
 SIGMA_PX = 0.1
 CAMERAS = ("left", "right")

@@ -50,8 +50,8 @@ from trinoc.errors import CalibrationError, DetectionError
 from trinoc.geometry import AbstractLens, Pose
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.synth.camera_picture.layers import Paint
 from trinoc.synth.camera_picture.render import render_sheet

@@ -32,7 +32,7 @@ from trinoc.geometry import Pose
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 
 SIZE_PX, METRE_MM = (640, 480), 1000.0
 LENSES = {

@@ -38,7 +38,7 @@ from rigs_from_shots import (
 from trinoc.calib import Detection, detect_target
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.targets.checkers import Chessboard
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 
 PROGRAM = "mrcal-calibrate-cameras"
 Found = Mapping[str, Sequence[Detection | None]]

@@ -32,7 +32,7 @@ from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry import AbstractLens
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 
 SIZE_PX, SIGMA_PX = (1280, 960), 0.1
 BOARD = Chessboard(rows=9, columns=12, square_mm=25.0)

@@ -12,7 +12,7 @@ from rigs_from_shots import LENSES, SIZE_PX, boards, observed, rotation, seen
 import trinoc
 from trinoc.calib import CalibrationResult, Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.io import demo_images, demo_pattern
 from trinoc.synth import Detector, block_scene, simulate_segments, table1_lens, table1_rig
 from trinoc.synth.camera_picture.render import camera_picture

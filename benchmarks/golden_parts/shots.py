@@ -19,7 +19,7 @@ from golden_parts.inputs import (
 from golden_parts.records import Values, attempt
 from trinoc.calib import RigFromShots
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 
 TWO, THREE = ("left", "right"), ("left", "middle", "right")
 

@@ -16,7 +16,7 @@ from trinoc.errors import InputError
 from trinoc.geometry import Pose, camera as camera_module
 from trinoc.geometry.camera import Camera, projection_matrix
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.pose import PoseModel
 
 depth_mm = jax.jit(camera_module.depth_mm)

@@ -11,9 +11,8 @@ from trinoc.errors import InputError
 from trinoc.geometry import AbstractLens
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
-from trinoc.geometry.lenses.brown_conrady import BrownConrady, Rational, ThinPrism
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
-from trinoc.geometry.lenses.pinhole import Pinhole
+from trinoc.geometry.lenses.polynomial import BrownConrady, Pinhole, Rational, ThinPrism
 from trinoc.geometry.lenses.registry import (
     LENS_MODELS,
     lens_model,

@@ -10,8 +10,8 @@ from scipy.interpolate import BSpline
 
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.brown_conrady import BrownConrady, ThinPrism
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.lenses.polynomial import BrownConrady, ThinPrism
 from trinoc.geometry.lenses.registry import simplify_lens, spline_lens
 from trinoc.geometry.lenses.splined import (
     ORDER,

@@ -12,8 +12,7 @@ from trinoc.errors import InputError
 from trinoc.geometry.features import Feature, Wires, wires_of_lines
 from trinoc.io import FORMATS
 from trinoc.match.features import FEATURES
-from trinoc.numerics.table_checks import COVARIANCE, IN_SCENE, PROBABILITY
-from trinoc.numerics.tables import Column
+from trinoc.numerics.tables import COVARIANCE, IN_SCENE, PROBABILITY, Column
 from trinoc.report.notebook.cards import make_card
 from trinoc.report.notebook.tables import list_columns
 

@@ -19,8 +19,7 @@ from trinoc.io.tables_npz import ArrayFields, build_table, list_arrays
 from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.wire_frame.frame import LetGo
-from trinoc.numerics.table_checks import is_covariance
-from trinoc.numerics.tables import Table, list_fields
+from trinoc.numerics.tables import Table, is_covariance, list_fields
 
 KINDS = [Segments, Junctions, Matches, LetGo, Frames, *FEATURES]
 SEGMENTS = Segments.from_endpoints(np.random.default_rng(5).uniform(0, 400, (6, 4)))

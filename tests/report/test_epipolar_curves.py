@@ -10,9 +10,8 @@ import pytest
 from trinoc.geometry import AbstractLens, project
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.brown_conrady import BrownConrady, Rational
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
-from trinoc.geometry.lenses.pinhole import Pinhole
+from trinoc.geometry.lenses.polynomial import BrownConrady, Pinhole, Rational
 from trinoc.geometry.rig import Rig
 from trinoc.numerics.precision import in_float64
 from trinoc.report.epipolar_part import EpipolarPart, epipolar_part

@@ -39,7 +39,7 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.lenses.registry import (
     DEFAULT_DISTORTION,
     lens_model as lens_model_of,

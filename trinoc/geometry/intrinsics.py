@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
-from trinoc.geometry.lenses.pinhole import Pinhole
+from trinoc.geometry.lenses.polynomial import Pinhole
 from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, lens_model
 from trinoc.numerics.buckets import in_bucket
 from trinoc.numerics.precision import (

@@ -12,18 +12,16 @@ from jaxtyping import Bool, Float, Int, Shaped
 from trinoc.errors import InputError
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike
-from trinoc.numerics.table_checks import (
+from trinoc.numerics.tables import (
     COVARIANCE,
     IN_PICTURE,
     NOT_INFINITE,
     NOT_NEGATIVE,
     PICTURE_SIZE,
-    check_number,
-)
-from trinoc.numerics.tables import (
     Column,
     ColumnCheck,
     Table,
+    check_number,
     take_rows,
 )
 

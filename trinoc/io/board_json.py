@@ -15,7 +15,7 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.io.json_document import Block, parsed_json, read_document, write_document
 from trinoc.io.whole_files import read_text
-from trinoc.numerics.table_checks import LARGEST_MM
+from trinoc.numerics.tables import LARGEST_MM
 
 PATTERN_FORMAT, PATTERN_VERSION = "trinoc-pattern", 1
 

@@ -15,7 +15,7 @@ from trinoc.geometry.lenses.registry import LENS_MODELS, promote_lens
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.geometry.rig import at_one_place
 from trinoc.io.json_document import Block, read_document, write_document
-from trinoc.numerics.table_checks import is_covariance
+from trinoc.numerics.tables import is_covariance
 
 # Focal length over the longer side of the picture: from nearly 180 degrees to a large telescope.
 FOCAL_RANGE = (1e-3, 1e5)

@@ -18,7 +18,7 @@ from trinoc.io.intrinsics_json import (
     intrinsics_to_block,
 )
 from trinoc.io.json_document import Block, document_text, read_document
-from trinoc.numerics.table_checks import is_covariance
+from trinoc.numerics.tables import is_covariance
 
 if TYPE_CHECKING:
     from trinoc.calib.result.calibration import CalibrationResult

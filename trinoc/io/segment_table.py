@@ -10,7 +10,7 @@ from trinoc.geometry.segments import Segments
 from trinoc.io.arrays_npz import MOST_BYTES, load_array
 from trinoc.io.tables_npz import load_npz
 from trinoc.io.whole_files import read_text
-from trinoc.numerics.table_checks import LARGEST_PX
+from trinoc.numerics.tables import LARGEST_PX
 
 TABLE_SUFFIXES = (".npy", ".csv", ".txt")
 

@@ -13,8 +13,8 @@ from trinoc.calib.targets.squares import square_sheet
 from trinoc.geometry import Pose
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.numerics.precision import in_float64

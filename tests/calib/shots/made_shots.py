@@ -9,7 +9,7 @@ from trinoc.calib import Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.geometry import AbstractLens
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.rotation import rotation_from_vector
 
 SIZE_PX = (640, 480)

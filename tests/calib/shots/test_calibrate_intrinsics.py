@@ -7,7 +7,7 @@ from tests.calib.shots.simulated_lens import LENS, SHEET, SIZE_PX, detections, g
 from trinoc.calib import Status
 from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 
 POSES = good_poses()
 

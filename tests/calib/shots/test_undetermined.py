@@ -23,7 +23,7 @@ from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import View
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 
 SQUARE = [
     pose(tilt_deg=0, azimuth_deg=0, roll_deg=9 * k, distance_mm=420 + 20 * k, aside=(0.02, -0.01))

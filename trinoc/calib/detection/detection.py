@@ -9,13 +9,14 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import BoardSet
-from trinoc.numerics.table_checks import (
+from trinoc.numerics.tables import (
     COVARIANCE,
     IN_PICTURE,
     NOT_NEGATIVE,
     PICTURE_SIZE,
+    Column,
+    Table,
 )
-from trinoc.numerics.tables import Column, Table
 
 _PLACE = ("u_px", "v_px")
 

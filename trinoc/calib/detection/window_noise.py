@@ -12,7 +12,6 @@ of correlation R, where H projects on what is fitted. It is given back.
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.fft import next_fast_len
 from scipy.signal import fftconvolve
 
 from trinoc.calib.tuning.every_group import TUNING
@@ -103,7 +102,9 @@ def _sum_products(
     """Of all pairs of pixels of one window, by their distance, 0 in the middle (Wiener and
     Khinchin); the mean of two opposite ones."""
     reach, axes = TUNING.photometric.shared_reach_px, (-2, -1)
-    size = 2 * [next_fast_len(one.shape[-1] + reach, real=True)]  # so that no distance goes round
+    # So that no distance goes round.
+    length = cv2.getOptimalDFTSize(one.shape[-1] + reach)
+    size = (length, length)
     spectra = np.fft.rfft2(one, size).conj() * np.fft.rfft2(other, size)
     sums = np.fft.irfft2(spectra.reshape(-1, *spectra.shape[-2:]).sum(axis=0), size, axes)
     lags = np.arange(-reach, reach + 1)

@@ -18,7 +18,7 @@ from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
-from trinoc.geometry.lenses.brown_conrady import BrownConrady
+from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_points, unproject_pixels

@@ -7,9 +7,8 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
-from trinoc.geometry.lenses.brown_conrady import BrownConrady, Rational, ThinPrism
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
-from trinoc.geometry.lenses.pinhole import Pinhole
+from trinoc.geometry.lenses.polynomial import BrownConrady, Pinhole, Rational, ThinPrism
 from trinoc.geometry.lenses.splined import SPLINED, AbstractSplinedLens
 from trinoc.numerics.precision import array_namespace
 

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
-from trinoc.geometry.lenses.brown_conrady import BrownConrady, Rational, ThinPrism
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
-from trinoc.geometry.lenses.pinhole import Pinhole
+from trinoc.geometry.lenses.polynomial import BrownConrady, Pinhole, Rational, ThinPrism
 from trinoc.geometry.lenses.registry import widen_lens
 from trinoc.numerics.precision import ArrayLike, array_namespace
 

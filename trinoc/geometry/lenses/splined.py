@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.lenses.abstract_lens import AbstractLens, RadialPart
-from trinoc.geometry.lenses.brown_conrady import BrownConrady, Rational
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.newton import inverse_in_plane
+from trinoc.geometry.lenses.polynomial import BrownConrady, Rational
 from trinoc.numerics.precision import ArrayLike, array_namespace
 
 if TYPE_CHECKING:

@@ -10,15 +10,16 @@ from jaxtyping import Float, Int
 
 from trinoc.geometry.features import Feature, Wires, wires_of_lines
 from trinoc.match.tracks.matches import EVEN, Matches
-from trinoc.numerics.table_checks import (
+from trinoc.numerics.tables import (
     COVARIANCE,
     IN_SCENE,
     PROBABILITY,
     RADIUS,
     SEGMENT_NUMBER,
+    Column,
+    ColumnCheck,
     check_number,
 )
-from trinoc.numerics.tables import Column, ColumnCheck
 from trinoc.numerics.vectors import complete_axes
 
 _ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")

@@ -10,14 +10,15 @@ from jaxtyping import Float, Int
 from trinoc.geometry.features import Feature, Wires, wires_of_lines
 from trinoc.match.bodies.circles import Circles, points_on_circles
 from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.table_checks import (
+from trinoc.numerics.tables import (
     COVARIANCE,
     IN_SCENE,
     RADIUS,
     SEGMENT_NUMBER,
+    Column,
+    ColumnCheck,
     check_number,
 )
-from trinoc.numerics.tables import Column, ColumnCheck
 
 _CENTRE, _NORMAL = ("x_mm", "y_mm", "z_mm"), ("normal_x", "normal_y", "normal_z")
 # numerical: what rounding leaves of the length of a normal, and of a share.

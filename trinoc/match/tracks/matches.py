@@ -15,19 +15,17 @@ from trinoc.geometry.line_lengths import line_sigmas
 from trinoc.geometry.segments import LineObservations
 from trinoc.match.tuning.tracks import DecoyTuning
 from trinoc.numerics.display import Displayable
-from trinoc.numerics.table_checks import (
+from trinoc.numerics.tables import (
     CHI_SQUARE,
     COVARIANCE,
     IN_SCENE,
     LARGEST_PX,
     PROBABILITY,
-    is_covariance,
-)
-from trinoc.numerics.tables import (
     Column,
     ColumnCheck,
     Content,
     Table,
+    is_covariance,
 )
 
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"

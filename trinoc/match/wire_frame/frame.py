@@ -9,19 +9,17 @@ from jaxtyping import Bool, Float, Int, Shaped
 from trinoc.geometry.features import Feature, Wires
 from trinoc.geometry.line_lengths import line_sigmas
 from trinoc.match.tracks.matches import EVEN
-from trinoc.numerics.table_checks import (
+from trinoc.numerics.tables import (
     COVARIANCE,
     FINITE,
     IN_SCENE,
     PROBABILITY,
-    check_number,
-    is_covariance,
-)
-from trinoc.numerics.tables import (
     Column,
     ColumnCheck,
     Content,
     Table,
+    check_number,
+    is_covariance,
 )
 
 # numerical: a number of views.

@@ -1,5 +1,5 @@
-"""Distortion by polynomials, as OpenCV describes it: Brown-Conrady by its first five coefficients,
-the rational one by eight, without and with its thin prism.
+"""Lenses without distortion, and with polynomials as OpenCV has them: Brown-Conrady by its first
+five coefficients, the rational one by eight, without and with its thin prism.
 
 Sources: D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37(8), 1971;
 OpenCV, "Camera Calibration and 3D Reconstruction", the model of `cv2.projectPoints`; the quotient
@@ -12,8 +12,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractPlaneLens, RadialPart
+from trinoc.geometry.lenses.abstract_lens import (
+    AFFINE_PARAMETERS,
+    AbstractLens,
+    AbstractPlaneLens,
+    RadialPart,
+    ray_of_normalised,
+)
 from trinoc.numerics.precision import ArrayLike
+
+
+class Pinhole(AbstractLens):
+    """An ideal lens, which has no coefficients: straight lines stay straight."""
+
+    model: ClassVar[str] = "none"
+    coefficient_names: ClassVar[tuple[str, ...]] = ()
+    parameter_names: ClassVar[tuple[str, ...]] = AFFINE_PARAMETERS
+    coefficient_powers: ClassVar[tuple[int, ...]] = ()
+    coefficient_counts: ClassVar[tuple[int, ...]] = (0,)
+    dispensable: ClassVar[tuple[str, ...]] = ()
+
+    def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
+        """(x/z, y/z)."""
+        return ray_cam[:2] / ray_cam[2]
+
+    def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
+        """(x, y, 1)."""
+        return ray_of_normalised(distorted)
 
 
 class BrownConrady(AbstractPlaneLens):
