@@ -150,8 +150,8 @@ def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDraw
         sides, ends = _by_line(covered), _take(covered, slice(4, 6))
         outer, last = _take(covered, 6), _take(covered, -1)
         crossing = _crossing(sides)
-        short = jax.vmap(jax.vmap(common, (0, None)))(sides, ends)
-        black = jnp.sum(short, axis=(0, 1)) - jnp.sum(ends.share, axis=0) - crossing
+        short = jnp.sum(jax.vmap(jax.vmap(common, (0, None)))(sides, ends), axis=1)
+        black = jnp.sum(short - ends.share, axis=0) - crossing
         circles = circle.present * outer.share
         if hole is not None:
             circles = circles - has_hole * last.share
@@ -197,14 +197,17 @@ def _take(edges: _Edges, which: int | slice) -> _Edges:
 
 def _crossing(sides: EdgeCoverage) -> Scalar:
     """What lies in both lines."""
-    both = jax.vmap(jax.vmap(common, (0, None)), (None, 0))(_take(sides, 0), _take(sides, 1))
-    return jnp.sum(both, axis=(0, 1)) - jnp.sum(sides.share, axis=(0, 1)) + 1
+    along_x, along_y = _take(sides, 0), _take(sides, 1)
+    both = jax.vmap(jax.vmap(common, (0, None)), (None, 0))(along_x, along_y)
+    # In this order, differences are of numbers that are hardly larger: rounding stays small.
+    of_sides = jnp.sum(jnp.sum(both, axis=1) - along_y.share, axis=0)
+    return of_sides - (jnp.sum(along_x.share, axis=0) - 1)
 
 
 def _lines_on_disc(sides: EdgeCoverage, crossing: Scalar, disc: EdgeCoverage) -> Scalar:
     """What of the lines lies on a disc."""
-    both = jax.vmap(jax.vmap(common, (0, None)), (0, None))(sides, disc)
-    return jnp.sum(both, axis=(0, 1)) - (2 + crossing) * disc.share
+    both = jnp.sum(jax.vmap(jax.vmap(common, (0, None)), (0, None))(sides, disc), axis=1)
+    return jnp.sum(both - disc.share[None], axis=0) - crossing * disc.share
 
 
 def _hole(view: PixelView, circle: Circle, drawing: InkDrawing) -> tuple[Edge | None, Scalar]:
