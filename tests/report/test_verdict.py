@@ -58,11 +58,12 @@ def test_a_suspect_camera_decides_in_the_words_of_its_note(result: CalibrationRe
     assert "2 of 3 cameras calibrated: left: suspect. Circle 7 was left out" in verdict.reason
 
 
-def test_a_rig_that_was_doubted_spoils_its_matches(matches: Matches) -> None:
+@pytest.mark.parametrize("why", ["Its residuals are a swirl.", ""], ids=["why", "a file without"])
+def test_a_rig_that_was_doubted_spoils_its_matches(matches: Matches, why: str) -> None:
     assert judged(matches=matches).level is Level.GOOD
-    verdict = judged(matches=matches, doubts={"upper": "Its residuals are a swirl."})
+    verdict = judged(matches=matches, doubts={"upper": why})
     assert verdict.sentence == "Do not rely on these matches."
-    assert "Its residuals are a swirl." in verdict.reason
+    assert f"suspect. {why}" in verdict.reason
 
 
 def test_residuals_beyond_noise_ask_for_care_and_then_are_bad(result: CalibrationResult) -> None:

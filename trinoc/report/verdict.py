@@ -58,7 +58,7 @@ def _answer_on_calibration(subject: Subject) -> Answer | None:
     if suspects:
         notes = result.fits[suspects[0]].notes
         why = notes[0] if notes else result.status[suspects[0]].value
-        words = f"{', '.join(suspects)}: suspect. {why[0].upper()}{why[1:]}"
+        words = f"{', '.join(suspects)}: suspect. {why[:1].upper()}{why[1:]}"
         return Answer(len(suspects), figure, words)
     return Answer(0, figure, "all fits converged.")
 
@@ -67,7 +67,7 @@ def _answer_on_doubts(subject: Subject) -> Answer | None:
     if subject.result is not None or not subject.doubts:
         return None
     name, why = next(iter(subject.doubts.items()))
-    words = f"the calibration of {name} was suspect. {why[0].upper()}{why[1:]}"
+    words = f"the calibration of {name} was suspect. {why[:1].upper()}{why[1:]}"
     return Answer(len(subject.doubts), f"{len(subject.doubts)} suspect", words)
 
 

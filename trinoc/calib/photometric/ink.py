@@ -30,6 +30,9 @@ Scalar = Float[ArrayLike, "*n"]
 # (displacement on the sheet X, Y in mm, ink spread in mm, kernel) -> share of ink.
 InkShare = Callable[[Scalar, Scalar, Scalar, Kernel], Scalar]
 _Edges = TypeVar("_Edges", Edge, EdgeCoverage)
+# numerical: the order of a sheet's edges: both lines' sides, their ends, the disc, then the gap at
+# which lines stop; last of all the hole of a ring.
+_SIDES, _ENDS, _OUTER, _GAP = slice(4), slice(4, 6), 6, 7
 # The line style of boards of squares, which have no lines.
 SQUARES = "squares"
 
@@ -132,8 +135,11 @@ def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDraw
     """
     hole, has_hole = _hole(view, circle, drawing)
     # Lines end at a gap about the circle, or at the circle.
-    gap = [view.circle(circle, circle.radius_mm + cross.gap_mm)] * (drawing.line_style == "stop")
-    discs = [view.circle(circle, circle.radius_mm), *gap, *([] if hole is None else [hole])]
+    discs = [view.circle(circle, circle.radius_mm)]
+    if drawing.line_style == "stop":
+        discs.append(view.circle(circle, circle.radius_mm + cross.gap_mm))
+    if hole is not None:
+        discs.append(hole)
     lines = _edges_of_lines(view.point, cross)
     edges = jax.tree.map(
         lambda straight, *curved: jnp.concatenate([straight, jnp.stack(curved)]), lines, *discs
@@ -147,8 +153,8 @@ def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDraw
 
         signs = jnp.asarray(grows, spread.dtype)
         covered = jax.vmap(cover)(edges, signs)
-        sides, ends = _by_line(covered), _take(covered, slice(4, 6))
-        outer, last = _take(covered, 6), _take(covered, -1)
+        sides, ends = _by_line(covered), _take(covered, _ENDS)
+        outer, last = _take(covered, _OUTER), _take(covered, -1)
         crossing = _crossing(sides)
         short = jnp.sum(jax.vmap(jax.vmap(common, (0, None)))(sides, ends), axis=1)
         black = jnp.sum(short - ends.share, axis=0) - crossing
@@ -156,12 +162,12 @@ def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDraw
         if hole is not None:
             circles = circles - has_hole * last.share
         if drawing.line_style == "stop":
-            limit = _take(covered, 7)
+            limit = _take(covered, _GAP)
             return circles + black - circle.present * _lines_on_disc(sides, crossing, limit)
         black = black - circle.present * _lines_on_disc(sides, crossing, outer)
         if drawing.line_style == "white":
             # Ink spreads into a white line from both sides.
-            sides = _by_line(jax.vmap(cover)(_take(edges, slice(4)), -signs[:4]))
+            sides = _by_line(jax.vmap(cover)(_take(edges, _SIDES), -signs[_SIDES]))
             crossing = _crossing(sides)
             black = black - circle.present * _lines_on_disc(sides, crossing, outer)
         if hole is None:
@@ -187,8 +193,8 @@ def _shift(edge: Edge, dx: Scalar, dy: Scalar) -> Scalar:
 
 
 def _by_line(covered: EdgeCoverage) -> EdgeCoverage:
-    """Of the first four edges: two sides of two lines."""
-    return jax.tree.map(lambda leaf: leaf[:4].reshape(2, 2, *leaf.shape[1:]), covered)
+    """Two sides of two lines."""
+    return jax.tree.map(lambda leaf: leaf[_SIDES].reshape(2, 2, *leaf.shape[1:]), covered)
 
 
 def _take(edges: _Edges, which: int | slice) -> _Edges:
