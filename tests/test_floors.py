@@ -237,6 +237,17 @@ def test_no_package_that_we_decided_against():
     assert names & FORBIDDEN == set()
 
 
+def test_nothing_imports_what_takes_longer_than_a_match():
+    slow = ("scipy.stats", "scipy.signal")  # a second; `trinoc.numerics.tails` has their tails
+    wrong = [
+        f"{module} imports {name}"
+        for module, _, tree in MODULES
+        for name in imported(tree, at_top_only=True)
+        if name.startswith(slow)
+    ]
+    assert wrong == []
+
+
 def test_commands_import_nothing_heavy_at_the_top():
     heavy = {"jax", "numpy", "cv2", "equinox", "optimistix", "plotly", "jinja2", "skimage", "scipy"}
     # Words for the help, in files that import nothing.

@@ -12,7 +12,6 @@ of correlation R, where H projects on what is fitted. It is given back.
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.signal import fftconvolve
 
 from trinoc.calib.tuning.every_group import TUNING
 
@@ -42,9 +41,9 @@ def sandwich_covariance(
     free = np.maximum(1 - np.sum(followed**2, axis=-1), _LEAST_FREE)
     seen = used.astype(np.float32)
     spread = np.sqrt(_fit_variance(residual**2 / free, looks, seen))
-    shared = _shared_noise(residual / spread, np.moveaxis(followed, -1, 0), seen)
+    shared = _shared_noise(residual / spread, followed, seen)
     moved = spread[..., None] * by_pixel
-    summed = np.array([cv2.filter2D(tile, -1, shared, borderType=_EMPTY) for tile in moved])
+    summed = _sum_neighbours(moved, shared)
     moved, summed = (e.reshape(len(e), -1, e.shape[-1]).astype(float) for e in (moved, summed))
     return _not_below(moved.mT @ summed, moved.mT @ moved)
 
@@ -70,7 +69,7 @@ def _fit_variance(
 
 def _shared_noise(
     standard: Float[np.ndarray, "n side side"],
-    followed: Float[np.ndarray, "p n side side"],
+    followed: Float[np.ndarray, "n side side p"],
     used: Float[np.ndarray, "n side side"],
 ) -> Float[np.ndarray, "l l"]:
     """Covariance of all windows' noise by the distance of two pixels, 0 in the middle.
@@ -80,20 +79,28 @@ def _shared_noise(
     followed : columns q of which H is the sum of q q^T.
     """
     some = slice(None, None, -(-len(used) // _MOST_WINDOWS))
-    standard, followed, used = standard[some], followed[:, some], used[some]
+    standard, followed, used = standard[some], followed[some], used[some]
+    columns = np.moveaxis(followed, -1, 0)
     counts = np.maximum(_sum_products(used, used), 1.0)
     observed = _sum_products(standard, standard) / counts
     none = np.zeros_like(observed)
     none[len(none) // 2, len(none) // 2] = 1.0
     shared = none
     for _ in range(_ROUNDS):
-        spread = used * fftconvolve(followed, shared[None, None], mode="same", axes=(2, 3))
-        inner = np.einsum("anyx,bnyx->nab", followed, spread)
-        lost = 2 * spread - np.einsum("anyx,nab->bnyx", followed, inner)
-        expected = shared - _sum_products(followed, lost) / counts
+        spread = used * np.moveaxis(_sum_neighbours(followed, shared), -1, 0)
+        inner = np.einsum("anyx,bnyx->nab", columns, spread)
+        lost = 2 * spread - np.einsum("anyx,nab->bnyx", columns, inner)
+        expected = shared - _sum_products(columns, lost) / counts
         shared = shared + observed - expected
     least = TUNING.photometric.significant_sigmas / np.sqrt(counts)
     return np.where(np.abs(shared) < least, 0.0, shared).astype(np.float32)
+
+
+def _sum_neighbours(
+    values: Float[np.ndarray, "n side side p"], shared: Float[np.ndarray, "l l"]
+) -> Float[np.ndarray, "n side side p"]:
+    """Around each pixel, weighted by their distance to it."""
+    return np.array([cv2.filter2D(one, -1, shared, borderType=_EMPTY) for one in values])
 
 
 def _sum_products(
