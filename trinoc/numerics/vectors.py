@@ -114,6 +114,16 @@ def interpolated_covariance(
     return (1 - s) * (1 - t) * c00 + (s * (1 - t) + t * (1 - s)) * c01 + s * t * c11
 
 
+def add_error_of_ends(
+    covariance: Float[np.ndarray, "n p p"], error: Float[np.ndarray, "n 2 d"]
+) -> None:
+    """Add an error along one way of each of two ends, which come first, each d numbers."""
+    size = error.shape[2]
+    for end in (0, 1):
+        own = slice(size * end, size * (end + 1))
+        covariance[:, own, own] += error[:, end, :, None] * error[:, end, None]
+
+
 def cross_2d(a: Float[np.ndarray, "*n 2"], b: Float[np.ndarray, "*n 2"]) -> np.ndarray:
     """Signed area of the parallelogram of two vectors. For a few rows `np.cross` takes ten times
     as long."""

@@ -13,7 +13,6 @@ from trinoc.match.bodies.cylinder_fit import Fits, Members
 from trinoc.match.bodies.cylinder_hypotheses import propose_cylinders
 from trinoc.match.bodies.cylinder_support import assign_outlines, support_log_odds, with_support
 from trinoc.match.bodies.cylinders import Cylinders
-from trinoc.match.bodies.end_errors import add_error_of_ends
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, possible_outlines
 from trinoc.match.observations.match_input import prepare, with_noise_scale
 from trinoc.match.observations.pictures_of_views import segments_of_views
@@ -23,7 +22,7 @@ from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.tables import take_rows
 from trinoc.numerics.tails import chi_square_limit
-from trinoc.numerics.vectors import complete_axes
+from trinoc.numerics.vectors import add_error_of_ends, complete_axes
 
 
 class CylinderChoice(NamedTuple):

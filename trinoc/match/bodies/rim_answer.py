@@ -16,7 +16,6 @@ from trinoc.match.bodies.circles import (
     off_circles,
     points_on_circles,
 )
-from trinoc.match.bodies.end_errors import add_error_of_ends
 from trinoc.match.bodies.explained_tracks import count_tracks, tracks_beside_rims, with_rows
 from trinoc.match.bodies.rims import Rims
 from trinoc.match.observations.match_input import MatchInput
@@ -25,7 +24,7 @@ from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tuning.bodies import RimTuning
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import concatenate_rows, take_rows
-from trinoc.numerics.vectors import complete_axes, cross_3d
+from trinoc.numerics.vectors import add_error_of_ends, complete_axes, cross_3d
 
 # numerical: a whole turn, in rad.
 ROUND = 2 * np.pi
