@@ -33,6 +33,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.io.demo import demo_paths, demo_pattern, demo_truth
+from trinoc.io.images import read_image
 from trinoc.synth.camera_picture.layers import Paint
 from trinoc.synth.camera_picture.render import render_sheet
 from trinoc.synth.camera_picture.shapes import Cells
@@ -107,12 +108,16 @@ def chain(second: np.ndarray, first: np.ndarray) -> np.ndarray:
     return np.c_[second[:, :3] @ first[:, :3], second[:, :3] @ first[:, 3] + second[:, 3]]
 
 
-def give_frames() -> None:
+def give_videos() -> None:
     trinoc.save(table1_rig(), "rig.json")
-    Path("frames").mkdir()
     for view, path in demo_paths("scene").items():
-        for frame in (1, 2):
-            Path(f"frames/{frame:06}_{view}.png").write_bytes(path.read_bytes())
+        picture = read_image(path)
+        height, width = picture.shape
+        code = cv2.VideoWriter.fourcc(*"MJPG")
+        writer = cv2.VideoWriter(f"{view}.avi", code, 10.0, (width, height), False)
+        for _ in range(2):
+            writer.write(picture)
+        writer.release()
 
 
 def give_shape() -> None:
@@ -159,7 +164,7 @@ def give_values() -> None:
 GIVEN: dict[str, Callable[[], None]] = {
     "evaluate.md": give_shape,
     "formats.md": give_values,
-    "recordings.md": give_frames,
+    "recordings.md": give_videos,
     "rigs.md": give_shots,
 }
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from trinoc.errors import InputError
-from trinoc.io.images import IMAGE_SUFFIXES
+from trinoc.io.images import IMAGE_SUFFIXES, refuse_videos
 from trinoc.io.whole_files import read_text
 from trinoc.recording.frame_table import Frame, frames_of_table
 from trinoc.recording.name_templates import fitting_template, folder_depth, frames_of_names
@@ -34,6 +34,7 @@ def find_frames(
             raise InputError(f"{path} lists the files by itself: leave the template out.")
         return Source(path.parent, frames_of_table(read_text(path), cameras, str(path)))
     if not path.is_dir():
+        refuse_videos([path])
         raise InputError(f"{path} is no folder and no CSV table: give the recording's folder.")
     try:
         names = sorted(_files(path, 1 if template is None else folder_depth(template)))
@@ -41,7 +42,10 @@ def find_frames(
         raise InputError(f"{error.filename} cannot be listed ({error.strerror}).") from error
     if template is None:
         known = (*IMAGE_SUFFIXES, *SEGMENT_SUFFIXES)
+        there = [path / name for name in names]
         names = [name for name in names if name.lower().endswith(known)]
+        if not names:
+            refuse_videos(there)
         template = fitting_template(names, cameras)
     return Source(path, frames_of_names(names, template, cameras))
 

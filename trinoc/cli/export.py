@@ -2,17 +2,17 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from trinoc.cli.command import LOGGER, Command, Outcome, UsageError
+from trinoc.cli.command import LOGGER, Bar, Command, Interruption, Outcome, UsageError
+from trinoc.cli.settings import parse_number, read_settings
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
     from trinoc.geometry.intrinsics import Intrinsics
-from typing import Literal
 
 ReadFormat = Literal[
     "opencv",
@@ -56,16 +56,20 @@ UnitMm = Annotated[
 
 
 _NONE = "(default: none)"
+_EVERY = "every_s="
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ExportCommand(Command):
     """Write cameras, 3-D segments, features or segments of a picture as another tool reads them
-    (--to), or read what another tool wrote (--from)."""
+    (--to), or read what another tool wrote, or videos (--from)."""
 
-    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    files: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="FILE|NAME=VIDEO", help_behavior_hint="(required)"),
+    ]
     """With --to, a file of trinoc: rig.json, camera.json or an npz. With --from, the other tool's
-    file or folder."""
+    file or folder; with --from video, that of each camera, and every_s=SECONDS for fewer frames."""
 
     to: Annotated[
         WrittenFormat | None, tyro.conf.arg(metavar="FORMAT", help_behavior_hint=_NONE)
@@ -75,14 +79,14 @@ class ExportCommand(Command):
     json for wire frames. Segments: lsd, elsed, limap-segments."""
 
     source: Annotated[
-        ReadFormat | None,
+        ReadFormat | Literal["video"] | None,
         tyro.conf.arg(name="from", metavar="FORMAT", help_behavior_hint=_NONE),
     ] = None
-    """The same of cameras and segments."""
+    """The same of cameras and segments; or video, whose frames become pictures."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
     """Where it goes: with --to, a file, or a new folder for formats of several files; with --from,
-    rig.json, camera.json for a lens alone, segments.npz for segments."""
+    rig.json, camera.json for a lens alone, segments.npz for segments, a new folder for frames."""
 
     unit_mm: UnitMm = None
     """Length in mm of one unit of the other tool's file, such as 1000 for metres; by default that
@@ -103,9 +107,14 @@ class ExportCommand(Command):
         """Read, check and write, in one direction."""
         if (self.to is None) == (self.source is None):
             raise UsageError("Give the other tool's format: --to, to write it, or --from, to read.")
-        return self._read(command_line) if self.to is None else self._write(self.to)
+        if self.source == "video":
+            return self._write_frames()
+        if len(self.files) != 1:
+            raise UsageError(f"{len(self.files)} files are given: give one.")
+        file = Path(self.files[0])
+        return self._read(file, command_line) if self.to is None else self._write(file, self.to)
 
-    def _write(self, name: str) -> Outcome:
+    def _write(self, file: Path, name: str) -> Outcome:
         from trinoc.geometry.intrinsics import Intrinsics
         from trinoc.io.formats.format import LOSSES
         from trinoc.io.formats.registry import FORMATS
@@ -116,17 +125,17 @@ class ExportCommand(Command):
             raise UsageError("--names and --lens go with --from: leave them out.")
         target = FORMATS[name]
         expect_foreign(self.out, force=self.force)
-        value = load(self.file)
+        value = load(file)
         target.save(value, self.out, unit_mm=self.unit_mm)
         lost = target.lost(value)
-        if isinstance(value, Intrinsics) and load_lens_covariance(self.file) is not None:
+        if isinstance(value, Intrinsics) and load_lens_covariance(file) is not None:
             lost = (LOSSES["covariance"], *lost)
         if lost:
             LOGGER.warning("%s cannot hold, and so loses: %s", target.title, "; ".join(lost))
         record = {"format": target.name, "lost": list(lost)}
         return Outcome(f"{target.title}: {target.frames}", record, written=(self.out,))
 
-    def _read(self, command_line: str) -> Outcome:
+    def _read(self, file: Path, command_line: str) -> Outcome:
         from trinoc.cli.command import provenance
         from trinoc.geometry.rig import Rig
         from trinoc.geometry.segments import Segments
@@ -138,9 +147,9 @@ class ExportCommand(Command):
         source = FORMATS[str(self.source)]
         names = None if self.names is None else [name.strip() for name in self.names.split(",")]
         lenses = self._lenses()
-        value = source.load(self.file, unit_mm=self.unit_mm, lenses=lenses, names=names)
+        value = source.load(file, unit_mm=self.unit_mm, lenses=lenses, names=names)
         expect_replaceable(self.out, type(value), force=self.force)
-        save(value, self.out, provenance=provenance(command_line, self._inputs()))
+        save(value, self.out, provenance=provenance(command_line, _list_inputs(file)))
         match value:
             case Rig():
                 known = "with" if value.parameters else "without"
@@ -166,10 +175,52 @@ class ExportCommand(Command):
             return {name: camera.intrinsics for name, camera in load_rig(self.lens[0]).items()}
         return {name: load_intrinsics(file) for name, file in files_of_views(self.lens).items()}
 
-    def _inputs(self) -> dict[str, Path]:
-        if not self.file.is_dir():
-            return {"file": self.file}
-        try:
-            return {file.name: file for file in sorted(self.file.iterdir()) if file.is_file()}
-        except OSError as error:
-            raise InputError(f"{self.file} cannot be read ({error.strerror}).") from error
+    def _write_frames(self) -> Outcome:
+        """The frames of videos that were taken in step, in a folder of each camera."""
+        if self.unit_mm is not None or self.names is not None or self.lens:
+            raise UsageError("--unit-mm, --names and --lens go with other formats: leave them out.")
+        words = [word for word in self.files if word.startswith(_EVERY)]
+        files = files_of_views([word for word in self.files if word not in words], guess=True)
+        if not files:
+            raise UsageError("No video is given: write NAME=VIDEO for each camera.")
+        every_s = read_settings("--from video", [words], {"every_s": parse_number}).get("every_s")
+        if every_s is not None and every_s <= 0.0:
+            raise UsageError(f"every_s is {every_s:g}: give more than 0.")
+        if len({file.resolve() for file in files.values()}) < len(files):
+            raise UsageError("Two cameras are given one video: give each its own.")
+
+        from trinoc.io.videos import FrameFolders, common_rate, compare_videos, open_videos
+
+        videos = open_videos(files)
+        step = max(1, round((every_s or 0.0) * common_rate(videos)))
+        for remark in compare_videos(list(videos.values())):
+            LOGGER.warning("%s", remark)
+        folders = FrameFolders(videos, self.out, step=step)
+        if folders.moments:
+            size = f"{folders.bytes / 1e6:,.0f} MB"
+            LOGGER.info("writing %d frames of each camera, about %s", folders.moments, size)
+        done = 0
+        with Bar("frames", quiet=self.quiet) as bar:
+            try:
+                for done in folders.write(LOGGER.warning):
+                    bar.show(done, max(done, folders.moments))
+            except KeyboardInterrupt:
+                raise Interruption(
+                    f"Interrupted: {done} frames of each camera are whole and kept in {self.out}."
+                ) from None
+        sizes = {name: list(video.size_px) for name, video in videos.items()}
+        said = ", ".join(
+            f"{name} ({width} x {height} px)" for name, (width, height) in sizes.items()
+        )
+        return Outcome(
+            f"{done} frames of {said}", {"frames": done, "cameras": sizes}, written=(self.out,)
+        )
+
+
+def _list_inputs(file: Path) -> dict[str, Path]:
+    if not file.is_dir():
+        return {"file": file}
+    try:
+        return {each.name: each for each in sorted(file.iterdir()) if each.is_file()}
+    except OSError as error:
+        raise InputError(f"{file} cannot be read ({error.strerror}).") from error

@@ -120,6 +120,9 @@ class WatchCommand(ReportOption, Command):
 
         kinds = {find_kind(place) for place in places.values()}
         if len(kinds) > 1:
+            for place in places.values():
+                if not (place.isdecimal() or Path(place).exists()):
+                    raise UsageError(f"{place} does not exist: check the name.")
             raise UsageError("Cameras, folders and videos do not go together: give one kind.")
         if len({int(p) if p.isdecimal() else Path(p) for p in places.values()}) < len(places):
             raise UsageError("Two cameras are given one source: give each its own.")

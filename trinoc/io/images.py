@@ -8,11 +8,11 @@ import glob
 import hashlib
 import io
 import itertools
-import mimetypes
 import os
+import shlex
 import struct
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -110,6 +110,10 @@ def _count_pictures(content: bytes) -> int:
 
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp")
+VIDEO_SUFFIXES = (
+    *(".avi", ".mp4", ".m4v", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".mts", ".m2ts"),
+    *(".3gp", ".ogv"),
+)
 # Uncompressed, colours of 16 bit.
 MOST_BYTES = 7 * MOST_PIXELS
 
@@ -197,13 +201,18 @@ def _content(file: Path) -> bytes:
 
 
 def _unreadable(file: Path) -> InputError:
-    kind, _ = mimetypes.guess_type(file.name)
-    if kind is not None and kind.startswith("video/"):
-        return InputError(
-            f"{file} is a video: write its frames as pictures first, such as by ffmpeg -i "
-            f"{file.name} %06d_left.png, or give it to `trinoc watch`."
-        )
+    refuse_videos([file])
     return InputError(f"{file} is not a readable picture: give a PNG, TIFF or JPEG file.")
+
+
+def refuse_videos(files: Iterable[Path]) -> None:
+    """Raise InputError, which says how its frames become pictures, for the first video of files."""
+    for file in files:
+        if file.suffix.lower() in VIDEO_SUFFIXES:
+            raise InputError(
+                f"{file} is a video: write its frames by `trinoc export {shlex.quote(str(file))} "
+                "--from video -o frames`, or give it to `trinoc watch` where a board is waved."
+            )
 
 
 def _decode(file: Path, content: bytes) -> np.ndarray:
@@ -295,16 +304,20 @@ def load_shots(places: Mapping[str, str | os.PathLike[str]]) -> Shots:
 
 
 def _files(camera: str, place: str) -> list[Path]:
-    if os.path.isdir(place):
-        found = [file for file in Path(place).iterdir() if file.suffix.lower() in IMAGE_SUFFIXES]
+    is_folder = os.path.isdir(place)
+    there = sorted(Path(place).iterdir() if is_folder else map(Path, glob.glob(place)))
+    if is_folder:
+        found = [file for file in there if file.suffix.lower() in IMAGE_SUFFIXES]
     else:
-        found = [Path(file) for file in glob.glob(place) if os.path.isfile(file)]
+        found = [file for file in there if file.is_file()]
+        refuse_videos(found)
     if not found:
+        refuse_videos(there)
         raise InputError(
             f'{place} holds no picture of "{camera}": give a folder of pictures, or a pattern such '
             "as 'shots/left*.png' in quotes."
         )
-    return sorted(found)
+    return found
 
 
 def name_shots(stems: Mapping[str, list[str]]) -> Mapping[str, list[str]]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.io.images import read_image, write_picture
+from trinoc.io.videos import expect_folder_name
 from trinoc.serving.sources import Moment
 
 
@@ -19,8 +20,7 @@ class KeptShots:
         self._written: list[Path] = []
         self._names: dict[str, str] = {}
         for name in filter(None, cameras):
-            if Path(name).name != name or name == "..":
-                raise InputError(f'"{name}" is no name of a folder: name the camera otherwise.')
+            expect_folder_name(name)
 
     @property
     def written(self) -> list[Path]:

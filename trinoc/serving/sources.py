@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -14,12 +14,18 @@ import numpy as np
 from trinoc.capture.measures import fine_contrast
 from trinoc.errors import InputError
 from trinoc.io.images import IMAGE_SUFFIXES, is_whole_picture, name_shots, read_image
+from trinoc.io.videos import (
+    Video,
+    common_rate,
+    compare_videos,
+    open_videos,
+    read_moments,
+    to_picture,
+)
 
 # Scans after which a picture without its end mark, and a shot that lacks a camera's, is taken as
 # it is.
 PATIENCE = 10
-# Of a video that does not say how many it has.
-_FRAMES_PER_S = 30.0
 
 
 class Moment(NamedTuple):
@@ -51,10 +57,9 @@ def open_source(
     paths = {name: Path(place) for name, place in places.items()}
     if kind == "video":
         videos = open_videos(paths)
-        remark = compare_lengths(list(videos.values()))
-        if remark is not None:
+        for remark in compare_videos(list(videos.values())):
             warn(remark)
-        return watch_videos(videos, every_s)
+        return watch_videos(videos, every_s, warn)
     arrivals = {name: FolderArrivals(path) for name, path in paths.items()}
     if "" in arrivals:
         return watch_folder(arrivals[""], every_s, once=once)
@@ -214,84 +219,18 @@ class _Sharpest:
 
     @property
     def pictures(self) -> dict[str, np.ndarray]:
-        """Grey, or red, green and blue, as files are read; OpenCV delivers blue, green and red."""
-        return {
-            name: frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
-            for name, frame in self._frames.items()
-        }
+        """As files are read."""
+        return {name: to_picture(frame) for name, frame in self._frames.items()}
 
 
-class Video(NamedTuple):
-    """What a video file says of itself; its last frames may be missing."""
-
-    file: Path
-    frames: int
-    frames_per_s: float
-
-
-def open_videos(files: Mapping[str, Path]) -> dict[str, Video]:
-    """Raises InputError for what is no video, and for videos of different rates."""
-    videos = {name: _open_video(file) for name, file in files.items()}
-    first = next(iter(videos.values()))
-    for other in videos.values():
-        if abs(other.frames_per_s - first.frames_per_s) > 0.01 * first.frames_per_s:
-            raise InputError(
-                f"{first.file} has {first.frames_per_s:g} frames a second and {other.file} "
-                f"{other.frames_per_s:g}, so that frames of equal numbers are of different "
-                "moments: give videos that were taken in step."
-            )
-    return videos
-
-
-def compare_lengths(videos: Sequence[Video]) -> str | None:
-    """That videos are not of one length, in a sentence, or None."""
-    shortest = min(videos, key=lambda video: video.frames)
-    longest = max(videos, key=lambda video: video.frames)
-    if longest.frames - shortest.frames <= 1:
-        return None
-    return (
-        f"{longest.file} has {longest.frames} frames and {shortest.file} {shortest.frames}: those "
-        "of equal numbers are taken for one moment, so see that all begin at one moment."
-    )
-
-
-def _open_video(file: Path) -> Video:
-    capture = cv2.VideoCapture(str(file))
-    try:
-        if not capture.isOpened() or not capture.grab():
-            raise InputError(
-                f"{file} is no video that OpenCV reads: give another format, such as MP4 or AVI, "
-                "or a folder of pictures."
-            )
-        rate = capture.get(cv2.CAP_PROP_FPS)
-        frames = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    finally:
-        capture.release()
-    return Video(file, frames, rate if 0.0 < rate < 1e5 else _FRAMES_PER_S)
-
-
-def watch_videos(videos: Mapping[str, Video], every_s: float) -> Iterator[Moment]:
+def watch_videos(
+    videos: Mapping[str, Video], every_s: float, warn: Callable[[str], None]
+) -> Iterator[Moment]:
     """The sharpest moment of every so many seconds of videos in step, until the first ends."""
-    rate = next(iter(videos.values())).frames_per_s
-    with contextlib.ExitStack() as stack:
-        captures = {}
-        for name, video in videos.items():
-            captures[name] = cv2.VideoCapture(str(video.file))
-            stack.callback(captures[name].release)
-        moments = _read_frames(captures, rate)
-        while own := list(itertools.islice(moments, 1)):
-            best = _Sharpest(own[0][1], own[0][0])
-            for name, frames in itertools.islice(moments, max(0, round(every_s * rate) - 1)):
-                best.offer(frames, name)
-            yield Moment(best.name, best.pictures)
-
-
-def _read_frames(
-    captures: Mapping[str, Any], rate: float
-) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
-    """Every moment, named by its time; a broken frame ends a video as its end does."""
-    for number in itertools.count():
-        frames = {name: capture.read()[1] for name, capture in captures.items()}
-        if any(frame is None for frame in frames.values()):
-            return
-        yield f"{number / rate:.2f} s", frames
+    rate = common_rate(videos)
+    moments = ((f"{number / rate:.2f} s", own) for number, own in read_moments(videos, warn))
+    while first := next(moments, None):
+        best = _Sharpest(first[1], first[0])
+        for name, frames in itertools.islice(moments, max(0, round(every_s * rate) - 1)):
+            best.offer(frames, name)
+        yield Moment(best.name, best.pictures)

@@ -1,0 +1,306 @@
+"""Videos of cameras in step become folders of frames, which the other commands read."""
+
+import json
+import os
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import trinoc
+from trinoc.batch.source import find_frames
+from trinoc.cli.command import Interruption
+from trinoc.cli.export import ExportCommand
+from trinoc.cli.main import main
+from trinoc.io import videos as reader
+from trinoc.io.images import load_shots, read_image
+from trinoc.io.videos import FrameFolders, open_videos, read_moments
+from trinoc.synth import table1_rig
+
+SIZE_PX, RATE, BAR_PX = (96, 64), 10.0, 8
+COUNT = 12
+
+
+def frame_of(number: int) -> np.ndarray:
+    """A picture whose number is its bright columns in binary, so that any codec keeps it."""
+    bits = [number >> k & 1 for k in range(SIZE_PX[0] // BAR_PX)]
+    row = np.repeat(np.array(bits, dtype=np.uint8) * 200 + 20, BAR_PX)
+    return np.tile(row, (SIZE_PX[1], 1))
+
+
+def number_of(picture: np.ndarray) -> int:
+    grey = picture if picture.ndim == 2 else picture.mean(axis=2)
+    bits = grey[:, BAR_PX // 2 :: BAR_PX].mean(axis=0) > 120
+    return sum(int(bit) << k for k, bit in enumerate(bits))
+
+
+def write_video(
+    file: str, count: int = COUNT, rate: float = RATE, code: str = "MJPG", size: int = 1
+) -> None:
+    size_px = (size * SIZE_PX[0], size * SIZE_PX[1])
+    writer = cv2.VideoWriter(file, cv2.VideoWriter.fourcc(*code), rate, size_px, False)
+    for number in range(count):
+        writer.write(cv2.resize(frame_of(number), size_px, interpolation=cv2.INTER_NEAREST))
+    writer.release()
+
+
+def rewrite(file: str, change: Callable[[bytes], bytes]) -> None:
+    Path(file).write_bytes(change(Path(file).read_bytes()))
+
+
+def turned(content: bytes) -> bytes:
+    """An MP4 that asks to be shown turned by 90 degrees, as telephones write it (ISO 14496-12)."""
+    at = content.index(b"tkhd") + 44
+    matrix = struct.pack(">9i", 0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30)
+    return content[:at] + matrix + content[at + 36 :]
+
+
+def with_gap(content: bytes, before: int) -> bytes:
+    """An MP4 whose clock misses a moment after so many frames, as of a frame that was dropped."""
+    # The list of edits says how long the video was.
+    content = content.replace(b"edts", b"free")
+    at = content.index(b"stts") + 4
+    entries, count, step = struct.unpack_from(">3I", content, at + 4)
+    assert entries == 1
+    runs = ((before - 1, step), (1, 2 * step), (count - before, step))
+    table = struct.pack(">I", 3) + b"".join(struct.pack(">2I", *run) for run in runs)
+    content = content[: at + 4] + table + content[at + 16 :]
+    for box in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts"):
+        begin = content.index(box) - 4
+        grown = struct.unpack_from(">I", content, begin)[0] + 16
+        content = content[:begin] + struct.pack(">I", grown) + content[begin + 4 :]
+    return content
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capfd):
+    """Writes the frames of videos, in an empty folder: (status, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+
+    def run_one(*words):
+        return main(["export", *words, "--from", "video", "-o", "frames"]), *capfd.readouterr()
+
+    return run_one
+
+
+def numbers_there(camera: str) -> dict[int, int]:
+    """The number of each file's name, and that which its picture shows."""
+    files = sorted(Path("frames", camera).iterdir())
+    return {int(file.stem): number_of(read_image(file)) for file in files}
+
+
+def test_frames_of_three_videos_are_a_recording_and_shots(run):
+    for name in ("upper", "left", "right"):
+        write_video(f"{name}.avi")
+    status, said, told = run("upper.avi", "left.avi", "right.avi")
+    assert status == 0
+    assert said.startswith("12 frames of upper (96 x 64 px), left (96 x 64 px), right")
+    assert "12 frames of each camera, about 0 MB" in told
+    for name in ("upper", "left", "right"):
+        assert numbers_there(name) == {k: k for k in range(COUNT)}
+    assert not list(Path("frames").rglob(".*"))
+    source = find_frames("frames", ("upper", "left", "right"))
+    assert [frame.name for frame in source.frames] == [f"{k:06d}" for k in range(COUNT)]
+    assert all(len(frame.files) == 3 for frame in source.frames)
+    tenth = find_frames("frames", ("left", "right"), "{camera}/{frame}0.png")
+    assert [frame.files["left"] for frame in tenth.frames] == [f"left/{k:06d}.png" for k in (0, 10)]
+    shots = load_shots({"left": "frames/left", "right": "frames/right"})
+    assert list(shots["left"]) == list(shots["right"]) == [f"{k:06d}" for k in range(COUNT)]
+
+
+def test_frames_are_as_the_video_has_them_and_grey_ones_stay_grey(run):
+    write_video("left.avi")
+    coloured = np.zeros((*SIZE_PX[::-1], 3), dtype=np.uint8)
+    coloured[..., 2] = 180
+    writer = cv2.VideoWriter("red.avi", cv2.VideoWriter.fourcc(*"MJPG"), RATE, SIZE_PX, True)
+    writer.write(coloured)
+    writer.release()
+    assert run("left.avi", "red.avi")[0] == 0
+    for name in ("left", "red"):
+        whole = cv2.VideoCapture(f"{name}.avi").read()[1]
+        picture = read_image(f"frames/{name}/000000.png")
+        expected = whole[..., 0] if name == "left" else whole[..., ::-1]
+        np.testing.assert_array_equal(picture, expected)
+
+
+@pytest.mark.parametrize(("every_s", "step"), [("0.5", 5), ("0.01", 1), ("0.24", 2)])
+def test_every_so_many_seconds(run, every_s, step):
+    write_video("left.avi")
+    status, said, _ = run("left=left.avi", f"every_s={every_s}", "--json")
+    assert status == 0
+    own = range(0, COUNT, step)
+    assert json.loads(said)["frames"] == len(own)
+    assert numbers_there("left") == {k: k for k in own}
+
+
+def test_a_dropped_frame_puts_no_later_one_out_of_step(run):
+    """The clocks of the files say which frames are of one moment, not their places."""
+    count, gap = 240, 17
+    write_video("left.mp4", count, code="mp4v")
+    write_video("right.mp4", count - 1, code="mp4v")
+    rewrite("right.mp4", lambda content: with_gap(content, gap))
+    status, _, told = run("left.mp4", "right.mp4")
+    assert status == 0
+    assert "right.mp4 has no frame at 1 of the moments of the other videos" in told
+    assert numbers_there("left") == {k: k for k in range(count) if k != gap}
+    # The picture that shows k - 1 was taken at k.
+    own = {k: k if k < gap else k - 1 for k in range(count) if k != gap}
+    assert numbers_there("right") == own
+
+
+def test_a_clock_that_stands_still_counts_for_nothing(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    write_video("left.avi")
+
+    class Standing:
+        def __init__(self, file: str) -> None:
+            self._own = cv2.VideoCapture(file)
+
+        def __getattr__(self, name: str):
+            return getattr(self._own, name)
+
+        def get(self, name: int) -> float:
+            return 0.0 if name == cv2.CAP_PROP_POS_MSEC else self._own.get(name)
+
+    monkeypatch.setattr(reader, "_open", lambda file: Standing(str(file)))
+    moments = read_moments(open_videos({"left": Path("left.avi")}), pytest.fail)
+    assert [number for number, _ in moments] == list(range(COUNT))
+
+
+def test_a_video_that_is_to_be_turned_gives_what_the_sensor_had(run):
+    write_video("left.mp4", code="mp4v")
+    write_video("right.mp4", code="mp4v")
+    rewrite("right.mp4", turned)
+    status, _, told = run("left.mp4", "right.mp4")
+    assert status == 0
+    assert "right.mp4 asks to be turned by 90 degrees" in told
+    for number in range(COUNT):
+        left, right = (read_image(f"frames/{n}/{number:06d}.png") for n in ("left", "right"))
+        np.testing.assert_array_equal(left, right)
+
+
+def cut_in_frame(number: int, content: bytes) -> bytes:
+    """An AVI that ends within a frame; each is a chunk "00dc", which its index names once."""
+    return b"00dc".join(content.split(b"00dc")[: number + 3])[:-100]
+
+
+@pytest.mark.parametrize("read", [1, 7, COUNT - 1])
+def test_of_a_damaged_tail_what_was_read_is_kept_and_said(run, read):
+    write_video("left.avi")
+    write_video("right.avi")
+    rewrite("right.avi", lambda content: cut_in_frame(read, content))
+    status, said, told = run("left.avi", "right.avi", "--json")
+    assert status == 0
+    assert json.loads(said)["frames"] == read
+    assert f"right.avi announces 12 frames, of which {read} can be read" in told
+    assert numbers_there("left") == numbers_there("right") == {k: k for k in range(read)}
+
+
+def test_lengths_and_sizes_that_differ_are_named(run):
+    write_video("left.avi")
+    write_video("right.avi", COUNT - 4, size=2)
+    status, said, told = run("left.avi", "right.avi")
+    assert status == 0
+    assert said.startswith("8 frames of left (96 x 64 px), right (192 x 128 px)")
+    assert "left.avi has 12 frames and right.avi 8" in told
+    assert "left.avi is 96 x 64 px and right.avi 192 x 128 px" in told
+    assert "can be read" not in told
+
+
+def refusals():
+    yield "another rate", ("left.avi", "slow.avi"), "10 frames a second and slow.avi 5"
+    yield "no video", ("left.avi", "text.avi"), "text.avi is no video that OpenCV reads"
+    yield "cut MP4", ("left.avi", "cut.mp4"), "or cut off: copy it again"
+    yield "no frames", ("left.avi", "none.avi"), "none.avi holds no frame"
+    yield "not there", ("left.avi", "nowhere.avi"), "nowhere.avi does not exist"
+    yield "a folder", ("a=left.avi", "b=."), ". is a folder: give the video file"
+    yield "a picture", ("left.avi", "one.png"), "one.png is a picture"
+    yield "no names", ("left=left.avi", "right.avi"), "write NAME=FILE"
+    yield "twice", ("a=left.avi", "b=left.avi"), "Two cameras are given one video"
+    yield "no folder", ("../a=left.avi",), '"../a" is no name of a folder'
+    yield "hidden", (".a=left.avi",), '".a" is no name of a folder'
+    yield "nothing", (), "No video is given"
+    yield "no time", ("left.avi", "every_s=0"), "every_s is 0: give more than 0"
+    yield "no number", ("left.avi", "every_s=often"), "is no number"
+    yield "an option", ("left.avi", "--unit-mm", "3"), "--unit-mm, --names and --lens go with"
+
+
+@pytest.mark.parametrize(("words", "why"), [each[1:] for each in refusals()])
+def test_what_gives_no_frames_is_said_before_any_is_written(run, words, why):
+    write_video("left.avi")
+    write_video("slow.avi", rate=5.0)
+    write_video("none.avi", 0)
+    write_video("cut.mp4", code="mp4v")
+    rewrite("cut.mp4", lambda content: content[: len(content) // 2])
+    Path("text.avi").write_text("hello")
+    cv2.imwrite("one.png", frame_of(1))
+    status, said, told = run(*words)
+    assert (status in (1, 2), said) == (True, "")
+    assert why in told
+    assert told.splitlines()[-1].startswith("trinoc: ")
+    assert not Path("frames").exists()
+
+
+def test_no_file_is_written_among_others_or_over_the_video(run):
+    write_video("a b.avi")
+    Path("frames").mkdir()
+    Path("frames", "mine.txt").write_text("mine")
+    status, said, told = run("a b.avi")
+    assert (status, said) == (1, "")
+    assert "frames holds files, among which frames would be lost: give a new folder" in told
+    assert os.listdir("frames") == ["mine.txt"]
+    Path("frames", "mine.txt").unlink()
+    # An empty folder is as good as a new one, and names may have spaces.
+    assert run("a b.avi")[0] == 0
+    assert numbers_there("a b") == {k: k for k in range(COUNT)}
+    assert main(["export", "a b.avi", "--from", "video", "-o", "a b.avi", "--force"]) == 2
+
+
+def test_frames_that_the_disk_cannot_hold_are_refused(run, monkeypatch):
+    write_video("left.avi")
+    room = reader.shutil.disk_usage(".")._replace(free=1000)
+    monkeypatch.setattr(reader.shutil, "disk_usage", lambda _: room)
+    status, _, told = run("left.avi")
+    assert status == 1
+    assert "make room" in told
+    assert not Path("frames").exists()
+
+
+def test_interrupted_it_says_what_is_there(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_video("left.avi")
+    written = FrameFolders.write
+
+    def stop_after_three(self, warn):
+        for done in written(self, warn):
+            yield done
+            if done == 3:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(FrameFolders, "write", stop_after_three)
+    command = ExportCommand(files=("left.avi",), source="video", out=Path("frames"))
+    with pytest.raises(Interruption, match="3 frames of each camera are whole and kept in frames"):
+        command.run("")
+    assert numbers_there("left") == {0: 0, 1: 1, 2: 2}
+
+
+def test_a_video_where_pictures_are_asked_for_names_the_command(run, capfd, tmp_path):
+    write_video("left.avi")
+    Path("videos").mkdir()
+    write_video("videos/left.avi")
+    trinoc.save(trinoc.Pattern.cross_grid(rows=4, columns=5, pitch_mm=20, radius_mm=5), "b.json")
+    trinoc.save(table1_rig(), "rig.json")
+    for words in (
+        ("segments", "left.avi", "-o", "s.npz"),
+        ("batch", "left.avi", "--rig", "rig.json"),
+        ("batch", "videos", "--rig", "rig.json"),
+        ("calibrate-rig", "left=left.avi", "--board", "b.json"),
+        ("calibrate-rig", "left=videos", "--board", "b.json"),
+    ):
+        assert main(words) == 1
+        told = capfd.readouterr().err
+        file = "videos/left.avi" if "videos" in " ".join(words) else "left.avi"
+        assert f"{file} is a video: write its frames by `trinoc export" in told

@@ -1,0 +1,284 @@
+"""Videos of cameras in step: their frames by moments, and as folders of PNG files."""
+
+import contextlib
+import os
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from trinoc.errors import InputError
+from trinoc.io.images import IMAGE_SUFFIXES, silent_opencv
+
+# Of a video that does not say how many it has.
+_FRAMES_PER_S = 30.0
+# How FFmpeg is told to say nothing on stderr about damaged frames: a sentence says more.
+_FFMPEG_LOG = "OPENCV_FFMPEG_LOGLEVEL", "-8"
+
+Frames = Mapping[str, UInt8[np.ndarray, "..."]]
+
+
+class Video(NamedTuple):
+    """What a video file says of itself.
+
+    frames : how many, 0 where it does not say; the last may be missing. size_px : (width, height).
+    turned_deg : by how much it asks to be turned when it is shown.
+    """
+
+    file: Path
+    frames: int
+    frames_per_s: float
+    size_px: tuple[int, int]
+    turned_deg: int
+
+
+def open_videos(files: Mapping[str, Path]) -> dict[str, Video]:
+    """The video of each camera. Raises InputError for what is no video with a frame, and for videos
+    of different rates."""
+    videos = {name: _read_heading(file) for name, file in files.items()}
+    first = next(iter(videos.values()))
+    for other in videos.values():
+        if abs(other.frames_per_s - first.frames_per_s) > 0.01 * first.frames_per_s:
+            raise InputError(
+                f"{first.file} has {first.frames_per_s:g} frames a second and {other.file} "
+                f"{other.frames_per_s:g}, so that frames of equal numbers are of different "
+                "moments: give videos that were taken in step."
+            )
+    return videos
+
+
+def compare_videos(videos: Sequence[Video]) -> list[str]:
+    """What may be wrong with videos beside each other, a sentence each: lengths, sizes, a turn."""
+    remarks = []
+    known = [video for video in videos if video.frames]
+    shortest, longest = (f(known or videos, key=lambda video: video.frames) for f in (min, max))
+    if longest.frames - shortest.frames > 1:
+        remarks.append(
+            f"{longest.file} has {longest.frames} frames and {shortest.file} {shortest.frames}: "
+            "those of equal numbers are taken for one moment, so see that all begin at one moment."
+        )
+    first = videos[0]
+    other = next((video for video in videos if video.size_px != first.size_px), None)
+    if other is not None:
+        sizes = ["{} x {} px".format(*video.size_px) for video in (first, other)]
+        remarks.append(
+            f"{first.file} is {sizes[0]} and {other.file} {sizes[1]}: see that these are the sizes "
+            "that the cameras were calibrated for."
+        )
+    remarks += [
+        f"{video.file} asks to be turned by {video.turned_deg} degrees when it is shown: its "
+        "frames are taken as the sensor had them, as pictures of a camera are."
+        for video in videos
+        if video.turned_deg
+    ]
+    return remarks
+
+
+def read_moments(
+    videos: Mapping[str, Video], warn: Callable[[str], None], *, step: int = 1
+) -> Iterator[tuple[int, Frames]]:
+    """Every so many moments: its number from 0 on, and of each camera the frame of that time.
+
+    A moment that one video lacks is left out, and the first video that ends ends all. Frames are as
+    OpenCV delivers them. warn : takes a sentence on what could not be read.
+    """
+    rate = common_rate(videos)
+    with contextlib.ExitStack() as stack:
+        readers = {name: _Reader(video.file, rate) for name, video in videos.items()}
+        for reader in readers.values():
+            stack.callback(reader.capture.release)
+        lacking: Counter[str] = Counter()
+        due = 0
+        while _go_on(readers, lacking):
+            number = next(iter(readers.values())).number
+            if number >= due:
+                yield number, {name: r.capture.retrieve()[1] for name, r in readers.items()}
+                due = number - number % step + step
+        for name, video in videos.items():
+            _expect_whole(video, readers[name], lacking[name], warn)
+
+
+def common_rate(videos: Mapping[str, Video]) -> float:
+    """Moments a second: a video that dropped frames states fewer."""
+    return max(video.frames_per_s for video in videos.values())
+
+
+def _go_on(readers: "Mapping[str, _Reader]", lacking: Counter[str]) -> bool:
+    """Go to the next moment that all videos have; False where one ends.
+
+    lacking : is added to, of each video the moments that it lacks.
+    """
+    behind = list(readers)
+    while behind:
+        went_on = [readers[name].advance() for name in behind]
+        if not all(went_on):
+            return False
+        latest = max(reader.number for reader in readers.values())
+        behind = [name for name, reader in readers.items() if reader.number < latest]
+        if behind:
+            lacking.update(set(readers) - set(behind))
+    return True
+
+
+def _expect_whole(
+    video: Video, reader: "_Reader", lacking: int, warn: Callable[[str], None]
+) -> None:
+    if reader.has_ended and reader.count < video.frames:
+        warn(
+            f"{video.file} announces {video.frames} frames, of which {reader.count} can be read: "
+            "these are kept, but if one before the end is missing, later ones are of wrong "
+            "moments, so copy the video again."
+        )
+    if lacking:
+        warn(
+            f"{video.file} has no frame at {lacking} of the moments of the other videos, which are "
+            "left out."
+        )
+
+
+class _Reader:
+    """One video, frame by frame; `number` is that of its moment, by its clock."""
+
+    def __init__(self, file: Path, rate: float) -> None:
+        self.capture, self._rate = _open(file), rate
+        self.number, self.count, self.has_ended, self._begin_ms = -1, 0, False, 0.0
+
+    def advance(self) -> bool:
+        """Go to the next frame; False at the end, which a damaged frame may be, too."""
+        if not self.capture.grab():
+            self.has_ended = True
+            return False
+        now_ms = self.capture.get(cv2.CAP_PROP_POS_MSEC)
+        if not self.count:
+            self._begin_ms = now_ms
+        # A clock that stands still counts for nothing.
+        by_clock = round((now_ms - self._begin_ms) * 1e-3 * self._rate)
+        self.number = max(self.number + 1, by_clock)
+        self.count += 1
+        return True
+
+
+def _read_heading(file: Path) -> Video:
+    if not file.exists():
+        raise InputError(f"{file} does not exist: check the name.")
+    if file.is_dir():
+        raise InputError(f"{file} is a folder: give the video file of one camera.")
+    if file.suffix.lower() in IMAGE_SUFFIXES:
+        raise InputError(f"{file} is a picture: give the video of one camera.")
+    capture = _open(file)
+    try:
+        if not capture.isOpened():
+            raise InputError(
+                f"{file} is no video that OpenCV reads, or cut off: copy it again, or give another "
+                "format, such as MP4 or AVI."
+            )
+        if not capture.grab():
+            raise InputError(f"{file} holds no frame: record it again, or copy it again.")
+        height, width = capture.retrieve()[1].shape[:2]
+        rate, frames, turned = (
+            capture.get(each)
+            for each in (
+                cv2.CAP_PROP_FPS,
+                cv2.CAP_PROP_FRAME_COUNT,
+                cv2.CAP_PROP_ORIENTATION_META,
+            )
+        )
+    finally:
+        capture.release()
+    rate = rate if 0.0 < rate < 1e5 else _FRAMES_PER_S
+    return Video(file, max(0, int(frames)), rate, (width, height), int(turned) % 360)
+
+
+def _open(file: Path) -> Any:
+    os.environ.setdefault(*_FFMPEG_LOG)
+    with silent_opencv():
+        capture = cv2.VideoCapture(str(file))
+    # Pixels stay where the sensor had them, as in `read_image`.
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+    return capture
+
+
+def to_picture(frame: UInt8[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
+    """A frame as files are read: red, green, blue, or grey where it has no colour; OpenCV delivers
+    blue, green, red."""
+    if frame.ndim == 2:
+        return frame
+    blue, green, red = np.moveaxis(frame, 2, 0)
+    if np.array_equal(blue, green) and np.array_equal(green, red):
+        return blue
+    return cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+
+
+def expect_folder_name(camera: str) -> None:
+    """Raise InputError for the name of a camera that its folder cannot have."""
+    if Path(camera).name != camera or camera.startswith("."):
+        raise InputError(f'"{camera}" is no name of a folder: name the camera otherwise.')
+
+
+class FrameFolders:
+    """A new folder for the frames of videos, with a folder of each camera: left/000123.png.
+
+    step : of so many moments the first is written. Raises InputError for a folder that holds
+    something, for names that no folder has, and where the disk has too little room.
+    """
+
+    def __init__(self, videos: Mapping[str, Video], folder: Path, *, step: int) -> None:
+        self._videos, self._folder, self._step = videos, folder, step
+        for name in videos:
+            expect_folder_name(name)
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"{folder} is a file: give a new folder.")
+        if folder.is_dir() and any(folder.iterdir()):
+            raise InputError(
+                f"{folder} holds files, among which frames would be lost: give a new folder, or an "
+                "empty one."
+            )
+        known = [video.frames for video in videos.values() if video.frames]
+        self.moments = -(-min(known, default=0) // step)
+        one = sum(len(_as_png(_first_frame(video))) for video in videos.values())
+        self.bytes = one * self.moments
+        there = next(p for p in (folder, *folder.absolute().parents) if p.is_dir())
+        free = shutil.disk_usage(there).free
+        if self.bytes > free:
+            raise InputError(
+                f"The frames take about {self.bytes / 1e9:.1f} GB, and {there} has "
+                f"{free / 1e9:.1f} GB free: make room, or give another folder."
+            )
+
+    def write(self, warn: Callable[[str], None]) -> Iterator[int]:
+        """Write all frames, and yield after each moment how many are done. Raises OSError.
+
+        warn : as of `read_moments`.
+        """
+        for name in self._videos:
+            (self._folder / name).mkdir(parents=True, exist_ok=True)
+        moments = read_moments(self._videos, warn, step=self._step)
+        # A file is whole or has no name of a frame.
+        scratch = self._folder / ".frame.tmp"
+        try:
+            for done, (number, frames) in enumerate(moments, 1):
+                for name, frame in frames.items():
+                    scratch.write_bytes(_as_png(frame))
+                    scratch.replace(self._folder / name / f"{number:06d}.png")
+                yield done
+        finally:
+            scratch.unlink(missing_ok=True)
+
+
+def _first_frame(video: Video) -> UInt8[np.ndarray, "..."]:
+    capture = _open(video.file)
+    try:
+        return capture.read()[1]
+    finally:
+        capture.release()
+
+
+def _as_png(frame: UInt8[np.ndarray, "..."]) -> bytes:
+    picture = to_picture(frame)
+    ordered = picture if picture.ndim == 2 else frame
+    return cv2.imencode(".png", ordered)[1].tobytes()
