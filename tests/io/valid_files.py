@@ -118,7 +118,7 @@ def measured() -> trinoc.Matches:
 
 
 def _frame_table(path: Path) -> Any:
-    from trinoc.io.whole_files import read_text
+    from trinoc.io.atomic import read_text
 
     return frames_of_table(read_text(path), ("upper", "left"), str(path))
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from trinoc.errors import InputError
-from trinoc.io.atomic import write_text
+from trinoc.io.atomic import read_text, write_text
 from trinoc.io.frames_files import (
     load_frames,
     manifest_lines,
@@ -27,7 +27,6 @@ from trinoc.io.frames_files import (
     save_frames,
 )
 from trinoc.io.json_document import parsed_json
-from trinoc.io.whole_files import read_text
 from trinoc.recording.frame_table import OK, FrameMatches
 from trinoc.recording.parts import RecordingPart
 

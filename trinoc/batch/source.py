@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from trinoc.errors import InputError
+from trinoc.io.atomic import read_text
 from trinoc.io.images import IMAGE_SUFFIXES, refuse_videos
-from trinoc.io.whole_files import read_text
 from trinoc.recording.frame_table import Frame, frames_of_table
 from trinoc.recording.name_templates import fitting_template, folder_depth, frames_of_names
 

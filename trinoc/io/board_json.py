@@ -13,8 +13,8 @@ from trinoc.calib.targets.abstract_target import AbstractBoard, AbstractTarget
 from trinoc.calib.targets.board_set import BOARDS, BoardSet
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
+from trinoc.io.atomic import read_text
 from trinoc.io.json_document import Block, parsed_json, read_document, write_document
-from trinoc.io.whole_files import read_text
 from trinoc.numerics.tables import LARGEST_MM
 
 PATTERN_FORMAT, PATTERN_VERSION = "trinoc-pattern", 1

@@ -23,8 +23,7 @@ from PIL import Image
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.io.atomic import atomic_write
-from trinoc.io.whole_files import read_bytes
+from trinoc.io.atomic import atomic_write, read_bytes
 
 _PNG, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _JPEG, _JPEG_END = b"\xff\xd8", b"\xff\xd9"

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from trinoc.errors import InputError
-from trinoc.io.atomic import write_text
-from trinoc.io.whole_files import read_text
+from trinoc.io.atomic import read_text, write_text
 
 # Everything that trinoc reads is at most eight deep; Python's own parser fails at thousands.
 MOST_NESTED = 64

@@ -9,10 +9,10 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.evaluation.known_shape import GREY_STEP, KnownShape
+from trinoc.io.atomic import read_bytes
 from trinoc.io.demo import FORMAT as SCENE_FORMAT, load_scene_truth
 from trinoc.io.json_document import parsed_json
 from trinoc.io.obj_model import CREASE_DEG, edges_of_obj, straight_runs
-from trinoc.io.whole_files import read_bytes
 
 # Models with millions of faces have this.
 MOST_BYTES_OF_SHAPE = 1_000_000_000

@@ -17,13 +17,13 @@ from trinoc.geometry.segments import Segments
 from trinoc.image.ideal_pictures import PictureMaps
 from trinoc.io import board_json, demo, intrinsics_json, rig_json
 from trinoc.io.arrays_npz import format_of_arrays, read_arrays, write_arrays
+from trinoc.io.atomic import read_text
 from trinoc.io.board_json import load_target, save_target
 from trinoc.io.frames_files import FORMAT as FRAMES_FORMAT, load_frames, load_recording
 from trinoc.io.json_document import parsed_json
 from trinoc.io.known_shape import load_shape
 from trinoc.io.rig_json import status_of_shots, status_to_block
 from trinoc.io.tables_npz import load_npz, save_npz
-from trinoc.io.whole_files import read_text
 from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.tables import Table

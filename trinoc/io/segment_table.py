@@ -8,8 +8,8 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.geometry.segments import Segments
 from trinoc.io.arrays_npz import MOST_BYTES, load_array
+from trinoc.io.atomic import read_text
 from trinoc.io.tables_npz import load_npz
-from trinoc.io.whole_files import read_text
 from trinoc.numerics.tables import LARGEST_PX
 
 TABLE_SUFFIXES = (".npy", ".csv", ".txt")

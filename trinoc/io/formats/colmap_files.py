@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.errors import InputError
+from trinoc.io.atomic import read_bytes, read_text
 from trinoc.io.formats.motions import (
     chain_motions,
     inverse,
@@ -16,7 +17,6 @@ from trinoc.io.formats.motions import (
     rotation_of_quaternion as rotation_of,
 )
 from trinoc.io.formats.text_files import MOST_BYTES_OF_MODEL
-from trinoc.io.whole_files import read_bytes, read_text
 
 
 class ColmapCamera(NamedTuple):

@@ -20,7 +20,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
-from trinoc.io.atomic import write_text
+from trinoc.io.atomic import read_text, write_text
 from trinoc.io.formats.format import PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import chain_motions, inverse, motion
@@ -28,7 +28,6 @@ from trinoc.io.formats.text_files import make_block, scalar_or_list
 from trinoc.io.images import silent_opencv
 from trinoc.io.json_document import Block
 from trinoc.io.rig_json import parse_covariance
-from trinoc.io.whole_files import read_text
 
 TITLE = "OpenCV's FileStorage"
 # cv2.projectPoints takes 4, 5, 8, 12 or 14 coefficients in this order.

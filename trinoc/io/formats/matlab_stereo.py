@@ -22,14 +22,13 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
-from trinoc.io.atomic import atomic_write
+from trinoc.io.atomic import MOST_BYTES, atomic_write, read_bytes
 from trinoc.io.formats.format import PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import chain_motions, from_homogeneous, homogeneous, inverse, motion
 from trinoc.io.formats.text_files import make_block
 from trinoc.io.json_document import Block
 from trinoc.io.rig_json import parse_covariance
-from trinoc.io.whole_files import MOST_BYTES, read_bytes
 
 TITLE = "MATLAB's stereoParameters"
 FIRST_PX = 1.0

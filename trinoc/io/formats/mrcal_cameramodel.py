@@ -15,13 +15,12 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
-from trinoc.io.atomic import write_text
+from trinoc.io.atomic import read_text, write_text
 from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
 from trinoc.io.formats.text_files import atomic_folder, expect_file_name, make_block
 from trinoc.io.json_document import Block
-from trinoc.io.whole_files import read_text
 
 TITLE = "mrcal's .cameramodel"
 ENDING = ".cameramodel"

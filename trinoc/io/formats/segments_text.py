@@ -12,9 +12,8 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry.segments import Segments
-from trinoc.io.atomic import write_text
+from trinoc.io.atomic import read_text, write_text
 from trinoc.io.formats.format import COVARIANCE, DETAILS, Format, Lenses
-from trinoc.io.whole_files import read_text
 
 _FRAMES = "pixel (0, 0) is the centre of the top-left pixel"
 

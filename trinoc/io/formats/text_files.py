@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from trinoc.errors import InputError
+from trinoc.io.atomic import read_text
 from trinoc.io.json_document import Block, parsed_json
-from trinoc.io.whole_files import read_text
 
 
 @contextlib.contextmanager
