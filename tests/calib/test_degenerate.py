@@ -29,6 +29,12 @@ def calibrated(**images):
     return trinoc.calibrate(images, PATTERN, LENS, method="points")
 
 
+def folded():
+    """k1 of another sign and size than any lens has."""
+    lens = table1_lens(distortion=(-50.0,))
+    return trinoc.calibrate({"upper": picture()}, PATTERN, lens, method="points")
+
+
 def edge_on():
     camera = Camera.from_degrees(LENS, pan_deg=0.0, tilt_deg=3.0, swing_deg=0.0, distance_mm=470.0)
     return calibrated(upper=picture(camera))
@@ -43,6 +49,10 @@ CASES = {
     "sheet edge-on": (
         edge_on,
         "was found in the picture; see that it lies flat, uncovered, in focus",
+    ),
+    "a lens that folds": (
+        folded,
+        ", as the lens folds the picture 59 px from the principal point",
     ),
     "all circles in one line": (one_row, "has too few circles off one line to be found"),
     "all points in one line": (

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import trinoc
 from trinoc.errors import InputError
@@ -20,7 +21,7 @@ from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.match import join_collinear
 from trinoc.match.tracks.matches import Matches
 from trinoc.report import evaluation_text, write_plot
-from trinoc.report.evaluations import evaluation_panels, evaluation_table
+from trinoc.report.evaluations import draw_panel, evaluation_panels, evaluation_table
 from trinoc.synth import loose_segments, table1_lens, table1_rig
 from trinoc.synth.rigs import TABLE_1
 
@@ -204,6 +205,18 @@ def test_panels_are_over_the_first_knob_with_a_curve_for_each_other(rows):
     assert len(panels[1].curves) == 2 * 2 * len(CHOICES)
     single = evaluation_panels(rows[:1])
     assert [panel.x_label for panel in single] == ["within (mm)", "true length (mm)"]
+
+
+def test_points_of_several_choices_do_not_hide_each_other(rows):
+    forms = [row._replace(choice=SweepSetting(form=form)) for row, form in zip(rows, "abc")]
+    lengths = evaluation_panels(forms)[1]
+    axes = Figure().add_subplot()
+    draw_panel(axes, lengths)
+    points = [line for line in axes.lines if line.get_linestyle() == "None"]
+    # The first are rings about the later ones, and the last alone is full.
+    sizes = [line.get_markersize() for line in points]
+    assert sizes == sorted(set(sizes), reverse=True)
+    assert [line.get_fillstyle() for line in points] == ["none"] * (len(points) - 1) + ["full"]
 
 
 @pytest.mark.parametrize("ending", ["png", "svg"])

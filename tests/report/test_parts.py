@@ -25,6 +25,7 @@ from trinoc.report.numbers import (
 )
 from trinoc.report.pictures import LONGEST_SIDE_PX, Window, clip_line, page_picture
 from trinoc.report.space_content import PALETTE, content_box, distinct_neighbours, frusta
+from trinoc.report.space_part import LETTER_SHARE, place_names
 
 FINITE = st.floats(-1e4, 1e4, allow_nan=False)
 
@@ -166,6 +167,20 @@ def test_a_far_segment_does_not_shrink_the_view(matches: Matches) -> None:
     assert near is not None
     assert far is not None
     assert np.max(far.high_mm) < 2 * np.max(near.high_mm)
+
+
+@given(
+    st.lists(st.tuples(st.floats(0, 20), st.floats(10, 30), st.text("abc", min_size=1)), max_size=9)
+)
+def test_no_two_names_of_cameras_meet(names: list[tuple[float, float, str]]) -> None:
+    placed = place_names(names, 2.0, 5.0)
+    for k, (x, y, name) in enumerate(placed):
+        assert (x, name) == (names[k][0], names[k][2])
+        assert y >= 5.0
+        assert k or y == names[k][1]
+        for u, v, other in placed[:k]:
+            reach = LETTER_SHARE * 2.0 * (len(name) + len(other)) / 2
+            assert abs(x - u) >= reach or abs(y - v) >= 1.9
 
 
 @given(st.floats(1e-6, 100.0))

@@ -140,7 +140,7 @@ def _fit_circles(
         failures.update(ambiguous)
     for (k, name), fit in zip(places, fits, strict=True):
         v = batch.names.index(name)
-        sentence = failure_sentence(fit, frames[k][name], model)
+        sentence = failure_sentence(fit, frames[k][name], model, lenses[name])
         batch.status[k][name] = fit.status
         if sentence is not None:
             batch.failures[k][name] = sentence

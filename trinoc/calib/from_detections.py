@@ -116,7 +116,7 @@ def outcome_of_search(
         image = search.images.get(name)
         fit = fit_circles(detection, lens, known, image)
         status[name] = fit.status
-        sentence = failure_sentence(fit, detection, known.fitted_model, factor)
+        sentence = failure_sentence(fit, detection, known.fitted_model, lens, factor)
         if sentence is None:
             pose = pose_of_values(fit.values)
             cameras.append(SheetCamera(name, detection, lens, factor, pose, image))

@@ -14,6 +14,7 @@ from trinoc.calib.rig_fit import CameraChoice, Knowledge
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.intrinsics import Intrinsics, describe_fold
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.tails import chi_square_tail
 
@@ -25,6 +26,7 @@ def failure_sentence(
     fit: PoseEstimate,
     detection: Detection,
     model: PoseModel,
+    lens: Intrinsics,
     lens_factor: Float[np.ndarray, "_k _r"] | None = None,
 ) -> str | None:
     """Why the pose must not be used and what to do next, or None where it may be.
@@ -38,9 +40,10 @@ def failure_sentence(
             "that do not lie on one line."
         )
     if fit.status is not Status.CONVERGED:
-        return (
-            f"the fit to its {len(detection)} circles did not converge: check that the pattern "
-            "and the lens are those of this picture."
+        return _with_fold(
+            f"the fit to its {len(detection)} circles did not converge",
+            lens,
+            "check that the pattern and the lens are those of this picture.",
         )
     misfit_px = float(np.sqrt(np.mean(np.sum(fit.residuals_px[fit.used] ** 2, axis=1))))
     extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))
@@ -52,9 +55,10 @@ def failure_sentence(
         )
     if misfit_px > largest_px:
         free = "" if model is PoseModel.AIM_FREE else ', or free the aim with pose_model="aim-free"'
-        return (
-            f"the circles miss their predicted places by {misfit_px:.1f} px: check the focal "
-            f"length and the pattern{free}."
+        return _with_fold(
+            f"the circles miss their predicted places by {misfit_px:.1f} px",
+            lens,
+            f"check the focal length and the pattern{free}.",
         )
     if 2 * int(fit.used.sum()) < len(fit.used):
         return (
@@ -62,6 +66,12 @@ def failure_sentence(
             "the pattern and the picture."
         )
     return None
+
+
+def _with_fold(failed: str, lens: Intrinsics, otherwise: str) -> str:
+    """What failed, with the fold of the lens as its cause, or with what else to do."""
+    fold = describe_fold(lens)
+    return f"{failed}: {otherwise}" if fold is None else f"{failed}, as the lens {fold}"
 
 
 def is_suspect(tests: Sequence[Alternative], reduced_chi_square: float) -> bool:

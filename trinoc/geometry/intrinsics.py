@@ -234,9 +234,9 @@ def _positive_pair(
 
 
 @in_float64
-def fold_in_picture_px(lens: Intrinsics) -> tuple[float, float] | None:
-    """How far from the principal point the distortion folds the picture, and how far its farthest
-    corner lies, in px; None where it folds beyond all corners, or nowhere.
+def describe_fold(lens: Intrinsics) -> str | None:
+    """Words that end a sentence on a lens whose distortion folds the picture; None where it folds
+    beyond all corners, or nowhere.
 
     Beyond the fold two rays meet one pixel, and none meets the pixels farther out.
     """
@@ -244,7 +244,13 @@ def fold_in_picture_px(lens: Intrinsics) -> tuple[float, float] | None:
     corners = np.array([(u, v) for u in (0, width - 1) for v in (0, height - 1)], dtype=float)
     away_px = np.linalg.norm(corners - np.asarray(lens.principal_point_px), axis=1).max()
     fold_px = lens.lens.fold_radius_px()
-    return (fold_px, float(away_px)) if fold_px < away_px else None
+    if not fold_px < away_px:
+        return None
+    return (
+        f"folds the picture {fold_px:.0f} px from the principal point, where corners lie "
+        f"{away_px:.0f} px away: check the distortion's coefficients, their order and signs, or "
+        "fit fewer of them."
+    )
 
 
 def undistort_pixels(

@@ -10,7 +10,7 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics, fold_in_picture_px
+from trinoc.geometry.intrinsics import Intrinsics, describe_fold
 from trinoc.geometry.lenses.registry import LENS_MODELS, promote_lens
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.geometry.rig import at_one_place
@@ -43,13 +43,9 @@ def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
             f"{where} has its principal point at {centre_px[0]:.4g}, {centre_px[1]:.4g} px, where "
             "no lens has it: check the numbers and their units."
         )
-    fold = fold_in_picture_px(lens)
+    fold = describe_fold(lens)
     if fold is not None:
-        raise InputError(
-            f"{where} has a distortion that folds the picture {fold[0]:.0f} px from the principal "
-            f"point, where corners lie {fold[1]:.0f} px away: check the coefficients, their "
-            "order and signs, or fit fewer of them."
-        )
+        raise InputError(f"{where} has a distortion that {fold}")
     if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:
         raise InputError(
             f"{where} has a correction that folds the picture: neighbouring control points differ "

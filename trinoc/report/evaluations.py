@@ -70,14 +70,17 @@ def _tolerances(done: list[Row]) -> tuple[float, ...]:
 
 def draw_panel(axes: "Axes", panel: Panel) -> None:
     """One panel on matplotlib axes."""
-    for curve in panel.curves:
+    for after, curve in zip(reversed(range(len(panel.curves))), panel.curves, strict=True):
+        # Points of several curves at one place are rings about each other.
+        rings = 0 if curve.joined else after
         axes.plot(
             curve.x,
             curve.y,
             color=PALETTE[curve.colour % len(PALETTE)],
             linestyle=("--" if curve.dashed else "-") if curve.joined else "none",
             marker="o",
-            markersize=4,
+            markersize=4 + 3 * rings,
+            fillstyle="none" if rings else "full",
             label=curve.name,
         )
     if panel.level is not None:

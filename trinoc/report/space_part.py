@@ -239,6 +239,8 @@ def _views(rig: Rig, content: Box | None, segments: bool) -> tuple[SpaceView, ..
 
 
 GRID_LINES = 6
+# Height of a camera's name over the width of a drawing, and width of a letter over the height.
+NAME_SHARE, LETTER_SHARE = 0.036, 0.6
 
 
 class PlanPath(NamedTuple):
@@ -273,6 +275,11 @@ class Drawing(NamedTuple):
     labels: tuple[tuple[float, float, str], ...]
     across: tuple[Tick, ...]
     upward: tuple[Tick, ...]
+
+    @property
+    def name_height(self) -> float:
+        """Of the labels, in drawing units."""
+        return NAME_SHARE * self.width
 
 
 def draw_plans(figure: SpaceFigure) -> tuple[Drawing, ...]:
@@ -311,6 +318,7 @@ def _drawing(
         if parts
     )
     step = round_scale(float(np.max(box.high_mm - box.low_mm)) / GRID_LINES)
+    name_height = NAME_SHARE * float(high[0] - low[0])
     return Drawing(
         title,
         horizontal,
@@ -320,10 +328,39 @@ def _drawing(
         float(high[0] - low[0]),
         float(high[1] - low[1]),
         paths,
-        tuple((float(p[axes[0]]), float(-p[axes[1]]), name) for p, name in names),
+        place_names(
+            [(float(p[axes[0]]), float(-p[axes[1]]), name) for p, name in names],
+            name_height,
+            # The words stand a line above their place.
+            2 * name_height - float(high[1]),
+        ),
         _ticks(float(low[0]), float(high[0]), step, 1),
         _ticks(float(low[1]), float(high[1]), step, -1),
     )
+
+
+def place_names(
+    names: Sequence[tuple[float, float, str]], height: float, top: float
+) -> tuple[tuple[float, float, str], ...]:
+    """Names at their places, or the nearest height up or down where they meet no earlier one.
+
+    names : x, y downward, and the word, of letters of this height. top : none is moved beyond.
+    """
+    placed: list[tuple[float, float, str]] = []
+    for x, y, name in names:
+        steps = (sign * k * height for k in range(2 * len(placed) + 1) for sign in (-1, 1))
+        free = (
+            y + step
+            for step in steps
+            if (step == 0.0 or y + step > top)
+            and not any(
+                abs(x - u) < LETTER_SHARE * height * (len(name) + len(other)) / 2
+                and abs(y + step - v) < 0.99 * height
+                for u, v, other in placed
+            )
+        )
+        placed.append((x, next(free, y), name))
+    return tuple(placed)
 
 
 def _path(points: np.ndarray) -> str:

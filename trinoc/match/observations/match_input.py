@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError, MatchError, check_kind
-from trinoc.geometry.intrinsics import Intrinsics, fold_in_picture_px, undistort_pixels
+from trinoc.geometry.intrinsics import Intrinsics, describe_fold, undistort_pixels
 from trinoc.geometry.rig import A_RIG, Rig, at_one_place
 from trinoc.geometry.segments import (
     DEFAULT_SIGMA_PX,
@@ -263,13 +263,9 @@ def _check_apart(names: Iterable[str], rig: Rig) -> None:
 
 def _check_lenses(names: Iterable[str], rig: Rig) -> None:
     for name in names:
-        fold = fold_in_picture_px(rig[name].intrinsics)
+        fold = describe_fold(rig[name].intrinsics)
         if fold is not None:
-            raise MatchError(
-                f'The lens of the camera "{name}" folds the picture {fold[0]:.0f} px from the '
-                f"principal point, where corners lie {fold[1]:.0f} px away: check the distortion's "
-                "coefficients, their order and signs."
-            )
+            raise MatchError(f'The lens of the camera "{name}" {fold}')
 
 
 def _check_different(views: Mapping[str, _PreparedView]) -> None:
