@@ -6,7 +6,8 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 import trinoc
-from trinoc.image.grey import grey_image
+from trinoc.image.grey import grey_image, why_interlaced
+from trinoc.io.demo import demo_images
 
 SHAPE = (16, 17, 3)
 COLOURS = st.sampled_from((np.uint8, np.uint16, np.float32)).flatmap(
@@ -48,3 +49,33 @@ def test_alpha_says_nothing():
 def test_what_is_no_picture_is_refused(image, said):
     with pytest.raises(trinoc.errors.InputError, match=said):
         grey_image(image)
+
+
+def with_fields(picture, moved_px):
+    """Odd rows as they are when the scene has moved along the rows."""
+    whole = picture.copy()
+    whole[1::2] = np.roll(picture, moved_px, axis=1)[1::2]
+    return whole
+
+
+@pytest.mark.parametrize("kind", ["scene", "sheet"])
+@pytest.mark.parametrize("moved_px", [-1, 2, 8])
+def test_an_interlaced_picture_is_named_whatever_its_levels(kind, moved_px):
+    picture = with_fields(demo_images(kind)["left"], moved_px)
+    for seen in (picture, picture // 2, picture.astype(np.uint16) * 16, picture / 255.0):
+        said = why_interlaced(grey_image(seen))
+        assert said is not None
+        assert "interlaced" in said
+
+
+def test_a_picture_of_one_moment_is_not_called_interlaced():
+    noise = np.random.default_rng(3)
+    for kind in ("scene", "sheet"):
+        for picture in demo_images(kind).values():
+            assert why_interlaced(grey_image(picture)) is None
+            assert why_interlaced(grey_image(with_fields(picture, 8).T)) is None
+            assert why_interlaced(grey_image(with_fields(picture, 0))) is None
+            noisy = np.clip(picture + noise.normal(0, 20, picture.shape), 0, 255)
+            assert why_interlaced(grey_image(noisy.astype(np.uint8))) is None
+    assert why_interlaced(grey_image(noise.integers(0, 256, (90, 120), dtype=np.uint8))) is None
+    assert why_interlaced(grey_image(np.zeros((16, 16), np.uint8))) is None

@@ -154,6 +154,7 @@ def read_segments(
     quiet: bool,
 ) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
     """(the pictures among the files, the segments of all): read, or found in the pictures."""
+    from trinoc.image.grey import grey_image, why_interlaced
     from trinoc.io.images import expect_inside, expect_size, read_views
     from trinoc.io.segment_table import load_segments
 
@@ -165,6 +166,10 @@ def read_segments(
         name: load_segments(tables[name]) if name in tables else find(images[name])
         for name in each(tuple(files), "segments", quiet=quiet)
     }
+    for name, image in images.items():
+        interlaced = why_interlaced(grey_image(image))
+        if interlaced is not None:
+            LOGGER.warning('%s, the picture of "%s": %s', files[name], name, interlaced)
     for name, found in segments.items():
         if len(found) == 0:
             _warn_of_nothing(name, images.get(name), files[name])
