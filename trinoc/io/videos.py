@@ -94,7 +94,7 @@ def read_moments(
             stack.callback(reader.capture.release)
         lacking: Counter[str] = Counter()
         due = 0
-        while _go_on(readers, lacking):
+        while _find_moment(readers, lacking):
             number = next(iter(readers.values())).number
             if number >= due:
                 yield number, {name: r.capture.retrieve()[1] for name, r in readers.items()}
@@ -108,7 +108,7 @@ def common_rate(videos: Mapping[str, Video]) -> float:
     return max(video.frames_per_s for video in videos.values())
 
 
-def _go_on(readers: "Mapping[str, _Reader]", lacking: Counter[str]) -> bool:
+def _find_moment(readers: "Mapping[str, _Reader]", lacking: Counter[str]) -> bool:
     """Go to the next moment that all videos have; False where one ends.
 
     lacking : is added to, of each video the moments that it lacks.
