@@ -20,8 +20,6 @@ _FRAMES_PER_S = 30.0
 # How FFmpeg is told to say nothing on stderr about damaged frames: a sentence says more.
 _FFMPEG_LOG = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 
-Frames = Mapping[str, UInt8[np.ndarray, "..."]]
-
 
 class Video(NamedTuple):
     """What a video file says of itself.
@@ -81,7 +79,7 @@ def compare_videos(videos: Sequence[Video]) -> list[str]:
 
 def read_moments(
     videos: Mapping[str, Video], warn: Callable[[str], None], *, step: int = 1
-) -> Iterator[tuple[int, Frames]]:
+) -> Iterator[tuple[int, Mapping[str, UInt8[np.ndarray, "..."]]]]:
     """Every so many moments: its number from 0 on, and of each camera the frame of that time.
 
     A moment that one video lacks is left out, and the first video that ends ends all. Frames are as
@@ -89,7 +87,7 @@ def read_moments(
     """
     rate = common_rate(videos)
     with contextlib.ExitStack() as stack:
-        readers = {name: _Reader(video.file, rate) for name, video in videos.items()}
+        readers = {name: _VideoReader(video.file, rate) for name, video in videos.items()}
         for reader in readers.values():
             stack.callback(reader.capture.release)
         lacking: Counter[str] = Counter()
@@ -108,7 +106,7 @@ def common_rate(videos: Mapping[str, Video]) -> float:
     return max(video.frames_per_s for video in videos.values())
 
 
-def _find_moment(readers: "Mapping[str, _Reader]", lacking: Counter[str]) -> bool:
+def _find_moment(readers: "Mapping[str, _VideoReader]", lacking: Counter[str]) -> bool:
     """Go to the next moment that all videos have; False where one ends.
 
     lacking : is added to, of each video the moments that it lacks.
@@ -126,7 +124,7 @@ def _find_moment(readers: "Mapping[str, _Reader]", lacking: Counter[str]) -> boo
 
 
 def _expect_whole(
-    video: Video, reader: "_Reader", lacking: int, warn: Callable[[str], None]
+    video: Video, reader: "_VideoReader", lacking: int, warn: Callable[[str], None]
 ) -> None:
     if reader.has_ended and reader.count < video.frames:
         warn(
@@ -141,7 +139,7 @@ def _expect_whole(
         )
 
 
-class _Reader:
+class _VideoReader:
     """One video, frame by frame; `number` is that of its moment, by its clock."""
 
     def __init__(self, file: Path, rate: float) -> None:
