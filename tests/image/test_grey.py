@@ -79,3 +79,11 @@ def test_a_picture_of_one_moment_is_not_called_interlaced():
             assert why_interlaced(grey_image(noisy.astype(np.uint8))) is None
     assert why_interlaced(grey_image(noise.integers(0, 256, (90, 120), dtype=np.uint8))) is None
     assert why_interlaced(grey_image(np.zeros((16, 16), np.uint8))) is None
+
+
+def test_fine_texture_that_alternates_both_ways_is_of_one_moment():
+    texture = np.zeros((90, 120), np.uint8)
+    texture[::2, :60] = 200
+    assert why_interlaced(grey_image(texture)) is not None
+    texture[:, 60::2] = 200
+    assert why_interlaced(grey_image(texture)) is None
