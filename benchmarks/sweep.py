@@ -196,6 +196,14 @@ def calibration_figures(name: str, value) -> list[str]:
 
 
 def row_of_figures(name: str, value, seeds: int) -> list[str]:
+    """A value that the code does not bear has a row that says so."""
+    try:
+        return _row_of_figures(name, value, seeds)
+    except Exception as error:
+        return [f"failed: {error}"]
+
+
+def _row_of_figures(name: str, value, seeds: int) -> list[str]:
     if name.startswith(CALIB):
         return calibration_figures(name.removeprefix(CALIB), value)
     if name.startswith(PREFIX):

@@ -21,4 +21,6 @@ def test_agrees_with_lapack(size, seed):
 
 
 def test_an_indefinite_matrix_gives_nan_and_no_answer():
-    assert np.isnan(solve_positive_definite(np.diag([1.0, -1.0]), np.ones(2))).any()
+    indefinite = np.array([[1.0, 2.0], [2.0, 1.0]])
+    assert np.isnan(solve_positive_definite(indefinite, np.ones(2))).any()
+    assert np.isnan(inverse_positive_definite(indefinite)).all()

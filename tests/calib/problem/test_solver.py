@@ -51,6 +51,7 @@ class Decays(AbstractArrowProblem[tuple[Array, Array]]):
         weight = self.loss.weight(residual**2)
         prior = self.prior * jnp.array([1.0, 0.0])
         return ArrowEquations(
+            self.cost(state),
             BlockArrow(
                 jnp.einsum("kn,kni,knj->ij", weight, by_head, by_head) + jnp.diag(prior),
                 jnp.einsum("kn,kni,knj->kij", weight, by_head, by_block),
@@ -143,7 +144,8 @@ class CurvedValley(AbstractArrowProblem[tuple[Array, Array]]):
         arrow = BlockArrow(
             head[None, None], jnp.reshape(coupling, (1, 1, 1)), jnp.reshape(block, (1, 1, 1))
         )
-        return ArrowEquations(arrow, ((by_x @ residual)[None], (by_y @ residual)[None, None]))
+        gradient = (by_x @ residual)[None], (by_y @ residual)[None, None]
+        return ArrowEquations(self.cost(state), arrow, gradient)
 
     def retract(self, state, head, blocks):
         return state[0] + head, state[1] + blocks

@@ -15,7 +15,7 @@ SHOTS = 8
 
 
 def assert_equations_are_those_of_the_cost(here: Problem) -> None:
-    """Half the gradient of the cost, a little off the state, is that of the equations, and their
+    """Cost and half its gradient, a little off the state, are those of the equations, and their
     information that of the residuals' own derivatives, weighted by the loss, and of the prior."""
     table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
     problem = PlacesProblem(chart, table, GemanMcClure.from_scale(jnp.full(len(table.shot), 3.0)))
@@ -26,8 +26,9 @@ def assert_equations_are_those_of_the_cost(here: Problem) -> None:
         return problem.cost(problem.retract(start, head, boards))
 
     zero = jnp.zeros(len(chart.free)), jnp.zeros((SHOTS, 6))
-    gradients = jax.jit(jax.grad(at, argnums=(0, 1)))(*zero)
+    cost, gradients = jax.jit(jax.value_and_grad(at, argnums=(0, 1)))(*zero)
     equations = jax.jit(lambda state: problem.equations(state))(start)
+    np.testing.assert_allclose(equations.cost, cost, rtol=1e-9)
     for found, expected in zip(equations.gradient, gradients, strict=True):
         np.testing.assert_allclose(2 * found, expected, rtol=1e-6, atol=1e-6)
 

@@ -90,7 +90,8 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
         residual, by_camera, by_line = jax.vmap(_linearise_track, (None, 0, 0))(
             state.cameras, state.anchors_mm, self.tracks
         )
-        weight = self.loss.weight(jnp.sum(jnp.square(residual), axis=-1))
+        squared = jnp.sum(jnp.square(residual), axis=-1)
+        weight = self.loss.weight(squared)
         blocks = jnp.einsum("tv,tvri,tvrj->tij", weight, by_line, by_line)
         determined = jnp.isfinite(jax.vmap(log_determinant_positive_definite)(blocks))
         blocks = jnp.where(determined[:, None, None], blocks, 0.0)
@@ -102,6 +103,7 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
         head = head.at[view, :, view, :].set(jnp.einsum("tvrp,tvrq->vpq", of_camera, by_camera))
         known = self.prior.normal_equations(state.cameras)
         return ArrowEquations(
+            jnp.sum(self.loss.rho(squared)) + self.prior.cost(state.cameras),
             BlockArrow(
                 head.reshape(views * size, -1) + known.information,
                 jnp.einsum("tvrp,tvri->tvpi", by_camera, of_line).reshape(tracks, -1, 4),

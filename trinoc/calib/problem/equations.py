@@ -51,11 +51,12 @@ class PlacesProblem(AbstractArrowProblem):
     def equations(self, state: RigState) -> ArrowEquations:
         """Summed over views, weighted by the loss, the prior included."""
 
-        def of_view(view: ViewTable, loss: AbstractRobustLoss) -> tuple[Array, Array, Array]:
+        def of_view(view: ViewTable, loss: AbstractRobustLoss) -> tuple[Array, ...]:
             near = linearise(state, self.chart, view)
-            return near.columns, *near.weigh(self.chart, loss)
+            squared = jnp.sum(jnp.square(near.residual), axis=-1)
+            return jnp.sum(loss.rho(squared)), near.columns, *near.weigh(self.chart, loss)
 
-        seen = jax.vmap(of_view)(self.table, self.loss)
+        costs, *seen = jax.vmap(of_view)(self.table, self.loss)
         columns, own, gradient = seen
         size, prior = columns.shape[1], evaluate_prior(state, self.chart)
         # Views of one board by one camera have the same columns: sums are scattered, not views.
@@ -67,7 +68,8 @@ class PlacesProblem(AbstractArrowProblem):
         head = jnp.asarray(prior.information).at[those[:, :, None], those[:, None, :]].add(of_kinds)
         of_head = jnp.asarray(prior.gradient).at[columns].add(gradient[:, :size])
         coupling, blocks, of_boards = sum_boards(state, self.chart, self.table, *seen)
-        return ArrowEquations(BlockArrow(head, coupling, blocks), (of_head, of_boards))
+        cost = jnp.sum(costs) + prior.cost
+        return ArrowEquations(cost, BlockArrow(head, coupling, blocks), (of_head, of_boards))
 
     def retract(
         self, state: RigState, head: Float[ArrayLike, "h"], blocks: Float[ArrayLike, "s 6"]

@@ -43,9 +43,10 @@ class ArrowEquations(NamedTuple):
     """Gauss and Newton's equations: `information` times the step is minus `gradient`.
 
     `information` is J^T W J, and `gradient` J^T W r, half the gradient of the cost, over the steps
-    of the head (h,) and of the blocks (b, w).
+    of the head (h,) and of the blocks (b, w). `cost` is that of the state.
     """
 
+    cost: Float[ArrayLike, ""]
     information: BlockArrow
     gradient: tuple[Float[Array, "h"], Float[Array, "b w"]]
 
@@ -62,11 +63,12 @@ class AbstractArrowProblem(eqx.Module, Generic[State]):
 
     @abstractmethod
     def cost(self, state: State) -> Float[ArrayLike, ""]:
-        """Robust chi-square of all observations and priors: what decides on a step."""
+        """Robust chi-square of all observations and priors."""
 
     @abstractmethod
     def equations(self, state: State) -> ArrowEquations:
-        """The equations at a state, weighted by the loss, with the priors."""
+        """The equations at a state, weighted by the loss, with the priors, and its cost, which
+        decides on a step."""
 
     @abstractmethod
     def retract(self, state: State, head: Float[Array, "h"], blocks: Float[Array, "b w"]) -> State:
@@ -130,7 +132,7 @@ def _descend(
     problem: AbstractArrowProblem[State], state: State, first_damping: Float[Array, ""]
 ) -> Solution[State]:
     solution = optx.minimise(
-        lambda state, problem: problem.cost(state),
+        lambda state, problem: _equations(problem, state).cost,
         _ArrowDescent(),
         jax.tree.map(jnp.asarray, state),
         problem,
@@ -141,7 +143,7 @@ def _descend(
     return Solution(
         solution.value,
         solution.stats["cost"],
-        solution.stats["num_steps"],
+        solution.stats["num_steps"] - 1,  # the first is of nothing
         solution.result == optx.RESULTS.successful,
     )
 
@@ -151,31 +153,41 @@ _descend_few = kept_jit(_descend, optimized_from=1 << 20)
 _descend_many = kept_jit(_descend, optimized_from=0)  # numerical: see above
 
 
+@jax.jit
+def _equations(problem: AbstractArrowProblem[State], state: State) -> ArrowEquations:
+    """Traced once for the whole descent."""
+    return problem.equations(state)
+
+
 class _Progress(eqx.Module):
-    """The best state so far with its cost, whether the descent stands above it, how it is damped,
-    and whether it may stop."""
+    """The best state so far, the equations there and where the descent stands, whether it stands
+    above the best, how it is damped, and whether it may stop."""
 
     best: Any
-    cost: Float[Array, ""]
+    at_best: ArrowEquations
+    here: ArrowEquations
     risen: Bool[Array, ""]
     damping: Float[Array, ""]
     block_damping: Float[Array, "b"]
     done: Bool[Array, ""]
 
 
-class _TrialStep(NamedTuple):
-    """A step that was tried: what it promised, its state and cost, which blocks took part, and a
-    gain that is as good as none."""
+class _Step(NamedTuple):
+    """A step of the head and of the blocks, what it promises, which blocks take part, and a gain
+    that is as good as none."""
 
+    head: Float[ArrayLike, "h"]
+    blocks: Float[ArrayLike, "b w"]
     promised: Float[ArrayLike, ""]
-    state: Any
-    cost: Float[ArrayLike, ""]
     follows: Bool[ArrayLike, "b"]
     negligible: ScalarLike
 
 
 class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
     """Tries a damped step from where it stands, and takes it where that gains.
+
+    Of the model there is one copy in the program, the equations after a step: those at the start
+    are found by a first step of nothing.
 
     Source of steps that may rise: Chamberlain et al., "The watchdog technique for forcing
     convergence in algorithms for constrained optimization" (1982).
@@ -186,66 +198,71 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
     norm: Callable[[PyTree], Float[Array, ""]] = eqx.field(default=optx.max_norm, static=True)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Progress:
-        """Nothing tried yet."""
-        blocks = jax.eval_shape(args.equations, y).gradient[1].shape[0]
-        damping = options["first_damping"]
-        no = jnp.asarray(False)
-        return _Progress(y, fn(y, args)[0], no, damping, jnp.full(blocks, damping), no)
+        """Nothing known yet: no information, and any cost gains."""
+        shapes = jax.eval_shape(_equations, args, y)
+        zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        nothing = zeros._replace(cost=jnp.full_like(zeros.cost, jnp.inf))
+        # A step that gains divides it by ten.
+        damping, no = 10 * options["first_damping"], jnp.asarray(False)
+        blocks = jnp.full(zeros.gradient[1].shape[0], damping)
+        return _Progress(y, nothing, nothing, no, damping, blocks, no)
 
     def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, None]:
         """Try one step; one that rises near the minimum may be followed by another."""
-        trial = self._try_step(args, y, state)
-        better = trial.cost <= state.cost
-        rises = ~better & ~state.risen & (trial.promised < _NEAR) & jnp.isfinite(trial.cost)
-        enough = trial.promised < self.atol
-        still = enough & (state.cost - trial.cost < trial.negligible)
-        stuck = (state.damping * 10 > MOST_DAMPING) | (trial.promised < 1e-3 * self.atol)
+        step = self._find_step(args, y, state)
+        tried = args.retract(y, step.head, step.blocks)
+        there, least = _equations(args, tried), state.at_best.cost
+        better = there.cost <= least
+        rises = ~better & ~state.risen & (step.promised < _NEAR) & jnp.isfinite(there.cost)
+        enough = step.promised < self.atol
+        still = enough & (least - there.cost < step.negligible)
+        stuck = (state.damping * 10 > MOST_DAMPING) | (step.promised < 1e-3 * self.atol)
         factor = jnp.where(better, 0.1, jnp.where(rises, 1.0, 10.0))
-        of_blocks = jnp.where(trial.follows, factor, 10.0)
-        best = _where(better, trial.state, state.best)
+        of_blocks = jnp.where(step.follows, factor, 10.0)
+        best, at_best = _where(better, (tried, there), (state.best, state.at_best))
+        y, here = _where(rises & ~stuck, (tried, there), (best, at_best))
         progress = _Progress(
             best,
-            jnp.where(better, trial.cost, state.cost),
+            at_best,
+            here,
             jnp.asarray(rises),
             jnp.maximum(state.damping * factor, LEAST_DAMPING),
             jnp.clip(state.block_damping * of_blocks, LEAST_DAMPING, MOST_DAMPING),
             jnp.where(better, still, stuck),
         )
-        return _where(rises & ~stuck, trial.state, best), progress, None
+        return y, progress, None
 
-    def _try_step(self, problem: AbstractArrowProblem, y: Any, state: _Progress) -> _TrialStep:
-        equations = problem.equations(y)
-        information, gradient = equations.information, equations.gradient
+    def _find_step(self, problem: AbstractArrowProblem, y: Any, state: _Progress) -> _Step:
+        gradient = state.here.gradient
         solver = BlockArrowSolver(state.damping + FLOOR_DAMPING, state.block_damping)
-        factored = solver.init(information, {})
-        solution = lx.linear_solve(information, gradient, solver, state=factored, throw=False)
+        factored = solver.init(state.here.information, {})
+        solution = lx.linear_solve(
+            state.here.information, gradient, solver, state=factored, throw=False
+        )
         head, blocks = jax.tree.map(jnp.negative, solution.value)
         if not isinstance(problem, AbstractSeparableProblem):
-            tried = problem.retract(y, head, blocks)
             promised = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
-            follows = jnp.ones(len(blocks), bool)
-            return _TrialStep(promised, tried, problem.cost(tried), follows, self.atol)
+            return _Step(head, blocks, promised, jnp.ones(len(blocks), bool), self.atol)
         both = jnp.stack([blocks, jnp.zeros_like(blocks)])
-        costs = jax.vmap(lambda step: problem.costs(problem.retract(y, head, step)))(both)
-        moved, stayed = (jax.tree.map(lambda leaf, k=k: leaf[k], costs) for k in range(2))
-        follows = moved.blocks <= stayed.blocks
-        tried = problem.retract(y, head, jnp.where(follows[:, None], blocks, 0.0))
-        costs = moved._replace(blocks=jnp.where(follows, moved.blocks, stayed.blocks))
+        moved, stayed = jax.vmap(lambda own: problem.costs(problem.retract(y, head, own)).blocks)(
+            both
+        )
+        follows = moved <= stayed
         promised = -factored.elimination.reduced_side(gradient) @ head
         negligible = self.atol * (1 + len(blocks) / BLOCKS_THAT_CREEP)
-        return _TrialStep(promised, tried, costs.total, follows, negligible)
+        return _Step(head, jnp.where(follows[:, None], blocks, 0.0), promised, follows, negligible)
 
     def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """Converged, or nowhere to go; a cost that is no number ends at once."""
-        failed = ~jnp.isfinite(state.cost)
+        """Converged, or nowhere to go; it has failed where no cost was a number."""
+        failed = state.done & ~jnp.isfinite(state.at_best.cost)
         result = optx.RESULTS.where(failed, optx.RESULTS.nonfinite, optx.RESULTS.successful)
-        return state.done | failed, result
+        return state.done, result
 
     def postprocess(
         self, fn, y, aux, args, options, state, tags, result
     ) -> tuple[Any, None, dict[str, Any]]:
         """The best state, with its cost among the statistics."""
-        return state.best, aux, {"cost": state.cost}
+        return state.best, aux, {"cost": state.at_best.cost}
 
 
 def _where(condition: Bool[ArrayLike, ""], yes: Any, no: Any) -> Any:
