@@ -9,7 +9,11 @@ from tests.geometry.strategies import cameras, vectors
 from trinoc.errors import InputError
 from trinoc.geometry import Pose
 from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
-from trinoc.geometry.rotation import rotation_from_vector, vector_from_rotation
+from trinoc.geometry.rotation import (
+    cayley_rotation,
+    rotation_from_vector,
+    vector_from_rotation,
+)
 
 UNIT_MM = 470.0
 every_model = pytest.mark.parametrize("model", PoseModel)
@@ -34,7 +38,7 @@ def test_a_step_of_zero_leaves_the_pose(model, camera):
 def test_a_step_does_what_the_model_says(model, camera, six):
     delta, pose = six[: model.size], camera.pose
     after = retract(pose, delta, model=model, unit_mm=UNIT_MM)
-    turn = rotation_from_vector(delta[:3])
+    turn = cayley_rotation(delta[:3])
     np.testing.assert_allclose(after.rotation, turn @ pose.rotation, atol=1e-12)
     np.testing.assert_allclose(after.rotation @ after.rotation.T, np.eye(3), atol=1e-12)
     if model is PoseModel.RIGID:

@@ -10,6 +10,7 @@ from trinoc.geometry import rotation as rotation_module
 pan_tilt_swing_from_rotation = jax.jit(rotation_module.pan_tilt_swing_from_rotation)
 rotation_from_pan_tilt_swing = jax.jit(rotation_module.rotation_from_pan_tilt_swing)
 rotation_from_vector = jax.jit(rotation_module.rotation_from_vector)
+cayley_rotation = jax.jit(rotation_module.cayley_rotation)
 skew = jax.jit(rotation_module.skew)
 
 
@@ -25,6 +26,14 @@ def test_rotation_vector_gives_a_rotation_that_keeps_its_axis(vector):
     np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-12)
     np.testing.assert_allclose(rotation @ vector, vector, atol=1e-12)
     np.testing.assert_allclose(rotation_from_vector(-vector), rotation.T, atol=1e-12)
+
+
+@given(vectors(3, 3.0))
+def test_cayley_turns_about_the_vector_by_twice_the_angle_whose_tangent_is_half_its_length(vector):
+    length = np.linalg.norm(vector)
+    angle = 2 * np.arctan(0.5 * length)
+    expected = rotation_from_vector(angle / max(length, 1e-300) * vector)
+    np.testing.assert_allclose(cayley_rotation(vector), expected, atol=1e-12)
 
 
 @given(vectors(3, 1.0), real(-1.5, 1.5), real(-1.5, 1.5))

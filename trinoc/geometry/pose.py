@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.geometry.rotation import (
+    cayley_rotation,
     pan_tilt_swing_from_rotation,
     rotation_from_pan_tilt_swing,
-    rotation_from_vector,
     vector_from_rotation,
 )
 from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
@@ -198,13 +198,13 @@ class Pose(eqx.Module):
     ) -> "Pose":
         """This pose after a small step; zero leaves it as it is.
 
-        delta : (p,) a rotation vector in rad about the camera's axes, then in units of `unit_mm`
-            the change of distance (AIMED), this and the shift of the aim along X and Y
+        delta : (p,) a turn in rad about the camera's axes (`cayley_rotation`), then in units of
+            `unit_mm` the change of distance (AIMED), this and the shift of the aim along X and Y
             (AIM_FREE), or the displacement of the centre along the world's axes (RIGID).
         unit_mm : such as the distance at which the camera works, so that all of `delta` is of one
             scale.
         """
-        rotation = rotation_from_vector(delta[:3]) @ self.rotation
+        rotation = cayley_rotation(delta[:3]) @ self.rotation
         if model is PoseModel.RIGID:
             return Pose.from_centre(rotation, self.centre_world_mm + unit_mm * delta[3:6])
         aim = self.aim_mm

@@ -1,16 +1,36 @@
 """Rotations: the exponential map, and the pan-tilt-swing parametrisation of a camera."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
 
+# [e]x of the three axes e: the matrix with [e]x w = e x w.
+_CROSS = np.array(
+    [
+        [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+        [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
+        [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+    ]
+)
+
 
 def skew(vector: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
     """[v]x, the matrix with [v]x w = v x w."""
-    x, y, z = vector[0], vector[1], vector[2]
-    zero = jnp.zeros_like(x)
-    return jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
+    own = jnp.asarray(vector)
+    return jnp.sum(own[:, None, None] * _CROSS.astype(own.dtype), axis=0)
+
+
+def cayley_rotation(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
+    """The rotation about a vector by 2 atan of half its length, which is its length to third order.
+
+    Rational where Rodrigues' formula has a case of its own near zero: a chart for small steps.
+    Source: A. Cayley, "Sur quelques propriétés des déterminants gauches" (1846).
+    """
+    half = skew(0.5 * vector_rad)
+    share = 2 / (1 + 0.25 * jnp.sum(jnp.square(vector_rad)))
+    return np.eye(3, dtype=half.dtype) + share * (half + half @ half)
 
 
 def rotation_from_vector(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:

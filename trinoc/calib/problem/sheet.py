@@ -90,10 +90,11 @@ class BentPaper(AbstractSheet):
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
         """The place, stretched, risen, and drawn towards the origin by what it rose."""
-        x, y = place_mm[0] / self.reach_mm, place_mm[1] / self.reach_mm
+        basis = {"X": place_mm[0] / self.reach_mm, "Y": place_mm[1] / self.reach_mm}
+        for term in self.height_terms:
+            basis[term] = basis[term[:-1]] * basis[term[-1]]
         count = len(self.print_terms)
-        basis = [x ** term.count("X") * y ** term.count("Y") for term in self.height_terms]
-        height = jnp.stack(basis) @ shape[count:]
+        height = jnp.stack([basis[term] for term in self.height_terms]) @ shape[count:]
         squared = place_mm[:2] @ place_mm[:2]
         smallest = 1e-6 * self.reach_mm * self.reach_mm
         nearer = _SHORTENING * height * height / jnp.maximum(squared, smallest)

@@ -188,9 +188,8 @@ class AbstractLens(eqx.Module):
 
     def affine(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """The calibration matrix K alone: the pixel without distortion."""
-        x, y = normalised[0], normalised[1]
-        (fu, fv), (cu, cv) = self.focal_length_px, self.principal_point_px
-        return jnp.stack([fu * x + self.skew_px * y + cu, fv * y + cv])
+        skewed = jnp.stack([self.skew_px * normalised[1], jnp.zeros_like(normalised[1])])
+        return self.focal_length_px * normalised + skewed + self.principal_point_px
 
     def affine_inverse(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """Inverse of `affine`."""

@@ -71,13 +71,8 @@ def radial_and_tangential(
 ) -> Float[ArrayLike, "2"]:
     """A place that is moved along its radius by a factor, and across it by p1 and p2."""
     x, y = ideal[0], ideal[1]
-    r2 = x * x + y * y
-    return jnp.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ]
-    )
+    along = radial + 2 * (p2 * x + p1 * y)
+    return ideal * along + jnp.stack([p2, p1]) * (x * x + y * y)
 
 
 _RATIONAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
