@@ -326,4 +326,4 @@ def light_terms(place: Float[ArrayLike, "2 n"], count: int) -> Float[ArrayLike, 
 
 
 def _chunk(k: Int[ArrayLike, ""], leaf: ArrayLike) -> ArrayLike:
-    return jax.lax.dynamic_slice_in_dim(leaf, k * CHUNK, CHUNK)
+    return jax.lax.dynamic_slice_in_dim(leaf, k * CHUNK, CHUNK, allow_negative_indices=False)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Array, Float, Shaped
 
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
@@ -39,17 +39,14 @@ class Ray(NamedTuple):
 
     def move(self, du: Float[ArrayLike, "*n"], dv: Float[ArrayLike, "*n"]) -> "Ray":
         """The ray of a place (du, dv) pixels aside, by the lens's derivatives here."""
-        direction, by_pixel = [], []
-        for k in range(3):
-            by_u, by_v = self.by_pixel[k, 0], self.by_pixel[k, 1]
-            aside = self.direction[k] + by_u * du + by_v * dv
-            if self.bend is not None:
-                uu, uv, vv = (self.bend[k, j] for j in range(3))
-                aside = aside + 0.5 * (uu * du * du + vv * dv * dv) + uv * du * dv
-                by_u, by_v = by_u + uu * du + uv * dv, by_v + uv * du + vv * dv
-            direction.append(aside)
-            by_pixel.append(jnp.stack([by_u, by_v]))
-        return Ray(jnp.stack(direction), jnp.stack(by_pixel), self.bend)
+        du, dv = du[None], dv[None]
+        by_u, by_v = self.by_pixel[:, 0], self.by_pixel[:, 1]
+        direction = self.direction + by_u * du + by_v * dv
+        if self.bend is not None:
+            uu, uv, vv = (self.bend[:, j] for j in range(3))
+            direction = direction + 0.5 * (uu * du * du + vv * dv * dv) + uv * du * dv
+            by_u, by_v = by_u + uu * du + uv * dv, by_v + uv * du + vv * dv
+        return Ray(direction, jnp.stack([by_u, by_v], axis=1), self.bend)
 
 
 class SheetPoint(NamedTuple):
@@ -81,34 +78,30 @@ def sheet_point(
 ) -> SheetPoint:
     """The point of a ray under the homography M from directions in the camera to the sheet.
 
-    Written in scalars: over thousands of pixels the compiler fuses them into one loop, which
-    it does not do for products of small matrices.
+    Written as sums along the first axis: over thousands of pixels the compiler fuses them into one
+    loop, which it does not do for products of small matrices.
     """
-    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = sheet_from_camera
-    x, y, z = ray.direction[0], ray.direction[1], ray.direction[2]
-    scale = 1 / (m20 * x + m21 * y + m22 * z)
-    point_x = (m00 * x + m01 * y + m02 * z) * scale
-    point_y = (m10 * x + m11 * y + m12 * z) * scale
-    depth = (m20 * scale, m21 * scale, m22 * scale)
-    of_x = [m * scale - point_x * d for m, d in zip((m00, m01, m02), depth, strict=True)]
-    of_y = [m * scale - point_y * d for m, d in zip((m10, m11, m12), depth, strict=True)]
-
-    def interpolate(
-        row: Sequence[ArrayLike], columns: ArrayLike, count: int
-    ) -> Float[ArrayLike, "k *n"]:
-        return jnp.stack([sum(row[k] * columns[k, j] for k in range(3)) for j in range(count)])
-
-    bend = None
-    if ray.bend is not None:
-        bend = jnp.stack([interpolate(of_x, ray.bend, 3), interpolate(of_y, ray.bend, 3)])
+    aligned = sheet_from_camera.reshape(3, 3, *[1] * (ray.direction.ndim - 1))
+    columns = [aligned[:, k] for k in range(3)]
+    homogeneous = _combine(columns, ray.direction[:, None])
+    scale = 1 / homogeneous[2:]
+    point_mm = homogeneous[:2] * scale
+    # The homogeneous coordinate itself has no point to be counted from.
+    origin = jnp.concatenate([point_mm, jnp.zeros_like(scale)])
+    slopes = [(column * scale - origin * (column[2:] * scale))[:, None] for column in columns]
+    by_pixel = _combine(slopes, ray.by_pixel[:, None])
     return SheetPoint(
-        jnp.stack([point_x, point_y]),
-        jnp.stack([interpolate(of_x, ray.by_pixel, 2), interpolate(of_y, ray.by_pixel, 2)]),
-        interpolate(depth, ray.by_pixel, 2),
-        jnp.stack([x * scale, y * scale, z * scale]),
+        point_mm,
+        by_pixel[:2],
+        by_pixel[2],
+        ray.direction * scale,
         unit,
-        bend,
+        None if ray.bend is None else _combine([one[:2] for one in slopes], ray.bend[:, None]),
     )
+
+
+def _combine(weights: Sequence[Array], rows: Float[ArrayLike, "3 *n"]) -> Array:
+    return weights[0] * rows[0] + weights[1] * rows[1] + weights[2] * rows[2]
 
 
 def lens_rays(

@@ -112,7 +112,7 @@ def sheet_problem(
         free=np.concatenate([lens_free.ravel(), pose_free.ravel(), sigma > 0]).astype(float),
         boards_free=np.zeros(()),
         pose_model=model if model is PoseModel.RIGID else PoseModel.AIM_FREE,
-        has_circles=True,
+        has_circles=bool(np.any(target.radius_mm > 0)),
     )
     state = RigState(
         lenses=stack_problem_lenses(lenses),
