@@ -1,5 +1,8 @@
 """What single precision takes from the fit to grey levels, as docs/limits.md says."""
 
+from collections.abc import Iterator
+
+import jax
 import numpy as np
 import pytest
 
@@ -8,10 +11,24 @@ from trinoc.calib.photometric import scene
 from trinoc.calib.problem.solver import CONVERGED_GAIN
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.io import demo_images, demo_pattern
+from trinoc.numerics.programs import forget_programs, set_program_store
 from trinoc.synth import table1_lens
 
 
+@pytest.fixture
+def compiled_as_for_users() -> Iterator[None]:
+    """With the optimizations that tests do without: they round otherwise, ten times as much."""
+    store = set_program_store(None)
+    forget_programs()
+    jax.config.update("jax_disable_most_optimizations", False)
+    yield
+    jax.config.update("jax_disable_most_optimizations", True)
+    forget_programs()
+    set_program_store(store)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("compiled_as_for_users")
 def test_double_precision_moves_no_parameter_beyond_the_stopping_rule(monkeypatch) -> None:
     known = demo_images("sheet"), demo_pattern(), table1_lens()
     single = calibrate(*known, systematics=Systematics())
