@@ -238,7 +238,7 @@ def _load_or_compile(
 @functools.cache
 def _make_lapack_ready() -> None:
     """JAX looks LAPACK's addresses up when it first lowers a call; a loaded program does not."""
-    jax.jit(jnp.linalg.cholesky).lower(jnp.eye(2))
+    jax.jit(jnp.linalg.cholesky).lower(np.eye(2))
 
 
 def _name(function: Callable[..., Any], key: tuple[Hashable, ...]) -> str:

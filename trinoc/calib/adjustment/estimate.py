@@ -112,14 +112,11 @@ class Adjustment(NamedTuple):
 
     def parameters(self, view: int) -> Float[np.ndarray, "p"]:
         """Pan, tilt and swing in rad, distance and, where it is free, aim in mm."""
-        return np.asarray(_parameters(self.pose(view)))[: self.model.size]
+        return np.asarray(self.pose(view).parameters)[: self.model.size]
 
     def degrees_by_step(self, view: int) -> Float[np.ndarray, "p p"]:
         """Derivative of the same, in degrees and mm, by a step of the pose."""
         return degrees_by_step(self.pose(view), self.problem.chart.unit_mm, self.model)
-
-
-_parameters = jax.jit(lambda pose: pose.parameters)
 
 
 def adjust_cameras(

@@ -17,7 +17,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from trinoc.numerics.block_arrow import BlockArrow, BlockArrowSolver
-from trinoc.numerics.precision import ArrayLike, ScalarLike
+from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
 from trinoc.numerics.programs import count_numbers, kept_jit
 
 State = TypeVar("State")
@@ -125,7 +125,7 @@ def solve(
     """
     damping = problem.first_damping if first_damping is None else first_damping
     descend = _descend_many if count_numbers(state) >= problem.optimized_from else _descend_few
-    return descend(problem, state, jnp.asarray(damping))
+    return descend(problem, state, array_namespace(damping).asarray(damping, dtype=float))
 
 
 def _descend(

@@ -2,7 +2,6 @@
 
 from functools import partial
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -25,7 +24,7 @@ def values_of_parameters(parameters: Float[np.ndarray, "p"]) -> Float[np.ndarray
 @in_float64
 def pose_of_values(values: Float[np.ndarray, "6"]) -> Pose:
     """The pose of pan, tilt, swing in degrees, distance and aim in mm."""
-    return _pose(np.concatenate([np.radians(values[:3]), values[3:]]))
+    return Pose.from_parameters(np.concatenate([np.radians(values[:3]), values[3:]]))
 
 
 @in_float64
@@ -45,7 +44,3 @@ def largest_sigmas(model: PoseModel, distance_mm: float) -> Float[np.ndarray, "p
 @partial(kept_jit, static_argnames=("model",))
 def _by_step(pose: Pose, unit_mm: ScalarLike, *, model: PoseModel) -> Float[ArrayLike, "p p"]:
     return pose.d_parameters_d_delta(model, unit_mm, pose)
-
-
-# Operation by operation it takes two milliseconds, which a batch of frames feels.
-_pose = jax.jit(Pose.from_parameters)

@@ -22,6 +22,7 @@ from trinoc.match.tuning.selection import SelectionTuning
 from trinoc.numerics.buckets import bucket, pad_rows
 from trinoc.numerics.joins import expand_ranges, pairs_of_equal_keys
 from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.programs import kept_jit
 
 
 class ConflictGraph(NamedTuple):
@@ -271,7 +272,7 @@ def label_frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarr
     return np.zeros(count, np.int32) if frame is None else frame.astype(np.int32)
 
 
-@partial(jax.jit, static_argnames="views")
+@partial(kept_jit, static_argnames=("views",))
 def _propagate(
     log_odds: Float[ArrayLike, "m"],
     chosen: Bool[ArrayLike, "m"],
