@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Float, Shaped
 
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
@@ -100,7 +100,7 @@ def sheet_point(
     )
 
 
-def _combine(weights: Sequence[Array], rows: Float[ArrayLike, "3 *n"]) -> Array:
+def _combine(weights: Sequence[ArrayLike], rows: Float[ArrayLike, "3 *n"]) -> ArrayLike:
     return weights[0] * rows[0] + weights[1] * rows[1] + weights[2] * rows[2]
 
 
