@@ -10,10 +10,10 @@ from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
 from trinoc.calib import Status
 from trinoc.calib.from_points import PointsCalibration, calibrate_points
 from trinoc.calib.lens_of_points import (
-    PointResiduals,
     fit_without_outliers,
     lens_parameter_names,
     problem_of_points,
+    score_of_points,
 )
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.camera import Camera
@@ -57,7 +57,7 @@ def test_noise_alone_asks_for_no_other_lens_by_its_chance_and_no_oftener(
         points = block(random, 12)
         uv_px = see(camera, points, random)
         problem = problem_of_points(camera, points, uv_px, (), PoseModel.RIGID)
-        asked = PointResiduals.of(fit_without_outliers(problem))
+        asked = score_of_points(fit_without_outliers(problem))
         columns = [lens_parameter_names(problem).index(name) for name in group]
         chances.append(asked.chance(asked.judge(columns)))
     assert kstest(chances, "uniform").pvalue > 1e-3

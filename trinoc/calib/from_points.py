@@ -12,10 +12,10 @@ from trinoc.calib.lens_of_points import (
     fit_without_outliers,
     problem_of_points,
 )
-from trinoc.calib.points_refutations import list_refutations
 from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.refutations import refutations_of_points
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.starts.resection import find_linear_camera, find_pose, is_flat
@@ -172,7 +172,7 @@ def _result(
     covariance = by_step @ (noise**2 * inverse + by_error @ by_error.T) @ by_step.T
     found = straighten_lens(lens_number(problem, 0), type(promote_lens(lens.lens)))
     intrinsics = Intrinsics.of_lens(simplify_lens(found), lens.image_size_px, lens.pixel_pitch_mm)
-    told = list(list_refutations(problem, names, model, held))
+    told = list(refutations_of_points(problem, names, model, held))
     status = Status.SUSPECT if told else Status.CONVERGED
     if SKEW in names:
         row = parameters.index(SKEW)

@@ -1,6 +1,6 @@
 """The problem of one camera that sees points, and the lens that they ask for."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,7 +10,7 @@ from jaxtyping import Float
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
-from trinoc.calib.problem.rao_test import RaoTest, judge_pull
+from trinoc.calib.problem.rao_test import HeldScore
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.targets.abstract_target import AbstractTarget
@@ -27,7 +27,9 @@ _CUTS = 4
 # numerical: residuals of this size are rounding.
 ROUNDING_PX = 1e-7
 # numerical: singular values below this share are rounding.
-OPEN_SHARE = 1e-11
+_OPEN_SHARE = 1e-11
+# numerical: fits, after which the noise, and with it the weight of a prior, is what it is.
+_PRIOR_ROUNDS = 3
 # Under which the one camera's lens goes to those who know cameras by name.
 CAMERA = "camera"
 
@@ -112,7 +114,7 @@ def extend_lens(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tupl
     wider = [coefficients[:count] for count in DEFAULT_DISTORTION.coefficient_counts]
     straight = None
     while True:
-        points, asked = PointResiduals.of(problem), []
+        points, asked = score_of_points(problem), []
         for group in (*wider, (SKEW,)):
             columns = [every.index(name) for name in group if name not in names]
             if columns:
@@ -130,7 +132,7 @@ def extend_lens(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tupl
         held = _fit_with_free(straight, fewer)
     except CalibrationError:  # without a skew the points have no fit
         return problem, names
-    points = PointResiduals.of(held)
+    points = score_of_points(held)
     is_idle = points.chance(points.judge([every.index(SKEW)])) > TUNING.answer.chance
     return (held, fewer) if is_idle else (problem, names)
 
@@ -147,52 +149,72 @@ def lens_parameter_names(problem: Problem) -> tuple[str, ...]:
     return problem.state.lenses.parameter_names
 
 
-class PointResiduals(NamedTuple):
-    """The residuals at the end of a fit, and what of each column is left beside what was fitted.
+def score_of_points(problem: Problem) -> HeldScore:
+    """Of every step of the head at a problem's state, for residuals in px; of those that are
+    fitted nothing is left."""
+    near, (view,) = whiten_views(problem), problem.views
+    fitted = np.flatnonzero(problem.chart.free)
+    rows = np.flatnonzero(np.repeat(view.used, 2))
+    by_head, residual = near.jacobian[0][rows], near.residual[0][rows]
+    base, values, _ = np.linalg.svd(by_head[:, fitted], full_matrices=False)
+    base = base[:, values > _OPEN_SHARE * values[0]]
+    left = by_head - base @ (base.T @ by_head)
+    residual = residual - base @ (base.T @ residual)
+    squared = float(residual @ residual)
+    return HeldScore(
+        left=left.T @ left,
+        pull=left.T @ residual,
+        whole=np.sum(by_head**2, axis=0),
+        squared=squared,
+        freedom=len(rows) - base.shape[1],
+        are_exact=squared < ROUNDING_PX**2 * len(residual),
+    )
 
-    Fields
-    ------
-    by_head : (m, h) derivatives of the residuals in px by every step of the head.
-    left : (m, h) the same, without what a change of what is fitted explains.
-    residual : (m,) in px, likewise.
-    freedom : of the residuals.
+
+class FitUnderPrior(NamedTuple):
+    """A fit with the lens's uncertain parameters free under their covariance. strain : the largest
+    of their errors, of as many sigmas."""
+
+    problem: Problem
+    strain: float
+
+
+def fit_under_prior(
+    problem: Problem, names: Collection[str], held: Float[np.ndarray, "q r"]
+) -> FitUnderPrior:
+    """The fit with `names` free, and the rest of the lens under what was said of it.
+
+    held : change of the lens's parameters for a sigma of each error that is not fitted; what has
+        none is exact. The problem's chart stays as it is.
     """
-
-    by_head: Float[np.ndarray, "m h"]
-    left: Float[np.ndarray, "m h"]
-    residual: Float[np.ndarray, "m"]
-    freedom: int
-
-    @classmethod
-    def of(cls, problem: Problem) -> "PointResiduals":
-        """At a problem's state."""
-        near, (view,) = whiten_views(problem), problem.views
-        fitted = np.flatnonzero(problem.chart.free)
-        rows = np.flatnonzero(np.repeat(view.used, 2))
-        by_head, residual = near.jacobian[0][rows], near.residual[0][rows]
-        base, values, _ = np.linalg.svd(by_head[:, fitted], full_matrices=False)
-        base = base[:, values > OPEN_SHARE * values[0]]
-        left = by_head - base @ (base.T @ by_head)
-        return cls(by_head, left, residual - base @ (base.T @ residual), len(rows) - base.shape[1])
-
-    def judge(self, columns: Sequence[int]) -> RaoTest:
-        """The score test of some columns."""
-        left, whole = self.left[:, columns], np.sum(self.by_head[:, columns] ** 2, axis=0)
-        return judge_pull(left.T @ left, left.T @ self.residual, whole)
-
-    def chance(self, test: RaoTest) -> float:
-        """By noise as the residuals show it. What rounding leaves of exact points asks for
-        nothing."""
-        squared = float(self.residual @ self.residual)
-        if squared < ROUNDING_PX**2 * len(self.residual):
-            return 1.0
-        return test.chance_beside(squared, self.freedom)
-
-    def noise_variance(self, test: RaoTest) -> float:
-        """In px^2, were what was tested free."""
-        return test.noise_variance(float(self.residual @ self.residual), self.freedom)
-
-    def rank(self, test: RaoTest) -> tuple[float, float]:
-        """The less, the more is explained: the chance, and where that is too small for floating
-        point, less what is explained in each direction."""
-        return self.chance(test), -test.chi_square / max(test.freedom, 1)
+    chart, (view,) = problem.chart, problem.views
+    count, size = chart.lens_shape
+    scale, mean = np.asarray(chart.lens_scale)[0], np.asarray(lens_number(problem, 0).parameters)
+    directions, sizes, _ = np.linalg.svd(held / scale[:, None], full_matrices=False)
+    is_open = sizes > _OPEN_SHARE * sizes[0]
+    steps = int(is_open.sum())
+    factor = scale[:, None] * directions[:, is_open] * sizes[is_open]
+    inverse = np.linalg.pinv(factor / scale[:, None]) / scale
+    rows = [row for row, name in enumerate(lens_parameter_names(problem)) if name in names]
+    basis, means = np.array(chart.lens_basis), np.array(chart.lens_mean)
+    basis[0] = 0.0
+    basis[0][:, :steps] = factor
+    basis[0][rows, steps + np.arange(len(rows))] = scale[rows]
+    means[0] = mean
+    free = np.array(chart.free)
+    free[:size] = np.arange(size) < steps + len(rows)
+    freedom = max(2 * int(view.used.sum()) - int(free.sum()) + steps, 1)
+    fitted = problem
+    for _ in range(_PRIOR_ROUNDS):
+        # Residuals are in px, whose variance the prior is to be weighed by.
+        variance = float(np.sum(errors_px(fitted)[0][view.used] ** 2)) / freedom
+        information = np.zeros((count, size, size))
+        information[0] = variance * inverse.T @ inverse
+        opened = eqx.tree_at(
+            lambda c: (c.lens_basis, c.lens_mean, c.lens_information, c.free),
+            chart,
+            (basis, means, information, free),
+        )
+        fitted, _ = fit_places(fitted._replace(chart=opened))
+    errors = inverse @ (np.asarray(lens_number(fitted, 0).parameters) - mean)
+    return FitUnderPrior(fitted._replace(chart=chart), float(np.abs(errors).max()))

@@ -28,7 +28,6 @@ from trinoc.calib.problem.problem import Freedom, Problem
 from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
 from trinoc.calib.problem.robust_fit import RobustFit, fit_robustly
 from trinoc.calib.problem.starting_problem import start_problem
-from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_from_shots import RigFromShots, result_from_fit
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
 from trinoc.calib.starts.camera_start import FEWEST_PLACES, CameraStart, start_camera
@@ -73,7 +72,8 @@ def calibrate_rig(
         alone is a rig, too.
     board : what is moved about: a Pattern, a Chessboard, a Charuco or an AprilGrid; or a BoardSet
         of several that are fixed to each other, whose places are found with the rig.
-    lens : lenses that are known and held, of all cameras or by name; others are found.
+    lens : lenses that are known and held as exact, of all cameras or by name; others are found. Where
+        the shots refute one, the status is SUSPECT and the first note names it.
     lens_model : model of the lenses that are found; "auto" takes that which, fitted to one half of
         the shots, tells best of the other half, and a note says why. "splined" corrects the best
         polynomial lens by B-splines, and "splined_" before the name of a model that one; "auto"
@@ -137,7 +137,7 @@ def calibrate_rig(
         failures={f"{camera}, {shot}": why for (camera, shot), why in found.failures.items()},
         systematics=known_board.words,
     )
-    if throw and result.status is not Status.CONVERGED:
+    if throw and result.rig is None:
         raise CalibrationError(result.notes[0], {}, result)
     return result
 

@@ -19,6 +19,7 @@ from trinoc.calib.problem.outcome import assess_fit
 from trinoc.calib.problem.problem import EndedProblem, Problem, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.problem.views import View
+from trinoc.calib.refutations import HeldLenses
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.shot_messages import (
     list_refusals,
@@ -47,8 +48,8 @@ class RigFromShots(eqx.Module):
     Fields
     ------
     rig : the cameras in the world, with a covariance that holds their lenses, too; None unless
-        `status` is CONVERGED.
-    status : how the fit ended.
+        `status` is CONVERGED or SUSPECT.
+    status : how the fit ended; SUSPECT where the shots refute a lens that was given.
     parameters : names such as "left.pan_deg", "left.fx_px", "board.warp_x_mm".
     values : (p,) of `parameters`; NaN where not determined.
     covariance : (p, p), degrees, mm and px; zero for what was held, NaN where not determined.
@@ -73,8 +74,8 @@ class RigFromShots(eqx.Module):
     systematics : the errors of the board that the covariance holds, in words.
     notes : sentences on what a user should know.
     cross_validation : errors of shots that the rig was not fitted to; None where there are too few.
-    ended : where the fit ended, in its own units, which `next_shot` goes on from; None unless
-        `status` is CONVERGED.
+    ended : where the fit ended, in its own units, which `next_shot` goes on from; None where `rig`
+        is.
     """
 
     rig: Rig | None
@@ -139,7 +140,7 @@ class RigFromShots(eqx.Module):
 
 def summarise_shots(result: RigFromShots) -> str:
     """A block for each camera, then the board and what a user should know."""
-    lines = []
+    lines = [f"SUSPECT: {result.notes[0]}"] if result.status is Status.SUSPECT else []
     for number, camera in enumerate(result.cameras):
         own = [view for view in result.views if view.camera == number and view.used.any()]
         places = sum(int(view.used.sum()) for view in own)
@@ -250,6 +251,12 @@ def result_from_fit(
     problem, outcome = fit.problem, assess_fit(fit)
     place = _choose_world(world, shots, problem, cameras)
     status, information, enlarged, factor = outcome
+    good, said = status is Status.CONVERGED, None
+    lenses = HeldLenses.of(fit, cameras) if good else None
+    if lenses is not None:
+        said = lenses.say_what_is_refuted()
+        status = Status.CONVERGED if said is None else Status.SUSPECT
+        said = said or lenses.say_what_goes_unseen(enlarged)
     named = named_covariance(problem, information, enlarged, factor, cameras, place)
     covariance, values, gauge = named.covariance, np.array(named.values), ()
     if status is Status.RANK_DEFICIENT:
@@ -260,13 +267,12 @@ def result_from_fit(
     def where(camera: int, shot: int) -> str:
         return f'{shots[shot]}: "{cameras[camera]}"'
 
-    notes = notes_of_fit(fit, outcome, gauge, cameras, held, remarks)
+    notes = [*filter(None, [said]), *notes_of_fit(fit, outcome, gauge, cameras, held, remarks)]
     poses = [Pose(pose) for pose in np.asarray(poses_in_world(problem.state, place)[0])]
     world_from_rig = poses[0].inverse @ Pose(np.asarray(problem.state.cam_from_rig)[0])
     boards = np.asarray(problem.state.rig_from_board)[: problem.shots]
     fixed, members = np.asarray(problem.state.set_from_board), board_names(problem.target)
     which = f'"{members[0]}" ' if len(members) > 1 else ""
-    good = status is Status.CONVERGED
     return RigFromShots(
         rig=_rig(problem, cameras, poses, known, named.names, covariance) if good else None,
         status=status,

@@ -153,6 +153,31 @@ def test_the_scatter_of_pulls_is_that_of_their_noise(variance):
     assert np.std(factors) / variance == pytest.approx(np.mean(sigmas), rel=0.3)
 
 
+@pytest.mark.parametrize("off", [0.0, 30.0])
+def test_the_scatter_of_pulls_is_that_of_their_noise_whatever_was_held(off):
+    """What shots pull at a parameter that was held wrongly is no disagreement among them."""
+    random, shots, size, held = np.random.default_rng(0), 6, 3, np.arange(3) == 2
+    rows = 30 * random.normal(size=(shots, 8, size))
+    of_shot = np.swapaxes(rows, 1, 2) @ rows
+    whole, factors = of_shot.sum(axis=0), []
+    wrong = np.where(held, off / np.sqrt(np.diag(whole)), 0.0)
+    for _ in range(1000):
+        pulls = np.einsum("sni,sn->si", rows, random.normal(size=(shots, 8))) + of_shot @ wrong
+        step = np.linalg.solve(whole[:2, :2], pulls.sum(axis=0)[:2])
+        pulls = pulls - of_shot[:, :, :2] @ step
+        said = Information(
+            of_shot,
+            pulls,
+            np.zeros((shots, 6, size)),
+            np.zeros((shots, 6, 6)),
+            np.arange(size),
+            np.zeros((size, size)),
+            size,
+        )
+        factors.append(shot_scatter(said, held).factor)
+    assert np.mean(factors) == pytest.approx(1.0, rel=0.05)
+
+
 def test_sigmas_of_corners_are_such_that_chi_square_is_as_large_as_it_should_be(here):
     """The cameras' factors squared, weighted by their numbers, are chi-square over its degrees."""
     after = with_sigma_factors(here)

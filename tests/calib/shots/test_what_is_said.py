@@ -1,21 +1,29 @@
 """Mistakes that people make with shots, and the sentence that each gives."""
 
+import re
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, cam_from_rig, lens_of, shots
 from trinoc.calib import Detection
+from trinoc.calib.problem.rao_test import unseen_sigmas
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.rig_from_shots import RigFromShots
 from trinoc.calib.starts.camera_start import start_poses
 from trinoc.calib.starts.placing import boards_are_parallel, find_exchanged_pair
 from trinoc.calib.starts.sightings import label_sighting
 from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Pose
 from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.polynomial import BrownConrady
+from trinoc.geometry.pose import PoseModel
 
 EXACT = Systematics()
 KNOWN = {name: Intrinsics.of_lens(lens_of(name), SIZE_PX) for name in LENSES}
@@ -107,3 +115,111 @@ def test_a_wrong_size_of_the_squares_shows_in_no_residual_and_the_summary_says_s
     assert wrong.rms_px() == pytest.approx(right.rms_px(), rel=1e-6)
     assert "it was said to be 130 x 104 mm from first to last place" in wrong.summary()
     assert "print size" in wrong.summary()
+
+
+def with_left(skew_px: float = 0.0, **off: float) -> dict[str, Intrinsics]:
+    """The lenses as they are, but for that of "left", which is said to be off by so much."""
+    lens = lens_of("left")
+    names = lens.parameter_names
+    values = np.array(lens.parameters) + [off.get(name, 0.0) for name in names]
+    wrong = Intrinsics(
+        focal_length_px=values[:2],
+        image_size_px=SIZE_PX,
+        principal_point_px=values[2:4],
+        skew_px=skew_px,
+        distortion=tuple(values[4:]),
+    )
+    return KNOWN | {"left": wrong}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named", "amount"),
+    [
+        ({"fx_px": 8.0, "fy_px": 8.05}, "fx_px", -8.0),
+        ({"k1": 0.06}, "k1", -0.06),
+        ({"skew_px": 3.0}, "skew_px", -3.0),
+    ],
+)
+def test_a_lens_that_was_given_and_shots_refute_is_named(wrong, named, amount):
+    found = calibrate_rig(shots(), BOARD, lens=with_left(**wrong), systematics=EXACT)
+    assert found.status is Status.SUSPECT
+    assert found.rig is not None
+    said = rf'another lens of "left" than was given, above all in {named} by (\S+) \+- ([^,: ]+)'
+    match = re.search(said, found.notes[0])
+    assert match is not None
+    assert float(match[1]) == pytest.approx(amount, abs=4 * float(match[2]))
+    assert found.summary().startswith("SUSPECT: The shots ask for another lens")
+
+
+def test_a_lens_of_all_cameras_is_refuted_as_one(monkeypatch):
+    monkeypatch.setitem(LENSES, "right", LENSES["left"])
+    seen, wrong = shots(cameras=("left", "right")), with_left(k1=0.1)["left"]
+    found = calibrate_rig(seen, BOARD, lens=wrong, same_lens=True, systematics=EXACT)
+    assert found.status is Status.SUSPECT
+    assert 'another lens of "left", "right" than was given, above all in k1' in found.notes[0]
+
+
+def test_a_lens_that_is_another_cameras_is_refuted():
+    """It is off in all, so that the shots do not agree with any one cause."""
+    known = KNOWN | {"left": KNOWN["right"]}
+    found = calibrate_rig(shots(), BOARD, lens=known, systematics=EXACT)
+    assert found.status is Status.SUSPECT
+    assert 'another lens of "left"' in found.notes[0]
+
+
+@pytest.mark.slow
+def test_lenses_that_are_as_given_are_hardly_ever_accused():
+    """By chance once in 10,000, also where shots disagree for another reason than a lens."""
+    for seed in range(8):
+        seen = shots(seed=seed, count=6, cameras=("left", "right"))
+        # The board moves between the cameras.
+        later = np.random.default_rng(seed).normal(0, 0.3, (6, 2))
+        moved = {
+            "left": seen["left"],
+            "right": [
+                altered(each, centres_px=each.centres_px + by)
+                for each, by in zip(seen["right"], later, strict=True)
+            ],
+        }
+        lens = {name: KNOWN[name] for name in seen}
+        for each in (seen, moved):
+            found = calibrate_rig(each, BOARD, lens=lens, systematics=EXACT)
+            assert found.status is Status.CONVERGED
+
+
+def test_an_error_of_a_lens_that_goes_unseen_moves_a_camera_as_is_said():
+    """Of a lens that is off by as much the rig is as many sigmas away, in the same shots."""
+
+    def fitted(known: dict[str, Intrinsics]) -> RigFromShots:
+        two = {name: known[name] for name in ("left", "right")}
+        seen = shots(cameras=("left", "right"))
+        return calibrate_rig(seen, BOARD, lens=two, systematics=EXACT, world="left", throw=False)
+
+    right = fitted(KNOWN)
+    (note,) = right.notes
+    said = r'"(\w+)" is taken.* cx_px off by (\S+), cy_px off by (\S+), which .* to (\d+) of its'
+    match = re.search(said, note)
+    assert match is not None
+    wrong = np.array(LENSES[match[1]])
+    wrong[2:4] += float(match[2]), float(match[3])
+    lens = Intrinsics.of_lens(BrownConrady.from_parameters(wrong), SIZE_PX)
+    off = fitted(KNOWN | {match[1]: lens})
+    assert right.rig is not None
+    assert off.rig is not None
+    before, after = right.rig["right"].pose, off.rig["right"].pose
+    start, end = (each.model_parameters(PoseModel.RIGID, before) for each in (before, after))
+    step = np.asarray(end) - np.asarray(start)
+    step[:3] = np.degrees(step[:3])
+    sigma = [right.sigma(f"right.{name}") for name in PoseModel.RIGID.parameter_names]
+    # Numbers are said with two digits.
+    assert np.abs(step / sigma).max() == pytest.approx(float(match[4]), rel=0.1)
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 4])
+def test_what_goes_unseen_is_found_as_often_as_is_said(freedom):
+    random, chance = np.random.default_rng(freedom), 1e-3
+    off = np.zeros(freedom)
+    off[0] = unseen_sigmas(chance, freedom)
+    squared = np.sum((random.normal(size=(20000, freedom)) + off) ** 2, axis=1)
+    share = np.mean(squared > chi2.isf(chance, freedom))
+    assert share == pytest.approx(TUNING.answer.power, abs=0.01)

@@ -11,10 +11,9 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
 from trinoc.calib.adjustment.estimate import Adjustment
-from trinoc.calib.problem.rao_test import judge_pull
+from trinoc.calib.problem.rao_test import judge_pull, unseen_sigmas
 from trinoc.calib.result.calibration import Alternative
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.numerics.tails import normal_limit
 
 # numerical: columns of a lens and of a pose.
 _FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 6)
@@ -22,7 +21,7 @@ _FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 6)
 _ASPECT = np.array([-0.5, 0.5])
 
 # numerical: the least error, in sigmas of its estimate, that the test finds so often.
-UNSEEN_SIGMAS = float(normal_limit(TUNING.answer.chance / 2) - normal_limit(TUNING.answer.power))
+UNSEEN_SIGMAS = unseen_sigmas(TUNING.answer.chance, 1)
 
 
 def alternatives(

@@ -53,6 +53,11 @@ class Information(NamedTuple):
         count = len(free)
         return observability(0.5 * (kept + kept.T), np.eye(count), np.full(count, np.inf))
 
+    def of_steps(self, rows: Bool[np.ndarray, "f"]) -> "Information":
+        """The same with some of the free steps alone, the others held."""
+        prior = self.prior[np.ix_(rows, rows)]
+        return self._replace(free=self.free[rows], prior=prior)
+
 
 def compute_information(problem: Problem) -> Information:
     """The information at a problem's state."""

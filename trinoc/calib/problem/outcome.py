@@ -9,7 +9,7 @@ more, which no scatter of places within a picture tells.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.robust_fit import RobustFit
@@ -60,8 +60,13 @@ class ShotScatter(NamedTuple):
         return self.factor if self.factor > 1.0 + TUNING.problem.shots_sigmas * self.sigma else 1.0
 
 
-def shot_scatter(information: Information) -> ShotScatter:
+def shot_scatter(
+    information: Information, held: Bool[np.ndarray, "f"] | None = None
+) -> ShotScatter:
     """The variance factor of the shots, the places of the board taken as they were found.
+
+    held : which of `information.free` were held in the fit; the pulls are those after the step
+        that sets them free.
 
     Free places would follow the noise of each, and many of them would hide what the shots' pulls
     at lenses and cameras say.
@@ -71,8 +76,11 @@ def shot_scatter(information: Information) -> ShotScatter:
     is_rig = information.free < information.shape_first
     free, of_shot = information.free[is_rig], information.of_shot
     covariance = np.nan_to_num(information.observability_of(is_rig).covariance)
-    pulls = information.pulls[:, free]
-    products = of_shot[:, free[:, None], free[None, :]] @ covariance
+    pulls, of_shot = information.pulls[:, free], of_shot[:, free[:, None], free[None, :]]
+    if held is not None:
+        # What was fitted does not pull.
+        pulls = pulls - of_shot @ (covariance @ (held[is_rig] * pulls.sum(axis=0)))
+    products = of_shot @ covariance
     squares = float(np.einsum("sij,sji->", products, products))
     expected = float(np.einsum("sii->", products)) - squares
     if expected < 0.5:

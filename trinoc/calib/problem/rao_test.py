@@ -1,14 +1,15 @@
 """Rao's score test: do the shots ask for parameters that were held? Nothing is fitted anew."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.special import fdtrc
+from scipy.special import chdtri, chndtrinc, fdtrc
 
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.registry import lens_model, widen_lens
 from trinoc.numerics.tails import chi_square_tail
 
@@ -17,6 +18,7 @@ from trinoc.numerics.tails import chi_square_tail
 _LEAST_SHARE = 1e-10
 # numerical: the same of what is free: lengths, and shifts of the board's places, are open in part.
 _OPEN_SHARE = 1e-11
+Cause = TypeVar("Cause")
 
 
 class RaoTest(NamedTuple):
@@ -57,8 +59,22 @@ class RaoTest(NamedTuple):
         """`chance` where the noise is known by the residuals alone, whence an F test."""
         if not self.freedom or freedom - self.freedom < 1:
             return 1.0
-        ratio = self.chi_square / self.freedom / self.noise_variance(squared, freedom)
-        return float(fdtrc(self.freedom, freedom - self.freedom, ratio))
+        return self.chance_by(self.noise_variance(squared, freedom), freedom - self.freedom)
+
+    def chance_by(self, variance: float, freedom: float) -> float:
+        """`chance` by a variance of the noise that is known with so many degrees of freedom."""
+        ratio = self.chi_square / max(self.freedom, 1) / variance
+        return float(fdtrc(self.freedom, freedom, ratio)) if self.freedom else 1.0
+
+
+def unseen_sigmas(chance: float, freedom: int) -> float:
+    """How many sigmas off is what a test at this chance finds as often as `answer.power` says.
+
+    W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic Commission,
+    1968, by the noncentral chi-square law.
+    """
+    unseen = 1.0 - TUNING.answer.power
+    return float(np.sqrt(chndtrinc(chdtri(freedom, chance), freedom, unseen)))
 
 
 def judge_pull(
@@ -82,14 +98,72 @@ def judge_pull(
     )
 
 
-def rao_test(information: Information, held: Bool[np.ndarray, "f"]) -> RaoTest:
-    """The pull at some of the free parameters, had they been held, and the others fitted.
+class HeldScore(NamedTuple):
+    """What the residuals at the end of a fit say of some columns that were held in it.
 
-    held : which of `information.free`.
+    Fields
+    ------
+    left : (k, k) information on them, less what a change of what was fitted explains.
+    pull : (k,) gradient of half of chi-square by them, likewise.
+    whole : (k,) information on each, had nothing been fitted.
+    squared, freedom : sum of the residuals' squares, and its degrees of freedom.
+    are_exact : whether the residuals are what rounding leaves, which asks for nothing.
+    """
 
-    What the others can explain is taken off the pull and off its covariance: what is left of k
-    parameters often has fewer directions than k. What was known of the board beforehand is left
-    out: the test then holds for any board, whether or not it is as typical as that prior says.
+    left: Float[np.ndarray, "k k"]
+    pull: Float[np.ndarray, "k"]
+    whole: Float[np.ndarray, "k"]
+    squared: float
+    freedom: float
+    are_exact: bool
+
+    def judge(self, columns: Sequence[int]) -> RaoTest:
+        """The score test of some of the columns."""
+        rows = np.asarray(columns)
+        return judge_pull(self.left[np.ix_(rows, rows)], self.pull[rows], self.whole[rows])
+
+    def chance(self, test: RaoTest) -> float:
+        """By noise as the residuals show it."""
+        return 1.0 if self.are_exact else test.chance_beside(self.squared, self.freedom)
+
+    def noise_variance(self, test: RaoTest) -> float:
+        """Of the residuals, were what was tested free."""
+        return test.noise_variance(self.squared, self.freedom)
+
+    def rank(self, test: RaoTest) -> tuple[float, float]:
+        """The less, the more is explained: the chance, and where that is too small for floating
+        point, less what is explained in each direction."""
+        return self.chance(test), -test.chi_square / max(test.freedom, 1)
+
+    def strongest(self, causes: Mapping[Cause, Sequence[int]]) -> Cause | None:
+        """Of causes, each with its columns, the one that explains most of the residuals."""
+        return min(causes, key=lambda cause: self.rank(self.judge(causes[cause])), default=None)
+
+    def beside(self, columns: Sequence[int]) -> "HeldScore":
+        """The same after these columns were freed, too, to first order."""
+        test = self.judge(columns)
+        return self._replace(
+            left=self.left - self.left[:, columns] @ test.covariance @ self.left[columns],
+            pull=self.pull + self.left[:, columns] @ test.step,
+            squared=max(self.squared - test.chi_square, 1e-12 * self.squared),
+            freedom=self.freedom - test.freedom,
+        )
+
+
+def is_refuted(chance: float, causes: int) -> bool:
+    """Whether noise hardly makes the strongest of so many causes, by its chance, what it is."""
+    return chance * causes < TUNING.answer.chance
+
+
+def explain_pull(
+    information: Information, held: Bool[np.ndarray, "f"]
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """`left`, `pull` and `whole`, as `HeldScore` has them, of what was not fitted.
+
+    held : which of `information.free` that is.
+
+    What was known of the board beforehand is left out: a test then holds for any board, whether or
+    not it is as typical as that prior says.
     """
     rows = information.free
     whole = information.of_shot.sum(axis=0)[np.ix_(rows, rows)]
@@ -100,9 +174,19 @@ def rao_test(information: Information, held: Bool[np.ndarray, "f"]) -> RaoTest:
         whole[np.ix_(~held, ~held)], rcond=_OPEN_SHARE, hermitian=True
     )
     left = whole[np.ix_(held, held)] - explained @ whole[np.ix_(~held, held)]
-    test = judge_pull(left, pull[held] - explained @ pull[~held], np.ones(int(held.sum())))
     unit = scale[held]
-    return test._replace(step=test.step / unit, covariance=test.covariance / np.outer(unit, unit))
+    return left * np.outer(unit, unit), unit * (pull[held] - explained @ pull[~held]), unit**2
+
+
+def rao_test(information: Information, held: Bool[np.ndarray, "f"]) -> RaoTest:
+    """The pull at some of the free parameters, had they been held, and the others fitted.
+
+    held : which of `information.free`.
+
+    What the others can explain is taken off the pull and off its covariance: what is left of k
+    parameters often has fewer directions than k.
+    """
+    return judge_pull(*explain_pull(information, held))
 
 
 def rational_lens_test(

@@ -1,0 +1,282 @@
+"""What points, or shots of a board, refute of what was held of their cameras."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.calib.lens_of_points import (
+    ROUNDING_PX,
+    fit_under_prior,
+    lens_parameter_names,
+    score_of_points,
+    with_lens_parameters_free,
+)
+from trinoc.calib.messages import lens_strain_sentence
+from trinoc.calib.problem.coefficients import free_of_lenses
+from trinoc.calib.problem.information import Information, compute_information
+from trinoc.calib.problem.outcome import ShotScatter, shot_scatter
+from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
+from trinoc.calib.problem.rao_test import (
+    HeldScore,
+    RaoTest,
+    explain_pull,
+    is_refuted,
+    unseen_sigmas,
+)
+from trinoc.calib.problem.robust_fit import RobustFit, errors_px
+from trinoc.calib.problem.variables import POSE_SIZE
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
+from trinoc.geometry.lenses.skewed import SKEW, skew_lens
+from trinoc.geometry.pose import PoseModel
+
+_AIM = ("aim",)
+# Of a rig: the number of a lens, and names of its parameters that are fitted together.
+Cause = tuple[int, tuple[str, ...]]
+
+
+def refutations_of_points(
+    problem: Problem, names: Collection[str], model: PoseModel, held: Float[np.ndarray, "q r"]
+) -> tuple[str, ...]:
+    """Sentences on what the points refute of what was held; none where they refute nothing.
+
+    problem : the fit with `names` free. held : change of the lens's parameters for a sigma of each
+        error that is not fitted; what has none is exact.
+    """
+    every = lens_parameter_names(problem)
+    uncertain = {name for name, row in zip(every, held, strict=True) if row.any()}
+    if np.sum(errors_px(problem)[0] ** 2) < ROUNDING_PX**2 * 2 * len(problem.views[0].used):
+        return ()
+    strain, open_ = 0.0, {*names, *uncertain}
+    if uncertain:
+        problem, strain = fit_under_prior(problem, names, held)
+    score = score_of_points(with_lens_parameters_free(problem, open_))
+    causes = {
+        tuple(every[row] for row in rows): rows
+        for group in _groups(problem.state.lenses)
+        if (rows := [every.index(name) for name in group if name not in open_])
+    }
+    if model is PoseModel.AIMED:
+        first = problem.chart.camera_rows(0).start + model.size
+        causes[_AIM] = [first, first + 1]
+    notes, cause = [], score.strongest(causes)
+    if cause is not None:
+        test = score.judge(causes[cause])
+        if is_refuted(score.chance(test), len(causes)):
+            test = test.with_noise(score.noise_variance(test))
+            notes.append(_sentence_on_points(problem, cause, causes[cause], test))
+    if strain > TUNING.answer.strain_sigmas:
+        sentence = lens_strain_sentence(strain)
+        notes.append(sentence[0].upper() + sentence[1:])
+    return tuple(notes)
+
+
+def _groups(lens: AbstractLens) -> Iterator[tuple[str, ...]]:
+    """What is asked for together: of a lens's parameters those that are fitted together."""
+    yield from (AFFINE_PARAMETERS[:2], AFFINE_PARAMETERS[2:])
+    if SKEW in lens.parameter_names:
+        yield (SKEW,)
+    for low, high in pairwise(lens.coefficient_counts):
+        group = lens.coefficient_names[low:high]
+        yield tuple(name for name in group if name not in lens.never_fitted)
+
+
+def _sentence_on_points(
+    problem: Problem, cause: tuple[str, ...], columns: Sequence[int], test: RaoTest
+) -> str:
+    """What explains most of the residuals, and by how much it is off. test : of the cause, with
+    the noise's covariance."""
+    if cause is _AIM:
+        unit = float(problem.chart.unit_mm)
+        off, sigma = unit * test.step, unit * np.sqrt(np.diag(test.covariance))
+        return (
+            f"The optical axis misses the origin by ({off[0]:.3g}, {off[1]:.3g}) +- "
+            f'({sigma[0]:.1g}, {sigma[1]:.1g}) mm: use pose_model="aim-free".'
+        )
+    by = _amounts(cause, np.asarray(problem.chart.lens_scale)[0][columns], test)
+    return (
+        f"The points ask for another lens than was held, above all in {by}: free "
+        f"{', '.join(cause)}, or see that places and pixels are those of one camera."
+    )
+
+
+def _amounts(names: Sequence[str], scale: Float[np.ndarray, "k"], test: RaoTest) -> str:
+    """By how much each is off, with its sigma. scale : of each for a step of one."""
+    off, sigma = scale * test.step, scale * np.sqrt(np.diag(test.covariance))
+    return ", ".join(f"{n} by {o:+.3g} +- {s:.1g}" for n, o, s in zip(names, off, sigma))
+
+
+class _Noise(NamedTuple):
+    """variance : in squared sigmas of the places. freedom : with which it is known."""
+
+    variance: float
+    freedom: float
+
+    @classmethod
+    def of(cls, score: HeldScore, scatter: ShotScatter) -> "_Noise":
+        """Of places, or of shots where these disagree more: then they pull at lenses, too."""
+        variance = score.squared / max(score.freedom, 1)
+        of_shots = scatter._replace(factor=scatter.factor / variance).variance_factor
+        if of_shots > 1.0:
+            return cls(variance * of_shots, 2.0 / scatter.sigma**2)
+        return cls(variance, score.freedom)
+
+
+def _free_what_is_asked(
+    score: HeldScore, causes: Mapping[Cause, list[int]]
+) -> tuple[tuple[Cause, ...], HeldScore]:
+    """What the places ask for, the strongest first, and the score beside it."""
+    freed: list[Cause] = []
+    while cause := score.strongest({key: causes[key] for key in causes if key not in freed}):
+        if not is_refuted(score.chance(score.judge(causes[cause])), len(causes)):
+            break
+        score = score.beside(causes[cause])
+        freed.append(cause)
+    return tuple(freed), score
+
+
+class HeldLenses(NamedTuple):
+    """What shots say of lenses that were held as a whole.
+
+    Fields
+    ------
+    problem : at the end of the fit, with these lenses open.
+    information : of its shots.
+    is_asked : (f,) which of `information.free` were held.
+    score : of these, in their order.
+    causes : columns of the score for each lens, by its number, and each group of its parameters.
+    freed : causes that the places ask for, each beside those before it.
+    noise : what is left with these free.
+    cameras : their names.
+    """
+
+    problem: Problem
+    information: Information
+    is_asked: Bool[np.ndarray, "f"]
+    score: HeldScore
+    causes: dict[Cause, list[int]]
+    freed: tuple[Cause, ...]
+    noise: "_Noise"
+    cameras: tuple[str, ...]
+
+    @classmethod
+    def of(cls, fit: RobustFit, cameras: Sequence[str]) -> "HeldLenses | None":
+        """None where no lens was held as a whole. cameras : their names."""
+        problem, is_held = fit.problem, np.logical_not(free_of_lenses(fit.problem).any(axis=1))
+        if not is_held.any():
+            return None
+        opened = _with_lenses_open(problem, is_held)
+        information, (count, size) = compute_information(opened), opened.chart.lens_shape
+        number, row = np.divmod(information.free, size)
+        is_asked = np.isin(number, np.flatnonzero(is_held)) & (number < count)
+        errors = np.concatenate([e[v.kept] for v, e in zip(problem.views, errors_px(problem))])
+        are_exact = bool(np.sum(errors**2) < ROUNDING_PX**2 * errors.size)
+        left, pull, whole = explain_pull(information, is_asked)
+        lens = opened.state.lenses
+        names = [lens.parameter_names[at] for at in row[is_asked]]
+        place = {key: at for at, key in enumerate(zip(number[is_asked].tolist(), names))}
+        score = HeldScore(left, pull, whole, fit.chi_square, fit.freedom, are_exact)
+        causes = {
+            (k, group): [place[k, name] for name in group]
+            for k in np.flatnonzero(is_held).tolist()
+            for group in _groups(lens)
+        }
+        freed, after = _free_what_is_asked(score, causes)
+        is_freed = ~is_asked
+        is_freed[np.flatnonzero(is_asked)[[at for one in freed for at in causes[one]]]] = True
+        scatter = shot_scatter(information.of_steps(is_freed), is_asked[is_freed])
+        return cls(
+            problem=opened,
+            information=information,
+            is_asked=is_asked,
+            score=score,
+            causes=causes,
+            freed=freed,
+            noise=_Noise.of(after, scatter),
+            cameras=tuple(cameras),
+        )
+
+    def say_what_is_refuted(self) -> str | None:
+        """Of which lens the shots ask for another, and by how much it is off; None where of none.
+
+        What explains most of the residuals is named: it pulls at other lenses, too.
+        """
+        if not self.freed:
+            return None
+        cause = number, group = self.freed[0]
+        test = self.score.judge(self.causes[cause])
+        if not is_refuted(test.chance_by(*self.noise), len(self.causes)):
+            return None
+        amounts = _amounts(group, self._scale(cause), test.with_noise(self.noise.variance))
+        return (
+            f"The shots ask for another lens of {self._owner(number)} than was given, above all "
+            f"in {amounts}: leave it out of `lens`, so that the shots find it, or see that its "
+            "pictures have the zoom, focus and size that it is for."
+        )
+
+    def say_what_goes_unseen(self, covariance: Float[np.ndarray, "g g"]) -> str | None:
+        """The error of a lens that the shots may well not show and that moves a camera most; None
+        where none moves one by much.
+
+        covariance : of what was fitted, as it is claimed.
+
+        This is Baarda's external reliability, as `adjustment.model_tests` has it of one picture.
+        """
+        of_fit, lenses = self.information.of_steps(~self.is_asked), self.problem.chart.lens_count
+        asked = self.information.free[self.is_asked]
+        of_pose = (of_fit.free >= lenses) & (of_fit.free < self.problem.chart.boards_first)
+        by_fitted = -np.nan_to_num(of_fit.observability.covariance)[of_pose]
+        by_asked = by_fitted @ self.information.of_shot.sum(axis=0)[np.ix_(of_fit.free, asked)]
+        in_sigmas = by_asked / np.sqrt(np.diag(covariance)[of_pose])[:, None]
+        worst, said = TUNING.answer.strain_sigmas, None
+        for cause, columns in self.causes.items():
+            test, (number, group) = self.score.judge(columns), cause
+            if group[0] not in AFFINE_PARAMETERS or test.freedom < len(group):
+                continue
+            root = np.linalg.cholesky(test.with_noise(self.noise.variance).covariance)
+            error = root * unseen_sigmas(TUNING.answer.chance / len(self.causes), test.freedom)
+            moved = in_sigmas[:, columns] @ error
+            strain = np.linalg.norm(moved, axis=1)
+            row = int(np.argmax(np.append(strain, worst)))
+            if row == len(strain):
+                continue
+            worst = float(strain[row])
+            off = self._scale(cause) * (error @ moved[row]) / worst
+            amounts = ", ".join(f"{n} off by {o:+.2g}" for n, o in zip(group, off, strict=True))
+            camera = self.cameras[(of_fit.free[of_pose][row] - lenses) // POSE_SIZE]
+            said = (
+                f"The lens of {self._owner(number)} is taken to be exact. The shots may well not "
+                f'show {amounts}, which moves "{camera}" by up to {worst:.0f} of its sigmas: leave '
+                "it out of `lens`, so that the shots find it."
+            )
+        return said
+
+    def _scale(self, cause: Cause) -> Float[np.ndarray, "k"]:
+        """Change of each parameter of a cause for a step of one."""
+        number, group = cause
+        every = self.problem.state.lenses.parameter_names
+        return np.asarray(self.problem.chart.lens_scale)[number, [every.index(n) for n in group]]
+
+    def _owner(self, number: int) -> str:
+        """The cameras that have a lens."""
+        of = np.asarray(self.problem.chart.lens_of_camera)
+        return ", ".join(f'"{name}"' for name, own in zip(self.cameras, of) if own == number)
+
+
+def _with_lenses_open(problem: Problem, which: Bool[np.ndarray, "l"]) -> Problem:
+    """The problem with all parameters of some lenses free, those of the widest model that contains
+    theirs. Of others as many are as were."""
+    free, sizes = free_of_lenses(problem), problem.image_sizes_px
+    first = [int(np.argmax(problem.chart.lens_of_camera == k)) for k in range(len(which))]
+    lenses = [skew_lens(lens_number(problem, k)) for k in range(len(which))]
+    wider = with_wider_lenses(problem, lenses, [sizes[camera] for camera in first])
+    names, never = lenses[0].parameter_names, lenses[0].never_fitted
+    free = np.pad(free, ((0, 0), (0, len(names) - free.shape[1])))
+    free[which] = [name not in never for name in names]
+    head = np.array(wider.chart.free)
+    head[: free.size] = free.ravel()
+    return wider._replace(chart=eqx.tree_at(lambda c: c.free, wider.chart, head))
