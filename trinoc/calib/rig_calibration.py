@@ -72,8 +72,8 @@ def calibrate_rig(
         alone is a rig, too.
     board : what is moved about: a Pattern, a Chessboard, a Charuco or an AprilGrid; or a BoardSet
         of several that are fixed to each other, whose places are found with the rig.
-    lens : lenses that are known and held as exact, of all cameras or by name; others are found. Where
-        the shots refute one, the status is SUSPECT and the first note names it.
+    lens : lenses that are known and held as exact, of all cameras or by name; others are found.
+        Where the shots refute one, the status is SUSPECT and the first note names it.
     lens_model : model of the lenses that are found; "auto" takes that which, fitted to one half of
         the shots, tells best of the other half, and a note says why. "splined" corrects the best
         polynomial lens by B-splines, and "splined_" before the name of a model that one; "auto"

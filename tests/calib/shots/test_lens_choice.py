@@ -6,7 +6,7 @@ import pytest
 from tests.calib.shots.made_shots import BOARD, shots
 from trinoc.calib.lens_selection import choice_sentence, choose_lens
 from trinoc.calib.problem.information import Information
-from trinoc.calib.problem.rao_test import rao_test
+from trinoc.calib.problem.rao_test import HeldScore, explain_pull, rao_test
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import InputError
@@ -92,6 +92,18 @@ def test_the_rao_test_sees_what_was_held_wrongly():
     off = np.eye(7)[4] * 5 / np.sqrt(left)
     off = here._replace(pulls=here.pulls + whole @ off / 40)
     assert rao_test(off, held).chance < 1e-3
+
+
+def test_what_is_freed_first_to_first_order_was_fitted():
+    here = information(np.random.default_rng(2), 1.0)
+    score = HeldScore(*explain_pull(here, np.arange(7) >= 4), 160.0, 156.0, False)
+    beside, fitted = score.beside([0]), rao_test(here, np.arange(7) == 5)
+    assert beside.judge([1]).chi_square == pytest.approx(fitted.chi_square)
+    np.testing.assert_allclose(beside.judge([1]).step, fitted.step)
+    np.testing.assert_allclose(beside.judge([1]).covariance, fitted.covariance)
+    assert beside.judge([0]).freedom == 0
+    assert beside.squared == 160.0 - score.judge([0]).chi_square
+    assert beside.freedom == 155.0
 
 
 def test_where_the_shots_cannot_pull_chance_is_all():
