@@ -7,17 +7,17 @@ and 1, at x the mean of the product of both sides' signs, with normal errors alo
 
 and the picture is (m + d P + q P^2)(1 + g.x): q is a response's bend, g the slope of the light.
 All but that slope is symmetric about the corner, so that what the model has not of blur and
-response (sharpening, saturation) does not move it; it is seen in the residuals.
+response (sharpening, saturation) does not move it.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float
 
 from trinoc.calib.detection.ellipse_pixels import column_32 as _column, normal_cdf
 from trinoc.calib.detection.search_image import SearchImage
-from trinoc.calib.detection.window_noise import sandwich_covariance
+from trinoc.calib.detection.window_noise import WindowPixels, sandwich_covariance
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton
 
@@ -25,7 +25,7 @@ from trinoc.numerics.small_least_squares import Residuals, gauss_newton
 _PLACE, _ANGLES, _LOG_BLUR, _MEAN, _CONTRAST, _BEND, _SLOPE = (
     slice(0, 2), slice(2, 4), 4, 5, 6, 7, slice(8, 10)
 )  # fmt: skip
-_PARAMETERS = 10  # numerical: as above
+_PARAMETERS, _ODD = 10, (0, 1, 8, 9)  # numerical: as above; those that change sign in the corner
 # numerical: steps, of which the last changes nothing; where blur starts and how far it is free, in
 # its logarithm; the longest steps.
 _STEPS, _START, _WIDTH = 5, -0.3, 1.0
@@ -56,9 +56,14 @@ class _Windows(NamedTuple):
     grey: Float[np.ndarray, "n k"]
     used: Bool[np.ndarray, "n k"]
 
-    def tiles(self, values: Shaped[np.ndarray, "n k *p"]) -> Shaped[np.ndarray, "n side side *p"]:
-        """What belongs to pixels, as they lie."""
-        return values.reshape(len(values), self.side, self.side, *values.shape[2:])
+    @property
+    def pixels(self) -> WindowPixels:
+        """Where they lie."""
+        row, column = np.indices((self.side, self.side)).reshape(2, 1, -1)
+        shape = self.used.shape
+        return WindowPixels(
+            self.side, np.broadcast_to(column, shape), np.broadcast_to(row, shape), self.used
+        )
 
 
 def fit_corners(
@@ -99,12 +104,13 @@ def fit_corners(
     shown &= np.isfinite(independent).all(axis=(1, 2))
     independent[~shown] = np.eye(_PARAMETERS)
     covariance_px2 = sandwich_covariance(
-        windows.tiles(windows.used * (model - windows.grey) / noise),
-        windows.tiles(windows.used[..., None] * jacobian / noise),
-        windows.tiles(windows.used),
-        windows.tiles(_looks(jacobian)),
+        windows.pixels,
+        state[:, _PLACE] + windows.side // 2,
+        (model - windows.grey) / noise,
+        jacobian / noise,
+        _looks(jacobian),
         independent,
-        _PLACE,
+        _ODD,
     )
     covariance_px2 += TUNING.detection.corner_floor_px**2 * np.eye(2)
     covariance_px2[~shown] = radius_px[~shown, None, None] ** 2 * np.eye(2)
