@@ -168,7 +168,7 @@ def test_a_lens_that_is_another_cameras_is_refuted():
 
 
 @pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 8))]
+    "seed", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 9))]
 )
 def test_lenses_that_are_as_given_are_hardly_ever_accused(seed):
     """By chance once in 10,000, also where shots disagree, as the board moves between cameras."""

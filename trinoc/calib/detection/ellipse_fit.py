@@ -20,6 +20,7 @@ from trinoc.calib.detection.ellipse_pixels import (
     quick_median,
     smallest_axis,
 )
+from trinoc.calib.detection.window_noise import WindowPixels, sandwich_covariance
 from trinoc.calib.tuning.every_group import TUNING
 
 # numerical: parameters of one circle, in the order of the Jacobian's columns.
@@ -311,6 +312,49 @@ def _with_covariance(
         residual_sigma=np.sqrt(variance),
         kept=kept.sum(axis=1) / np.maximum(pixels.used.sum(axis=1), 1),
     )
+
+
+def with_window_noise(
+    fitted: Ellipses,
+    pixels: EllipsePixels,
+    start: Ellipses,
+    *,
+    hole_ratio: float,
+    slope_sigma: Float[np.ndarray, "n"],
+    noise_sigma: float,
+    outlier_share: float,
+) -> Ellipses:
+    """The ellipses with the covariance that the noise of their own pixels gives their centres.
+
+    pixels : round the ellipses. start, slope_sigma : what was known of the light's slope. The rest
+        is as `refine_ellipses` has it.
+    """
+    frame = inverse_square_root(fitted.shape_px2)
+    jacobian, residual = _linearise(pixels, fitted, frame, hole_ratio, False, True)
+    kept = _keep_pixels(pixels, residual, fitted, outlier_share, noise_sigma)
+    normal = ((jacobian * kept[:, None]) @ np.swapaxes(jacobian, 1, 2)).astype(float)
+    variance = _masked_mean(residual**2, kept) + 1e-12
+    _add_priors(normal, np.zeros(normal.shape[:2]), fitted, start, variance, slope_sigma)
+    inverse = np.linalg.inv(normal)
+    half = int(max(np.abs(each[pixels.used]).max(initial=0) for each in (pixels.x, pixels.y)))
+    column, row = (
+        np.where(pixels.used, each, 0).astype(int) + half for each in (pixels.x, pixels.y)
+    )
+    rows = np.swapaxes(jacobian, 1, 2)
+    edges = np.sum(jacobian[:, _CENTRE] ** 2, axis=1)
+    edges = edges / (edges.max(axis=1, keepdims=True) + 1e-9)
+    covariance = sandwich_covariance(
+        WindowPixels(2 * half + 1, column, row, kept),
+        fitted.centres_px - pixels.origin_px + half,
+        residual,
+        rows,
+        np.stack([np.ones_like(edges), edges], axis=-1),
+        inverse,
+        range(2),
+    )
+    # What was known of the slope is off by its sigma.
+    by_slope = inverse[:, _CENTRE, _SLOPE] * (variance / (slope_sigma + 1e-6))[:, None, None]
+    return fitted._replace(covariance_px2=covariance + by_slope @ by_slope.mT)
 
 
 def _to_circle_frame(

@@ -4,8 +4,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.detection.cross_lines import are_clear_of_lines, subtract_line_blur
-from trinoc.calib.detection.ellipse_fit import Ellipses, refine_ellipses, start_ellipses
-from trinoc.calib.detection.ellipse_pixels import pixels_round, quick_median, smallest_axis
+from trinoc.calib.detection.ellipse_fit import (
+    Ellipses,
+    refine_ellipses,
+    start_ellipses,
+    with_window_noise,
+)
+from trinoc.calib.detection.ellipse_pixels import (
+    EllipsePixels,
+    pixels_round,
+    quick_median,
+    smallest_axis,
+)
 from trinoc.calib.detection.labels import PatternSymmetry
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
 from trinoc.calib.detection.quality_gate import are_plausible, are_undisturbed, select_agreeing
@@ -16,6 +26,8 @@ from trinoc.calib.tuning.every_group import TUNING
 _SETTLED_BLUR, _MOST_REPEATS = 0.25, 4
 # numerical: of an iteration that converges.
 _LIGHT_REWEIGHTINGS = 3
+# numerical: as `refine_ellipses` has it, of fits that end.
+_OUTLIER_SHARE = 0.08
 # numerical: a circle and the four beside it.
 _NEIGHBOURS = 5
 
@@ -113,18 +125,21 @@ def _fit_finely(
     slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper, clear)
     halfway = 0.5 * (1.0 + symmetry.hole_ratio) if symmetry.hole_ratio > 0 else 0.3
 
-    def fit(start: Ellipses, rows: np.ndarray) -> Ellipses:
+    def pixels_of(start: Ellipses, rows: np.ndarray) -> EllipsePixels:
         band = (2.6 * start.blur_px + 0.7) / smallest_axis(start.shape_px2)
         outer = np.clip(1.0 + band, 1.1, TUNING.detection.outer_radii)
         inner = np.clip(1.0 - band, halfway, 0.9)
         pixels = pixels_round(image.grey, start.centres_px, start.shape_px2, inner, outer)
+        return subtract_line_blur(pixels, start, index[rows], pattern, mapping, outer)
+
+    def fit(start: Ellipses, rows: np.ndarray) -> Ellipses:
         return refine_ellipses(
-            subtract_line_blur(pixels, start, index[rows], pattern, mapping, outer),
+            pixels_of(start, rows),
             start,
             hole_ratio=symmetry.hole_ratio,
             slope_sigma=slope_sigma[rows],
             noise_sigma=image.noise_sigma,
-            outlier_shares=(0.08,),
+            outlier_shares=(_OUTLIER_SHARE,),
         )
 
     before = coarse._replace(hole=pattern.is_ring[index].astype(float), slope=slope)
@@ -139,7 +154,15 @@ def _fit_finely(
         before = fine.take(moving)._replace(slope=slope[moving])
         for field, new in zip(fine, fit(before, moving), strict=True):
             field[moving] = new
-    return fine
+    return with_window_noise(
+        fine,
+        pixels_of(fine, np.arange(len(index))),
+        fine._replace(slope=slope),
+        hole_ratio=symmetry.hole_ratio,
+        slope_sigma=slope_sigma,
+        noise_sigma=image.noise_sigma,
+        outlier_share=_OUTLIER_SHARE,
+    )
 
 
 def _has_moved(before: Ellipses, now: Ellipses) -> np.ndarray:

@@ -19,14 +19,14 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
-from scipy.signal import fftconvolve
 
 from trinoc.calib.tuning.every_group import TUNING
 
 # numerical: a residual says so little of itself where the fit follows it.
 _LEAST_FREE = 0.1
-# numerical: rounds in which the correlation is found, and as many windows as it is found in.
-_ROUNDS, _MOST_WINDOWS = 5, 16
+# numerical: rounds in which the correlation is found, and as many pixels as tell it.
+_ROUNDS, _ENOUGH_PIXELS = 5, 4500
+_SETTLED = 0.3  # numerical: a change by so much of what can be told from none
 _EMPTY = cv2.BORDER_CONSTANT  # nothing lies beyond a window
 
 
@@ -56,6 +56,19 @@ class WindowPixels(NamedTuple):
         at = window, self.row[window, pixel], self.column[window, pixel]
         tiles[at] = values[window, pixel]
         return tiles
+
+    def beside(self, reach: int) -> Int[np.ndarray, "l n k"]:
+        """The pixels so far to each side of each pixel, row by row, counted over all windows as if
+        each had one more, which stands for none."""
+        count = self.used.shape[1]
+        number = self.lay_out(np.broadcast_to(np.arange(count) - count, self.used.shape)) + count
+        number = np.pad(number, ((0, 0), (reach, reach), (reach, reach)), constant_values=count)
+        window, lags = np.arange(len(self.used))[:, None], np.arange(2 * reach + 1)
+        across = self.column + lags[:, None, None]
+        number += window[:, None] * (count + 1)
+        return number[window, (self.row + lags[:, None, None])[:, None], across].reshape(
+            -1, *self.used.shape
+        )
 
     def opposite(
         self, places: Float[np.ndarray, "n 2"]
@@ -95,16 +108,15 @@ def sandwich_covariance(
     place, odd = list(odd[:2]), list(odd)
     across, has = pixels.opposite(places)
     residual, rows = residual * pixels.used, rows * pixels.used[..., None]
-    root = np.linalg.cholesky(covariance[:, odd][:, :, odd]).astype(np.float32)
-    followed = 0.5 * has[..., None] * (rows[..., odd] - _take(rows[..., odd], across)) @ root
-    free = np.maximum(1 - 2 * np.sum(followed**2, axis=-1), _LEAST_FREE)
     seen = has.astype(np.float32)
-    opposed = np.sqrt(0.5) * seen * (residual - _take(residual, across))
+    root = 0.5 * np.linalg.cholesky(covariance[:, odd][:, :, odd]).astype(np.float32)
+    followed = seen[..., None] * (rows[..., odd] - _take(rows[..., odd], across)) @ root
+    free = np.maximum(1 - 2 * np.sum(followed**2, axis=-1), _LEAST_FREE)
+    opposed = seen * (residual - _take(residual, across)) * np.float32(np.sqrt(0.5))
     spread = np.sqrt(_fit_variance(opposed**2 / free, looks, seen))
-    some = slice(None, None, -(-len(seen) // _MOST_WINDOWS))
-    lay_out = pixels.take(some).lay_out
-    standard, tiles = lay_out((opposed / spread)[some]), lay_out(followed[some])
-    shared = _shared_noise(standard, np.moveaxis(tiles, -1, 0), lay_out(seen[some]))
+    windows = max(_ENOUGH_PIXELS * len(seen) / max(seen.sum(), 1.0), 1.0)
+    some = slice(None, None, int(np.ceil(len(seen) / windows)))
+    shared = _shared_noise(pixels.take(some), (opposed / spread)[some], followed[some], seen[some])
     by_pixel = rows @ covariance[:, :, place].astype(np.float32)
     moved = spread[..., None] * by_pixel
     white = (moved.mT @ moved).astype(float)
@@ -143,48 +155,46 @@ def _fit_variance(
 
 
 def _shared_noise(
-    standard: Float[np.ndarray, "n side side"],
-    followed: Float[np.ndarray, "p n side side"],
-    used: Float[np.ndarray, "n side side"],
+    pixels: WindowPixels,
+    standard: Float[np.ndarray, "n k"],
+    followed: Float[np.ndarray, "n k p"],
+    used: Float[np.ndarray, "n k"],
 ) -> Float[np.ndarray, "l l"]:
     """Covariance of all windows' noise by the distance of two pixels, 0 in the middle.
 
-    What cannot be told from none is 0: the sum over all distances would else be noise.
+    What cannot be told from none, of all distances together or of one, is 0: the sum over all would
+    else be noise.
 
     followed : halves that change sign of columns q of which H is the sum of q q^T. Of noise that
         changes sign H takes twice as much as of any.
     """
-    counts = np.maximum(_sum_products(used, used), 1.0)
+    reach = TUNING.photometric.shared_reach_px
+    beside, size = pixels.beside(reach), (2 * reach + 1,) * 2
+
+    def at_beside(values: Float[np.ndarray, "n k *p"]) -> Float[np.ndarray, "l m"]:
+        ended = np.concatenate([values, np.zeros_like(values[:, :1])], axis=1)
+        ended = ended.reshape(-1, *values.shape[2:])
+        return np.take(ended, beside, axis=0).reshape(len(beside), -1)
+
+    counts = np.maximum(at_beside(used) @ used.ravel(), 1.0)
     least = TUNING.photometric.significant_sigmas / np.sqrt(counts)
-    observed = _sum_products(standard, standard) / counts
+    observed = at_beside(standard) @ standard.ravel() / counts
     none = np.zeros_like(observed)
-    none[len(none) // 2, len(none) // 2] = 1.0
-    shared, spread = none, followed
+    none[len(none) // 2] = 1.0
+    # Each distance counts twice, as its opposite.
+    lags, told = len(none) // 2, 0.5 * np.sum((observed**2 * counts)[none == 0])
+    if told < lags + TUNING.photometric.significant_sigmas * np.sqrt(2 * lags):
+        return none.reshape(size)
+    shared, near = none, at_beside(followed)
     for _ in range(_ROUNDS):
-        inner = np.einsum("anyx,bnyx->nab", followed, spread)
-        lost = 2 * spread - np.einsum("anyx,nab->bnyx", followed, inner)
-        expected = shared - 2 * _sum_products(followed, lost) / counts
+        spread = used[..., None] * (shared @ near).reshape(followed.shape)
+        lost = 2 * spread - followed @ (followed.mT @ spread)
+        lost = near @ lost.ravel()
+        expected = shared - (lost + lost[::-1]) / counts
         shared = shared + observed - expected
-        if not np.any((np.abs(shared) >= least) & (none == 0)):
-            return none.astype(np.float32)
-        spread = used * fftconvolve(followed, shared[None, None], mode="same", axes=(2, 3))
-    return np.where(np.abs(shared) < least, 0.0, shared).astype(np.float32)
-
-
-def _sum_products(
-    one: Float[np.ndarray, "*n side side"], other: Float[np.ndarray, "*n side side"]
-) -> Float[np.ndarray, "l l"]:
-    """Of all pairs of pixels of one window, by their distance, 0 in the middle (Wiener and
-    Khinchin); the mean of two opposite ones."""
-    reach, axes = TUNING.photometric.shared_reach_px, (-2, -1)
-    # So that no distance goes round.
-    length = cv2.getOptimalDFTSize(one.shape[-1] + reach)
-    size = (length, length)
-    spectra = np.fft.rfft2(one, size).conj() * np.fft.rfft2(other, size)
-    sums = np.fft.irfft2(spectra.reshape(-1, *spectra.shape[-2:]).sum(axis=0), size, axes)
-    lags = np.arange(-reach, reach + 1)
-    sums = sums[np.ix_(lags, lags)]
-    return 0.5 * (sums + sums[::-1, ::-1])
+        if np.all(np.abs(observed - expected) < _SETTLED * least):
+            break
+    return np.where(np.abs(shared) < least, 0.0, shared).astype(np.float32).reshape(size)
 
 
 def _not_below(
