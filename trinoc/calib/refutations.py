@@ -126,7 +126,7 @@ class _Noise(NamedTuple):
         return cls(variance, score.freedom)
 
 
-def _free_what_is_asked(
+def _free_causes(
     score: HeldScore, causes: Mapping[Cause, list[int]]
 ) -> tuple[tuple[Cause, ...], HeldScore]:
     """What the places ask for, the strongest first, and the score beside it."""
@@ -134,7 +134,7 @@ def _free_what_is_asked(
     while cause := score.strongest({key: causes[key] for key in causes if key not in freed}):
         if not is_refuted(score.chance(score.judge(causes[cause])), len(causes)):
             break
-        score = score.beside(causes[cause])
+        score = score.with_freed(causes[cause])
         freed.append(cause)
     return tuple(freed), score
 
@@ -185,7 +185,7 @@ class HeldLenses(NamedTuple):
             for k in np.flatnonzero(is_held).tolist()
             for group in _groups(lens)
         }
-        freed, after = _free_what_is_asked(score, causes)
+        freed, after = _free_causes(score, causes)
         is_freed = ~is_asked
         is_freed[np.flatnonzero(is_asked)[[at for one in freed for at in causes[one]]]] = True
         scatter = shot_scatter(information.of_steps(is_freed), is_asked[is_freed])

@@ -97,7 +97,7 @@ def test_the_rao_test_sees_what_was_held_wrongly():
 def test_what_is_freed_first_to_first_order_was_fitted():
     here = information(np.random.default_rng(2), 1.0)
     score = HeldScore(*explain_pull(here, np.arange(7) >= 4), 160.0, 156.0, False)
-    beside, fitted = score.beside([0]), rao_test(here, np.arange(7) == 5)
+    beside, fitted = score.with_freed([0]), rao_test(here, np.arange(7) == 5)
     assert beside.judge([1]).chi_square == pytest.approx(fitted.chi_square)
     np.testing.assert_allclose(beside.judge([1]).step, fitted.step)
     np.testing.assert_allclose(beside.judge([1]).covariance, fitted.covariance)

@@ -125,7 +125,7 @@ def _fit_finely(
     slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper, clear)
     halfway = 0.5 * (1.0 + symmetry.hole_ratio) if symmetry.hole_ratio > 0 else 0.3
 
-    def pixels_of(start: Ellipses, rows: np.ndarray) -> EllipsePixels:
+    def cut_pixels(start: Ellipses, rows: np.ndarray) -> EllipsePixels:
         band = (2.6 * start.blur_px + 0.7) / smallest_axis(start.shape_px2)
         outer = np.clip(1.0 + band, 1.1, TUNING.detection.outer_radii)
         inner = np.clip(1.0 - band, halfway, 0.9)
@@ -134,7 +134,7 @@ def _fit_finely(
 
     def fit(start: Ellipses, rows: np.ndarray) -> Ellipses:
         return refine_ellipses(
-            pixels_of(start, rows),
+            cut_pixels(start, rows),
             start,
             hole_ratio=symmetry.hole_ratio,
             slope_sigma=slope_sigma[rows],
@@ -156,7 +156,7 @@ def _fit_finely(
             field[moving] = new
     return with_window_noise(
         fine,
-        pixels_of(fine, np.arange(len(index))),
+        cut_pixels(fine, np.arange(len(index))),
         fine._replace(slope=slope),
         hole_ratio=symmetry.hole_ratio,
         slope_sigma=slope_sigma,

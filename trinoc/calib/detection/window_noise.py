@@ -57,7 +57,7 @@ class WindowPixels(NamedTuple):
         tiles[at] = values[window, pixel]
         return tiles
 
-    def beside(self, reach: int) -> Int[np.ndarray, "l n k"]:
+    def neighbours(self, reach: int) -> Int[np.ndarray, "l n k"]:
         """The pixels so far to each side of each pixel, row by row, counted over all windows as if
         each had one more, which stands for none."""
         count = self.used.shape[1]
@@ -169,23 +169,23 @@ def _shared_noise(
         changes sign H takes twice as much as of any.
     """
     reach = TUNING.photometric.shared_reach_px
-    beside, size = pixels.beside(reach), (2 * reach + 1,) * 2
+    near_by, size = pixels.neighbours(reach), (2 * reach + 1,) * 2
 
-    def at_beside(values: Float[np.ndarray, "n k *p"]) -> Float[np.ndarray, "l m"]:
+    def take_neighbours(values: Float[np.ndarray, "n k *p"]) -> Float[np.ndarray, "l m"]:
         ended = np.concatenate([values, np.zeros_like(values[:, :1])], axis=1)
         ended = ended.reshape(-1, *values.shape[2:])
-        return np.take(ended, beside, axis=0).reshape(len(beside), -1)
+        return np.take(ended, near_by, axis=0).reshape(len(near_by), -1)
 
-    counts = np.maximum(at_beside(used) @ used.ravel(), 1.0)
+    counts = np.maximum(take_neighbours(used) @ used.ravel(), 1.0)
     least = TUNING.photometric.significant_sigmas / np.sqrt(counts)
-    observed = at_beside(standard) @ standard.ravel() / counts
+    observed = take_neighbours(standard) @ standard.ravel() / counts
     none = np.zeros_like(observed)
     none[len(none) // 2] = 1.0
     # Each distance counts twice, as its opposite.
     lags, told = len(none) // 2, 0.5 * np.sum((observed**2 * counts)[none == 0])
     if told < lags + TUNING.photometric.significant_sigmas * np.sqrt(2 * lags):
         return none.reshape(size)
-    shared, near = none, at_beside(followed)
+    shared, near = none, take_neighbours(followed)
     for _ in range(_ROUNDS):
         spread = used[..., None] * (shared @ near).reshape(followed.shape)
         lost = 2 * spread - followed @ (followed.mT @ spread)

@@ -139,7 +139,7 @@ class HeldScore(NamedTuple):
         """Of causes, each with its columns, the one that explains most of the residuals."""
         return min(causes, key=lambda cause: self.rank(self.judge(causes[cause])), default=None)
 
-    def beside(self, columns: Sequence[int]) -> "HeldScore":
+    def with_freed(self, columns: Sequence[int]) -> "HeldScore":
         """The same after these columns were freed, too, to first order."""
         test = self.judge(columns)
         return self._replace(
