@@ -1,5 +1,6 @@
 """A grid of AprilTags with small squares between their corners, as Kalibr prints it."""
 
+from functools import lru_cache
 from typing import ClassVar
 
 import equinox as eqx
@@ -108,7 +109,7 @@ class AprilGrid(AbstractSquareBoard):
     @property
     def centres_mm(self) -> Float[np.ndarray, "n 2"]:
         """The corners of the tags."""
-        return (self.tags_mm[:, None] + self.tag_mm * _CORNERS).reshape(-1, 2)
+        return _corners_mm(self.rows, self.columns, self._pitch_mm, self.tag_mm)
 
     @property
     def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
@@ -130,3 +131,14 @@ class AprilGrid(AbstractSquareBoard):
         crossings = grid_mm(self.rows + 1, self.columns + 1, self._pitch_mm, top_first=False)
         square, gap_mm = np.ones((1, 1), dtype=bool), self.tag_mm * self.spacing
         return [*grids, *(CellGrid(square, gap_mm, middle) for middle in crossings)]
+
+
+@lru_cache
+def _corners_mm(
+    rows: int, columns: int, pitch_mm: float, tag_mm: float
+) -> Float[np.ndarray, "n 2"]:
+    """Of the tags, as `grid_mm` has their middles."""
+    middles = grid_mm(rows, columns, pitch_mm, top_first=False)
+    corners = (middles[:, None] + tag_mm * _CORNERS).reshape(-1, 2)
+    corners.flags.writeable = False
+    return corners

@@ -2,6 +2,7 @@
 
 import abc
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import equinox as eqx
@@ -144,13 +145,17 @@ def _runs_of_cells(is_ink: Bool[np.ndarray, "rows columns"]) -> list[Float[np.nd
     return boxes
 
 
+@lru_cache
 def grid_mm(
     rows: int, columns: int, pitch_mm: float, *, top_first: bool
 ) -> Float[np.ndarray, "n 2"]:
-    """Places row by row, each from the left, about their middle."""
+    """Places row by row, each from the left, about their middle; not to be written to, since a fit
+    asks for them thousands of times."""
     row, column = np.divmod(np.arange(rows * columns), columns)
     upward = 0.5 * (rows - 1) - row if top_first else row - 0.5 * (rows - 1)
-    return pitch_mm * np.stack([column - 0.5 * (columns - 1), upward], axis=1)
+    places = pitch_mm * np.stack([column - 0.5 * (columns - 1), upward], axis=1)
+    places.flags.writeable = False
+    return places
 
 
 def dark_squares(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
