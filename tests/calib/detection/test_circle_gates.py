@@ -1,11 +1,10 @@
 """Circles that a sheet cannot show there, or not of that shape, are let in by no gate; those that
 are lie where they claim to."""
 
-import cv2
 import numpy as np
 import pytest
 
-from tests.calib.detection.test_corners import shared, white
+from tests.calib.detection.test_corners import overexposed, shared, sharpened, white
 from tests.calib.simulated import TABLE_1, camera_of, reference_sheet
 from trinoc.calib import detect_pattern
 from trinoc.calib.detection.ellipse_fit import Ellipses
@@ -48,15 +47,6 @@ def test_a_circle_of_another_shape_does_not_agree_though_it_lies_right() -> None
     index = np.arange(len(shape))
     good, _ = select_agreeing(exact._replace(shape_px2=shape), index, SHEET)
     assert np.flatnonzero(~good).tolist() == [5]
-
-
-def overexposed(light, random):
-    return (390 * light + random.normal(0, 2, light.shape)).clip(0, 255)
-
-
-def sharpened(light, random):
-    grey = 255 * light + random.normal(0, 2, light.shape)
-    return grey + 0.8 * (grey - cv2.GaussianBlur(grey, (0, 0), 1.0))
 
 
 @pytest.fixture(scope="module")

@@ -63,8 +63,24 @@ def bent(light, random):
     return 255 * (light + random.normal(0, 0.01, light.shape)).clip(0, 1) ** (1 / 2.2)
 
 
-@pytest.mark.parametrize("deliver", [white, shared, of_light, of_edges, bent])
-@pytest.mark.parametrize("look", [{}, {"blur_px": 0.3}, {"blur_px": 1.6, "slope": 0.3}])
+def overexposed(light, random):
+    return (330 * light + random.normal(0, 2, light.shape)).clip(0, 255)
+
+
+def sharpened(light, random):
+    grey = 255 * light + random.normal(0, 2, light.shape)
+    return grey + 0.8 * (grey - cv2.GaussianBlur(grey, (0, 0), 1.0))
+
+
+LOOKS = [{}, {"blur_px": 0.3}, {"blur_px": 1.6, "slope": 0.3}]
+OF_NOISE = [
+    (deliver, look) for deliver in (white, shared, of_light, of_edges, bent) for look in LOOKS
+]
+# What the model has not of these is symmetric about a corner.
+OF_LIGHT = [(overexposed, {}), (sharpened, {})]
+
+
+@pytest.mark.parametrize(("deliver", "look"), [*OF_NOISE, *OF_LIGHT])
 def test_corners_are_off_by_what_they_claim(deliver, look):
     light, corners = picture(**look)
     grey = deliver(light, np.random.default_rng(1))
