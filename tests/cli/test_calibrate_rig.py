@@ -6,8 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.report.test_shots import made_up
+from trinoc.calib import Status, rig_calibration, rig_from_shots
 from trinoc.cli.main import main
 from trinoc.io import load_target
+from trinoc.io.rig_json import load_rig_status
 
 
 @pytest.mark.parametrize(
@@ -49,6 +52,20 @@ def test_mistakes_are_told_in_one_sentence(places, says, status, tmp_path, monke
     assert main(["calibrate-rig", *places, "--board", "board.json", "--quiet"]) == status
     assert says in capsys.readouterr().err
     assert not (tmp_path / "rig.json").exists()
+
+
+def test_a_rig_whose_lens_is_refuted_is_written_and_counts_as_failed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pictures").mkdir()
+    cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
+    assert main(["pattern", "charuco", "-o", "board.json", "--quiet"]) == 0
+    refuted = made_up(status=Status.SUSPECT, notes=("Another lens.",))
+    monkeypatch.setattr(rig_calibration, "calibrate_rig", lambda *_, **__: refuted)
+    monkeypatch.setattr(rig_from_shots, "next_shot", lambda _: None)
+    assert main(["calibrate-rig", "left=pictures", "--board", "board.json", "--quiet"]) == 1
+    assert "SUSPECT, and rig.json says so: Another lens." in capsys.readouterr().err
+    cameras = load_rig_status("rig.json").cameras
+    assert {each.status for each in cameras.values()} == {"suspect"}
 
 
 def test_boards_that_look_alike_are_told_apart_by_their_first_marker(tmp_path, monkeypatch, capsys):

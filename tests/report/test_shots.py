@@ -146,6 +146,7 @@ def test_a_fit_that_failed_shows_its_shots_and_no_rig() -> None:
     [
         ({}, Level.GOOD, "px"),
         ({"gauge": ("left.pan_deg",)}, Level.BAD, "left.pan_deg"),
+        ({"status": Status.SUSPECT, "notes": ("Another lens.",)}, Level.BAD, "Another lens."),
         ({"halves": HALVES._replace(ratio=2.0)}, Level.CARE, "2.00 claimed sigmas"),
         ({"halves": HALVES._replace(ratio=9.0)}, Level.BAD, "9.00 claimed sigmas"),
         ({"halves": None}, Level.CARE, "does not determine"),

@@ -97,6 +97,7 @@ class CalibrateRigCommand(ReportOption, Command):
         if not places:
             raise UsageError("No pictures are given: write NAME=FOLDER for each camera.")
 
+        from trinoc.calib.result.calibration import Status
         from trinoc.calib.rig_calibration import calibrate_rig
         from trinoc.calib.rig_from_shots import next_shot
         from trinoc.calib.uncertainty.systematics import Systematics
@@ -142,7 +143,11 @@ class CalibrateRigCommand(ReportOption, Command):
         self.write_report(made_by, shots=result, title="Rig from many shots", advice=said)
         text = "\n".join(filter(None, [result.summary(), said]))
         record = {**rig_record(result), "next_shot": shot_record(advice)}
-        return result, Outcome(text, record, written=(self.out, self.report))
+        refusal = None
+        if result.status is Status.SUSPECT:
+            why = result.notes[0].removesuffix(".")
+            refusal = f"The rig is SUSPECT, and {self.out} says so: {why}."
+        return result, Outcome(text, record, refusal, written=(self.out, self.report))
 
 
 def board_files(files: tuple[Path, ...]) -> dict[str, Path]:

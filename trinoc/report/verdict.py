@@ -75,6 +75,9 @@ def _answer_on_rank(subject: Subject) -> Answer | None:
     shots = subject.shots
     if shots is None:
         return None
+    if shots.status is Status.SUSPECT:
+        remedy = "Let the shots find that lens, or calibrate it anew."
+        return Answer(1, "suspect", shots.notes[0], remedy=remedy)
     if shots.status is not Status.CONVERGED:
         return Answer(1, "no rig", shots.status.value)
     if shots.gauge:
