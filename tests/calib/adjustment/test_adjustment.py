@@ -79,7 +79,9 @@ def test_the_root_is_that_of_the_pixels_and_of_all_that_was_known() -> None:
     found = adjusted(made_views(0, lens_factor=10 * LENS_FACTOR).cameras)
     rows = np.concatenate(list(found.near.jacobian[..., found.free]))
     state, chart = found.problem.state, found.problem.chart
-    known = np.asarray(evaluate_prior(state, chart).information)[np.ix_(found.free, found.free)]
+    known = np.asarray(jax.jit(evaluate_prior)(state, chart).information)[
+        np.ix_(found.free, found.free)
+    ]
     expected = rows.T @ rows + known
     scale = np.sqrt(np.diag(expected))
     inverse = np.linalg.inv(expected / np.outer(scale, scale)) / np.outer(scale, scale)

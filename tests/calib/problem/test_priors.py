@@ -110,7 +110,7 @@ def test_the_cost_is_the_squared_mahalanobis_distance_from_what_was_known():
         expected += information * aim_mm @ aim_mm
     expected += state.sheet @ chart.sheet_information @ state.sheet
     expected += np.sum(state.shape**2 @ chart.shape_information)
-    assert float(evaluate_prior(state, chart).cost) == pytest.approx(expected, rel=1e-9)
+    assert float(jax.jit(evaluate_prior)(state, chart).cost) == pytest.approx(expected, rel=1e-9)
 
 
 def test_what_is_held_has_no_prior_to_pull_at_it():

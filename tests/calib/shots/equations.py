@@ -20,7 +20,7 @@ def assert_equations_are_those_of_the_cost(here: Problem) -> None:
     table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
     problem = PlacesProblem(chart, table, GemanMcClure.from_scale(jnp.full(len(table.shot), 3.0)))
     off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
-    start = retract(state, chart, off, np.zeros((SHOTS, 6)))
+    start = jax.jit(retract)(state, chart, off, np.zeros((SHOTS, 6)))
 
     def at(head, boards):
         return problem.cost(problem.retract(start, head, boards))
@@ -33,14 +33,19 @@ def assert_equations_are_those_of_the_cost(here: Problem) -> None:
         np.testing.assert_allclose(2 * found, expected, rtol=1e-6, atol=1e-6)
 
     def residuals(head, boards):
-        return whitened_residuals(problem.retract(start, head, boards), chart, table)
+        values = whitened_residuals(problem.retract(start, head, boards), chart, table)
+        return values, values
 
-    by_head, by_boards = jax.jit(jax.jacfwd(residuals, argnums=(0, 1)))(*zero)
-    squared = jnp.sum(jnp.square(residuals(*zero)), axis=-1)
-    weight = jax.vmap(lambda loss, each: loss.weight(each))(problem.loss, squared)
+    def weighed():
+        by_step, values = jax.jacfwd(residuals, argnums=(0, 1), has_aux=True)(*zero)
+        squared = jnp.sum(jnp.square(values), axis=-1)
+        weight = jax.vmap(lambda loss, each: loss.weight(each))(problem.loss, squared)
+        return by_step, weight, evaluate_prior(start, chart).information
+
+    (by_head, by_boards), weight, known = jax.jit(weighed)()
     weighted = np.asarray(weight)[..., None, None] * by_head
     head = np.einsum("vnih,vnig->hg", weighted, by_head)
-    head += np.asarray(evaluate_prior(start, chart).information)
+    head += np.asarray(known)
     coupling = np.einsum("vnih,vnisb->shb", weighted, by_boards)
     scale = np.sqrt(np.maximum(np.diag(head), 1.0))
     found = equations.information

@@ -1,5 +1,6 @@
 """Laws of the pieces: poses from rays, gradients, centres of circles' images, labellings."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -64,8 +65,8 @@ def test_a_plane_pose_is_found_from_its_rays(focal_px):
     lens = KannalaBrandt(np.full(2, focal_px), np.array([320.0, 240.0]), np.zeros(()), np.zeros(4))
     seen = BOARD.centres_mm @ pose[:, :2].T + pose[:, 3]
     assert (seen[:, 2] < 0).any() == (focal_px < 200.0)
-    rays = np.stack([lens.unproject(lens.project_ray(ray)) for ray in seen])
-    found = plane_pose(rays, BOARD.centres_mm)
+    rays = jax.jit(jax.vmap(lambda ray: lens.unproject(lens.project_ray(ray))))(seen)
+    found = plane_pose(np.asarray(rays), BOARD.centres_mm)
     assert found is not None
     np.testing.assert_allclose(found.cam_from_world, pose, atol=1e-6)
 
@@ -87,11 +88,11 @@ def test_a_circle_is_predicted_as_the_exact_model_has_it():
     chart = type(chart)(**{**vars(chart), "has_circles": True})
     places, radius = sheet.centres_mm[:5], sheet.radius_mm[:5]
     view = BoardView(lens, np.eye(3, 4), pose, None, np.zeros(4))
-    found = predict_places(
+    found = jax.jit(predict_places)(
         view, chart, 0, np.pad(places, ((0, 0), (0, 1))), np.zeros((5, 3)), radius
     )
     camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))
-    exact = [image_of_circle_centre(camera, p, r) for p, r in zip(places, radius)]
+    exact = jax.jit(jax.vmap(image_of_circle_centre, (None, 0, 0)))(camera, places, radius)
     np.testing.assert_allclose(found, exact, atol=2e-4)
 
 
