@@ -1,7 +1,11 @@
+import jax
 import numpy as np
 from hypothesis import given, strategies as st
 
-from trinoc.numerics.small_matrices import inverse_positive_definite, solve_positive_definite
+from trinoc.numerics import small_matrices
+
+inverse_positive_definite = jax.jit(small_matrices.inverse_positive_definite)
+solve_positive_definite = jax.jit(small_matrices.solve_positive_definite)
 
 
 @given(st.sampled_from([1, 3, 6]), st.integers(0, 2**32 - 1))
