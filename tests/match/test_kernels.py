@@ -11,7 +11,9 @@ from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.match import match_many, warm_up
 from trinoc.match.matcher import compile_together, match_segments
 from trinoc.match.observations.match_input import prepare
+from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.numerics import buckets, programs
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import with_field
 
@@ -86,6 +88,34 @@ def test_a_call_runs_what_was_compiled_together(caplog: pytest.LogCaptureFixture
         match_segments(given, rig, tuning=tuning)
     compiled = [r.getMessage() for r in caplog.records if "Compiling" in r.getMessage()]
     assert [text for text in compiled if "_propagate" not in text] == []
+
+
+def test_few_candidates_are_judged_in_numpy_as_many_are_by_programs(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    # A tuning of its own, for which nothing is compiled yet.
+    tuning = with_field(DEFAULT, "candidates.gate_slack", 1.12)
+    given, rig = doubled(5), rig_of("upper", "left", "right")
+    monkeypatch.setattr(programs, "_stores", [None])
+
+    def match() -> tuple[Matches, set[str]]:
+        caplog.clear()
+        with jax.log_compiles(), caplog.at_level("WARNING"):
+            found = match_segments(given, rig, tuning=tuning)
+        messages = " ".join(r.getMessage() for r in caplog.records)
+        judges = {"_fit_triples", "_triple_evidence", "_pair_evidence"}
+        return found, {name for name in judges if name in messages}
+
+    few, compiled = match()
+    assert compiled == set()
+    for module in (buckets, programs):
+        monkeypatch.setattr(module, "FEW_ROWS", -1)
+    many, compiled = match()
+    assert compiled == {"_fit_triples", "_triple_evidence", "_pair_evidence"}
+    assert len(few) == len(many) > 10
+    np.testing.assert_array_equal(few.index, many.index)
+    np.testing.assert_allclose(few.posterior, many.posterior, rtol=1e-9)
+    np.testing.assert_allclose(few.lines_mm, many.lines_mm, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(("segments", "frames"), [(0, 1), (10, 0)])

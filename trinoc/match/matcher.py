@@ -38,6 +38,7 @@ from trinoc.match.tracks.line_fit import lines_in_space
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tracks.multiview import view_triplets
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.numerics.buckets import FEW_ROWS
 from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.programs import at_once
 from trinoc.numerics.tables import with_field
@@ -196,12 +197,17 @@ def _select_triples(
 _rehearsed: set[Hashable] = set()
 
 
-def compile_together(seen: MatchInput, tuning: MatchTuning) -> None:
-    """Compile what `match_frames` runs on tables of this size, unless that was done."""
+def compile_together(seen: MatchInput, tuning: MatchTuning, *, for_many: bool = False) -> None:
+    """Compile what `match_frames` runs on tables of this size, unless that was done.
+
+    for_many : also what judges many candidates, where segments are too few to have many.
+    """
+    # Of few segments there are few candidates, which NumPy judges.
+    for_many = for_many or max(seen.counts) > FEW_ROWS // 4
     shapes = tuple((leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(seen.lines))
-    if (shapes, tuning) in _rehearsed:
+    if (shapes, tuning, for_many) in _rehearsed:
         return
-    _rehearsed.add((shapes, tuning))
+    _rehearsed.add((shapes, tuning, for_many))
     lines, counts = seen.lines, seen.counts
     clutter, views = fit_clutter(lines, counts, tuning.clutter), len(counts)
     nothing = np.zeros(0, np.int32)
@@ -210,9 +216,12 @@ def compile_together(seen: MatchInput, tuning: MatchTuning) -> None:
         three = prepare_orders(lines, own, counts, clutter, tuning)
         order, planes, single, table = three.each[0]
         search = three.lines, single, table, nothing, nothing, tuning.candidates
-        judge = three.lines, order, planes, nothing.reshape(0, 3), three.clutter, tuning
-        works += [partial(gate_triples, *search), partial(evaluate_triples, *judge)]
-    works.append(partial(rehearse_pairs, lines, clutter, tuning))
+        judge = three.lines, order, planes, np.zeros((FEW_ROWS + 1, 3), np.int32)
+        works.append(partial(gate_triples, *search))
+        if for_many:
+            works.append(partial(evaluate_triples, *judge, three.clutter, tuning))
+    if for_many:
+        works.append(partial(rehearse_pairs, lines, clutter, tuning))
     no_tracks = nothing.reshape(0, views), np.zeros((0, 2, 3))
     works.append(partial(lines_in_space, seen, *no_tracks))
     at_once(*works)

@@ -5,8 +5,8 @@ from jaxtyping import Float
 
 from trinoc.geometry.rig import Rig
 from trinoc.match.batch import match_many
-from trinoc.match.matcher import match_frames
-from trinoc.match.observations.match_input import prepare_frame
+from trinoc.match.matcher import compile_together, match_frames
+from trinoc.match.observations.match_input import prepare_frame, stack_frames
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import with_field
@@ -49,6 +49,7 @@ def warm_up(
         for name, value in {"fewest": 0, "sure": 0.0}.items():
             tuning = with_field(tuning, f"scouting.{name}", value)
         frame = prepare_frame(pictures[0], rig, None, tuning.sides)
+        compile_together(stack_frames([frame]), tuning, for_many=True)
         match_frames([frame], [rig.names], None, tuning)
 
 

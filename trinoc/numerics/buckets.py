@@ -3,17 +3,20 @@
 All that is padded in the package is padded by `bucket` and `padded`; kernels over many rows run
 `in_blocks` of one length."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.precision import ArrayLike, array_namespace
 
 SMALLEST_BUCKET = 64
+# numerical: NumPy works through so few as quickly as a program of blocks does, and compiles
+# nothing.
+FEW_ROWS = 4096
 
 _Tree = TypeVar("_Tree")
 _Possible = tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]
@@ -72,18 +75,22 @@ def in_blocks(function: Callable[..., _Tree], size: int, *columns: np.ndarray) -
 def as_columns(tree: Any) -> Float[ArrayLike, "c h"]:
     """All leaves of a tree, arrays of items or of rows of items, as rows of one array, in their
     order."""
-    leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(tree)]
-    return jnp.concatenate([leaf.reshape(-1, leaf.shape[-1]) for leaf in leaves])
+    xp = array_namespace(tree)
+    leaves = [xp.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+    return xp.concatenate(
+        [leaf.reshape(math.prod(leaf.shape[:-1]), leaf.shape[-1]) for leaf in leaves]
+    )
 
 
 def select_in_blocks(
     function: Callable[[np.ndarray], _Possible], size: int, rows: Int[np.ndarray, "m k"]
 ) -> tuple[Int[np.ndarray, "_"], Float[np.ndarray, "c _"]]:
-    """(which rows are possible, their columns) by a function of `size` rows at a time, which says
-    of each whether it is possible; it must bear rows of zeros."""
+    """(which rows are possible, their columns) by a function of `size` rows at a time, or of
+    FEW_ROWS at most, which says of each whether it is possible; it must bear rows of zeros."""
     parts = list(blocks(len(rows), size))
+    few = len(rows) <= FEW_ROWS
     # All blocks are handed over before the first result is waited for.
-    results = [function(pad_rows(rows[part], size)) for part in parts]
+    results = [function(rows[part] if few else pad_rows(rows[part], size)) for part in parts]
     possible, columns = [], []
     for part, (is_possible, values) in zip(parts, results, strict=True):
         keep = np.flatnonzero(np.asarray(is_possible)[: part.stop - part.start])

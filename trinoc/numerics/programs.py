@@ -24,8 +24,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from trinoc.numerics.buckets import FEW_ROWS
 from trinoc.numerics.compiler_options import quick_compiling
-from trinoc.numerics.precision import is_outside, is_traced
+from trinoc.numerics.precision import as_numpy, is_outside, is_traced
 
 # Whose classes a version number or the store's own key stands for.
 _KNOWN = {
@@ -130,13 +131,15 @@ def kept_jit(
     static_argnames: tuple[str, ...] = (),
     beside_others: bool = False,
     optimized_from: int = OPTIMIZED_FROM,
+    few_rows_of: str | None = None,
 ) -> Callable[..., Any]:
     """`jax.jit` of a function without side effects, whose programs a store may keep.
 
     The function must take no value from outside but constants of trinoc's own modules. With
     `beside_others` it is compiled on one thread, for those whose first calls are made `at_once`.
     For arguments of fewer numbers than `optimized_from` it is not optimized: compiling would take
-    longer than the program ever runs.
+    longer than the program ever runs. Array code (`array_namespace`) is not compiled at all where
+    the argument `few_rows_of` has FEW_ROWS at most: NumPy runs it as it is.
     """
     # Options of the compiler are for whole programs alone.
     inner = jax.jit(function, static_argnames=static_argnames)
@@ -161,6 +164,11 @@ def kept_jit(
         config: Any = jax.config
         if is_traced(args, kwargs) or not is_outside():
             return inner(*args, **kwargs)
+        if few_rows_of is not None:
+            given = signature.bind(*args, **kwargs)
+            if len(given.arguments[few_rows_of]) <= FEW_ROWS:
+                with np.errstate(all="ignore"):
+                    return function(*as_numpy(args), **kwargs)
         if store is None or config.jax_disable_jit or jax.default_backend() != "cpu":
             return choose_jit(args, kwargs)(*args, **kwargs)
         given = signature.bind(*args, **kwargs)

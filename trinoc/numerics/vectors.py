@@ -8,13 +8,12 @@ that broadcast.
 
 import functools
 import operator
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.precision import ArrayLike, array_namespace
 
 Scalar = Float[ArrayLike, "..."]
 Vector2 = tuple[Scalar, Scalar]
@@ -50,12 +49,20 @@ def total(terms: Iterable[Scalar]) -> Scalar:
 
 def largest(terms: Iterable[Scalar]) -> Scalar:
     """The largest of at least one scalar, or along the first axis of an array."""
-    return functools.reduce(jnp.maximum, terms)
+    terms = list(terms)
+    return functools.reduce(array_namespace(terms).maximum, terms)
 
 
 def least(terms: Iterable[Scalar]) -> Scalar:
     """The least of at least one scalar, or along the first axis of an array."""
-    return functools.reduce(jnp.minimum, terms)
+    terms = list(terms)
+    return functools.reduce(array_namespace(terms).minimum, terms)
+
+
+def log_sum_exp(terms: Sequence[Scalar]) -> Scalar:
+    """Logarithm of the sum of exponentials; one term at least is finite."""
+    xp, most = array_namespace(terms), largest(terms)
+    return most + xp.log(total(xp.exp(term - most) for term in terms))
 
 
 def dot3(a: Vector3, b: Vector3) -> Scalar:
@@ -84,7 +91,7 @@ def scaled3(a: Vector3, factor: Scalar) -> Vector3:
 
 def unit3(a: Vector3) -> Vector3:
     """a at unit length."""
-    return scaled3(a, 1 / jnp.sqrt(dot3(a, a)))
+    return scaled3(a, 1 / array_namespace(a).sqrt(dot3(a, a)))
 
 
 def outer3(a: Vector3, b: Vector3, weights: tuple[Scalar, Scalar, Scalar]) -> Symmetric3:

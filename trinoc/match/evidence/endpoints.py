@@ -6,14 +6,13 @@ evidence is this mixture against ends that are uniform on the longest segment. T
 mixture depend on the detector. `em_step` estimates them from the images at hand.
 """
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.match.tuning.candidates import ScoutTuning
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import EndTuning
-from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.vectors import Scalar, largest, total
 
 # All agree, by scale; two agree and the third stops short, by scale; or runs on; none agree.
@@ -26,11 +25,12 @@ def end_evidence(
     extent_px: tuple[tuple[Scalar, Scalar], ...], tuning: EndTuning = DEFAULT.ends
 ) -> Float[ArrayLike, "2 c *h"]:
     """Log of each component's density over that of clutter, at both ends of a triple."""
+    xp = array_namespace(extent_px)
     # Both ends at once, each inward.
-    inward = [jnp.stack([low, -high]) for low, high in extent_px]
+    inward = [xp.stack([low, -high]) for low, high in extent_px]
     longest = largest(high - low for low, high in extent_px)
     components = _components((inward[0], inward[1], inward[2]), longest[None], tuning)
-    return jnp.swapaxes(components, 0, 1)
+    return xp.swapaxes(components, 0, 1)
 
 
 def reach_of_ends(
@@ -52,7 +52,8 @@ def _components(
     inward_px: tuple[Scalar, Scalar, Scalar], longest_px: Scalar, tuning: EndTuning
 ) -> Float[ArrayLike, "c 2 *h"]:
     first, second, third = inward_px
-    log_longest = jnp.log(longest_px)[None]
+    xp = array_namespace(inward_px)
+    log_longest = xp.log(longest_px)[None]
 
     def scales(scales_px: tuple[float, ...]) -> np.ndarray:
         return np.array(scales_px, first.dtype).reshape(-1, *(1,) * first.ndim)
@@ -64,12 +65,12 @@ def _components(
     agreeing = 2 * log_longest - uniform - scatter[None] / (2 * agree**2)
     # The difference of two, and whether the odd one stops short of their mean: each of the three is
     # the odd one with the same probability.
-    apart = jnp.stack([second - first, third - second, first - third])[:, None]
+    apart = xp.stack([second - first, third - second, first - third])[:, None]
     sums = [(third, first + second), (first, second + third), (second, third + first)]
-    short = jnp.stack([2 * odd > both for odd, both in sums])[:, None]
+    short = xp.stack([2 * odd > both for odd, both in sums])[:, None]
     two = scales(tuning.pair_px)
-    density = jnp.exp(-(apart**2) / (4 * two**2)[None])
-    shared = [total(jnp.where(odd, density, 0.0)) for odd in (short, ~short)]
+    density = xp.exp(-(apart**2) / (4 * two**2)[None])
+    shared = [total(xp.where(odd, density, 0.0)) for odd in (short, ~short)]
     uniform = np.log(6 * np.sqrt(np.pi) * two).astype(first.dtype)
-    two_agree = [log_longest - uniform + jnp.log(each + LEAST_DENSITY) for each in shared]
-    return jnp.concatenate([agreeing, *two_agree, jnp.zeros_like(first)[None]])
+    two_agree = [log_longest - uniform + xp.log(each + LEAST_DENSITY) for each in shared]
+    return xp.concatenate([agreeing, *two_agree, xp.zeros_like(first)[None]])

@@ -18,7 +18,6 @@ epipolar lines, their ends hardly correspond.
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -44,7 +43,7 @@ from trinoc.match.two_view.planes import (
     segment_planes,
     variance_mm2,
 )
-from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.vectors import (
     Scalar,
     Symmetric3,
@@ -102,7 +101,9 @@ class _Cut(NamedTuple):
 
     def points(self, *places: Scalar) -> Vector3:
         """Points at some places on the line, one after the other in front."""
-        return add3(in_front(self.origin), in_front(self.along), jnp.stack(places))
+        return add3(
+            in_front(self.origin), in_front(self.along), array_namespace(places).stack(places)
+        )
 
 
 def triple_evidence(
@@ -111,7 +112,7 @@ def triple_evidence(
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> TripleEvidence:
     """Evidence of one segment in each of three views, near a line given by two points."""
-    cut = _cut(sight, near_mm, tuning)
+    xp, cut = array_namespace(sight), _cut(sight, near_mm, tuning)
     begin, end = cut.begin, cut.begin + cut.common
     first, last = least(cut.low), largest(cut.high)
     points = cut.points(begin, end, first, last)
@@ -122,17 +123,17 @@ def triple_evidence(
     px_per_mm = total(image_px) / (3 * cut.common)
     low, high = ((x - begin[None]) * px_per_mm[None] for x in (cut.low, cut.high))
     log_density = (
-        -0.5 * jnp.log(determinant)
-        - total(jnp.log(planes.px_per_mm[:, 0] * planes.px_per_mm[:, 1]))
-        - jnp.log(cut.common * cut.common * px_per_mm)
-        + jnp.log(image_px[0] * image_px[1] * image_px[2])
+        -0.5 * xp.log(determinant)
+        - total(xp.log(planes.px_per_mm[:, 0] * planes.px_per_mm[:, 1]))
+        - xp.log(cut.common * cut.common * px_per_mm)
+        + xp.log(image_px[0] * image_px[1] * image_px[2])
         + log_lengths(high - low, sight.typical_px)
         - total(sight.log_clutter)
     )
     moved, spread = project_onto_planes(sight, planes, points, cut.along)
     return TripleEvidence(
         (nth3(moved, 0), nth3(moved, 1)),
-        cut.possible & (chi_square < tuning.gate) & jnp.isfinite(log_density),
+        cut.possible & (chi_square < tuning.gate) & xp.isfinite(log_density),
         chi_square,
         log_density,
         tuple((low[k], high[k]) for k in range(3)),
@@ -169,7 +170,8 @@ def _cut(sight: SegmentPlanes, near_mm: tuple[Vector3, Vector3], tuning: Candida
     second = total(length) - shortest - longest
     possible = overlaps & (common > tuning.smallest_overlap * shortest)
     possible &= second > tuning.shortest_to_longest * longest
-    return _Cut(origin, along, low, high, begin, jnp.where(overlaps, common, 1.0), possible)
+    common = array_namespace(common).where(overlaps, common, 1.0)
+    return _Cut(origin, along, low, high, begin, common, possible)
 
 
 def _misfit(
@@ -178,7 +180,7 @@ def _misfit(
     """(chi-square of the residuals at the first two points, determinant of their covariance)."""
     normals = [nth3(planes.normal, k) for k in range(3)]
     across = [cross3(normals[(k + 1) % 3], normals[(k + 2) % 3]) for k in range(3)]
-    c = jnp.stack([dot3(along, normal) for normal in across])
+    c = array_namespace(along).stack([dot3(along, normal) for normal in across])
     r = [total(c * planes.distance_mm[:, e]) for e in range(2)]
     pairs = ((0, 0), (0, 1), (1, 1))
     s00, s01, s11 = (total(c**2 * variance_mm2(sight, planes, *pair)) for pair in pairs)
@@ -189,13 +191,13 @@ def _misfit(
 
 def log_lengths(lengths_px: Float[ArrayLike, "v *h"], typical_px: Scalar) -> Float[ArrayLike, "*h"]:
     """Log density of one length over clutter's, with ends uniform on the longest."""
-    longest = largest(lengths_px)[None]
+    xp, longest = array_namespace(lengths_px), largest(lengths_px)[None]
 
     def log_share(length: Scalar) -> Scalar:
-        return jnp.log(typical_px) - 2 * jnp.log(length + typical_px)
+        return xp.log(typical_px) - 2 * xp.log(length + typical_px)
 
     others = lengths_px.shape[0] - 1
-    one = log_share(longest) - 2 * others * jnp.log(longest)
+    one = log_share(longest) - 2 * others * xp.log(longest)
     return one[0] - total(log_share(lengths_px))
 
 
@@ -204,12 +206,13 @@ def project_onto_planes(
 ) -> tuple[Vector3, Symmetric3]:
     """(points moved across the line to the weighted least-squares fit of all planes, their
     covariance across the line); a number for each point in front."""
+    xp = array_namespace(planes)
     nx, ny, nz = planes.normal
     first = nx[:1], ny[:1], nz[:1]
     second = cross3(in_front(along), first)
     n0, n1 = dot3(first, planes.normal)[:, None], dot3(second, planes.normal)[:, None]
     points = range(planes.interval.shape[1])
-    weight = 1 / jnp.stack([variance_mm2(sight, planes, e, e) for e in points], axis=1)
+    weight = 1 / xp.stack([variance_mm2(sight, planes, e, e) for e in points], axis=1)
     distance = planes.distance_mm
     a00, a01, a11 = total(weight * n0 * n0), total(weight * n0 * n1), total(weight * n1 * n1)
     b0, b1 = total(weight * n0 * distance), total(weight * n1 * distance)
@@ -251,34 +254,35 @@ def pair_evidence(
     ends: EndTuning = DEFAULT.ends,
 ) -> PairEvidence:
     """Evidence of one segment in each of two views; `rows` are the same in their pencil."""
+    xp = array_namespace(lines, segments)
     common = cut_pair(planes.baseline_mm, *rows, tuning)
     ends_mm = common_ends_mm(planes, common)
     step = add3(ends_mm[1], ends_mm[0], -1.0)
-    length_mm = jnp.sqrt(dot3(step, step))
+    length_mm = xp.sqrt(dot3(step, step))
     along = unit3(step)
     sight = segment_planes(lines, clutter, views, segments)
     low_mm, high_mm = extents_on_line(sight, ends_mm[0], along)
-    places = jnp.zeros_like(length_mm), length_mm, least(low_mm), largest(high_mm)
-    points = add3(in_front(ends_mm[0]), in_front(along), jnp.stack(places))
+    places = xp.zeros_like(length_mm), length_mm, least(low_mm), largest(high_mm)
+    points = add3(in_front(ends_mm[0]), in_front(along), xp.stack(places))
     sights = interpretation_planes(sight, points)
-    sine = jnp.abs(dot3(along, cross3(nth3(sights.normal, 0), nth3(sights.normal, 1))))
+    sine = xp.abs(dot3(along, cross3(nth3(sights.normal, 0), nth3(sights.normal, 1))))
     image_px = image_length_px(sights)
     px_per_mm = total(image_px) / (2 * length_mm)
     low, high = low_mm * px_per_mm[None], high_mm * px_per_mm[None]
     lengths = high - low
     log_density = (
-        -2 * jnp.log(sine)
-        - total(jnp.log(sights.px_per_mm[:, 0] * sights.px_per_mm[:, 1]))
-        - jnp.log(length_mm * length_mm * px_per_mm)
-        + total(jnp.log(image_px))
+        -2 * xp.log(sine)
+        - total(xp.log(sights.px_per_mm[:, 0] * sights.px_per_mm[:, 1]))
+        - xp.log(length_mm * length_mm * px_per_mm)
+        + total(xp.log(image_px))
         + log_lengths(lengths, sight.typical_px)
         - total(sight.log_clutter)
     )
     longest, shortest = largest(lengths), least(lengths)
-    slack = jnp.stack([total(row.end_variance_px2[e] for row in rows) for e in range(2)])
-    difference = jnp.stack([low[0] - low[1], high[0] - high[1]])
+    slack = xp.stack([total(row.end_variance_px2[e] for row in rows) for e in range(2)])
+    difference = xp.stack([low[0] - low[1], high[0] - high[1]])
     spread = project_onto_planes(sight, sights, points, along)[1]
-    possible = common.possible & (sine > tuning.smallest_crossing) & jnp.isfinite(log_density)
+    possible = common.possible & (sine > tuning.smallest_crossing) & xp.isfinite(log_density)
     possible &= (shortest > tuning.shortest_to_longest * longest) & (common.high > common.low)
     components = _components(difference, slack, longest[None], ends)
     place = sights.interval
@@ -286,7 +290,7 @@ def pair_evidence(
         ends_mm,
         possible,
         log_density,
-        jnp.swapaxes(components, 0, 1),
+        xp.swapaxes(components, 0, 1),
         ((place[0, 0], place[0, 1]), (place[1, 0], place[1, 1])),
         (nth3(points, 2), nth3(points, 3)),
         (nth6(spread, 2), nth6(spread, 3)),
@@ -299,11 +303,12 @@ def pair_evidence(
 def _components(
     difference: Scalar, slack: Scalar, longest: Scalar, tuning: EndTuning
 ) -> Float[ArrayLike, "c 2 *h"]:
+    xp = array_namespace(difference)
     scale = np.array(tuning.agreeing_px, difference.dtype).reshape(-1, *(1,) * difference.ndim)
     variance = 2 * scale**2 + slack[None]
-    density = jnp.exp(-0.5 * difference[None] ** 2 / variance) / jnp.sqrt(2 * np.pi * variance)
-    agreeing = jnp.log(longest[None] * density + LEAST_DENSITY)
-    return jnp.concatenate([agreeing, jnp.zeros_like(difference)[None]])
+    density = xp.exp(-0.5 * difference[None] ** 2 / variance) / xp.sqrt(2 * np.pi * variance)
+    agreeing = xp.log(longest[None] * density + LEAST_DENSITY)
+    return xp.concatenate([agreeing, xp.zeros_like(difference)[None]])
 
 
 def _views_expected(

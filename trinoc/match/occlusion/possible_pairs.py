@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -30,11 +28,12 @@ from trinoc.match.two_view.epipolar_pencil import (
     take_pencil,
     take_segments,
 )
-from trinoc.numerics.buckets import as_columns, select_in_blocks, split_columns
+from trinoc.numerics.buckets import FEW_ROWS, as_columns, select_in_blocks, split_columns
 from trinoc.numerics.joins import broadcast_groups
-from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.tables import take_rows
+from trinoc.numerics.vectors import log_sum_exp
 
 # numerical: about as many pairs are held at a time.
 PAIRS_AT_A_TIME = 1 << 17
@@ -73,10 +72,9 @@ def possible_pairs(
 
 
 def rehearse_pairs(lines: SegmentTable, clutter: ClutterModel, tuning: MatchTuning) -> None:
-    """Judge no pairs, which compiles what judges them."""
-    nobody = [np.zeros(0, np.int64)] * len(lines.ends_px)
-    for _ in possible_pairs(lines, np.arange(2), nobody, clutter, tuning):
-        pass
+    """Judge what is no pair, which compiles what judges many."""
+    views, rows = np.arange(2), np.zeros((FEW_ROWS + 1, 2), np.int64)
+    _evaluate_pairs(lines, views, pencil(lines, 0, 1), rows, clutter, tuning, None)
 
 
 def _evaluate_pairs(
@@ -105,7 +103,7 @@ def _evaluate_pairs(
     return build_candidates(lines, views, segments[keep], place, tuning)
 
 
-@partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True)
+@partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True, few_rows_of="pairs")
 def _pair_evidence(
     lines: SegmentTable,
     views: Int[ArrayLike, "2"],
@@ -151,7 +149,7 @@ def pair_bound(
     )
 
 
-@partial(kept_jit, static_argnames=("tuning",))
+@partial(kept_jit, static_argnames=("tuning",), few_rows_of="possible")
 def may_be_likely(
     bound: PairBound,
     possible: Bool[ArrayLike, "h"],
@@ -163,7 +161,8 @@ def may_be_likely(
     components = len(bound.log_ends)
     ends_mm, log_density, end_log = columns[4:10], columns[10], columns[11 : 11 + 2 * components]
     total = log_density + columns[-2] * bound.log_missed + bound.prior
-    square = jnp.zeros_like(total)
+    xp = array_namespace(columns)
+    square = xp.zeros_like(total)
     for e in range(2):
         terms = [
             log_share + term
@@ -171,10 +170,10 @@ def may_be_likely(
                 bound.log_ends, end_log[e * components : (e + 1) * components], strict=True
             )
         ]
-        total += jax.nn.logsumexp(jnp.stack(terms), axis=0)
+        total = total + log_sum_exp(terms)
         apart = ends_mm[3 * e : 3 * e + 3] - bound.centre_mm[:, None]
-        square = jnp.maximum(square, ((bound.precision @ apart) * apart).sum(axis=0))
-    outside = jnp.clip(square - tuning.box_corner_sigmas**2, 0.0, tuning.box_cost)
+        square = xp.maximum(square, ((bound.precision @ apart) * apart).sum(axis=0))
+    outside = xp.clip(square - tuning.box_corner_sigmas**2, 0.0, tuning.box_cost)
     return possible & (total - 0.5 * outside > bound.least)
 
 

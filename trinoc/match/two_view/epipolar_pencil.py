@@ -18,7 +18,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -248,8 +247,9 @@ def cut_pair(
     baseline_mm: Scalar, a: PencilSegments, b: PencilSegments, tuning: CandidateTuning
 ) -> CommonPart:
     """Cut one segment of either view so that their ends correspond."""
-    low, high = jnp.maximum(a.low, b.low), jnp.minimum(a.high, b.high)
-    shorter = jnp.minimum(a.high - a.low, b.high - b.low)
+    xp = array_namespace(a.low, b.low)
+    low, high = xp.maximum(a.low, b.low), xp.minimum(a.high, b.high)
+    shorter = xp.minimum(a.high - a.low, b.high - b.low)
     a_begins, a_ends = a.low > b.low, a.high < b.high
 
     def on_plane(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
@@ -257,10 +257,10 @@ def cut_pair(
         return slope, cosine, sine, (slope - b.p * cosine - b.q * sine) / baseline_mm
 
     at_low = on_plane(
-        jnp.where(a_begins, a.cosine_low, b.cosine_low), jnp.where(a_begins, a.sine_low, b.sine_low)
+        xp.where(a_begins, a.cosine_low, b.cosine_low), xp.where(a_begins, a.sine_low, b.sine_low)
     )
     at_high = on_plane(
-        jnp.where(a_ends, a.cosine_high, b.cosine_high), jnp.where(a_ends, a.sine_high, b.sine_high)
+        xp.where(a_ends, a.cosine_high, b.cosine_high), xp.where(a_ends, a.sine_high, b.sine_high)
     )
     possible = (high - low > tuning.smallest_overlap * shorter) & (at_low[3] > 0) & (at_high[3] > 0)
     return CommonPart(low, high, at_low, at_high, possible)

@@ -6,13 +6,12 @@ of the items, if any, last: one program for all views and points, and long loops
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 from jaxtyping import Float, Int
 
 from trinoc.geometry.projection import image_of_point
 from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.observations.table import SegmentTable
-from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.vectors import (
     Vector3,
     add3,
@@ -71,8 +70,9 @@ def segment_planes(
     segments: Int[ArrayLike, "v *h"],
 ) -> SegmentPlanes:
     """The rows of segments, one in each view; those of one item are of one frame."""
+    xp = array_namespace(lines, clutter, segments)
     view = views.reshape(-1, *(1 for _ in segments.shape[1:]))
-    typical = jnp.asarray(clutter.typical_px)
+    typical = xp.asarray(clutter.typical_px)
     if lines.frame is None:
         camera, typical = view, typical.reshape(view.shape[1:])
     else:
@@ -89,7 +89,7 @@ def segment_planes(
         lines.length_px[view, segments],
         (c00, c01, c11),
         lines.rays[view, segments],
-        jnp.asarray(clutter.log_density)[view, segments],
+        xp.asarray(clutter.log_density)[view, segments],
         typical[None],
     )
 
@@ -98,7 +98,7 @@ def interpretation_planes(sight: SegmentPlanes, points_mm: Vector3) -> Interpret
     """The interpretation plane of each segment at points in space, (e, *h) of each coordinate."""
     matrix, line = sight.matrix_px, vector3(sight.line)
     gradient = times_matrix(matrix[..., :3].mT, line)
-    steepness = jnp.sqrt(dot3(gradient, gradient))
+    steepness = array_namespace(gradient).sqrt(dot3(gradient, gradient))
     image, depth = image_of_point(matrix[:, None], in_front(points_mm))
     # Along the segment is a quarter turn from its normal, which points to its right.
     du, dv = line[1] / sight.length_px, -line[0] / sight.length_px
@@ -120,7 +120,7 @@ def variance_mm2(sight: SegmentPlanes, planes: InterpretationPlanes, e: int, f: 
 def image_length_px(planes: InterpretationPlanes) -> OfViews:
     """Distance of the images of the first two points."""
     u, v = planes.image_px
-    return jnp.sqrt((u[:, 1] - u[:, 0]) ** 2 + (v[:, 1] - v[:, 0]) ** 2)
+    return array_namespace(u).sqrt((u[:, 1] - u[:, 0]) ** 2 + (v[:, 1] - v[:, 0]) ** 2)
 
 
 def extents_on_line(
@@ -140,4 +140,5 @@ def extents_on_line(
         )
 
     first, second = position(0), position(1)
-    return jnp.minimum(first, second), jnp.maximum(first, second)
+    xp = array_namespace(first)
+    return xp.minimum(first, second), xp.maximum(first, second)
