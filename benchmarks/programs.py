@@ -1,6 +1,6 @@
 """Which programs a command compiles: how often, how large, how long.
 
-    python benchmarks/programs.py [--programs 40] [--operations 85000] [-- COMMAND ARGUMENT ...]
+    python benchmarks/programs.py [--programs 30] [--operations 56000] [-- COMMAND ARGUMENT ...]
 
 Runs a command (by default `trinoc demo`) in a fresh process with an empty compile cache, then
 again, then without a cache, where JAX writes what it compiles. A row for each program says how
@@ -84,8 +84,8 @@ def operations(dump: Path) -> tuple[Counter[str], Counter[str]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--programs", type=int, default=40)
-    parser.add_argument("--operations", type=int, default=85_000)
+    parser.add_argument("--programs", type=int, default=30)
+    parser.add_argument("--operations", type=int, default=56_000)
     parser.add_argument("--rows", type=int, default=25)
     parser.add_argument("command", nargs="*", default=list(COMMAND))
     given = parser.parse_args()
