@@ -123,6 +123,14 @@ def test_at_a_minimum_it_stays():
     assert again.cost <= first.cost < again.cost + 1e-4
 
 
+def test_the_first_damping_is_that_of_the_first_step():
+    """Each step that gains divides it by ten, and is short until it is small."""
+    problem, start = decays()
+    steps = [int(solve(problem, start, damping).steps) for damping in (1e-3, 1.0, 1e3)]
+    assert steps[1] >= steps[0] + 1
+    assert steps[2] >= steps[1] + 3
+
+
 def test_a_start_without_a_cost_is_no_answer():
     problem, (shared, own) = decays()
     assert not solve(problem, (shared, own.at[0, 0].set(jnp.nan))).converged
