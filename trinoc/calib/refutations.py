@@ -160,7 +160,7 @@ class HeldLenses(NamedTuple):
     score: HeldScore
     causes: dict[Cause, list[int]]
     freed: tuple[Cause, ...]
-    noise: "_Noise"
+    noise: _Noise
     cameras: tuple[str, ...]
 
     @classmethod
@@ -241,8 +241,8 @@ class HeldLenses(NamedTuple):
             error = root * unseen_sigmas(TUNING.answer.chance / len(self.causes), test.freedom)
             moved = in_sigmas[:, columns] @ error
             strain = np.linalg.norm(moved, axis=1)
-            row = int(np.argmax(np.append(strain, worst)))
-            if row == len(strain):
+            row = int(np.argmax(strain))
+            if not strain[row] > worst:
                 continue
             worst = float(strain[row])
             off = self._scale(cause) * (error @ moved[row]) / worst

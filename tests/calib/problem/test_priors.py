@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 
+from tests.calib.shots.equations import cost_of_places
 from tests.calib.shots.made_shots import board_poses
 from tests.calib.shots.test_laws import problem
 from trinoc.calib.problem.board_shape import with_free_places
@@ -69,7 +70,7 @@ def rows_of(chart, kind):
 @eqx.filter_jit
 def _cost(state, chart, table, loss, head):
     moved = retract(state, chart, head, np.zeros((len(state.rig_from_board), 6)))
-    return PlacesProblem(chart, table, loss).cost(moved)
+    return cost_of_places(PlacesProblem(chart, table, loss), moved)
 
 
 @functools.cache

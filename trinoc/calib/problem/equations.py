@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from trinoc.calib.problem.places import linearise, whitened_residuals
+from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations
 from trinoc.calib.problem.variables import (
     POSE_SIZE,
@@ -41,12 +41,6 @@ class PlacesProblem(AbstractArrowProblem):
     chart: Chart
     table: ViewTable
     loss: AbstractRobustLoss
-
-    def cost(self, state: RigState) -> Float[Array, ""]:
-        """Robust chi-square of all places, and that of the prior."""
-        squared = jnp.sum(jnp.square(whitened_residuals(state, self.chart, self.table)), axis=-1)
-        of_views = jax.vmap(lambda loss, each: loss.rho(each))(self.loss, squared)
-        return jnp.sum(of_views) + evaluate_prior(state, self.chart).cost
 
     def equations(self, state: RigState) -> ArrowEquations:
         """Summed over views, weighted by the loss, the prior included."""

@@ -62,13 +62,9 @@ class AbstractArrowProblem(eqx.Module, Generic[State]):
     optimized_from: ClassVar[float] = float("inf")
 
     @abstractmethod
-    def cost(self, state: State) -> Float[ArrayLike, ""]:
-        """Robust chi-square of all observations and priors."""
-
-    @abstractmethod
     def equations(self, state: State) -> ArrowEquations:
-        """The equations at a state, weighted by the loss, with the priors, and its cost, which
-        decides on a step."""
+        """The equations at a state, weighted by the loss, with the priors, and its cost, the robust
+        chi-square of all observations and priors, which decides on a step."""
 
     @abstractmethod
     def retract(self, state: State, head: Float[Array, "h"], blocks: Float[Array, "b w"]) -> State:
