@@ -19,7 +19,7 @@ from trinoc.calib.messages import lens_strain_sentence
 from trinoc.calib.problem.coefficients import free_of_lenses
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.outcome import ShotScatter, shot_scatter
-from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
+from trinoc.calib.problem.problem import Problem, is_given, lens_number, with_wider_lenses
 from trinoc.calib.problem.rao_test import (
     HeldScore,
     RaoTest,
@@ -212,8 +212,9 @@ class HeldLenses(NamedTuple):
         if not is_refuted(test.chance_by(*self.noise), len(self.causes)):
             return None
         amounts = _amounts(group, self._scale(cause), test.with_noise(self.noise.variance))
+        owner = _owner(self.problem, self.cameras, number)
         return (
-            f"The shots ask for another lens of {self._owner(number)} than was given, above all "
+            f"The shots ask for another lens of {owner} than was given, above all "
             f"in {amounts}: leave it out of `lens`, so that the shots find it, or see that its "
             "pictures have the zoom, focus and size that it is for."
         )
@@ -248,8 +249,9 @@ class HeldLenses(NamedTuple):
             off = self._scale(cause) * (error @ moved[row]) / worst
             amounts = ", ".join(f"{n} off by {o:+.2g}" for n, o in zip(group, off, strict=True))
             camera = self.cameras[(of_fit.free[of_pose][row] - lenses) // POSE_SIZE]
+            owner = _owner(self.problem, self.cameras, number)
             said = (
-                f"The lens of {self._owner(number)} is taken to be exact. The shots may well not "
+                f"The lens of {owner} is taken to be exact. The shots may well not "
                 f'show {amounts}, which moves "{camera}" by up to {worst:.0f} of its sigmas: leave '
                 "it out of `lens`, so that the shots find it."
             )
@@ -261,10 +263,28 @@ class HeldLenses(NamedTuple):
         every = self.problem.state.lenses.parameter_names
         return np.asarray(self.problem.chart.lens_scale)[number, [every.index(n) for n in group]]
 
-    def _owner(self, number: int) -> str:
-        """The cameras that have a lens."""
-        of = np.asarray(self.problem.chart.lens_of_camera)
-        return ", ".join(f'"{name}"' for name, own in zip(self.cameras, of) if own == number)
+
+def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
+    """Of which lens that was given with a covariance the shots ask for another; None of none.
+
+    The strain is the largest step from the prior's mean along a principal axis, in its sigmas.
+    """
+    chart, worst, said = problem.chart, TUNING.answer.strain_sigmas, None
+    for number in np.flatnonzero(is_given(chart)).tolist():
+        scale = np.asarray(chart.lens_scale)[number]
+        offset = np.asarray(lens_number(problem, number).parameters) - chart.lens_mean[number]
+        values, axes = np.linalg.eigh(chart.lens_information[number] * np.outer(scale, scale))
+        strain = float(np.abs(np.sqrt(np.maximum(values, 0.0)) * (axes.T @ (offset / scale))).max())
+        if strain > worst:
+            worst = strain
+            said = f"Of {_owner(problem, cameras, number)}: {lens_strain_sentence(strain)}"
+    return said
+
+
+def _owner(problem: Problem, cameras: Sequence[str], number: int) -> str:
+    """The cameras that have a lens."""
+    of = np.asarray(problem.chart.lens_of_camera)
+    return ", ".join(f'"{name}"' for name, own in zip(cameras, of) if own == number)
 
 
 def _with_lenses_open(problem: Problem, which: Bool[np.ndarray, "l"]) -> Problem:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection, split_by_board
 from trinoc.calib.lens_selection import (
@@ -24,7 +25,7 @@ from trinoc.calib.problem.lens_correction import (
     with_own_correction_sigmas,
 )
 from trinoc.calib.problem.outcome import shot_scatter
-from trinoc.calib.problem.problem import Freedom, Problem
+from trinoc.calib.problem.problem import Freedom, Problem, with_lens_prior
 from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
 from trinoc.calib.problem.robust_fit import RobustFit, fit_robustly
 from trinoc.calib.problem.starting_problem import start_problem
@@ -72,8 +73,9 @@ def calibrate_rig(
         alone is a rig, too.
     board : what is moved about: a Pattern, a Chessboard, a Charuco or an AprilGrid; or a BoardSet
         of several that are fixed to each other, whose places are found with the rig.
-    lens : lenses that are known and held as exact, of all cameras or by name; others are found.
-        Where the shots refute one, the status is SUSPECT and the first note names it.
+    lens : lenses that are known, of all cameras or by name; others are found. They are held as
+        exact, or fitted under the covariance that `systematics` states of them. Where the shots
+        refute one, the status is SUSPECT and the first note names it.
     lens_model : model of the lenses that are found; "auto" takes that which, fitted to one half of
         the shots, tells best of the other half, and a note says why. "splined" corrects the best
         polynomial lens by B-splines, and "splined_" before the name of a model that one; "auto"
@@ -86,7 +88,8 @@ def calibrate_rig(
     method : "points" fits the places that the detector found, circles or corners; "pixels" goes on
         from there to the grey levels near every edge of the board.
     systematics : what is known of print and board: `print_size_sigma`, `print_scale_sigma` and
-        `flatness_mm`, as `Systematics.typical` has them unless given.
+        `flatness_mm`, as `Systematics.typical` has them unless given; and `lens_covariance` of
+        given lenses, without which they are exact.
     throw : whether a rig that is not determined raises; without it the result says so.
     progress : called with how many pictures of how many were looked at.
 
@@ -102,6 +105,8 @@ def calibrate_rig(
     """
     expect_method(method, board, images)
     known = _given_lenses(lens, tuple(images))
+    systematics = _known_of_rig(systematics)
+    factors = _lens_factors(systematics, known, tuple(images))
     models, corrected = _models_to_try(lens_model, distortion, known)
     found = find_boards(images, board, progress)
     detections = {
@@ -114,8 +119,9 @@ def calibrate_rig(
         for camera, own in found.detections.items()
     }
     _expect_boards(found, detections)
-    known_board = _board_systematics(systematics)
-    seen = _SeenBoards(detections, found.shots, board, known, distortion, same_lens, known_board)
+    seen = _SeenBoards(
+        detections, found.shots, board, known, factors, distortion, same_lens, systematics
+    )
     placed, fit, remarks = _fit_best_lens(seen, models, corrected)
     cameras, silent, held = tuple(detections), [], ()
     fit = with_board_shape(fit)
@@ -128,14 +134,14 @@ def calibrate_rig(
         fit,
         placed.shots,
         cameras,
-        known,
+        {camera: own for camera, own in known.items() if camera not in factors},
         world=world,
         held=held,
         remarks=remarks,
         silent=silent,
         refused=placed.refused,
         failures={f"{camera}, {shot}": why for (camera, shot), why in found.failures.items()},
-        systematics=known_board.words,
+        systematics=systematics.words,
     )
     if throw and result.rig is None:
         raise CalibrationError(result.notes[0], {}, result)
@@ -150,6 +156,7 @@ class _SeenBoards(NamedTuple):
     shots: Sequence[str]
     target: AbstractTarget
     known: Mapping[str, Intrinsics]
+    lens_factors: Mapping[str, Float[np.ndarray, "_ _"]]
     distortion: int | None
     same_lens: bool
     systematics: Systematics
@@ -241,8 +248,12 @@ def _rig_problem(
     seen: _SeenBoards, placed: PlacedRig, starts: Mapping[str, CameraStart]
 ) -> Problem:
     """Free are all cameras but the first, all boards, what is not exact of the board, and lenses
-    that are not known, each camera's own or one of all."""
+    that are not exact, each camera's own or one of all."""
     lenses, sizes = [start.lens for start in starts.values()], seen.sizes_px
+    factors = [seen.lens_factors.get(camera) for camera in starts]
+    lenses = [
+        lens if factor is None else promote_lens(lens) for lens, factor in zip(lenses, factors)
+    ]
     lens_of_camera = np.arange(len(starts))
     models = {type(lens) for lens in lenses if lens.has_distortion}
     if len(models) == 1:
@@ -258,7 +269,7 @@ def _rig_problem(
     if seen.distortion is not None:
         free[:, len(AFFINE_PARAMETERS) + seen.distortion :] = False
     free[[camera in seen.known for camera in starts][: len(lenses)]] = False
-    return start_problem(
+    problem = start_problem(
         placed.views,
         seen.target,
         lenses,
@@ -269,6 +280,10 @@ def _rig_problem(
         seen.systematics,
         placed.set_from_board,
     )
+    for number, factor in enumerate(factors[: len(lenses)]):
+        if factor is not None:
+            problem = with_lens_prior(problem, number, factor)
+    return problem
 
 
 def _models_to_try(
@@ -314,11 +329,27 @@ def _given_lenses(
     return lens
 
 
-def _board_systematics(given: Systematics | None) -> Systematics:
-    """What is known of the board alone: lenses and aims are what is found here."""
+def _known_of_rig(given: Systematics | None) -> Systematics:
+    """What is known of board and lenses: aims are what is found here."""
     known = Systematics.typical({}) if given is None else given
     known.check()
-    return known._replace(lens_covariance=None, aim_sigma_mm=0.0)
+    return known._replace(aim_sigma_mm=0.0)
+
+
+def _lens_factors(
+    systematics: Systematics, known: Mapping[str, Intrinsics], cameras: tuple[str, ...]
+) -> dict[str, Float[np.ndarray, "_ _"]]:
+    """Of each given lens that is not exact the factor of its covariance."""
+    stated = systematics.lens_covariance
+    without = [camera for camera in cameras if camera not in known]
+    if isinstance(stated, Mapping):
+        without = [camera for camera in without if camera in stated]
+    if stated is not None and without:
+        raise InputError(
+            f'`lens_covariance` is that of a lens that is given, but "{without[0]}" has none in '
+            "`lens`: add it, or leave its covariance out."
+        )
+    return systematics.lens_factors({camera: known.get(camera) for camera in cameras})
 
 
 def _expect_boards(

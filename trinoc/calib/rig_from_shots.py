@@ -19,7 +19,7 @@ from trinoc.calib.problem.outcome import assess_fit
 from trinoc.calib.problem.problem import EndedProblem, Problem, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.problem.views import View
-from trinoc.calib.refutations import HeldLenses
+from trinoc.calib.refutations import HeldLenses, say_strained_lens
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.shot_messages import (
     list_refusals,
@@ -252,11 +252,11 @@ def result_from_fit(
     place = _choose_world(world, shots, problem, cameras)
     status, information, enlarged, factor = outcome
     good, said = status is Status.CONVERGED, None
-    lenses = HeldLenses.of(fit, cameras) if good else None
-    if lenses is not None:
-        said = lenses.say_what_is_refuted()
+    if good:
+        lenses, said = HeldLenses.of(fit, cameras), say_strained_lens(problem, cameras)
+        said = said or (lenses and lenses.say_what_is_refuted())
         status = Status.CONVERGED if said is None else Status.SUSPECT
-        said = said or lenses.say_what_goes_unseen(enlarged)
+        said = said or (lenses and lenses.say_what_goes_unseen(enlarged))
     named = named_covariance(problem, information, enlarged, factor, cameras, place)
     covariance, values, gauge = named.covariance, np.array(named.values), ()
     if status is Status.RANK_DEFICIENT:

@@ -67,7 +67,8 @@ class CalibrateRigCommand(ReportOption, Command):
     """All cameras have one lens, such as pictures of one camera moved about."""
 
     lens: Annotated[LensFiles, tyro.conf.arg(help_behavior_hint="(default: lenses are found)")] = ()
-    """Lenses that are known and held: camera.json of all cameras, or NAME=camera.json."""
+    """Known lenses, held or fitted under the covariance in their file: camera.json of all cameras,
+    or NAME=camera.json."""
 
     world: Annotated[
         str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: a shot)")
@@ -106,20 +107,24 @@ class CalibrateRigCommand(ReportOption, Command):
         from trinoc.io.atomic import expect_place
         from trinoc.io.board_json import load_target
         from trinoc.io.images import load_shots
-        from trinoc.io.intrinsics_json import load_intrinsics
+        from trinoc.io.intrinsics_json import load_intrinsics, load_lens_covariance
         from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out, self.report)
         expect_replaceable(self.out, Rig, force=self.force)
         target = one_target([(board.stem, load_target(board)) for board in self.board])
         pictures = load_shots(places)
-        known: Any = None
+        known, stated = None, None
         if len(self.lens) == 1 and "=" not in self.lens[0]:
-            known = load_intrinsics(self.lens[0])
+            known, stated = load_intrinsics(self.lens[0]), load_lens_covariance(self.lens[0])
         elif self.lens:
-            lens_files = files_of_views(self.lens)
-            known = {name: load_intrinsics(file) for name, file in lens_files.items()}
-        known_of_board = Systematics.typical({})._replace(**print_systematics(sigma))
+            files = files_of_views(self.lens)
+            known = {name: load_intrinsics(file) for name, file in files.items()}
+            every = {name: load_lens_covariance(file) for name, file in files.items()}
+            stated = {name: own for name, own in every.items() if own is not None} or None
+        beforehand = Systematics.typical({})._replace(
+            lens_covariance=stated, **print_systematics(sigma)
+        )
         LOGGER.info(
             "looking for the board; pictures: %d", sum(len(own) for own in pictures.values())
         )
@@ -133,7 +138,7 @@ class CalibrateRigCommand(ReportOption, Command):
                 same_lens=self.same_lens,
                 method=self.method,
                 world=self.world,
-                systematics=known_of_board,
+                systematics=beforehand,
                 progress=bar.show,
             )
         made_by = provenance(command_line, board_files(self.board))

@@ -16,6 +16,9 @@ from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.registry import stack_lenses
 from trinoc.geometry.pose import Pose
 
+# numerical: of two correlations.
+_APART = 1e-6
+
 
 class Problem(NamedTuple):
     """Everything that the fit takes.
@@ -105,16 +108,42 @@ class Freedom(NamedTuple):
 
 def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
     """The problem with other parameters of the lenses held; held coefficients are zero, but for
-    lenses that are held as a whole, and for what is never fitted."""
+    lenses that are held as a whole or known by a covariance, and for what is never fitted."""
     head = np.array(problem.chart.free)
     head[: problem.chart.lens_count] = free.astype(float).ravel()
     given = np.asarray(problem.state.lenses.coefficients)
-    whole = ~free.any(axis=1, keepdims=True)
+    whole = ~free.any(axis=1, keepdims=True) | is_given(problem.chart)[:, None]
     model = problem.state.lenses
     never = np.array([[name in model.never_fitted for name in model.coefficient_names]], dtype=bool)
     kept = np.where(free[:, len(AFFINE_PARAMETERS) :] | whole | never, given, 0.0)
     state = eqx.tree_at(lambda state: state.lenses.coefficients, problem.state, kept)
     return problem._replace(chart=_with_free(problem.chart, head), state=state)
+
+
+def is_given(chart: Chart) -> Bool[np.ndarray, "l"]:
+    """Which lenses are known by a covariance; the prior of splines has a mean of 0."""
+    known = np.einsum("lqq->lq", np.asarray(chart.lens_information)) * np.asarray(chart.lens_mean)
+    return np.sum(np.abs(known), axis=1) > 0
+
+
+def with_lens_prior(problem: Problem, number: int, factor: Float[np.ndarray, "k r"]) -> Problem:
+    """The problem whose lens `number` is known as it starts, to a covariance L L^T of its first k
+    parameters; those without variance are held."""
+    chart, covariance = problem.chart, factor @ factor.T
+    rows = np.flatnonzero(np.diag(covariance) > 0)
+    sigma = np.sqrt(np.diag(covariance)[rows])
+    # What is off alike, such as both focal lengths of a data sheet, is two unknowns, not one.
+    apart = covariance[np.ix_(rows, rows)] / np.outer(sigma, sigma) + _APART * np.eye(len(rows))
+    mean, information = np.array(chart.lens_mean), np.array(chart.lens_information)
+    mean[number] = np.asarray(lens_number(problem, number).parameters)
+    information[number][np.ix_(rows, rows)] = np.linalg.inv(apart) / np.outer(sigma, sigma)
+    free = np.array(chart.free)
+    free[number * chart.lens_shape[1] + rows] = 1.0
+    chart = eqx.tree_at(
+        lambda c: (c.lens_mean, c.lens_information, c.free), chart, (mean, information, free)
+    )
+    # As many as the shots can tell of it; they tell of thousands of numbers.
+    return problem._replace(chart=chart, spent_on_lenses=problem.spent_on_lenses + float(len(rows)))
 
 
 def with_wider_lenses(
@@ -125,6 +154,7 @@ def with_wider_lenses(
     What is added is free, without a prior, of lenses that are not held as a whole.
     """
     count, size = problem.chart.lens_shape
+    more = len(lenses[0].parameter_names) - size
     names, never = lenses[0].parameter_names[size:], lenses[0].never_fitted
     scale = np.stack(
         [lens.parameter_scales(each) for lens, each in zip(lenses, image_sizes_px[:count])]
@@ -137,9 +167,9 @@ def with_wider_lenses(
         problem.chart,
         (
             basis_of_scales(scale),
-            np.zeros_like(scale),
+            np.pad(problem.chart.lens_mean, ((0, 0), (0, more))),
             np.append(np.append(of_lens, added, axis=1).ravel(), of_rest),
-            np.zeros((*scale.shape, scale.shape[1])),
+            np.pad(problem.chart.lens_information, ((0, 0), (0, more), (0, more))),
         ),
     )
     state = eqx.tree_at(lambda state: state.lenses, problem.state, stack_problem_lenses(lenses))

@@ -1,0 +1,108 @@
+"""A lens of a rig that is known by a covariance: an unknown with a prior, beside what shots say."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, lens_of, shots
+from trinoc.calib.problem.coefficients import free_of_lenses
+from trinoc.calib.problem.problem import lens_number, with_lens_free, with_wider_lenses
+from trinoc.calib.problem.variables import evaluate_prior
+from trinoc.calib.result.calibration import Status
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.errors import InputError
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.polynomial import BrownConrady
+from trinoc.geometry.lenses.skewed import skew_lens
+
+TWO = ("left", "right")
+KNOWN = {name: Intrinsics.of_lens(lens_of(name), SIZE_PX) for name in TWO}
+# Of fx, fy, cx, cy, k1, k2, p1, p2, k3: about what four shots know; the last is exact.
+SIGMA = np.array([1.5, 1.5, 1.0, 1.0, 0.01, 0.03, 5e-4, 5e-4, 0.0])
+CORRELATION = np.eye(9)
+CORRELATION[0, 1] = CORRELATION[1, 0] = 0.9
+COVARIANCE = CORRELATION * np.outer(SIGMA, SIGMA)
+
+
+def known_to(covariance: np.ndarray, *names: str) -> Systematics:
+    return Systematics(lens_covariance=dict.fromkeys(names, covariance))
+
+
+def test_a_lens_known_well_is_as_one_that_is_exact():
+    seen = shots(count=4, cameras=TWO)
+    held = calibrate_rig(seen, BOARD, lens=KNOWN, systematics=Systematics(), world="left")
+    tight = calibrate_rig(
+        seen, BOARD, lens=KNOWN, systematics=known_to(1e-10 * COVARIANCE, *TWO), world="left"
+    )
+    rows = [tight.parameters.index(name) for name in held.parameters]
+    sigma, fitted = np.sqrt(np.diag(held.covariance)), np.diag(held.covariance) > 0
+    assert np.all(np.abs(tight.values[rows] - held.values)[fitted] < 1e-2 * sigma[fitted])
+    now = np.sqrt(np.diag(tight.covariance))[rows]
+    assert now[fitted] == pytest.approx(sigma[fitted], rel=2e-2)
+
+
+def test_lens_and_pose_are_as_far_off_as_is_claimed():
+    """Over lenses drawn from what is said of them, and noise."""
+    squared, freedom = 0.0, 0
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        said = LENSES["left"] + random.multivariate_normal(np.zeros(9), COVARIANCE)
+        lens = Intrinsics.of_lens(BrownConrady.from_parameters(said), SIZE_PX)
+        found = calibrate_rig(
+            shots(seed=seed, count=4, cameras=TWO),
+            BOARD,
+            lens=KNOWN | {"left": lens},
+            systematics=known_to(COVARIANCE, "left"),
+            world="left",
+        )
+        assert found.rig is not None
+        rows = [found.parameters.index(f"left.{name}") for name in lens_of("left").parameter_names]
+        off, free = found.values[rows] - LENSES["left"], SIGMA > 0
+        assert off[~free] == 0
+        covariance = found.covariance[np.ix_(rows, rows)][np.ix_(free, free)]
+        assert np.all(np.sqrt(np.diag(covariance)) < SIGMA[free])
+        squared += off[free] @ np.linalg.solve(covariance, off[free])
+        freedom += int(free.sum())
+    low, high = chi2.ppf([0.001, 0.999], freedom)
+    assert low < squared < high
+
+
+def test_a_lens_that_the_shots_refute_is_named():
+    said = LENSES["left"] + 8 * np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.0])
+    lens = Intrinsics.of_lens(BrownConrady.from_parameters(said), SIZE_PX)
+    found = calibrate_rig(
+        shots(count=4, cameras=TWO),
+        BOARD,
+        lens=KNOWN | {"left": lens},
+        systematics=known_to(COVARIANCE, "left"),
+    )
+    assert found.status is Status.SUSPECT
+    assert found.notes[0].startswith('Of "left": the lens is another than was said, by ')
+
+
+def test_what_is_known_of_a_lens_stays_with_more_parameters_and_with_fewer_free():
+    found = calibrate_rig(
+        shots(count=4, cameras=TWO), BOARD, lens=KNOWN, systematics=known_to(COVARIANCE, *TWO)
+    )
+    assert found.ended is not None
+    problem = found.ended.problem
+    before = evaluate_prior(problem.state, problem.chart).cost
+    skewed = [skew_lens(lens_number(problem, number)) for number in range(2)]
+    wider = with_wider_lenses(problem, skewed, [SIZE_PX, SIZE_PX])
+    assert evaluate_prior(wider.state, wider.chart).cost == pytest.approx(before)
+    free = free_of_lenses(problem)
+    free[:, -1] = free[:, 5] = False
+    held = with_lens_free(problem, free).state.lenses
+    assert np.array_equal(held.coefficients, problem.state.lenses.coefficients)
+
+
+@pytest.mark.parametrize("stated", [COVARIANCE, {"right": COVARIANCE}])
+def test_the_covariance_of_a_lens_that_is_not_given_is_refused(stated):
+    with pytest.raises(InputError, match=r'but "right" has none in `lens`'):
+        calibrate_rig(
+            shots(count=4, cameras=TWO),
+            BOARD,
+            lens={"left": KNOWN["left"]},
+            systematics=Systematics(lens_covariance=stated),
+        )
