@@ -1,4 +1,4 @@
-"""The commands choose XLA's quicker code generator; users have the last word."""
+"""The commands choose XLA's quicker code generator and processors; users have the last word."""
 
 import os
 
@@ -26,3 +26,13 @@ def test_only_versions_that_know_the_flag_get_it(monkeypatch, version, own, expe
     compile_quickly()
     compile_quickly()
     assert os.environ.get("XLA_FLAGS") == expected
+
+
+@pytest.mark.parametrize(("own", "expected"), [(None, "cpu"), ("cuda,cpu", "cuda,cpu")])
+def test_commands_leave_a_gpu_alone_that_nobody_names(monkeypatch, own, expected) -> None:
+    monkeypatch.setenv("XLA_FLAGS", "")
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    if own is not None:
+        monkeypatch.setenv("JAX_PLATFORMS", own)
+    compile_quickly()
+    assert os.environ.get("JAX_PLATFORMS") == expected

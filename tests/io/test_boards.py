@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+import trinoc
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.pattern import Pattern
@@ -52,6 +53,12 @@ def test_a_spoilt_layout_is_refused_with_its_file(old, new, says, tmp_path):
     with pytest.raises(InputError, match=says) as caught:
         load_target(tmp_path / "board.json")
     assert "board.json" in str(caught.value)
+
+
+def test_a_board_in_place_of_a_sheet_is_sent_to_the_command_that_takes_it(tmp_path):
+    save(BOARDS[0], tmp_path / "board.json")
+    with pytest.raises(InputError, match=r"no sheet of circles.*calibrate-rig"):
+        trinoc.load_pattern(tmp_path / "board.json")
 
 
 def test_a_board_is_drawn_with_as_much_ink_as_it_has():

@@ -102,7 +102,11 @@ def _version(name: str) -> str | None:
 
 
 def compile_quickly() -> None:
-    """Choose the quicker of XLA's code generators, unless the user's XLA_FLAGS name one."""
+    """Choose the quicker of XLA's code generators, and processors, unless the environment does.
+
+    A GPU gives the same tracks in the same time, but programs take twice as long to compile for it,
+    and a command again 13.6 s instead of 5.3.
+    """
     from trinoc.numerics.compiler_options import quick_compiling
 
     own = os.environ.get("XLA_FLAGS", "")
@@ -113,6 +117,7 @@ def compile_quickly() -> None:
     ]
     if flags:
         os.environ["XLA_FLAGS"] = " ".join([*flags, own]).rstrip()
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 
 DESCRIPTION = (

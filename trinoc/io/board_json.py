@@ -28,9 +28,13 @@ _PATTERN_CONVENTIONS = (
 
 def load_pattern(path: str | os.PathLike[str]) -> Pattern:
     """Read a layout. Raises InputError, in one sentence with file and key."""
-    document = read_document(path, PATTERN_FORMAT, PATTERN_VERSION)
-    document.expect_keys(("format", "version", "name", "circles"), ("lines", "conventions"))
-    return parse_pattern(document, document.text("name"))
+    target = load_target(path)
+    if not isinstance(target, Pattern):
+        raise InputError(
+            f"{path} is no sheet of circles, which is needed here: `trinoc calibrate-rig` takes "
+            "other boards, and several shots of one camera alone, too."
+        )
+    return target
 
 
 def parse_pattern(document: Block, name: str) -> Pattern:
@@ -134,7 +138,9 @@ def load_target(path: str | os.PathLike[str]) -> AbstractTarget:
     values = parsed_json(read_text(path), path)
     if isinstance(values, dict) and values.get("format") == FORMAT:
         return _target(read_document(path, FORMAT, VERSION))
-    return load_pattern(path)
+    document = read_document(path, PATTERN_FORMAT, PATTERN_VERSION)
+    document.expect_keys(("format", "version", "name", "circles"), ("lines", "conventions"))
+    return parse_pattern(document, document.text("name"))
 
 
 def save_target(target: AbstractTarget, path: str | os.PathLike[str]) -> None:
