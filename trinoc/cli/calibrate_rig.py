@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from trinoc.cli.command import LOGGER, Bar, Command, Out, Outcome, ReportOption, UsageError
-from trinoc.cli.lens_options import BOARD_SIGMA, LensFiles, print_systematics
+from trinoc.cli.lens_options import BOARD_SIGMA, LensFiles, print_systematics, read_lenses
 from trinoc.cli.settings import Settings, read_settings
 from trinoc.cli.views import files_of_views
 
@@ -67,8 +67,8 @@ class CalibrateRigCommand(ReportOption, Command):
     """All cameras have one lens, such as pictures of one camera moved about."""
 
     lens: Annotated[LensFiles, tyro.conf.arg(help_behavior_hint="(default: lenses are found)")] = ()
-    """Known lenses, held or fitted under the covariance in their file: camera.json of all cameras,
-    or NAME=camera.json."""
+    """Known lenses, held or fitted under their file's covariance: camera.json or rig.json of all
+    cameras, or NAME=camera.json."""
 
     world: Annotated[
         str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: a shot)")
@@ -107,21 +107,13 @@ class CalibrateRigCommand(ReportOption, Command):
         from trinoc.io.atomic import expect_place
         from trinoc.io.board_json import load_target
         from trinoc.io.images import load_shots
-        from trinoc.io.intrinsics_json import load_intrinsics, load_lens_covariance
         from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out, self.report)
         expect_replaceable(self.out, Rig, force=self.force)
         target = one_target([(board.stem, load_target(board)) for board in self.board])
         pictures = load_shots(places)
-        known, stated = None, None
-        if len(self.lens) == 1 and "=" not in self.lens[0]:
-            known, stated = load_intrinsics(self.lens[0]), load_lens_covariance(self.lens[0])
-        elif self.lens:
-            files = files_of_views(self.lens)
-            known = {name: load_intrinsics(file) for name, file in files.items()}
-            every = {name: load_lens_covariance(file) for name, file in files.items()}
-            stated = {name: own for name, own in every.items() if own is not None} or None
+        known, stated = read_lenses(self.lens, pictures)
         beforehand = Systematics.typical({})._replace(
             lens_covariance=stated, **print_systematics(sigma)
         )

@@ -1,7 +1,7 @@
 """How the command line says what lens a camera has, and what is not exact."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -103,12 +103,37 @@ def _warn_of_sizes(sizes_px: Mapping[str, tuple[int, int]]) -> None:
         )
 
 
+Covariances = "np.ndarray | dict[str, np.ndarray] | None"
+
+
+def read_lenses(
+    given: tuple[str, ...], cameras: Iterable[str]
+) -> "tuple[dict[str, Intrinsics], Covariances]":
+    """The lens of each camera that a file is given for, one for all or NAME=FILE, and what the
+    files state of them: the covariance of the one lens of all cameras, or of each.
+
+    Raises UsageError, and InputError for a file that does not say it.
+    """
+    import equinox as eqx
+
+    from trinoc.io.rig_json import load_lens
+
+    is_of_all = len(given) == 1 and "=" not in given[0]
+    files = dict.fromkeys(cameras, Path(given[0])) if is_of_all else files_of_views(given)
+    known = {name: load_lens(file, name) for name, file in files.items()}
+    lenses = {name: own.intrinsics for name, own in known.items()}
+    stated = {name: own.covariance for name, own in known.items() if own.covariance is not None}
+    if is_of_all and eqx.tree_equal(*lenses.values()):
+        return lenses, next(iter(stated.values()), None)
+    return lenses, stated or None
+
+
 @dataclasses.dataclass(frozen=True)
 class LensOptions:
     """The lens: from a file, or as its data sheet has it."""
 
     lens: Annotated[LensFiles, tyro.conf.arg(help_behavior_hint="(or --lens-mm)")] = ()
-    """camera.json of all cameras, or NAME=camera.json, once for each."""
+    """camera.json or rig.json of all cameras, or NAME=camera.json."""
 
     lens_mm: Annotated[
         tuple[float, float, float],
@@ -130,7 +155,7 @@ class LensOptions:
         Raises UsageError where the options do not say it, InputError for a file that does not.
         """
         from trinoc.geometry.intrinsics import Intrinsics
-        from trinoc.io.intrinsics_json import expect_lens, load_intrinsics
+        from trinoc.io.intrinsics_json import expect_lens
 
         by_numbers = self.lens_mm != NO_NUMBERS
         if by_numbers == bool(self.lens):
@@ -152,16 +177,13 @@ class LensOptions:
                 )
                 for name, size in sizes_px.items()
             }
-        if len(self.lens) == 1 and "=" not in self.lens[0]:
-            lens = load_intrinsics(Path(self.lens[0]))
-            return dict.fromkeys(sizes_px, lens)
-        files = files_of_views(self.lens)
+        lenses, _ = read_lenses(self.lens, sizes_px)
         for name in sizes_px:
-            if name not in files:
+            if name not in lenses:
                 raise UsageError(
                     f'--lens has no file for the camera "{name}": add {name}=camera.json.'
                 )
-        return {name: load_intrinsics(files[name]) for name in sizes_px}
+        return {name: lenses[name] for name in sizes_px}
 
     def covariance(
         self, lenses: "Mapping[str, Intrinsics]"
@@ -171,18 +193,15 @@ class LensOptions:
         What no file states is that of a data sheet, where the lens is given as one gives it.
         """
         from trinoc.calib.uncertainty.systematics import Systematics
-        from trinoc.io.intrinsics_json import load_lens_covariance
 
         usual = Systematics.typical(lenses).lens_covariance
         if not self.lens:
             return usual
-        if len(self.lens) == 1 and "=" not in self.lens[0]:
-            stated = load_lens_covariance(Path(self.lens[0]))
-            return usual if stated is None else stated
-        files = files_of_views(self.lens)
-        loaded = {name: load_lens_covariance(files[name]) for name in lenses}
-        stated = {name: each for name, each in loaded.items() if each is not None}
-        return {**(usual if isinstance(usual, Mapping) else {}), **stated} or None
+        _, stated = read_lenses(self.lens, lenses)
+        if isinstance(stated, Mapping):
+            of_lenses = {name: own for name, own in stated.items() if name in lenses}
+            return {**(usual if isinstance(usual, Mapping) else {}), **of_lenses} or None
+        return usual if stated is None else stated
 
     def files(self) -> dict[str, Path]:
         """The files that `lenses` reads, for provenance."""

@@ -8,16 +8,20 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
-from trinoc.io.atomic import write_text
+from trinoc.io.atomic import read_text, write_text
 from trinoc.io.intrinsics_json import (
     CONVENTIONS,
     expect_apart,
     intrinsics_from_block,
     intrinsics_to_block,
+    load_intrinsics,
+    load_lens_covariance,
 )
-from trinoc.io.json_document import Block, document_text, read_document
+from trinoc.io.json_document import Block, document_text, parsed_json, read_document
 from trinoc.numerics.tables import is_covariance
 
 if TYPE_CHECKING:
@@ -134,6 +138,44 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
         if "sigma" in block.values:
             _check_sigma(block.block("sigma"), _sigmas(rig, name))
     return rig
+
+
+class KnownLens(NamedTuple):
+    """A lens, and the covariance (q, q) of its parameters where its file states one.
+
+    They are those of the lens's model, and of Brown-Conrady for an ideal lens.
+    """
+
+    intrinsics: Intrinsics
+    covariance: np.ndarray | None
+
+
+def load_lens(path: str | os.PathLike[str], camera: str | None = None) -> KnownLens:
+    """The lens of a camera.json, or of a camera of a rig.json: of the one of this name, or the
+    only one.
+
+    Raises InputError, in one sentence with the file.
+    """
+    values = parsed_json(read_text(path), path)
+    if not isinstance(values, dict) or values.get("format") != FORMAT:
+        return KnownLens(load_intrinsics(path), load_lens_covariance(path))
+    rig = load_rig(path)
+    name = camera if camera in tuple(rig) else next(iter(rig)) if len(rig) == 1 else None
+    if name is None:
+        raise InputError(
+            f"{path} is a rig of {', '.join(rig)}, "
+            + ("a lens is that of one: " if camera is None else f'none of which is "{camera}": ')
+            + "write NAME=rig.json with one of these names, or give a camera.json."
+        )
+    lens = rig[name].intrinsics
+    names = [f"{name}.{each}" for each in promote_lens(lens.lens).parameter_names]
+    known = [row for row, each in enumerate(names) if each in rig.parameters]
+    if not known:
+        return KnownLens(lens, None)
+    rows = [rig.parameters.index(names[row]) for row in known]
+    covariance = np.zeros((len(names), len(names)))
+    covariance[np.ix_(known, known)] = np.asarray(rig.covariance)[np.ix_(rows, rows)]
+    return KnownLens(lens, covariance)
 
 
 def load_rig_status(path: str | os.PathLike[str]) -> RigStatus:
