@@ -104,6 +104,13 @@ def fit_profiles(
     logarithm of the width; `precision` is the inverse of the prior's variance, 0 where there is
     none, and `information` that of every level.
     """
+    # Beyond the profile nothing is seen of a step.
+    least, most = across_px.min(axis=1), across_px.max(axis=1)
+    used = information > 0
+    first = np.argsort(~used, axis=1, kind="stable")[:, : used.sum(axis=1).max(initial=1)]
+    across_px, level, information = (
+        np.take_along_axis(each, first, axis=1) for each in (across_px, level, information)
+    )
     root, precision = np.sqrt(information)[..., None], np.maximum(precision, _HARDLY_ANY)
 
     def residuals(state: Float[np.ndarray, "s 4"]) -> Residuals:
@@ -123,8 +130,7 @@ def fit_profiles(
         state: Float[np.ndarray, "s 4"], step: Float[np.ndarray, "s 4"]
     ) -> Float[np.ndarray, "s 4"]:
         after = state + step
-        # Beyond the profile nothing is seen of a step.
-        after[:, 0] = np.clip(after[:, 0], across_px.min(axis=1), across_px.max(axis=1))
+        after[:, 0] = np.clip(after[:, 0], least, most)
         after[:, 1] = np.maximum(after[:, 1], least_above)
         return after
 

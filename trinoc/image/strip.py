@@ -44,16 +44,19 @@ def list_pixels_across(
 ) -> Int[np.ndarray, "*n p 2"]:
     """(column, row) of pixels and of so many on either side, in their row where an edge is crossed
     along u, or else in their column."""
-    steps = np.arange(-half, half + 1)[:, None]
-    axis = np.stack([along_u, ~along_u], axis=-1)
-    return at_px[..., None, :] + steps * axis[..., None, :]
+    steps = np.arange(-half, half + 1)
+    pixels = np.empty((*along_u.shape, len(steps), 2), at_px.dtype)
+    for axis, along in enumerate((along_u, ~along_u)):
+        np.add(at_px[..., None, axis], steps * along[..., None], out=pixels[..., axis])
+    return pixels
 
 
 def take_levels(
     picture: Shaped[np.ndarray, "h w"], pixels: Int[np.ndarray, "*n 2"]
 ) -> tuple[Shaped[np.ndarray, "*n"], Bool[np.ndarray, "*n"]]:
     """(value of each pixel, whether the picture has it); beyond the border the nearest one's."""
-    size = np.array(picture.shape[::-1])
-    inside = ((pixels >= 0) & (pixels < size)).all(axis=-1)
-    column, row = np.moveaxis(np.clip(pixels, 0, size - 1), -1, 0)
-    return picture[row, column], np.asarray(inside)
+    height, width = picture.shape
+    column, row = np.moveaxis(pixels, -1, 0)
+    near_column, near_row = np.clip(column, 0, width - 1), np.clip(row, 0, height - 1)
+    inside = (column == near_column) & (row == near_row)
+    return picture[near_row, near_column], np.asarray(inside)

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 Group = Int[np.ndarray, "m"] | None
@@ -176,7 +174,12 @@ def group_labels(
     count: int, one: Int[np.ndarray, "p"], other: Int[np.ndarray, "p"]
 ) -> Int[np.ndarray, "n"]:
     """(n,) the least number of the items that pairs tie to each, directly or not."""
-    ties = coo_array((np.ones(len(one), dtype=bool), (one, other)), shape=(count, count))
-    _, label = connected_components(ties, directed=False)
-    _, least = np.unique(label, return_index=True)
-    return least[label]
+    label = np.arange(count)
+    while True:
+        least = np.minimum(label[one], label[other])
+        # What ties one item ties all that its label stands for.
+        for side in (one, other):
+            np.minimum.at(label, label[side], least)
+        label = label[label]
+        if np.array_equal(label[one], label[other]) and np.array_equal(label, label[label]):
+            return label

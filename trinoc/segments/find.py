@@ -39,7 +39,12 @@ from trinoc.segments.nevatia_babu.errors import (
     noise_variance,
     without_neighbours,
 )
-from trinoc.segments.nevatia_babu.line_fit import FittedLines, fit_lines, merge_collinear
+from trinoc.segments.nevatia_babu.line_fit import (
+    FittedLines,
+    fit_lines,
+    merge_collinear,
+    refit_lines,
+)
 from trinoc.segments.nevatia_babu.runs import (
     PyramidLevel,
     Runs,
@@ -176,7 +181,9 @@ def _without_neighbours(
     own_blur = np.clip(lines.blur_px2, blur_px2 - spread, blur_px2 + spread)
     points = without_neighbours(runs.points, lines, own_blur, near)
     cleaned = runs._replace(points=points)
-    lines = fit_lines(cleaned, tuning.scales)
+    moved = (points.uv_px != runs.points.uv_px).any(axis=1)
+    changed = cleaned.total(moved | (points.strength != runs.points.strength)) > 0
+    lines = refit_lines(cleaned, lines, changed, tuning.scales)
     given = smooth.picture, runs.points, cleaned, lines, near, blur_px2, tuning.errors
     return cleaned, lines, error_model(*given)
 

@@ -10,7 +10,7 @@ import functools
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.numerics.joins import group_labels, group_maxima, members
+from trinoc.numerics.joins import group_maxima, members
 from trinoc.segments.nevatia_babu.thinning import BORDER_PX, ThinnedPixels
 
 _SECTORS = 16  # numerical: of the table of steps
@@ -121,8 +121,8 @@ def order_chains(
     head, distance = _heads(predecessor)
     closed = np.flatnonzero(predecessor[head] != head)
     if len(closed):
-        lowest = np.unique(group_labels(count, closed, predecessor[closed])[closed])
-        predecessor[lowest] = lowest
+        lowest = _lowest_of_rings(np.searchsorted(closed, predecessor[closed]))
+        predecessor[closed[lowest]] = closed[lowest]
         head, distance = _heads(predecessor)
     length = np.bincount(head, minlength=count)
     kept = np.flatnonzero(length >= least_points)
@@ -135,6 +135,15 @@ def order_chains(
     order = np.empty(len(within), dtype=np.int64)
     order[place[within] + distance[within]] = within
     return order, starts
+
+
+def _lowest_of_rings(predecessor: Int[np.ndarray, "n"]) -> Int[np.ndarray, "k"]:
+    """Of points all of which lie on closed chains: the one of lowest index of each chain."""
+    lowest = np.arange(len(predecessor))
+    for _ in range(len(predecessor).bit_length()):
+        lowest = np.minimum(lowest, lowest[predecessor])
+        predecessor = predecessor[predecessor]
+    return np.flatnonzero(lowest == np.arange(len(lowest)))
 
 
 def _heads(predecessor: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:

@@ -6,10 +6,11 @@ Total least squares, weighted by edge strength.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from trinoc.image.step_edge import height_of_step
 from trinoc.numerics.joins import near_pairs
+from trinoc.numerics.tables import take_rows
 from trinoc.segments.nevatia_babu.chains import order_chains
 from trinoc.segments.nevatia_babu.endpoints import Pieces
 from trinoc.segments.nevatia_babu.runs import Runs
@@ -179,10 +180,26 @@ def merge_collinear(
     successor = collinear_successors(lines, tolerance_px / 2, tuning.ends)
     line_order, begin = order_chains(successor)
     length = runs.count[line_order]
-    first = np.cumsum(length) - length
-    order = np.arange(length.sum()) - np.repeat(first - runs.first[line_order], length)
-    merged = Runs(runs.points.take(order), first[begin])
-    return merged, fit_lines(merged, tuning.scales)
+    before = np.cumsum(length) - length
+    order = np.arange(length.sum()) - np.repeat(before - runs.first[line_order], length)
+    merged = Runs.from_counts(runs.points.take(order), np.add.reduceat(length, begin))
+    joined = np.diff(np.append(begin, len(length))) > 1
+    return merged, refit_lines(merged, take_rows(lines, line_order[begin]), joined, tuning.scales)
+
+
+def refit_lines(
+    runs: Runs,
+    lines: FittedLines,
+    changed: Bool[np.ndarray, "r"],
+    tuning: ScaleTuning = DEFAULT.scales,
+) -> FittedLines:
+    """The lines of the runs, of which those with `changed` points are fitted again."""
+    if changed.all():
+        return fit_lines(runs, tuning)
+    fields = [field.copy() for field in lines]
+    for field, again in zip(fields, fit_lines(runs.take(changed), tuning), strict=True):
+        field[changed] = again
+    return FittedLines(*fields)
 
 
 def collinear_successors(

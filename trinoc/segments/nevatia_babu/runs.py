@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from trinoc.image.light import Light
 from trinoc.image.noise import level_noise
 from trinoc.image.step_edge import peak_of_slope
-from trinoc.numerics.joins import members
+from trinoc.numerics.joins import expand_ranges
 from trinoc.segments.nevatia_babu.chains import order_chains, split_chains, successors
 from trinoc.segments.nevatia_babu.thinning import (
     GradientKernel,
@@ -170,20 +170,27 @@ class EdgePoints(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """Straight runs of edge points: `points`, run after run, and (r,) where each begins."""
+    """Straight runs of edge points, one after the other.
+
+    Fields
+    ------
+    points : (n,) of all runs. run : (n,) the run of each.
+    first, count : (r,) where each run begins, and its number of points.
+    """
 
     points: EdgePoints
+    run: Int[np.ndarray, "n"]
     first: Int[np.ndarray, "r"]
+    count: Int[np.ndarray, "r"]
 
-    @property
-    def count(self) -> Int[np.ndarray, "r"]:
-        """(r,) number of points of each run."""
-        return np.diff(np.append(self.first, len(self.points.strength)))
+    @classmethod
+    def from_counts(cls, points: EdgePoints, count: Int[np.ndarray, "r"]) -> "Runs":
+        """Points in the order of their runs, of so many points each."""
+        return cls(points, np.repeat(np.arange(len(count)), count), np.cumsum(count) - count, count)
 
     def take(self, keep: Bool[np.ndarray, "r"]) -> "Runs":
         """The runs where the mask is true."""
-        index, _, first = members(self.first[keep], (self.first + self.count)[keep])
-        return Runs(self.points.take(index), first)
+        return Runs.from_counts(self.points.take(np.take(keep, self.run)), self.count[keep])
 
     def total(self, of_points: Float[np.ndarray, "n"]) -> Float[np.ndarray, "r"]:
         """Sum over the points of each run."""
@@ -195,7 +202,7 @@ class Runs(NamedTuple):
 
     def spread(self, of_runs: Shaped[np.ndarray, "r *d"]) -> Shaped[np.ndarray, "n *d"]:
         """Each run's value at all of its points."""
-        return np.repeat(of_runs, self.count, axis=0)
+        return np.take(of_runs, self.run, axis=0)
 
     def move(self, uv_px: Float[np.ndarray, "n 2"]) -> "Runs":
         """The same points elsewhere."""
@@ -270,8 +277,7 @@ def find_runs(
     seen_again = _neighbourhood(_half_pixel(coarse.points, half), shape).ravel()[pixel]
     runs = runs.take(clear | (runs.total(seen_again.astype(np.float64)) < 0.5 * runs.count))
     points = (np.concatenate(both) for both in zip(runs.points, coarse.points, strict=True))
-    behind = coarse.first + len(runs.points.strength)
-    return Runs(EdgePoints(*points), np.concatenate([runs.first, behind]))
+    return Runs.from_counts(EdgePoints(*points), np.concatenate([runs.count, coarse.count]))
 
 
 def _least_strength(level: PyramidLevel, least_contrast: float, tuning: ScaleTuning) -> float:
@@ -297,12 +303,13 @@ def _runs_of_level(
     pixels = thin_pixels(levels, level.kernel, least_strength * level.spacing_px, excluded)
     order, starts = order_chains(successors(pixels, levels.shape), least_points)
     start, stop = split_chains(pixels.uv_px[order], starts, tolerance_px, least_points)
-    index, _, first = members(start + _TRIMMED_POINTS, stop - _TRIMMED_POINTS)
+    start, stop = start + _TRIMMED_POINTS, stop - _TRIMMED_POINTS
+    _, index = expand_ranges(start, stop)
     points = EdgePoints.of_level(pixels := pixels.take(order[index]), level)
     if not level.picture.is_linear:
         in_light = sample_profiles(correlate_gradient(light, level.kernel), pixels)
         points = points.place_in_light(in_light / np.float32(level.spacing_px))
-    return Runs(points, first)
+    return Runs.from_counts(points, stop - start)
 
 
 def _half_pixel(points: EdgePoints, half: PyramidLevel) -> Int[np.ndarray, "n"]:
