@@ -111,17 +111,21 @@ def fit_profiles(
     across_px, level, information = (
         np.take_along_axis(each, first, axis=1) for each in (across_px, level, information)
     )
-    root, precision = np.sqrt(information)[..., None], np.maximum(precision, _HARDLY_ANY)
+    root, precision = np.sqrt(information), np.maximum(precision, _HARDLY_ANY)
 
     def residuals(state: Float[np.ndarray, "s 4"]) -> Residuals:
         place, above, base, log_width = (column[:, None] for column in state.T)
         off, width = across_px - place, np.exp(log_width)
         share, slope = blurred_step(off, width)
-        rise = visible[:, None] * np.exp(above)
-        jacobian = [-rise * slope, rise * share, np.ones_like(share), -rise * slope * off]
+        rise = root * (visible[:, None] * np.exp(above))
+        slopes = np.empty((len(off), 4, off.shape[1]))
+        np.multiply(-rise, slope, out=slopes[:, 0])
+        np.multiply(rise, share, out=slopes[:, 1])
+        slopes[:, 2] = root
+        np.multiply(slopes[:, 0], off, out=slopes[:, 3])
         return Residuals(
-            root * (base + rise * share - level)[..., None],
-            (root * np.stack(jacobian, axis=-1))[:, :, None],
+            (root * (base - level) + slopes[:, 1])[..., None],
+            slopes.mT[:, :, None],
             prior_residual=state - prior,
             prior_precision=np.broadcast_to(precision, state.shape),
         )

@@ -117,7 +117,10 @@ def normal_equations(at: Residuals, loss: AbstractRobustLoss | None = None) -> N
     if loss is not None:
         weight = weight * np.asarray(loss.weight(squared))
     rows = at.jacobian.reshape(*shape, parameters)
-    weighted = (at.jacobian * weight[:, :, None, None]).reshape(rows.shape).mT
+    # Weights of 1 are left out.
+    plain = at.weight is None and loss is None
+    weighted = rows if plain else (at.jacobian * weight[:, :, None, None]).reshape(rows.shape)
+    weighted = weighted.mT
     information = (weighted @ rows).astype(float)
     gradient = (weighted @ at.residual.reshape(*shape, 1))[:, :, 0].astype(float)
     if at.prior_precision is not None and at.prior_residual is not None:

@@ -181,8 +181,8 @@ def _without_neighbours(
     own_blur = np.clip(lines.blur_px2, blur_px2 - spread, blur_px2 + spread)
     points = without_neighbours(runs.points, lines, own_blur, near)
     cleaned = runs._replace(points=points)
-    moved = (points.uv_px != runs.points.uv_px).any(axis=1)
-    changed = cleaned.total(moved | (points.strength != runs.points.strength)) > 0
+    moved = [points.uv_px[:, k] != runs.points.uv_px[:, k] for k in (0, 1)]
+    changed = cleaned.total(moved[0] | moved[1] | (points.strength != runs.points.strength)) > 0
     lines = refit_lines(cleaned, lines, changed, tuning.scales)
     given = smooth.picture, runs.points, cleaned, lines, near, blur_px2, tuning.errors
     return cleaned, lines, error_model(*given)
@@ -232,7 +232,7 @@ def _is_wanted(
 ) -> Bool[np.ndarray, "r"]:
     """No arcs, unless they are wanted, no bevels of corners, and nothing fainter than wanted."""
     rules = tuning.accept
-    short = np.ptp(lines.extent_px, axis=1) < rules.bevel_px
+    short = lines.pieces.length_px < rules.bevel_px
     bevel = short & (errors.crowded > rules.bevel_crowded)
     straight = arcs | is_straight(lines, width_px, rules)
     return straight & (lines.contrast >= least_contrast) & ~bevel
@@ -257,9 +257,7 @@ def _covariances(
     tuning: SegmentTuning,
 ) -> tuple[Float[np.ndarray, "r 4 4"], Shaped[np.ndarray, "r"]]:
     """(covariances of the ends, what widened them beyond noise)."""
-    noise_px2 = noise_variance(
-        lines.variance_middle_px2, np.ptp(lines.extent_px, axis=1), tuning.errors
-    )
+    noise_px2 = noise_variance(lines.variance_middle_px2, lines.pieces.length_px, tuning.errors)
     variance_px2, reasons = inflate_variance(errors, noise_px2, *shifts, tuning.errors)
     common_px2 = shifts[0].variance_px2 + shifts[1].variance_px2
     off_px2 = np.square(tuning.errors.off_share * errors.off_px)

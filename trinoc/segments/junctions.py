@@ -79,8 +79,8 @@ def collinear_chains(
     must agree.
     """
     ends = np.asarray(segments.endpoints_px, dtype=np.float64)
-    _, direction, extent = _cut_pieces(ends)
-    length = np.ptp(extent, axis=1)
+    pieces = _cut_pieces(ends)
+    direction, length = pieces.direction, pieces.length_px
     across, _ = _sigmas(segments, direction)
     pairs = point_tree(ends.reshape(-1, 2)).query_pairs(tuning.chain_gap_px, output_type="ndarray")
     outward = np.stack([-direction, direction], axis=1).reshape(-1, 2)

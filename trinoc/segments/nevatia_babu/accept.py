@@ -183,7 +183,7 @@ def is_straight(
     The points of an arc lie on it: where a curve explains little of how they scatter about the
     line, and bows it little, a long line counts as straight.
     """
-    length = np.ptp(lines.extent_px, axis=1)
+    length = lines.pieces.length_px
     bow = np.abs(lines.sagitta_px)
     sigma = BOW_OF_MIDDLE * np.sqrt(lines.variance_middle_px2)
     radius = length**2 / np.maximum(8 * bow, 1e-9)
@@ -204,7 +204,7 @@ def _continues_curve(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarra
     a, b = lines.direction[one], lines.direction[other]
     sine, cosine = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1]
     turn = np.arctan2(sine, cosine)
-    length = np.ptp(lines.extent_px, axis=1)
+    length = lines.pieces.length_px
     between = (length[one] + length[other]) / 2 + gap
     curvature = 8 * lines.sagitta_px / np.maximum(length, 1.0) ** 2
     least, most = np.radians(tuning.turn_deg)

@@ -26,6 +26,11 @@ class Pieces(NamedTuple):
         """(r, 2, 2) the two ends of each."""
         return self.centre_px[:, None] + self.extent_px[:, :, None] * self.direction[:, None]
 
+    @property
+    def length_px(self) -> Float[np.ndarray, "r"]:
+        """(r,) the length of each."""
+        return self.extent_px[:, 1] - self.extent_px[:, 0]
+
 
 class EndpointCrossings(NamedTuple):
     """Ends that come near other lines, the farthest from its crossing first.
@@ -149,7 +154,7 @@ def line_samples(
 ) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m 2"]]:
     """(owner, samples): points along every line, ends included, at most `spacing_px` apart."""
     centre_px, direction, extent_px = pieces
-    length = np.ptp(extent_px, axis=1)
+    length = pieces.length_px
     count = np.ceil(length / spacing_px).astype(np.int64) + 1
     owner = np.repeat(np.arange(len(count)), count)
     step = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)

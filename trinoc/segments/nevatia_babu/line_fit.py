@@ -228,7 +228,7 @@ def collinear_successors(
             for to in (ends[one, 1] - ends[one, 0], ends[other, 0] - ends[one, 0])
         )
     )
-    part = lines.extent_px[:, 1] - lines.extent_px[:, 0]
+    part = lines.pieces.length_px
     longer_than_parts = length > np.maximum(part[one], part[other])
     allowed = (one != other) & (deviation < tolerance_px) & longer_than_parts
     one, other, gap = one[allowed], other[allowed], gap[allowed]
