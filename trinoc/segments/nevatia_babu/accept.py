@@ -74,14 +74,16 @@ def side_slopes(
     near = np.float32(tuning.beside_widths) * np.sqrt(
         points.kernel_variance_px2 + np.float32(usual_blur_px2)
     )
-
-    def level(across_px: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """So far from each point across its edge, toward the brighter side."""
-        return nearest_levels(smooth, *(points.uv_px + across_px[:, None] * points.normal).T)
-
     further = tuning.beside_px
     far = near + np.float32(further)
-    dark, bright = level(-near) - level(-far), level(far) - level(near)
+    # So far from each point across its edge, toward the brighter side.
+    far_dark, near_dark, near_bright, far_bright = (
+        nearest_levels(
+            smooth, *(points.uv_px[:, k] + across_px * points.normal[:, k] for k in (0, 1))
+        )
+        for across_px in (-far, -near, near, far)
+    )
+    dark, bright = near_dark - far_dark, far_bright - near_bright
     of_dark, of_bright = runs.mean(dark), runs.mean(bright)
     square = runs.mean(np.square(bright - dark)) - np.square(of_bright - of_dark)
     variance = np.maximum(square, 0.0) / np.maximum(runs.count / _BOX_PX, 1.0)
@@ -190,7 +192,8 @@ def is_straight(
     small = radius < tuning.arc_radius_of_width * width_px
     arc = (bow > tuning.arc_bow_px) & (bow > 3 * sigma) & small
     curved = np.flatnonzero((bow > tuning.least_bow_px) & (bow > 2 * sigma))
-    arc[curved] |= _continues_curve(lines, tuning)[curved]
+    if len(curved):
+        arc[curved] |= _continues_curve(lines, tuning)[curved]
     explained = np.square(_RMS_OF_BOW * bow) / np.maximum(np.square(lines.residual_px), 1e-12)
     ragged = (explained < tuning.arc_explains) & (bow < tuning.arc_bow_of_length * length)
     return ~arc | (ragged & (length > tuning.arc_least_px))

@@ -41,8 +41,10 @@ def find_near_lines(
     one, other = owner[near[:, 0]], owner[near[:, 1]]
     different = one != other
     one, other = one[different], other[different]
-    key = distinct(np.concatenate([one * len(owner) + other, other * len(owner) + one]))
-    return np.divmod(key, len(owner))
+    count = len(owner)
+    key = distinct(np.minimum(one, other) * count + np.maximum(one, other))
+    one, other = np.divmod(key, max(count, 1))
+    return np.divmod(np.sort(np.concatenate([key, other * count + one])), max(count, 1))
 
 
 class Overlaps(NamedTuple):

@@ -194,8 +194,8 @@ def refit_lines(
     tuning: ScaleTuning = DEFAULT.scales,
 ) -> FittedLines:
     """The lines of the runs, of which those with `changed` points are fitted again."""
-    if changed.all():
-        return fit_lines(runs, tuning)
+    if changed.all() or not changed.any():
+        return fit_lines(runs, tuning) if changed.any() else lines
     fields = [field.copy() for field in lines]
     for field, again in zip(fields, fit_lines(runs.take(changed), tuning), strict=True):
         field[changed] = again

@@ -129,7 +129,7 @@ def correlate_gradient(grey: Float[np.ndarray, "h w"], kernel: GradientKernel) -
 # Linking looks two pixels to each side.
 BORDER_PX = 2  # numerical: the 24 pixels about one
 # Pixels that are worked on at a time; rows that smoothing and masks look beyond their own.
-_STRIP_PX, _HALO_PX = 1 << 16, 3  # numerical: size of a block
+_STRIP_PX, _HALO_PX = 1 << 17, 3  # numerical: size of a block
 
 
 class ThinnedPixels(NamedTuple):
