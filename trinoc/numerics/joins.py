@@ -25,8 +25,9 @@ def expand_ranges(
     """(owner, position): every position of range(start[i], stop[i]), with its i."""
     count = np.maximum(stop - start, 0)
     owner = np.repeat(np.arange(len(start)), count)
-    offset = np.repeat(start - np.concatenate([[0], np.cumsum(count)[:-1]]), count)
-    return owner, np.arange(len(owner)) + offset
+    position = np.take(start - (np.cumsum(count) - count), owner)
+    position += np.arange(len(owner))
+    return owner, position
 
 
 def overlapping(

@@ -187,14 +187,14 @@ def split_chains(
         if len(start) == 0:
             break
         index, run, first = members(start, stop)
-        count = stop - start
         begin_u, begin_v = u[start], v[start]
         chord_u, chord_v = u[stop - 1] - begin_u, v[stop - 1] - begin_v
         length = np.maximum(np.hypot(chord_u, chord_v), np.float32(1e-9))
         normal_u, normal_v = -chord_v / length, chord_u / length
         from_begin = normal_u * begin_u + normal_v * begin_v
-        distance = u[index] * np.repeat(normal_u, count) + v[index] * np.repeat(normal_v, count)
-        distance = np.abs(distance - np.repeat(from_begin, count))
+        distance = np.take(u, index) * np.take(normal_u, run)
+        distance += np.take(v, index) * np.take(normal_v, run)
+        distance = np.abs(distance - np.take(from_begin, run))
         deviation, position = group_maxima(distance, first, run)
         straight = deviation <= tolerance_px
         done.append((start[straight], stop[straight]))

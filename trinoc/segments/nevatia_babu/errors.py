@@ -14,7 +14,7 @@ from jaxtyping import Float, Int, Shaped
 
 from trinoc.image.light import Light
 from trinoc.image.strip import nearest_levels
-from trinoc.numerics.joins import distinct, members, point_tree
+from trinoc.numerics.joins import distinct, expand_ranges, point_tree
 from trinoc.segments.nevatia_babu.accept import BOW_OF_MIDDLE, Shifts
 from trinoc.segments.nevatia_babu.endpoints import SAMPLE_PX, line_samples
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
@@ -78,16 +78,15 @@ def find_overlaps(
         tuning.least_reach_px, tuning.reach_widths * float(np.sqrt(profile_variance_px2))
     )
     one, other = find_near_lines(lines, reach_px)
-    count = runs.count[one]
-    point, _, _ = members(runs.first[one], runs.first[one] + count)
+    pair, point = expand_ranges(runs.first[one], (runs.first + runs.count)[one])
     # Most points of a line are far from the other one: little is computed of these.
     centre_u, centre_v = lines.centre_px.astype(np.float32)[other].T
     way_u, way_v = lines.direction.astype(np.float32)[other].T
-    offset_u = np.take(points.sample_px[:, 0], point) - np.repeat(centre_u, count)
-    offset_v = np.take(points.sample_px[:, 1], point) - np.repeat(centre_v, count)
-    across = offset_u * np.repeat(way_v, count) - offset_v * np.repeat(way_u, count)
+    offset_u = np.take(points.sample_px[:, 0], point) - np.take(centre_u, pair)
+    offset_v = np.take(points.sample_px[:, 1], point) - np.take(centre_v, pair)
+    across = offset_u * np.take(way_v, pair) - offset_v * np.take(way_u, pair)
     near = np.flatnonzero(np.abs(across) < reach_px)
-    pair = np.repeat(np.arange(len(one)), count)[near]
+    pair = pair[near]
     along = offset_u[near] * way_u[pair] + offset_v[near] * way_v[pair]
     before, after = lines.extent_px.astype(np.float32)[other].T
     beside = (along > before[pair] - reach_px) & (along < after[pair] + reach_px)
