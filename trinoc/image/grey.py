@@ -97,7 +97,7 @@ def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
         grey = (green + (red + blue)) / np.float32(3)
         if whole and not (np.array_equal(red, green) and np.array_equal(green, blue)):
             quantum /= 3
-    if not np.isfinite(grey.sum(dtype=np.float64)):
+    if not whole and not np.isfinite(grey.sum(dtype=np.float64)):
         raise InputError("The picture has values that are not finite: replace them first.")
     largest = 0.0 if array.dtype == np.uint8 else float(np.abs(grey).max())
     if array.dtype == np.bool_ or (not whole and largest <= _SLACK):
