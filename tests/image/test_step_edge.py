@@ -94,6 +94,24 @@ def test_what_is_known_beforehand_is_weighed_against_the_profile() -> None:
     assert alone.variance_px2[0] > 1 / own
 
 
+def test_levels_without_information_are_as_if_they_were_not_there() -> None:
+    level, there = profiles(3, 4.0), np.random.default_rng(5).random((3, len(ACROSS))) < 0.6
+    start = np.tile(TRUE + START_OFF, (3, 1))
+
+    def fitted_to(across: np.ndarray, level: np.ndarray, information: np.ndarray):
+        count = len(level)
+        given = across, level, information, np.full(count, 60.0), start[:count], start[:count]
+        return np.stack(fit_profiles(*given, np.zeros(4), -np.inf))
+
+    known = np.where(there, 4.0**-2, 0.0)
+    found = fitted_to(np.tile(ACROSS, (3, 1)), np.where(there, level, 1e3), known)
+    alone = [
+        fitted_to(ACROSS[None, own], level[[k]][:, own], known[[k]][:, own])
+        for k, own in enumerate(there)
+    ]
+    np.testing.assert_allclose(found, np.concatenate(alone, axis=1), rtol=1e-7)
+
+
 def block(generator: np.random.Generator, noise: float = NOISE):
     """A noisy step, 0.2 px beside the line at one end and 0.1 px at the other, with blur 1.1."""
     v, u = np.mgrid[:ROWS, : 2 * HALF + 1].astype(float)

@@ -7,7 +7,13 @@ from scipy.special import erf
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.segments import Segments
+from trinoc.image.light import Light
 from trinoc.segments import find_segments
+from trinoc.segments.nevatia_babu.chains import order_chains
+from trinoc.segments.nevatia_babu.errors import find_overlaps, without_neighbours
+from trinoc.segments.nevatia_babu.line_fit import fit_lines, merge_collinear, refit_lines
+from trinoc.segments.nevatia_babu.runs import find_runs, full_level
+from trinoc.segments.nevatia_babu.thinning import combined_kernel
 
 HEIGHT, WIDTH = 120, 150
 
@@ -235,3 +241,41 @@ def test_the_levels_beside_segments_are_those_of_the_picture(segments: Segments)
     levels = segments.side_levels
     assert levels is not None
     np.testing.assert_allclose(levels, [[60.0, 150.0]] * len(segments), atol=2.0)
+
+
+def test_what_is_fitted_again_is_all_that_changed() -> None:
+    """Lines that were joined, and those with points that a neighbour moved, to the last bit."""
+    grey = polygon_image(noise=2.0, height=180)
+    # Two edges beside each other, one far from all, and gaps, which joined lines go across.
+    grey[:110, 120:124] += 25
+    grey[150:] += 40
+    grey[:110, 60:64] = grey[:110, 60:64].mean()
+    level = full_level(Light.from_picture(as_bytes(grey)), combined_kernel())
+    single = find_runs(level, 1.6, 7.0)
+    runs, lines = merge_collinear(single, fit_lines(single), 1.6)
+    assert len(runs.first) < len(single.first)
+    for found, anew in zip(lines, fit_lines(runs), strict=True):
+        np.testing.assert_array_equal(found, anew)
+    near = find_overlaps(runs, lines, level.kernel_variance_px2 + 1)
+    points = without_neighbours(runs.points, lines, np.ones(len(lines.support)), near)
+    cleaned = runs._replace(points=points)
+    changed = cleaned.differ_from(runs)
+    assert 0 < changed.sum() < len(changed)
+    for found, anew in zip(refit_lines(cleaned, lines, changed), fit_lines(cleaned), strict=True):
+        np.testing.assert_array_equal(found, anew)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_chains_are_those_of_walking_along_them_and_rings_begin_at_their_least(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.permutation(60)
+    successor = np.full(60, -1)
+    # Rings of 1 to 20 points, of which every third is cut open.
+    for k, chain in enumerate(np.split(points, np.sort(rng.choice(np.arange(1, 60), 9, False)))):
+        successor[chain] = np.roll(chain, -1)
+        successor[chain[-1:]] = -1 if k % 3 == 0 or len(chain) == 1 else chain[0]
+    order, starts = order_chains(successor)
+    for chain in np.split(order, starts[1:]):
+        np.testing.assert_array_equal(successor[chain[:-1]], chain[1:])
+        assert successor[chain[-1]] == -1 or successor[chain[-1]] == chain[0] == chain.min()
+    assert sorted(order.tolist()) == list(range(60))

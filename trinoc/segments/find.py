@@ -181,9 +181,7 @@ def _without_neighbours(
     own_blur = np.clip(lines.blur_px2, blur_px2 - spread, blur_px2 + spread)
     points = without_neighbours(runs.points, lines, own_blur, near)
     cleaned = runs._replace(points=points)
-    moved = [points.uv_px[:, k] != runs.points.uv_px[:, k] for k in (0, 1)]
-    changed = cleaned.total(moved[0] | moved[1] | (points.strength != runs.points.strength)) > 0
-    lines = refit_lines(cleaned, lines, changed, tuning.scales)
+    lines = refit_lines(cleaned, lines, cleaned.differ_from(runs), tuning.scales)
     given = smooth.picture, runs.points, cleaned, lines, near, blur_px2, tuning.errors
     return cleaned, lines, error_model(*given)
 

@@ -204,6 +204,12 @@ class Runs(NamedTuple):
         """Each run's value at all of its points."""
         return np.take(of_runs, self.run, axis=0)
 
+    def differ_from(self, other: "Runs") -> Bool[np.ndarray, "r"]:
+        """Of the same runs, those whose points lie elsewhere or count for more or less there."""
+        own, others = self.points, other.points
+        moved = (own.uv_px.T != others.uv_px.T).any(axis=0)
+        return self.total(moved | (own.strength != others.strength)) > 0
+
     def move(self, uv_px: Float[np.ndarray, "n 2"]) -> "Runs":
         """The same points elsewhere."""
         return self._replace(points=self.points._replace(uv_px=uv_px))
