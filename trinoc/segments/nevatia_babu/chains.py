@@ -14,6 +14,8 @@ from trinoc.numerics.joins import group_maxima, members
 from trinoc.segments.nevatia_babu.thinning import BORDER_PX, ThinnedPixels
 
 _SECTORS = 16  # numerical: of the table of steps
+# Of the borders of the sectors from u toward v.
+_SLOPES = np.tan((np.arange(_SECTORS // 4) + 0.5) * (2 * np.pi / _SECTORS)).astype(np.float32)
 # Of the 24 steps, those within some sixty degrees of the direction.
 _AHEAD = 10  # numerical: of the table of steps
 # numerical: Nevatia and Babu's own rule.
@@ -58,9 +60,7 @@ def _candidate_links(
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     for begin in range(0, len(way), _AT_ONCE):
         chosen = slice(begin, begin + _AT_ONCE)
-        here = way[chosen]
-        sector = np.rint(np.arctan2(here.imag, here.real) * np.float32(_SECTORS / (2 * np.pi)))
-        at = np.take(ahead, sector.astype(np.int8) & (_SECTORS - 1), axis=0)
+        at = np.take(ahead, _sectors(way[chosen]), axis=0)
         at += pixels.pixel[chosen, None]
         found = np.take(index, at).ravel()
         slot = np.flatnonzero(found >= 0)
@@ -68,6 +68,16 @@ def _candidate_links(
         parts.append(_links(slot // _AHEAD + begin, second, way, place))
     first, second, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
     return first, second, cost
+
+
+def _sectors(way: np.ndarray) -> Int[np.ndarray, "n"]:
+    """Number of the sector of each direction, in a quarter of the time of an arc tangent."""
+    u, v = np.abs(way.real), np.abs(way.imag)
+    sector = np.zeros(len(way), np.int8)
+    for slope in _SLOPES:
+        sector += v > slope * u
+    sector = np.where(way.real < 0, _SECTORS // 2 - sector, sector)
+    return np.where(way.imag < 0, -sector, sector) & (_SECTORS - 1)
 
 
 def _links(
