@@ -11,8 +11,8 @@ to the picture at the true edge (edge_oracle.py). DIR of --photographs holds mer
 pictures (VGG, Oxford). LSD runs as it comes and with its bias of (-0.123, -0.119) px taken out.
 FLD and EDLines take part where cv2 has `ximgproc` (opencv-contrib-python-headless, in an
 environment of its own: it overwrites opencv-python-headless). Single edges are shown as cameras
-deliver them too (edge_delivery.py): sRGB, sharpened, saturated. Times are medians of warm calls,
-all detectors in turn on the same picture; peak memory is what the process of one detector, fresh
+deliver them too (edge_delivery.py): sRGB, sharpened, saturated. Times are medians of warm calls, in
+processor time, all detectors in turn on the same picture; peak memory is what the process of one detector, fresh
 for each size, grows by during its first call.
 """
 
@@ -313,9 +313,9 @@ def _medians(grey: np.ndarray, repeats: int) -> dict[str, float]:
     passed: dict[str, list[float]] = {name: [] for name in TIMED}
     for _ in range(repeats):
         for name, detect in TIMED.items():
-            begin = time.perf_counter()
+            begin = time.process_time()
             detect(grey)
-            passed[name].append(1e3 * (time.perf_counter() - begin))
+            passed[name].append(1e3 * (time.process_time() - begin))
     return {name: float(np.median(each)) for name, each in passed.items()}
 
 

@@ -14,7 +14,7 @@ from trinoc.numerics.joins import group_maxima, members
 from trinoc.segments.nevatia_babu.thinning import BORDER_PX, ThinnedPixels
 
 _SECTORS = 16  # numerical: of the table of steps
-# Of the borders of the sectors from u toward v.
+# numerical: borders of the first sectors from u toward v.
 _SLOPES = np.tan((np.arange(_SECTORS // 4) + 0.5) * (2 * np.pi / _SECTORS)).astype(np.float32)
 # Of the 24 steps, those within some sixty degrees of the direction.
 _AHEAD = 10  # numerical: of the table of steps
