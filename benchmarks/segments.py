@@ -12,8 +12,8 @@ pictures (VGG, Oxford). LSD runs as it comes and with its bias of (-0.123, -0.11
 FLD and EDLines take part where cv2 has `ximgproc` (opencv-contrib-python-headless, in an
 environment of its own: it overwrites opencv-python-headless). Single edges are shown as cameras
 deliver them too (edge_delivery.py): sRGB, sharpened, saturated. Times are medians of warm calls, in
-processor time, all detectors in turn on the same picture; peak memory is what the process of one detector, fresh
-for each size, grows by during its first call.
+processor time, all detectors in turn on the same picture; peak memory is what the process of one
+detector, fresh for each size, grows by during its first call.
 """
 
 import argparse
