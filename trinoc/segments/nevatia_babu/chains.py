@@ -72,12 +72,12 @@ def _candidate_links(
 
 def _sectors(way: np.ndarray) -> Int[np.ndarray, "n"]:
     """Number of the sector of each direction, in a quarter of the time of an arc tangent."""
-    u, v = np.abs(way.real), np.abs(way.imag)
+    u, v = np.abs(np.real(way)), np.abs(np.imag(way))
     sector = np.zeros(len(way), np.int8)
     for slope in _SLOPES:
         sector += v > slope * u
-    sector = np.where(way.real < 0, _SECTORS // 2 - sector, sector)
-    return np.where(way.imag < 0, -sector, sector) & (_SECTORS - 1)
+    sector = np.where(np.real(way) < 0, _SECTORS // 2 - sector, sector)
+    return np.where(np.imag(way) < 0, -sector, sector) & (_SECTORS - 1)
 
 
 def _links(
