@@ -234,6 +234,7 @@ class WatchCommand(ReportOption, Command):
         return Outcome(
             f"{outcome.text}\n{found.text}",
             {**outcome.record, "calibration": found.record},
+            refusal=found.refusal,
             written=[*written, *(found.written or ())],
         )
 

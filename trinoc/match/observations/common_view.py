@@ -26,14 +26,21 @@ def check_not_mirrored(cameras: Mapping[str, Camera]) -> None:
     for name, camera in cameras.items():
         if np.linalg.det(np.asarray(camera.cam_from_world)[:, :3]) < 0:
             raise InputError(_sentence(name, "its rotation has determinant -1"))
-    before: set[str] = set()
-    behind: set[str] = set()
-    for a, b in combinations(cameras, 2):
-        for side_a in (1, -1):
-            for side_b in (1, -1):
-                if _share_a_place(cameras[a], cameras[b], side_a, side_b):
-                    before |= {a, b} if side_a == side_b == 1 else set()
-                    behind |= {name for name, side in ((a, side_a), (b, side_b)) if side < 0}
+    pairs = list(combinations(cameras, 2))
+
+    def see_together(sides: tuple[int, int]) -> list[tuple[str, str]]:
+        return [(a, b) for a, b in pairs if _share_a_place(cameras[a], cameras[b], *sides)]
+
+    before = {name for pair in see_together((1, 1)) for name in pair}
+    if len(before) == len(cameras):
+        return
+    behind = {
+        name
+        for sides in ((1, -1), (-1, 1), (-1, -1))
+        for pair in see_together(sides)
+        for name, side in zip(pair, sides, strict=True)
+        if side < 0
+    }
     for name in cameras:
         if name in behind and name not in before:
             why = "what it shares with the others lies behind it"
