@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.linalg import block_diag
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
@@ -168,8 +167,8 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
         whitening = whitening_of_covariance(view.detection.covariance_px2)
         whitening = np.where(view.used[:, None, None], whitening, 0.0)
         if shared:
-            numbers = slice(2 * view.rows)
-            table.whitening[v, 0, numbers, numbers] = block_diag(*whitening)
+            at = np.arange(view.rows)
+            table.whitening[v, 0].reshape(rows, 2, rows, 2)[at, :, at] = whitening
         else:
             table.whitening[v, seen] = whitening
     return table
