@@ -164,7 +164,9 @@ def match_frames(
         again &= passes_left > 0
         if not again.all():
             seen = with_noise_scale(stated, scale[left])
-            tracks = tracks_through_views(seen, selections, tuning)
+            tracks, larger = tracks_through_views(seen, selections, tuning)
+            seen = with_noise_scale(seen, np.full(len(left), larger))
+            scale[left] *= larger
             tracks, pairs = match_occluded(
                 seen, clutter, tracks, selections, depth_range_mm, tuning
             )

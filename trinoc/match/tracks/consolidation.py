@@ -14,9 +14,10 @@ from jaxtyping import Float, Int
 
 from trinoc.geometry.projection import project_with_jacobian
 from trinoc.match.candidates.table import no_candidates
-from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.observations.match_input import MatchInput, with_noise_scale
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.selection.marginals import Selection, Tracks, take_tracks
+from trinoc.match.tracks.assembly import typical_misfit
 from trinoc.match.tracks.line_fit import (
     FittedTracks,
     before_cameras,
@@ -48,16 +49,19 @@ class _Proposal(NamedTuple):
 
 def tracks_through_views(
     seen: MatchInput, selections: list[Selection], tuning: MatchTuning = DEFAULT
-) -> Tracks:
-    """What was selected in each three of the views, joined where there are more than three."""
+) -> tuple[Tracks, float]:
+    """(what was selected in each three of the views, joined where there are more than three; how
+    much larger errors are across all views than across three, in standard deviations)."""
     if not selections:
-        return Tracks(
-            no_candidates(len(seen.ends_px), seen.lines.frame is not None), np.zeros(0), np.zeros(0)
-        )
+        nothing = no_candidates(len(seen.ends_px), seen.lines.frame is not None)
+        return Tracks(nothing, np.zeros(0), np.zeros(0)), 1.0
     tracks = concatenate_rows([take_tracks(selection) for selection in selections])
     if len(selections) == 1:
-        return tracks
-    return consolidate_tracks(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
+        return tracks, 1.0
+    tracks = merge_triplets(seen.lines, tracks, tuning)
+    merged = fit_tracks(seen, tracks.candidates.index, tracks.candidates.ends_mm)
+    larger = float(np.sqrt(typical_misfit(merged.index, merged.misfit, tuning.tracks)))
+    return consolidate_tracks(with_noise_scale(seen, np.array([larger])), tracks, tuning), larger
 
 
 def consolidate_tracks(seen: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT) -> Tracks:
