@@ -5,14 +5,16 @@ import pytest
 from scipy.stats import chi2
 
 from tests.match.made import as_set, loose_lines, pictures, rig_of
-from tests.match.scene import MadeScene, made_scene
+from tests.match.scene import MadeScene, made_scene, seen_by
 from tests.match.tracks.test_multiview import appended, tracks_from, triples_of
 from trinoc.match.matcher import match_segments
+from trinoc.match.selection.marginals import Tracks
 from trinoc.match.tracks.consolidation import consolidate_tracks
 from trinoc.match.tracks.line_fit import consistent, fit_tracks
 from trinoc.match.tracks.multiview import merge_triplets
 
 GATE = 20.0
+VIEWS = ("upper", "left", "right", "low", "east")
 POSES = {
     f"c{k}": (float(pan), 38.0 + 15.0 * (k % 2), 0.0, 475.0)
     for k, pan in enumerate(range(-60, 61, 20))
@@ -21,12 +23,12 @@ POSES = {
 
 @pytest.fixture(scope="module")
 def scene() -> MadeScene:
-    return made_scene("upper", "left", "right", "low", "east", count=12, seed=41, noise_px=0.3)
+    return made_scene(*VIEWS, count=12, seed=41, noise_px=0.3)
 
 
 def test_true_tracks_stay_as_they_are(scene: MadeScene) -> None:
     tracks = merge_triplets(scene.seen.lines, triples_of(scene, list(range(5))))
-    kept = consolidate_tracks(scene.seen, tracks)
+    kept, _ = consolidate_tracks(scene.seen, tracks)
     assert {tuple(row) for row in kept.candidates.index.tolist()} == {
         tuple(row) for row in scene.true.tolist()
     }
@@ -34,11 +36,11 @@ def test_true_tracks_stay_as_they_are(scene: MadeScene) -> None:
 
 def test_a_member_that_does_not_fit_is_split_off_and_the_right_one_put_in(scene: MadeScene) -> None:
     wrong = scene.true.copy()
-    wrong[:, 3] = np.roll(wrong[:, 3], 1)
+    wrong[:4, 3] = np.roll(wrong[:4, 3], 1)
     tracks = tracks_from(wrong, np.tile([0.0, 1.0], (len(wrong), 5, 1)), scene.lines_mm)
     before = fit_tracks(scene.seen, wrong, scene.lines_mm)
-    assert not consistent(before, GATE).any()
-    kept = consolidate_tracks(scene.seen, tracks)
+    np.testing.assert_array_equal(consistent(before, GATE), np.arange(len(wrong)) >= 4)
+    kept, _ = consolidate_tracks(scene.seen, tracks)
     index = kept.candidates.index
     after = fit_tracks(scene.seen, index, kept.candidates.ends_mm)
     assert consistent(after, GATE).all()
@@ -54,10 +56,66 @@ def test_parts_of_one_line_become_one_track(scene: MadeScene) -> None:
     tracks = appended(
         tracks_from(first, parts, scene.lines_mm), tracks_from(second, parts, scene.lines_mm), 3.0
     )
-    kept = consolidate_tracks(scene.seen, tracks)
+    kept, _ = consolidate_tracks(scene.seen, tracks)
     assert {tuple(row) for row in kept.candidates.index.tolist()} == {
         tuple(row) for row in scene.true.tolist()
     }
+
+
+def whole_tracks(scene: MadeScene) -> Tracks:
+    return tracks_from(scene.true, np.tile([0.0, 1.0], (*scene.true.shape, 1)), scene.lines_mm)
+
+
+def test_errors_are_as_large_as_most_tracks_say() -> None:
+    scene = made_scene(*VIEWS, count=60, seed=8, noise_px=0.3, sigma_px=0.1)
+    kept, larger = consolidate_tracks(scene.seen, whole_tracks(scene))
+    np.testing.assert_allclose(larger, 3.0, rtol=0.1)
+    assert kept.candidates.index.shape == scene.true.shape
+    assert (kept.candidates.index >= 0).all()
+    # Less than stated may be chance.
+    cautious = made_scene(*VIEWS, count=60, seed=8, noise_px=0.3, sigma_px=1.0)
+    assert consolidate_tracks(cautious.seen, whole_tracks(cautious))[1] == 1.0
+
+
+@pytest.mark.parametrize("sigma_px", [0.3, 0.1])
+def test_unequal_errors_cost_few_views_and_one_line_that_alone_is_off_loses_one(
+    sigma_px: float,
+) -> None:
+    rig, lines_mm, count = rig_of(*VIEWS), loose_lines(80, seed=5), 80
+    exact, noisy = pictures(rig, lines_mm), pictures(rig, lines_mm, 0.3, seed=6)
+    unequal = np.sqrt(3 / np.random.default_rng(7).chisquare(3, count))
+    alone = np.where(np.arange(count) == 9, 5.0, 1.0)
+    whole = []
+    for factor in (unequal, alone):
+        found = {v: exact[v] + factor[:, None, None] * (noisy[v] - exact[v]) for v in exact}
+        scene = seen_by(rig, lines_mm, found, sigma_px)
+        kept, _ = consolidate_tracks(scene.seen, whole_tracks(scene))
+        whole.append((kept.candidates.index >= 0).all(axis=1).sum())
+    assert whole[0] >= 75
+    assert whole[1] == count - 1
+
+
+def test_cameras_that_drift_cost_no_line_and_all_errors_say_so() -> None:
+    lines, sigma_px = loose_lines(25, seed=12), 0.1
+    # Every three near each other agree.
+    tilt_deg = 0.2 * (np.arange(len(POSES)) / 3) ** 2
+    drifted = {v: tuple(np.add(POSES[v], [0, tilt_deg[k], 0, 0])) for k, v in enumerate(POSES)}
+    seen = pictures(rig_of(**POSES), lines, sigma_px, seed=3)
+    matches = match_segments(seen, rig_of(**drifted), sigma_px=sigma_px)
+    assert matches.misfit is not None
+    assert matches.fragments_covariance_px2 is not None
+    whole = (matches.index == matches.index[:, :1]).all(axis=1)
+    assert whole.sum() >= 24
+    degrees = 2 * (len(POSES) - 2)
+    np.testing.assert_allclose(np.median(matches.misfit[whole]), chi2.median(degrees), rtol=0.2)
+    # What is stated of fragments are the errors found.
+    way = np.diff(matches.fragments_px[whole], axis=2)[..., 0, :]
+    normal = (
+        np.stack([-way[..., 1], way[..., 0]], axis=-1) / np.linalg.norm(way, axis=-1)[..., None]
+    )
+    own = matches.fragments_covariance_px2[whole][..., :2, :2]
+    across_px = np.sqrt(np.einsum("tvi,tvij,tvj->tv", normal, own, normal))
+    np.testing.assert_allclose(across_px.max(), matches.noise_scale * sigma_px, rtol=0.02)
 
 
 @pytest.mark.slow

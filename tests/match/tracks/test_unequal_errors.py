@@ -11,6 +11,7 @@ from trinoc.match.tracks.matches import Matches
 from trinoc.match.tracks.unequal_errors import (
     degrees_of_misfit,
     fit_tail,
+    misfit_limit,
     scale_covariance_of_lines,
     variance_factor,
 )
@@ -43,6 +44,18 @@ def test_ellipsoids_of_unequal_errors_hold(freedom: float, views: int) -> None:
     misfit, square = drawn(factor, degrees, rng)
     share = held(misfit, degrees, square, 1 / freedom)
     assert abs(share - 0.95) < 4 * np.sqrt(0.95 * 0.05 / count)
+
+
+@pytest.mark.parametrize("freedom", [4.0, 8.0, np.inf])
+def test_misfits_pass_their_limit_as_often_as_it_says(freedom: float) -> None:
+    rng, count = np.random.default_rng(9), 40_000
+    equal = np.isinf(freedom)
+    factor = np.ones(count) if equal else freedom / rng.chisquare(freedom, count)
+    degrees = np.resize([2, 6, 18], count)
+    misfit, _ = drawn(factor, degrees, rng)
+    for probability in (0.3, 0.01):
+        beyond = np.mean(misfit > misfit_limit(probability, degrees, 0.0 if equal else 1 / freedom))
+        assert abs(beyond - probability) < 4 * np.sqrt(probability / count)
 
 
 @pytest.mark.parametrize(("of_pictures", "most"), [(True, 0.06), (False, 0.02)])

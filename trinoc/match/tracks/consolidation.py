@@ -30,8 +30,10 @@ from trinoc.match.tracks.line_fit import (
     track_intervals,
 )
 from trinoc.match.tracks.multiview import merge_triplets
+from trinoc.match.tracks.unequal_errors import degrees_of_misfit, fit_tail, misfit_limit
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.tables import concatenate_rows
+from trinoc.numerics.tails import chi_square_tail
 
 # numerical: nobody's segment.
 FREE = -1
@@ -50,32 +52,53 @@ class _Proposal(NamedTuple):
 def tracks_through_views(
     seen: MatchInput, selections: list[Selection], tuning: MatchTuning = DEFAULT
 ) -> tuple[Tracks, float]:
-    """(what was selected in each three of the views, joined where there are more than three; how
-    much larger errors are across all views than across three, in standard deviations)."""
+    """What was selected in each three of the views, joined where there are more than three, as
+    `consolidate_tracks` gives it."""
     if not selections:
         nothing = no_candidates(len(seen.ends_px), seen.lines.frame is not None)
         return Tracks(nothing, np.zeros(0), np.zeros(0)), 1.0
     tracks = concatenate_rows([take_tracks(selection) for selection in selections])
     if len(selections) == 1:
         return tracks, 1.0
-    tracks = merge_triplets(seen.lines, tracks, tuning)
-    merged = fit_tracks(seen, tracks.candidates.index, tracks.candidates.ends_mm)
-    larger = float(np.sqrt(typical_misfit(merged.index, merged.misfit, tuning.tracks)))
-    return consolidate_tracks(with_noise_scale(seen, np.array([larger])), tracks, tuning), larger
+    return consolidate_tracks(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
 
 
-def consolidate_tracks(seen: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT) -> Tracks:
-    """Tracks of which each is consistent, and as many views as agree are in each."""
-    gate = tuning.candidates.gate
+def consolidate_tracks(
+    seen: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT
+) -> tuple[Tracks, float]:
+    """(tracks of which each is consistent, and as many views as agree are in each; how much larger
+    errors are than `seen` states, in standard deviations).
+
+    Of three views each camera's own error goes into the line: many views show it. So most tracks
+    tell how large errors are. First these count as equal. What is then found tells how unequal they
+    are from track to track, and what that allows is added.
+    """
     now = fit_tracks(seen, tracks.candidates.index, tracks.candidates.ends_mm)
-    now = split_off_misfits(seen, now, gate)
+    larger = float(np.sqrt(typical_misfit(now.index, now.misfit, tuning.tracks)))
+    seen = with_noise_scale(seen, np.array([larger]))
+    now = fit_tracks(seen, now.index, now.common_mm)
+    now = _grow(seen, split_off_misfits(seen, now, tuning.candidates.gate), 0.0, tuning)
+    on = (now.index >= 0).any(axis=1)
+    tail = fit_tail(now.misfit[on], degrees_of_misfit(now.index[on]), of_pictures=False)
+    now = _grow(seen, now, tail, tuning)
+    on = (now.index >= 0).any(axis=1)
+    return _as_tracks(seen, tracks, now).take(np.flatnonzero(on)), larger
+
+
+def _grow(
+    seen: MatchInput, now: FittedTracks, noise_tail: float, tuning: MatchTuning
+) -> FittedTracks:
+    """Tracks with what they meet in the views that they lack; those that were joined to others
+    hold no view."""
+    gate = tuning.candidates.gate
+    nearby = float(misfit_limit(chi_square_tail(gate, 2), np.array(2), noise_tail))
     alive = np.asarray((now.index >= 0).any(axis=1))
     refused: set[tuple[int, ...]] = set()
     changed = alive.copy()
     proposals: dict[int, list[_Proposal]] = {}
     for _ in range(tuning.tracks.merge_rounds):
         proposals = {t: p for t, p in proposals.items() if alive[t] and not changed[t]}
-        proposals |= _proposals(seen, now, np.flatnonzero(alive & changed), tuning)
+        proposals |= _proposals(seen, now, np.flatnonzero(alive & changed), nearby, tuning)
         owners = _owners(seen, now, alive)
         trials = _disjoint(seen, now, alive, proposals, owners, refused, tuning)
         if not trials:
@@ -83,7 +106,8 @@ def consolidate_tracks(seen: MatchInput, tracks: Tracks, tuning: MatchTuning = D
         index = np.array([trial.index for trial in trials])
         common = np.array([trial.common_mm for trial in trials])
         attempt = fit_tracks(seen, index, common)
-        good = consistent(attempt, gate) & before_cameras(seen.lines, index, attempt.ends_mm)
+        good = consistent(attempt, gate, noise_tail)
+        good &= before_cameras(seen.lines, index, attempt.ends_mm)
         changed = np.zeros(len(alive), dtype=bool)
         columns = [column.copy() for column in now]
         for row, trial in enumerate(trials):
@@ -96,7 +120,7 @@ def consolidate_tracks(seen: MatchInput, tracks: Tracks, tuning: MatchTuning = D
             if trial.joined != FREE:
                 alive[trial.joined] = False
         now = FittedTracks(*columns)
-    return _as_tracks(seen, tracks, now).take(np.flatnonzero(alive))
+    return now._replace(index=np.where(alive[:, None], now.index, -1))
 
 
 class _Trial(NamedTuple):
@@ -107,15 +131,18 @@ class _Trial(NamedTuple):
 
 
 def _proposals(
-    seen: MatchInput, now: FittedTracks, rows: Int[np.ndarray, "r"], tuning: MatchTuning
+    seen: MatchInput,
+    now: FittedTracks,
+    rows: Int[np.ndarray, "r"],
+    gate: float,
+    tuning: MatchTuning,
 ) -> dict[int, list[_Proposal]]:
     """What each of some tracks meets in the views that it lacks."""
     found: dict[int, list[_Proposal]] = {int(row): [] for row in rows}
     for view, count in enumerate(seen.counts):
         lacking = rows[now.index[rows, view] < 0]
-        hits = predict_segments(
-            seen.lines, view, count, now.ends_mm[lacking], now.covariance_mm2[lacking], tuning
-        )
+        ends_mm, covariance_mm2 = now.ends_mm[lacking], now.covariance_mm2[lacking]
+        hits = predict_segments(seen.lines, view, count, ends_mm, covariance_mm2, gate, tuning)
         for track, segment, chi_square in zip(*(column.tolist() for column in hits), strict=True):
             row = int(lacking[track])
             found[row].append(_Proposal(chi_square, row, view, segment, FREE))
@@ -226,10 +253,11 @@ def predict_segments(
     count: int,
     ends_mm: Float[np.ndarray, "t 2 3"],
     covariance_mm2: Float[np.ndarray, "t 6 6"],
+    gate: float,
     tuning: MatchTuning,
 ) -> PredictedSegments:
-    """Segments of a view that overlap the image of a track's line and fit it (2 degrees of
-    freedom), under the covariances of both."""
+    """Segments of a view that overlap the image of a track's line and fit it, under the covariances
+    of both: their chi-square, of 2 degrees of freedom, passes the gate."""
     ends = np.asarray(lines.ends_px)[view, :count]
     across = np.asarray(lines.across_px2)[view, :count]
     matrix = np.asarray(lines.matrix_px)[view]
@@ -247,7 +275,7 @@ def predict_segments(
             spread[known],
             ends,
             across,
-            tuning.candidates.gate,
+            gate,
             tuning.candidates.smallest_overlap,
         )
         found.append(PredictedSegments(part[known][track], segment, chi_square))

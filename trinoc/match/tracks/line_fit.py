@@ -26,11 +26,12 @@ from trinoc.geometry.projection import homogeneous_pixel, project_by_matrix
 from trinoc.geometry.triangulation import Segment3D, triangulate_segment
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.observations.table import SegmentTable, look_up_frames, take_matrices
+from trinoc.match.tracks.unequal_errors import misfit_limit
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.joins import take_groups
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
-from trinoc.numerics.tails import chi_square_limit, chi_square_tail
+from trinoc.numerics.tails import chi_square_tail
 
 
 def two_view_span(reach: Float[np.ndarray, "t v 2"]) -> Float[np.ndarray, "t 2"]:
@@ -287,11 +288,11 @@ def fit_tracks(
     return FittedTracks(index, common_mm, *lines_in_space(seen, index, common_mm))
 
 
-def consistent(tracks: FittedTracks, gate: float) -> Bool[np.ndarray, "t"]:
+def consistent(tracks: FittedTracks, gate: float, noise_tail: float = 0.0) -> Bool[np.ndarray, "t"]:
     """Whether tracks misfit no more than as likely as a triple passes the gate (chi-square of 2
-    degrees of freedom)."""
+    degrees of freedom), of errors that are as unequal as `noise_tail` says."""
     degrees = 2 * ((tracks.index >= 0).sum(axis=1) - 2)
-    limit = chi_square_limit(chi_square_tail(gate, 2), np.maximum(degrees, 1))
+    limit = misfit_limit(chi_square_tail(gate, 2), np.maximum(degrees, 1), noise_tail)
     return (tracks.misfit <= np.where(degrees > 0, limit, np.inf)) & np.isfinite(tracks.misfit)
 
 

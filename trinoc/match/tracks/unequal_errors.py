@@ -19,7 +19,7 @@ from scipy.special import fdtri, gammaln
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.selection import NoiseTuning
 from trinoc.numerics.joins import group_sums
-from trinoc.numerics.tails import chi_square_quantile
+from trinoc.numerics.tails import chi_square_limit, chi_square_quantile
 
 # numerical: tails are looked for here. Below the least, errors are normal.
 _LEAST_TAIL, _MOST_TAIL, _TAILS = 1e-3, 1.0, 40
@@ -73,6 +73,15 @@ def fit_tails(
 def degrees_of_misfit(index: Int[np.ndarray, "t v"]) -> Int[np.ndarray, "t"]:
     """Degrees of freedom of each track's misfit: two for each view beyond the second."""
     return 2 * np.maximum((index >= 0).sum(axis=1) - 2, 0)
+
+
+def misfit_limit(
+    probability: float, degrees: Int[np.ndarray, "*t"], tail: float
+) -> Float[np.ndarray, "*t"]:
+    """What a track's misfit exceeds with this probability: of chi-square where errors are equal."""
+    if tail < _LEAST_TAIL:
+        return np.asarray(chi_square_limit(probability, degrees))
+    return np.asarray(degrees * fdtri(degrees, 1 / tail, 1 - probability))
 
 
 def variance_factor(
