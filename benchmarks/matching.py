@@ -3,8 +3,8 @@
     TRINOC_DATA=DIR python benchmarks/matching.py [--seeds N] [--rendered FOLDER] [--no-files]
         [--no-times]
 
-DIR holds scenes/NAME.npz with NAME.gt.npz and vgg_merton1, vgg_merton2 (VGG, Oxford). FOLDER
-holds scenes of blocks that benchmarks/render_pictures.py rendered, a folder each. Fresh
+DIR holds scenes/NAME.npz with NAME.gt.npz and vgg_merton1, vgg_merton2, vgg_corridor (VGG, Oxford).
+FOLDER holds scenes of blocks that benchmarks/render_pictures.py rendered, a folder each. Fresh
 scenes are drawn by trinoc.synth from seeds that nothing was tuned on. Figures of Line3D++ and
 LIMAP are of the same files, measured apart, at their best settings. A pair or a triple is right
 when its segments come from one edge and their true extents overlap.
@@ -131,6 +131,22 @@ def merton(folder: Path) -> None:
             )
 
 
+def corridor(folder: Path) -> None:
+    """Rows of published matches in eleven views: whole in one track, and the share that is."""
+    data = np.load(folder / "vgg_corridor" / "corridor.npz")
+    names = [str(view) for view in range(len(data["projection"]))]
+    rig = Rig.from_matrices(dict(zip(names, data["projection"], strict=True)), (512, 512))
+    matches = match_segments({view: data[f"segments_{view}"] for view in names}, rig)
+    rows = data["line_matches"]
+    members = ((matches.index[:, None] == rows) & (rows >= 0)).sum(axis=2).max(axis=0)
+    share = members / (rows >= 0).sum(axis=1)
+    near = np.quantile(_reprojection_px(matches, rig), [0.5, 0.95, 1.0])
+    print(
+        f"corridor, 11 views: whole rows {np.mean(share == 1):.3f}, of a row {share.mean():.3f}; "
+        f"{len(matches)} tracks; reprojection, median, 95 %, most: {near.round(2)} px"
+    )
+
+
 def _published(matches: Matches, published: np.ndarray) -> str:
     """Of triples with a segment of a published match, the share that is published, by posterior."""
     three = (matches.index >= 0).all(axis=1)
@@ -165,8 +181,9 @@ def _with_levels(plain: dict[str, np.ndarray], pictures: list[Path]) -> dict[str
 
 
 def _reprojection_px(matches: Matches, rig: Rig) -> np.ndarray:
-    """Per triple, the largest distance of the 3-D line's image from a fragment's ends."""
-    rows = np.flatnonzero((matches.index >= 0).all(axis=1))
+    """Per track in three views or more, the largest distance of the 3-D line's image from a
+    fragment's ends."""
+    rows = np.flatnonzero((matches.index >= 0).sum(axis=1) > 2)
     worst = np.zeros(len(rows))
     for view, name in enumerate(matches.views):
         image = matches.lines_mm[rows] @ rig[name].matrix_px[:, :3].T + rig[name].matrix_px[:, 3]
@@ -174,7 +191,7 @@ def _reprojection_px(matches: Matches, rig: Rig) -> np.ndarray:
         line /= np.linalg.norm(line[:, :2], axis=1, keepdims=True)
         ends = matches.fragments_px[rows, view]
         off = np.abs((ends * line[:, None, :2]).sum(-1) + line[:, None, 2]).max(axis=1)
-        worst = np.maximum(worst, off)
+        worst = np.fmax(worst, off)
     return worst
 
 
@@ -364,6 +381,7 @@ def main() -> None:
         folder = Path(os.environ["TRINOC_DATA"])
         table_of_files(folder / "scenes")
         merton(folder)
+        corridor(folder)
     if given.seeds:
         table_of_fresh(given.seeds)
     table_of_rendered(given.rendered, _calibration_error)
