@@ -116,8 +116,12 @@ def common_part(
     seen: MatchInput, index: Int[np.ndarray, "v"], near_mm: Float[np.ndarray, "2 3"]
 ) -> Float[np.ndarray, "2 3"] | None:
     """Ends, on a line through two points, of what all of its segments show; None where nothing."""
-    reach = segment_reaches(seen, index[None], near_mm[None])[0]
-    begin, end = np.nanmax(reach[:, 0]), np.nanmin(reach[:, 1])
+    views = np.flatnonzero(index >= 0)
+    segments = np.stack([seen.ends_px[view][index[view]] for view in views])
+    matrix = np.asarray(seen.lines.matrix_px)[views]
+    near = np.broadcast_to(near_mm, (len(views), 2, 3))
+    reach = np.sort(positions_abreast(matrix, segments, near), axis=1)
+    begin, end = reach[:, 0].max(), reach[:, 1].min()
     if not begin < end:
         return None
     return near_mm[0] + np.array([[begin], [end]]) * (near_mm[1] - near_mm[0])
