@@ -206,7 +206,7 @@ def test_what_a_third_view_should_show_and_does_not_is_marked() -> None:
     # Segment 0 in nothing, 1 in a weak pair, 2 in one that the third view turned down, 3 matched.
     no, third = np.zeros(4, dtype=bool), np.array([False, False, True, True])
     words = reasons(
-        np.array([1, 2, 3]), np.array([-2.0, -1.0, 2.0]), no, no, np.arange(4) == 3, third
+        np.array([1, 2, 3]), np.array([-2.0, -1.0, 2.0]), no, no, np.arange(4) == 3, third, no
     )
     assert words.tolist() == [
         "no partner in the zone",

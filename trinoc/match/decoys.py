@@ -96,7 +96,7 @@ def say_excluded_depths(found: Matches) -> str | None:
     """What to check where the allowed depths leave out more segments than are matched."""
     words = np.concatenate([np.asarray(words, dtype=str) for words in found.reasons.values()])
     excluded = int((words == OUTSIDE).sum())
-    if excluded <= (words == MATCHED).sum():
+    if excluded <= np.char.startswith(words, MATCHED).sum():
         return None
     return (
         f"{excluded} segments have no partner in the depths allowed: check depth_range_mm, which "

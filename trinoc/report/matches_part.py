@@ -316,4 +316,4 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: LineSigmas) -> tup
 def share_matched(matches: Matches) -> float:
     """The share of all segments that are on a track; NaN without any."""
     words = np.concatenate([np.asarray(matches.reasons[view], dtype=str) for view in matches.views])
-    return float(np.mean(words == MATCHED)) if len(words) else np.nan
+    return float(np.mean(np.char.startswith(words, MATCHED))) if len(words) else np.nan

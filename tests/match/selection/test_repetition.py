@@ -148,5 +148,15 @@ def test_matches_of_a_grating_are_not_sure_unless_the_limit_is_taken_off() -> No
         size = np.array(camera.image_size_px)
         segments[name] = Segments.from_endpoints(ends[((ends > 0) & (ends < size)).all((1, 2))])
     rig, unlimited = Rig(cameras), with_field(DEFAULT, "repetition.greatest_log_odds", np.inf)
-    assert (match_segments(segments, rig, tuning=unlimited).posterior > 0.9).sum() > 10
-    assert (match_segments(segments, rig).posterior > 0.9).sum() == 0
+    freely, limited = match_segments(segments, rig, tuning=unlimited), match_segments(segments, rig)
+    assert (freely.posterior > 0.9).sum() > 10
+    assert (limited.posterior > 0.9).sum() == 0
+    # Who reads the reasons sees whose probability the pattern lowers, and nobody else's.
+    np.testing.assert_array_equal(freely.index, limited.index)
+    lowered = limited.posterior < 0.9 * freely.posterior
+    assert lowered.sum() > 10
+    for view, name in enumerate(limited.views):
+        of_pattern = np.unique(limited.index[lowered, view])
+        words = np.flatnonzero(limited.reasons[name] == "matched within a pattern")
+        np.testing.assert_array_equal(words, of_pattern[of_pattern >= 0])
+        assert not (freely.reasons[name] == "matched within a pattern").any()

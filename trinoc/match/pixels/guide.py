@@ -192,7 +192,9 @@ def join_matches(
 
 
 def _reasons(words: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
-    """The words on each segment, those that are on a track now "matched"."""
+    """The words on each segment, those that are on a track now "matched", if none
+    said so before."""
     longer = np.concatenate([words, np.full(count - len(words), MATCHED)])
-    longer[index[index >= 0]] = MATCHED
+    on = np.unique(index[index >= 0])
+    longer[on[~np.char.startswith(longer[on], MATCHED)]] = MATCHED
     return longer

@@ -69,6 +69,7 @@ def write_notes(
 
 
 MATCHED = "matched"
+OF_PATTERN = f"{MATCHED} within a pattern"
 NO_PARTNER = "no partner in the zone"
 OUTSIDE = "outside depth"
 ALONG = "along the epipolar lines"
@@ -85,6 +86,7 @@ def reasons(
     along: Bool[np.ndarray, "n"],
     matched: Bool[np.ndarray, "n"],
     missed: Bool[np.ndarray, "n"],
+    of_pattern: Bool[np.ndarray, "n"],
     tuning: TrackTuning = DEFAULT.tracks,
 ) -> Shaped[np.ndarray, "n"]:
     """(n,) words for the segments of one view, given the candidates that held each of them.
@@ -93,7 +95,8 @@ def reasons(
     candidate's evidence before rivals, `outside` whether the depth range excluded one,
     `along` whether the best lies along the epipolar lines of all pairs of its views, and
     `missed` whether one fits in two views, and a third should show it but does not: the rims of
-    round bodies, and shadows and lights that move with the viewpoint, among others.
+    round bodies, and shadows and lights that move with the viewpoint, among others. `of_pattern`
+    are matched, and a pattern that repeats is what leaves the match in doubt.
     """
     count = len(matched)
     held = segment >= 0
@@ -111,6 +114,7 @@ def reasons(
         words[n] = AMBIGUOUS.format(rivals[n])
     words[along] = ALONG
     words[matched] = MATCHED
+    words[of_pattern] = OF_PATTERN
     return words
 
 
@@ -141,6 +145,7 @@ class Lines(NamedTuple):
     fragments_covariance_px2: Float[np.ndarray, "t v 4 4"]
     misfit: Float[np.ndarray, "t"]
     viewpoint_dependent: Bool[np.ndarray, "t"]
+    of_pattern: Bool[np.ndarray, "t"]
 
 
 def answers(

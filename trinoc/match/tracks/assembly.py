@@ -74,8 +74,8 @@ def assemble(
         for own in selections
     ]
     repetition = concatenate_rows([NO_REPETITION, *repeating])
-    found, unlocated = _lines(seen, tracks, pairs.take(pairs.taken), repetition, rules.tracks)
-    words = _reasons(seen, selections, pairs, outside, unlocated, found.index, rules.tracks)
+    found, unlocated = _lines(seen, tracks, pairs.take(pairs.taken), repetition, rules)
+    words = _reasons(seen, selections, pairs, outside, unlocated, found, rules.tracks)
     of_each = {
         "triples considered": [selection.candidates.index for selection in selections],
         "triples outside depth": outside,
@@ -104,17 +104,16 @@ def _of_each_frame(seen: MatchInput, groups: list[np.ndarray]) -> Int[np.ndarray
 
 
 def _lines(
-    seen: MatchInput, tracks: Tracks, taken: Pairs, repetition: Repetition, tuning: TrackTuning
+    seen: MatchInput, tracks: Tracks, taken: Pairs, repetition: Repetition, rules: MatchTuning
 ) -> tuple[Lines, Int[np.ndarray, "u v"]]:
     """(lines in space, segments of tracks that no pair of views can locate)."""
     index = np.concatenate([tracks.candidates.index, taken.candidates.index])
     interval = np.concatenate([tracks.candidates.interval, taken.candidates.interval])
-    posterior_log_odds = np.concatenate(
-        [
-            limit_log_odds(each.posterior_log_odds, greatest_log_odds(each.candidates, repetition))
-            for each in (tracks, taken)
-        ]
-    )
+    both = (tracks, taken)
+    alone = np.concatenate([each.posterior_log_odds for each in both])
+    greatest = np.concatenate([greatest_log_odds(each.candidates, repetition) for each in both])
+    of_pattern = greatest < np.minimum(alone, rules.repetition.likely_log_odds)
+    tuning = rules.tracks
     rival_posterior = np.concatenate([tracks.rival_posterior, np.full(len(taken.taken), -np.inf)])
     common_mm = np.concatenate([tracks.candidates.ends_mm, taken.candidates.ends_mm])
     doubt = direction_doubt(seen.lines, index)
@@ -131,11 +130,12 @@ def _lines(
         fragments,
         ends_mm,
         covariance_mm2,
-        posterior_log_odds,
+        limit_log_odds(alone, greatest),
         rival_posterior,
         covariance,
         misfit,
         np.zeros(len(index), dtype=bool),
+        of_pattern,
     )
     found = take_rows(every, sound)
     dependent = flag_viewpoint_dependent(seen, found.index, found.ends_mm, found.misfit, tuning)
@@ -186,7 +186,7 @@ def _reasons(
     pairs: Pairs,
     outside: Sequence[Int[np.ndarray, "_ _v"]],
     unlocated: Int[np.ndarray, "u v"],
-    index: Int[np.ndarray, "t v"],
+    tracks: Lines,
     tuning: TrackTuning,
 ) -> list[Shaped[np.ndarray, "_"]]:
     running = [*selections, pairs]
@@ -194,17 +194,18 @@ def _reasons(
     log_odds = np.concatenate([found.log_odds for found in running])
     words = []
     for view, count in enumerate(seen.counts):
-        excluded, along, matched, missed = np.zeros((4, count), dtype=bool)
-        matched[index[index[:, view] >= 0, view]] = True
+        excluded, along, matched, missed, of_pattern = np.zeros((5, count), dtype=bool)
+        shown = tracks.index[:, view] >= 0
+        matched[tracks.index[shown, view]] = True
+        of_pattern[tracks.index[shown & tracks.of_pattern, view]] = True
         for index_outside in outside:
             excluded[index_outside[index_outside[:, view] >= 0, view]] = True
         along[unlocated[unlocated[:, view] >= 0, view]] = True
         turned = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.missed)
         owner = pairs.candidates.index[turned, view]
         missed[owner[owner >= 0]] = True
-        words.append(
-            reasons(candidate[:, view], log_odds, excluded, along, matched, missed, tuning)
-        )
+        kinds = excluded, along, matched, missed, of_pattern
+        words.append(reasons(candidate[:, view], log_odds, *kinds, tuning))
     return words
 
 

@@ -91,7 +91,7 @@ class Matches(Displayable, Table):
     posterior : (t,) probability that the match is right.
     rival_posterior : (t,) posterior of the best candidate that this one excluded; 0 where none.
     reasons : for each view, (n,) words that say why a segment is on no track, "matched"
-        where it is on one.
+        where it is on one, "matched within a pattern" where a partner one period off fits as well.
     counts : what each step of the matching produced and rejected, by name.
     fragments_covariance_px2 : (t, v, 4, 4) of the fragments' ends, NaN where not seen; None
         where not known.
