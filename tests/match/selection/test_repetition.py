@@ -47,15 +47,17 @@ def at_places(index: np.ndarray, middle_mm: np.ndarray, frame: np.ndarray | None
 
 
 def ordinary(offset_mm: float = 0.0, first: int = 0) -> tuple[Candidates, np.ndarray]:
-    """Lines of which every second has a rival of little evidence, every tenth one of much."""
+    """Lines of which every second has a rival of little evidence, every twentieth one of much: it
+    contests two."""
     line = np.arange(LINES)
     wrong = line[::2]
     index = np.concatenate(
         [np.stack([line] * 3, 1), np.stack([wrong, wrong, (wrong + 7) % LINES], 1)]
     )
-    log_odds = np.concatenate([np.full(LINES, 12.0), np.where(wrong % 10 == 0, 11.0, 1.0)])
+    log_odds = np.concatenate([np.full(LINES, 12.0), np.where(wrong % 20 == 0, 11.0, 1.0)])
     middle = np.concatenate([line, wrong])
-    places = np.stack([middle + offset_mm, 0 * middle, 0 * middle], axis=1)
+    # No two are as far from a third.
+    places = np.stack([middle**1.001 + offset_mm, 0 * middle, 0 * middle], axis=1)
     return at_places(index + first, places), log_odds
 
 

@@ -67,11 +67,12 @@ class RepetitionTuning:
     # So many of them about a place are asked: of 25, ordinary scenes show many by chance.
     neighbours: int = 50
     # Share of them that is contested in ordinary scenes and in patterns. Measured: medians of .0 to
-    # .1, and of .4 to .9. Log odds of a pattern before they are asked: few lines say little.
-    contested_shares: tuple[float, float] = (0.15, 0.5)
+    # .1, of .2 to .4 in walls before cameras in one line, whose sure tracks were wrong most often,
+    # and of .4 to .9. Log odds of a pattern before they are asked: few lines say little.
+    contested_shares: tuple[float, float] = (0.12, 0.4)
     prior_log_odds: float = -3.0
-    # Log odds of a track of a pattern: one in four or five is right.
-    greatest_log_odds: float = -1.2
+    # Log odds of a track of a pattern: two in seven are right.
+    greatest_log_odds: float = -0.9
 
 
 @dataclass(frozen=True)
