@@ -16,7 +16,7 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import DetectionError, InputError, check_kind
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
-from trinoc.image.grey import grey_image, why_interlaced
+from trinoc.image.grey import grey_image
 from trinoc.numerics.precision import ArrayLike, in_float64
 
 
@@ -78,9 +78,6 @@ def calibrate(
     for name, image in images.items():
         try:
             looked_at = np.asarray(image) if bayer is None else neutral_mosaic(np.asarray(image))
-            interlaced = why_interlaced(grey_image(looked_at))
-            if interlaced is not None:
-                raise DetectionError(interlaced)
             detections[name] = detect_pattern(looked_at, pattern)
         except DetectionError as error:
             failures[name] = str(error)

@@ -122,9 +122,12 @@ def why_interlaced(image: GreyImage) -> str | None:
     Edges that moved from one field to the next are combs of light and dark rows.
     """
     levels = image.in_255ths()
+    most = _COMB_SHARE * levels.grey.size
+    if _count_combs(levels.grey, _COMB_LEVELS) <= most:
+        return None
     least = max(_COMB_SIGMAS * level_noise(levels.grey, levels.quantum), _COMB_LEVELS)
     down, along = (_count_combs(grey, least) for grey in (levels.grey, levels.grey.T))
-    if down <= max(_COMB_SHARE * levels.grey.size, _COMB_RATIO * along):
+    if down <= max(most, _COMB_RATIO * along):
         return None
     return (
         "Its even and odd rows are of two moments (interlaced), so that edges are combs: set the "
@@ -135,10 +138,7 @@ def why_interlaced(image: GreyImage) -> str | None:
 def _count_combs(grey: Float[np.ndarray, "h w"], least: float) -> int:
     """Pixels above which so many steps down the rows go up and down by turns."""
     steps = np.diff(grey, axis=0)
-    turns = np.where(np.abs(steps) > least, np.sign(steps), 0.0)
-    turns[1::2] *= -1.0
+    up, fall = ((side * steps > least).astype(np.uint8) for side in (1, -1))
+    up[1::2], fall[1::2] = fall[1::2], up[1::2].copy()
     run = np.ones((_COMB_ROWS - 1, 1), np.uint8)
-    return sum(
-        int(cv2.erode((turns == sign).astype(np.uint8), run, borderValue=0).sum())
-        for sign in (1.0, -1.0)
-    )
+    return sum(cv2.countNonZero(cv2.erode(turns, run, borderValue=0)) for turns in (up, fall))

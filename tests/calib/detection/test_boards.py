@@ -6,6 +6,7 @@ import pytest
 
 from trinoc.calib import detect_target
 from trinoc.calib.targets.april_grid import AprilGrid
+from trinoc.calib.targets.board_set import BoardSet
 from trinoc.calib.targets.checkers import Charuco, Chessboard, opencv_board
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError, InputError
@@ -124,6 +125,18 @@ def test_a_tag_of_another_board_in_view_is_left_out():
     assert not set(found.circle_index) & {*range(4), *range(20, 24)}
     miss = np.abs(found.centres_px - pixels(board.centres_mm[found.circle_index])).max()
     assert miss < 0.25
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_rows_of_two_moments_are_refused_in_one_board_and_in_a_set(name):
+    board = BOARDS[name]
+    seen, _ = picture(board)
+    fields = seen.copy()
+    fields[1::2] = np.roll(seen, 2, axis=1)[1::2]
+    for target in (board, BoardSet([board])):
+        assert len(detect_target(seen, target)) > 0
+        with pytest.raises(DetectionError, match="interlaced"):
+            detect_target(fields, target)
 
 
 def test_what_is_no_such_board_is_refused():

@@ -16,6 +16,7 @@ from trinoc.calib.targets.board_set import BoardSet, first_places
 from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError, InputError
+from trinoc.image.grey import grey_image, why_interlaced
 
 DETECTORS: dict[type[AbstractTarget], Callable[..., Detection]] = {
     Pattern: detect_circles,
@@ -33,8 +34,16 @@ def detect_target(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> D
     Raises
     ------
     InputError : `image` is no picture, or nothing detects such a target.
-    DetectionError : the board is not seen, or not in a way that can be trusted.
+    DetectionError : the board is not seen, or not in a way that can be trusted: rows that are of
+        two moments place it between them.
     """
+    interlaced = why_interlaced(grey_image(np.asarray(image)))
+    if interlaced is not None:
+        raise DetectionError(interlaced)
+    return _detect(image, target)
+
+
+def _detect(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> Detection:
     if isinstance(target, BoardSet):
         return _detect_board_set(image, target)
     if type(target) not in DETECTORS:
@@ -71,7 +80,7 @@ def _detect_board_set(image: Shaped[np.ndarray, "..."], boards: BoardSet) -> Det
     parts, labels, failures = [], [], []
     for first, board in zip(first_places(boards), boards.boards, strict=True):
         try:
-            part = detect_target(image, board)
+            part = _detect(image, board)
         except DetectionError as error:
             failures.append(str(error))
             continue
