@@ -29,8 +29,8 @@ def test_an_end_at_a_crossing_is_well_known() -> None:
 
 
 def test_an_end_short_of_the_next_crossing_may_go_on_to_it() -> None:
-    assert np.isclose(sigmas(8.0, 50.0)[1], 8.0)
-    assert np.isclose(sigmas(30.0, 50.0)[1], DEFAULT.ends.sigma_free_px)
+    assert np.isclose(sigmas(6.5, 50.0)[1], 6.5)
+    assert np.isclose(sigmas(30.0, 50.0)[1], DEFAULT.ends.sigma_free_px / np.sqrt(50.0))
 
 
 def test_a_faint_edge_goes_on_unseen_farther_within_limits() -> None:

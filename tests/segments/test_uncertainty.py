@@ -5,7 +5,10 @@ import pytest
 from scipy.special import erf
 
 from trinoc.segments import find_segments
+from trinoc.segments.nevatia_babu.accept import Shifts
 from trinoc.segments.nevatia_babu.errors import (
+    ErrorModel,
+    inflate_variance,
     noise_variance,
 )
 from trinoc.segments.tuning import DEFAULT
@@ -125,3 +128,23 @@ def test_two_edges_side_by_side_stay_within_their_sigmas() -> None:
     assert (np.abs(error) < 3 * sigma).all()
     # They push each other apart; what is left of it is less than a tenth of a pixel.
     assert np.abs(error).max() < 0.1
+
+
+def test_what_disturbs_a_line_widens_it_and_is_named() -> None:
+    nothing, one = np.zeros(4), np.ones(1)
+    pull, crowded, bow = np.eye(4)[1:]
+    disturbed = ErrorModel(pull, crowded, nothing, bow, np.zeros((4, 2)))
+    calm = Shifts(nothing, nothing)
+    noise_px2 = np.full(4, 1e-4)
+    variance, reasons = inflate_variance(disturbed, noise_px2, calm, calm)
+    sizes = [DEFAULT.errors.pull_share, DEFAULT.errors.crowd_px, DEFAULT.errors.bow_share]
+    np.testing.assert_allclose(variance - noise_px2, np.square([0.0, *sizes]))
+    assert reasons.tolist() == ["", "neighbour", "neighbour", "bent"]
+    shifted = Shifts(one, one)
+    alone = ErrorModel(*(part[:1] for part in disturbed))
+    for saturated, shaded, name in ((shifted, calm, "saturated"), (calm, shifted, "shaded")):
+        shifts = (Shifts(*(part[:1] for part in each)) for each in (saturated, shaded))
+        variance, reasons = inflate_variance(alone, noise_px2[:1], *shifts)
+        # What moves a line as a whole is the business of `end_covariances`.
+        assert variance == noise_px2[0]
+        assert reasons.tolist() == [name]

@@ -105,9 +105,7 @@ def find_segments(
     lines = fit_lines(runs, tuning.scales)
     runs, lines = merge_collinear(runs, lines, tolerance_px, tuning)
     blur_px2 = typical_blur(lines)
-    runs, lines, slopes = _accept(
-        picture, runs, lines, blur_px2, false_alarms, least_contrast, tuning
-    )
+    runs, lines, slopes = _accept(picture, runs, lines, blur_px2, false_alarms, tuning)
     runs, lines, errors = _without_neighbours(smooth, runs, lines, blur_px2, tuning)
     runs, lines, shifts = _without_shifts(smooth, runs, lines, slopes, errors, tuning)
     lines, to_image = _undistort(runs, lines, intrinsics, tuning)
@@ -152,17 +150,15 @@ def _accept(
     lines: FittedLines,
     blur_px2: float,
     false_alarms: float,
-    least_contrast: float,
     tuning: SegmentTuning,
 ) -> tuple[Runs, FittedLines, SideSlopes]:
-    """(points, lines, slopes of the light beside them) without soft shadows, slopes of the light,
-    noise, and what is far too faint."""
+    """(points, lines, slopes of the light beside them) without soft shadows, slopes of the light
+    and noise."""
     slopes = side_slopes(picture.levels, runs, blur_px2, tuning.accept)
     keep = (
         is_sharp(lines, blur_px2, tuning.accept)
         & ~is_on_ramp(slopes, tuning.accept)
         & (lines.snr2 > least_snr2(false_alarms, picture.levels.size))
-        & (lines.contrast > tuning.accept.faint_share * least_contrast)
     )
     runs, lines, slopes = runs.take(keep), *take_rows((lines, slopes), keep)
     if not picture.is_linear:
@@ -241,7 +237,7 @@ def _place_ends(
 ) -> tuple[Float[np.ndarray, "r 2 2"], Float[np.ndarray, "r 2"], NearEnds]:
     """(ends at the crossings with what stops them, their sigmas along, lines near them)."""
     pieces = lines.pieces
-    near = lines_near_ends(pieces, tuning.ends.snap_px, tuning.ends)
+    near = lines_near_ends(pieces, tuning.ends.snap_px)
     partner, position = snap_ends(pieces, tuning.ends.snap_px, near, tuning.ends)
     along_px = end_sigmas(pieces, lines.contrast, partner, near, tuning.ends)
     return pieces._replace(extent_px=position).ends_px, along_px, near

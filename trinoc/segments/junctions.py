@@ -34,7 +34,7 @@ def find_junctions(
     """Where segments meet: ends that agree within their uncertainty, and ends on bodies.
 
     An end meets another segment where their lines cross within three of the end's own sigmas
-    along its segment (between 2 and 8 pixels), and on the other segment or as near to its
+    along its segment (up to 8 pixels), and on the other segment or as near to its
     end. Ends that meet each other, directly or through a third, make one junction. `near` are
     the pairs of ends and lines to look at, all that are near each other where it is None.
     """
@@ -42,7 +42,7 @@ def find_junctions(
     count = len(ends)
     pieces = _cut_pieces(ends)
     across, along = _sigmas(segments, pieces.direction)
-    reach = np.clip(tuning.sigmas * along, tuning.least_reach_px, tuning.most_reach_px)
+    reach = np.minimum(tuning.sigmas * along, tuning.most_reach_px)
     if near is None:
         near = lines_near_ends(pieces, float(reach.max(initial=0.0)))
     line, side, other, _, place, _ = endpoint_crossings(pieces, reach, near)

@@ -72,9 +72,6 @@ class AcceptTuning:
     next_px: float = 6.0
     turn_deg: tuple[float, float] = (6.0, 60.0)
     turn_ratio: float = 2.5
-    # Contrast is judged once neighbours are taken out, which rarely adds more than this share
-    # leaves. By hand.
-    faint_share: float = 0.8
     # A piece shorter than this, px, with this share of its points within reach of other edges is
     # the rounding of a corner. By hand.
     bevel_px: float = 5.0
@@ -91,15 +88,12 @@ class EndpointTuning:
     snap_px: float = 6.0
     # Lines at less than this angle, degrees, may be pieces of one edge, and do not cross. By hand.
     parallel_deg: float = 15.0
-    # Lines are looked for around an end within so many times the reach of a crossing. By hand.
-    search_factor: float = 1.5
     # Standard deviation of an end along its segment, px: at a crossing (by hand), and, on ten
-    # rendered scenes, where the evidence of an edge of this contrast stops. It goes as one over the
-    # root of the contrast, between these limits. 7 and 12 px hold 92 % of the ends of other scenes
-    # in three sigmas instead of 79 %, but matching then finds half a hundredth less of the length.
+    # rendered scenes, where the evidence of an edge of one grey level stops. It goes as one over
+    # the root of the contrast, between these limits. 7 and 12 px hold 92 % of the ends of other
+    # scenes in three sigmas, not 79 %, but matching then finds half a hundredth less of the length.
     sigma_crossing_px: float = 0.5
-    sigma_free_px: float = 4.5
-    free_contrast: float = 50.0
+    sigma_free_px: float = 32.0
     least_free_px: float = 2.0
     most_free_px: float = 7.0
 
@@ -123,32 +117,22 @@ class ErrorTuning:
     least_reach_px: float = 4.5
     # Share of the shift ascribed to neighbours that stays as an error.
     pull_share: float = 0.8
-    # Error, px, per share of points with a neighbour beyond the first share.
-    crowd_px: float = 0.4
-    crowd_from: float = 0.4
-    # Share of the widening of the profile, px, beyond a first part, px.
-    wide_share: float = 0.2
-    wide_from_px: float = 0.5
+    # Error, px, of a line all of whose points have a neighbour, and in proportion.
+    crowd_px: float = 0.2
     # Share of the bow that noise does not explain, and how many sigmas noise explains.
     bow_share: float = 0.2
     bow_sigmas: float = 1.5
-    # Share of the points' scatter that noise does not explain, and how many times its variance
-    # noise explains; number of last points, share of their distance from the line that stays an
-    # error of that end, and from how many sigmas of it.
-    scatter_share: float = 0.4
-    scatter_noise: float = 2.0
+    # Number of last points, share of their distance from the line that stays an error of that end,
+    # and from how many sigmas of it.
     last_points: int = 5
     off_share: float = 0.7
     off_sigmas: float = 3.0
-    # Share of the shift that slopes beside a line promise by which it is moved, share of their size
-    # that stays as an error of the whole line, and the largest that both count, px. On twelve
-    # rendered scenes with soft shadows.
+    # Share of the shift that slopes beside a line promise by which it is moved, and share of their
+    # size that stays as an error of the whole line. On twelve rendered scenes with soft shadows.
     shade_shift: float = 0.3
     shade_share: float = 0.5
-    shade_most_px: float = 0.5
-    # How far toward the brighter side a pixel must be saturated to bend the profile: at least so
-    # many pixels of the level, and so many widths of the blur.
-    bright_side_px: float = 2.0
+    # How far toward the brighter side a pixel must be saturated to bend the profile: so many
+    # widths of the blur.
     bright_side_widths: float = 1.75
     # A line borrows the picture's usual blur where its own differs by more than this share.
     blur_spread: float = 0.15
@@ -159,8 +143,6 @@ class SaturationTuning:
     """What is known before an edge with a saturated bright side is fitted. Shown by the rows of
     saturated edges: shift and normalised error."""
 
-    # Share of saturated points from which a line is fitted as saturated. By hand.
-    from_share: float = 0.3
     # Logarithm of the true height of a step over the visible one, and its deviation: surfaces
     # above white are so by a third or so, rarely by three times. By hand.
     log_above: float = 0.3
@@ -175,8 +157,6 @@ class SaturationTuning:
     # quarter of a pixel; and of the shift this share stays as an error, as blurs are not Gaussian.
     misfit: float = 0.007
     shift_share: float = 0.07
-    # The height above white changes along an edge: share of the shift by which its ends differ.
-    uneven_share: float = 0.05
     # The profile is fitted from so many widths of the blur before the line to where noise of so
     # many sigmas would be clipped; a place farther off than so many widths is none. By hand.
     fit_widths: float = 3.5
@@ -186,8 +166,6 @@ class SaturationTuning:
     # many times the noise in contrast. By hand.
     most_crowded: float = 0.2
     clear_contrast: float = 8.0
-    # Error, in widths of the blur, where too little of the profile is seen for a fit.
-    unfitted_widths: float = 0.6
 
 
 @dataclass(frozen=True)
@@ -195,9 +173,8 @@ class SegmentEndTuning:
     """Where segments meet and continue each other, and the levels beside them. By hand; shown by
     matching of rendered scenes."""
 
-    # Ends are taken to meet within so many of their own sigmas, between these limits, px.
+    # Ends are taken to meet within so many of their own sigmas, and this limit, px.
     sigmas: float = 3.0
-    least_reach_px: float = 2.0
     most_reach_px: float = 8.0
     # Two ends at a junction continue each other where they differ by less than this, degrees.
     straight_deg: float = 12.0

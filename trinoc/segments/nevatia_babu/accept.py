@@ -38,12 +38,10 @@ class Shifts(NamedTuple):
     ------
     shift_px : (r,) toward the brighter side.
     variance_px2 : (r,) of that shift, which both ends have in common.
-    uneven_px2 : (r,) of the line's middle, as if points scattered: the shift changes along it.
     """
 
     shift_px: Float[np.ndarray, "r"]
     variance_px2: Float[np.ndarray, "r"]
-    uneven_px2: Float[np.ndarray, "r"]
 
 
 class SideSlopes(NamedTuple):
@@ -119,15 +117,13 @@ def shading_shifts(
     """
     profile_px2 = lines.kernel_variance_px2 + np.maximum(lines.blur_px2, 0.0)
     per_slope = profile_px2 / np.maximum(lines.contrast * lines.light_per_level, 1e-6)
-    most = tuning.shade_most_px
     promised = slopes.bright - slopes.dark
     beyond = np.maximum(np.abs(promised) - slopes.sigma, 0.0) * per_slope
     # The edge's own blur reaches so far, too. Without its part the errors of blurred edges are
     # claimed too small.
     size = np.maximum(np.abs(slopes.dark) + np.abs(slopes.bright) - slopes.sigma, 0.0) * per_slope
-    shift = -tuning.shade_shift * np.sign(promised) * np.minimum(beyond, most) * (1 - crowded)
-    variance = np.square(tuning.shade_share * np.minimum(size, most))
-    return Shifts(shift, variance, np.zeros_like(shift))
+    shift = -tuning.shade_shift * np.sign(promised) * beyond * (1 - crowded)
+    return Shifts(shift, np.square(tuning.shade_share * size))
 
 
 _RATE_PER_MEGAPIXEL, _DECAY = 4.2e4, 12.0  # numerical: fitted to white noise, as above

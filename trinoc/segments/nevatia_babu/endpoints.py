@@ -59,14 +59,11 @@ class NearEnds(NamedTuple):
     line: Int[np.ndarray, "p"]
 
 
-def lines_near_ends(
-    pieces: Pieces, reach_px: float, tuning: EndpointTuning = DEFAULT.ends
-) -> NearEnds:
-    """The lines, at most some, within `search_factor` times the reach of each end."""
+def lines_near_ends(pieces: Pieces, reach_px: float) -> NearEnds:
+    """The lines, at most some, within twice the reach of each end: where they may cross."""
     count = len(pieces.centre_px)
     owner, samples = line_samples(pieces, SAMPLE_PX)
-    radius = tuning.search_factor * reach_px
-    end, sample, _ = near_pairs(pieces.ends_px.reshape(-1, 2), samples, radius, _NEIGHBOURS)
+    end, sample, _ = near_pairs(pieces.ends_px.reshape(-1, 2), samples, 2 * reach_px, _NEIGHBOURS)
     # Most samples near an end are its own line's.
     foreign = np.flatnonzero(owner[sample] != end // 2)
     pair = distinct(end[foreign] * count + owner[sample[foreign]])
@@ -140,10 +137,10 @@ def end_sigmas(
     goes on to the next crossing, if `near` knows one, or unseen into its background, the
     farther the fainter it is.
     """
-    faint = np.sqrt(tuning.free_contrast / np.maximum(contrast, 1e-6))
+    faint = 1 / np.sqrt(np.maximum(contrast, 1e-6))
     free = np.clip(tuning.sigma_free_px * faint, tuning.least_free_px, tuning.most_free_px)
     sigma = np.repeat(free[:, None], 2, axis=1)
-    reach = np.full(len(partner), tuning.search_factor * tuning.snap_px)
+    reach = np.full(len(partner), tuning.most_free_px)
     ahead = endpoint_crossings(pieces, reach, near, tuning)
     sigma[ahead.line, ahead.side] = np.maximum(ahead.distance_px, tuning.least_free_px)
     return np.where(partner >= 0, tuning.sigma_crossing_px, sigma)

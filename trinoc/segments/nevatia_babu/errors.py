@@ -180,21 +180,16 @@ class ErrorModel(NamedTuple):
     ------
     pull_px : (r,) mean shift of the points that was ascribed to neighbours.
     crowded : (r,) share of the points that have a neighbouring line within reach.
-    widening_px : (r,) root of the variance by which the profile is wider than the typical one.
     saturated : (r,) share of the points whose bright side is saturated.
     sagitta_px : (r,) deviation from straightness that noise does not explain.
-    scatter_px : (r,) root mean square distance of the points from the line, beyond what noise
-        explains.
     off_px : (r, 2) how far the last points of each end lie off the line, where noise does not
         explain it: a neighbour has them.
     """
 
     pull_px: Float[np.ndarray, "r"]
     crowded: Float[np.ndarray, "r"]
-    widening_px: Float[np.ndarray, "r"]
     saturated: Float[np.ndarray, "r"]
     sagitta_px: Float[np.ndarray, "r"]
-    scatter_px: Float[np.ndarray, "r"]
     off_px: Float[np.ndarray, "r 2"]
 
 
@@ -219,19 +214,14 @@ def error_model(
     near[found.point] = 1.0
     # A saturated edge looks sharper than it is.
     blur = np.sqrt(np.maximum(lines.blur_px2, usual_blur_px2) + _PIXEL_VARIANCE)
-    beside = np.maximum(
-        tuning.bright_side_px * measured.spacing_px,
-        cleaned.spread(tuning.bright_side_widths * blur).astype(np.float32),
-    )
+    beside = cleaned.spread(tuning.bright_side_widths * blur).astype(np.float32)
     bright = measured.sample_px + beside[:, None] * measured.normal
     level = nearest_levels(picture.levels, *bright.T)
     return ErrorModel(
         cleaned.mean(np.hypot(shift[:, 0], shift[:, 1])),
         cleaned.mean(near),
-        np.sqrt(np.maximum(lines.blur_px2 - usual_blur_px2, 0.0)),
         cleaned.mean((level >= picture.white).astype(np.float64)),
         np.where(bow > tuning.bow_sigmas * noise_bow, bow, 0.0),
-        np.sqrt(np.maximum(lines.residual_px**2 - tuning.scatter_noise * noise_of_point, 0.0)),
         _off_line(cleaned, lines, tuning.off_sigmas * np.sqrt(noise_of_point), tuning.last_points),
     )
 
@@ -264,28 +254,22 @@ def inflate_variance(
 ) -> tuple[Float[np.ndarray, "r"], Shaped[np.ndarray, "r"]]:
     """(variance, reason): of each line's place across it, and what added most to it.
 
-    `noise_px2` is the variance from noise alone. The reason is "neighbour", "wide", "bent",
+    `noise_px2` is the variance from noise alone. The reason is "neighbour", "bent",
     "saturated" or "shaded" where that adds more than noise does, and "" elsewhere. The variance
     leaves out what moves a line as a whole.
     """
     parts = {
         "neighbour": np.hypot(
-            tuning.pull_share * disturbed.pull_px,
-            tuning.crowd_px * np.clip(disturbed.crowded - tuning.crowd_from, 0.0, None),
+            tuning.pull_share * disturbed.pull_px, tuning.crowd_px * disturbed.crowded
         ),
-        "wide": tuning.wide_share * np.clip(disturbed.widening_px - tuning.wide_from_px, 0.0, None),
-        "bent": np.hypot(
-            tuning.bow_share * disturbed.sagitta_px, tuning.scatter_share * disturbed.scatter_px
-        ),
+        "bent": tuning.bow_share * disturbed.sagitta_px,
     }
     squares = np.square(np.stack(list(parts.values())))
-    whole = [shifts.variance_px2 + shifts.uneven_px2 for shifts in (saturated, shaded)]
-    all_parts = np.concatenate([squares, whole])
+    all_parts = np.concatenate([squares, [saturated.variance_px2, shaded.variance_px2]])
     most = all_parts.argmax(axis=0)
     names = np.array([*parts, "saturated", "shaded"])
     reasons = np.where(all_parts.max(axis=0) > noise_px2, names[most], "")
-    uneven_px2 = saturated.uneven_px2 + shaded.uneven_px2
-    return noise_px2 + uneven_px2 + squares.sum(axis=0), reasons
+    return noise_px2 + squares.sum(axis=0), reasons
 
 
 def noise_variance(

@@ -59,12 +59,12 @@ def shifts_of_saturated(
     disturbed: ErrorModel,
     tuning: SaturationTuning = DEFAULT.saturation,
 ) -> Shifts:
-    """Fit the unsaturated part of each saturated line's profile; others are not moved."""
+    """Fit the unsaturated part of each profile of which most is saturated; others stay."""
     picture = fine.picture
     shift, variance = np.zeros(len(lines.support)), np.zeros(len(lines.support))
-    chosen = disturbed.saturated > tuning.from_share
+    chosen = disturbed.saturated > 0.5
     if not chosen.any():
-        return Shifts(shift, variance, variance)
+        return Shifts(shift, variance)
     noise_of_light = fine.noise_sigma * lines.light_per_level
     rise = lines.contrast * lines.light_per_level
     clear = (disturbed.saturated == 0) & (disturbed.crowded < tuning.most_crowded)
@@ -77,7 +77,7 @@ def shifts_of_saturated(
     )
     profiles = _mean_profiles(picture, noise_of_light, runs, lines, chosen)
     shift[chosen], variance[chosen] = _places(profiles, picture.light_of_white, blur, tuning)
-    return Shifts(shift, variance, np.square(tuning.uneven_share * shift))
+    return Shifts(shift, variance)
 
 
 class BlurPrior(NamedTuple):
@@ -187,5 +187,5 @@ def _places(
     poor = (used.sum(axis=1) < _LEAST_BINS) | ~known
     return (
         np.where(poor, 0.0, shift),
-        np.where(poor, np.square(tuning.unfitted_widths * width), variance),
+        np.where(poor, np.square(width), variance),
     )
