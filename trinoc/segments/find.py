@@ -109,7 +109,7 @@ def find_segments(
     runs, lines, errors = _without_neighbours(smooth, runs, lines, blur_px2, tuning)
     runs, lines, shifts = _without_shifts(smooth, runs, lines, slopes, errors, tuning)
     lines, to_image = _undistort(runs, lines, intrinsics, tuning)
-    wanted = _is_wanted(lines, errors, picture.size_px[0], arcs, least_contrast, tuning)
+    wanted = _is_wanted(lines, picture.size_px[0], arcs, least_contrast, tuning)
     lines, errors, shifts = take_rows((lines, errors, shifts), wanted)
     ends_px, along_px, near = _place_ends(lines, tuning)
     covariance_px2, reasons = _covariances(lines, errors, shifts, along_px, tuning)
@@ -173,9 +173,7 @@ def _without_neighbours(
     """(points, lines, what else may have moved them) without the pull of neighbours."""
     profile_px2 = smooth.kernel_variance_px2 + blur_px2
     near = find_overlaps(runs, lines, profile_px2, tuning.errors)
-    spread = tuning.errors.blur_spread * profile_px2
-    own_blur = np.clip(lines.blur_px2, blur_px2 - spread, blur_px2 + spread)
-    points = without_neighbours(runs.points, lines, own_blur, near)
+    points = without_neighbours(runs.points, lines, blur_px2, near)
     cleaned = runs._replace(points=points)
     lines = refit_lines(cleaned, lines, cleaned.differ_from(runs), tuning.scales)
     given = smooth.picture, runs.points, cleaned, lines, near, blur_px2, tuning.errors
@@ -218,18 +216,15 @@ def _undistort(
 
 def _is_wanted(
     lines: FittedLines,
-    errors: ErrorModel,
     width_px: int,
     arcs: bool,
     least_contrast: float,
     tuning: SegmentTuning,
 ) -> Bool[np.ndarray, "r"]:
     """No arcs, unless they are wanted, no bevels of corners, and nothing fainter than wanted."""
-    rules = tuning.accept
-    short = lines.pieces.length_px < rules.bevel_px
-    bevel = short & (errors.crowded > rules.bevel_crowded)
-    straight = arcs | is_straight(lines, width_px, rules)
-    return straight & (lines.contrast >= least_contrast) & ~bevel
+    long = lines.pieces.length_px >= tuning.accept.least_length_px
+    straight = arcs | is_straight(lines, width_px, tuning.accept)
+    return straight & (lines.contrast >= least_contrast) & long
 
 
 def _place_ends(

@@ -60,11 +60,9 @@ class AcceptTuning:
     arc_bow_px: float = 0.8
     arc_radius_of_width: float = 0.2
     # A line is no arc, all the same, where its bow explains less than this share of the points'
-    # variance about it, is below this share of its length, and the line is longer than this, px. By
-    # hand, on the same pictures.
+    # variance about it and is below this share of its length. By hand, on the same pictures.
     arc_explains: float = 0.7
     arc_bow_of_length: float = 0.04
-    arc_least_px: float = 12.0
     # Pieces of one arc, bowed by at least this, px, and this near, px, turn from each to the next
     # by an angle in this range, degrees, and by what their bows promise within this factor. By
     # hand.
@@ -72,10 +70,8 @@ class AcceptTuning:
     next_px: float = 6.0
     turn_deg: tuple[float, float] = (6.0, 60.0)
     turn_ratio: float = 2.5
-    # A piece shorter than this, px, with this share of its points within reach of other edges is
-    # the rounding of a corner. By hand.
-    bevel_px: float = 5.0
-    bevel_crowded: float = 0.8
+    # A piece shorter than this, px, is the rounding of a corner or of no use. By hand.
+    least_length_px: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -112,21 +108,19 @@ class ErrorTuning:
     # Measured on single edges.
     model_sigma_px: float = 0.01
     model_sigma_per_pixel: float = 0.11
-    # Lines are neighbours within so many widths of the profile, and at least this far, px. By hand.
+    # Lines are neighbours within so many widths of the profile. By hand.
     reach_widths: float = 3.0
-    least_reach_px: float = 4.5
     # Share of the shift ascribed to neighbours that stays as an error.
     pull_share: float = 0.8
-    # Error, px, of a line all of whose points have a neighbour, and in proportion.
+    # Error, px, of a line all of whose points have a neighbour; of others as the share squared.
     crowd_px: float = 0.2
-    # Share of the bow that noise does not explain, and how many sigmas noise explains.
+    # How many sigmas of a bow, or of the distance of the last points from the line, noise explains.
+    noise_sigmas: float = 2.0
+    # Share of a larger bow that stays an error; number of last points, and share of their distance
+    # from the line that stays an error of that end.
     bow_share: float = 0.2
-    bow_sigmas: float = 1.5
-    # Number of last points, share of their distance from the line that stays an error of that end,
-    # and from how many sigmas of it.
     last_points: int = 5
     off_share: float = 0.7
-    off_sigmas: float = 3.0
     # Share of the shift that slopes beside a line promise by which it is moved, and share of their
     # size that stays as an error of the whole line. On twelve rendered scenes with soft shadows.
     shade_shift: float = 0.3
@@ -134,8 +128,6 @@ class ErrorTuning:
     # How far toward the brighter side a pixel must be saturated to bend the profile: so many
     # widths of the blur.
     bright_side_widths: float = 1.75
-    # A line borrows the picture's usual blur where its own differs by more than this share.
-    blur_spread: float = 0.15
 
 
 @dataclass(frozen=True)

@@ -179,7 +179,7 @@ def is_straight(
     """Edges that are no arcs, such as the rims of cylinders.
 
     The points of an arc lie on it: where a curve explains little of how they scatter about the
-    line, and bows it little, a long line counts as straight.
+    line, and bows it little, it counts as straight.
     """
     length = lines.pieces.length_px
     bow = np.abs(lines.sagitta_px)
@@ -192,7 +192,7 @@ def is_straight(
         arc[curved] |= _continues_curve(lines, tuning)[curved]
     explained = np.square(_RMS_OF_BOW * bow) / np.maximum(np.square(lines.residual_px), 1e-12)
     ragged = (explained < tuning.arc_explains) & (bow < tuning.arc_bow_of_length * length)
-    return ~arc | (ragged & (length > tuning.arc_least_px))
+    return ~arc | ragged
 
 
 def _continues_curve(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarray, "r"]:

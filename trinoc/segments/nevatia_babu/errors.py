@@ -74,9 +74,7 @@ def find_overlaps(
     `profile_variance_px2` is that of a typical edge of the image: the reach follows from it.
     """
     points = runs.points
-    reach_px = max(
-        tuning.least_reach_px, tuning.reach_widths * float(np.sqrt(profile_variance_px2))
-    )
+    reach_px = tuning.reach_widths * float(np.sqrt(profile_variance_px2))
     one, other = find_near_lines(lines, reach_px)
     pair, point = expand_ranges(runs.first[one], (runs.first + runs.count)[one])
     # Most points of a line are far from the other one: little is computed of these.
@@ -97,13 +95,13 @@ def find_overlaps(
 def without_neighbours(
     points: EdgePoints,
     lines: FittedLines,
-    blur_px2: Float[np.ndarray, "r"],
+    blur_px2: float,
     found: Overlaps,
 ) -> EdgePoints:
     """The points, located again in profiles from which neighbouring lines are subtracted.
 
-    `blur_px2` is the variance of each line's own blur. Points of which a neighbour makes up
-    most keep next to no weight.
+    `blur_px2` is the variance of the blur of the picture's edges. Points of which a neighbour makes
+    up most keep next to no weight.
     """
     point, line, along, across = found
     if len(point) == 0:
@@ -116,7 +114,7 @@ def without_neighbours(
     axis, spacing = points.along_u[point], points.spacing_px[point]
     step_along = np.where(axis, way_u, way_v) * spacing
     step_across = np.where(axis, way_v, -way_u) * spacing
-    variance = (points.kernel_variance_px2[point] + blur_px2[line]).astype(np.float32)
+    variance = points.kernel_variance_px2[point] + np.float32(blur_px2)
     height = (lines.contrast / np.sqrt(2 * np.pi)).astype(np.float32)[line]
     height *= cosine / np.sqrt(variance)
     height *= lines.light_per_level.astype(np.float32)[line] / points.light_per_level[point]
@@ -221,8 +219,10 @@ def error_model(
         cleaned.mean(np.hypot(shift[:, 0], shift[:, 1])),
         cleaned.mean(near),
         cleaned.mean((level >= picture.white).astype(np.float64)),
-        np.where(bow > tuning.bow_sigmas * noise_bow, bow, 0.0),
-        _off_line(cleaned, lines, tuning.off_sigmas * np.sqrt(noise_of_point), tuning.last_points),
+        np.where(bow > tuning.noise_sigmas * noise_bow, bow, 0.0),
+        _off_line(
+            cleaned, lines, tuning.noise_sigmas * np.sqrt(noise_of_point), tuning.last_points
+        ),
     )
 
 
@@ -260,7 +260,8 @@ def inflate_variance(
     """
     parts = {
         "neighbour": np.hypot(
-            tuning.pull_share * disturbed.pull_px, tuning.crowd_px * disturbed.crowded
+            tuning.pull_share * disturbed.pull_px,
+            tuning.crowd_px * np.square(disturbed.crowded),
         ),
         "bent": tuning.bow_share * disturbed.sagitta_px,
     }
