@@ -4,6 +4,7 @@ import numpy as np
 
 from trinoc.segments.nevatia_babu.accept import is_sharp, is_straight
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
+from trinoc.segments.tuning import DEFAULT
 
 
 def lines(
@@ -26,16 +27,10 @@ def test_a_wide_edge_among_edges_of_one_width_is_a_shadow() -> None:
     assert is_sharp(lines(alike), 1.0).tolist() == [True] * 20 + [False]
 
 
-def test_a_wide_edge_among_edges_of_many_widths_is_an_edge() -> None:
-    many = np.append(np.linspace(0.1, 4.0, 20), 4.5)
-    assert is_sharp(lines(many), 1.0).all()
-    assert not is_sharp(lines(np.append(many, 40.0)), 1.0)[-1]
-
-
-def test_widths_of_short_lines_say_nothing_about_others() -> None:
-    short, wide = lines(np.linspace(0.1, 4.0, 20), support=8), lines([1.0] * 8 + [4.5])
-    both = FittedLines(*(np.concatenate(pair) for pair in zip(short, wide, strict=True)))
-    assert not is_sharp(both, 1.0)[-1]
+def test_a_narrow_edge_is_no_shadow_however_sharp_the_others() -> None:
+    limit = DEFAULT.accept.sharp_px2
+    sharp = np.append(np.full(20, 0.1), [0.99 * limit, 1.01 * limit])
+    assert is_sharp(lines(sharp), 0.1).tolist() == [True] * 21 + [False]
 
 
 def test_a_line_that_bows_as_its_points_lie_is_an_arc() -> None:
@@ -45,5 +40,6 @@ def test_a_line_that_bows_as_its_points_lie_is_an_arc() -> None:
     ragged = lines([1.0], sagitta_px=bow, residual_px=2 * rms, support=24)
     assert not is_straight(arc, 512)[0]
     assert is_straight(ragged, 512)[0]
-    short = lines([1.0], sagitta_px=bow, residual_px=2 * rms, support=11)
+    # One that bows as much for a length less than its bow allows.
+    short = lines([1.0], sagitta_px=bow, residual_px=2 * rms, support=20)
     assert not is_straight(short, 512)[0]

@@ -137,7 +137,7 @@ def test_what_disturbs_a_line_widens_it_and_is_named() -> None:
     calm = Shifts(nothing, nothing)
     noise_px2 = np.full(4, 1e-4)
     variance, reasons = inflate_variance(disturbed, noise_px2, calm, calm)
-    sizes = [DEFAULT.errors.pull_share, DEFAULT.errors.crowd_px, DEFAULT.errors.bow_share]
+    sizes = [1.0, DEFAULT.errors.crowd_px, DEFAULT.errors.bow_share]
     np.testing.assert_allclose(variance - noise_px2, np.square([0.0, *sizes]))
     assert reasons.tolist() == ["", "neighbour", "neighbour", "bent"]
     shifted = Shifts(one, one)

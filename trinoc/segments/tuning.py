@@ -39,16 +39,9 @@ class AcceptTuning:
 
     # A profile whose variance is this much larger than usual is a soft shadow (prototype),
     soft_ratio: float = 1.5
-    # and in pictures whose edges have many widths one beyond so many half ranges between their
-    # quartiles. By hand, on three photographs and ten rendered scenes,
-    soft_spreads: float = 4.0
     # unless its blur has less than this variance, px^2: photographs with depth have edges of
-    # many widths. By hand; shown by Merton.
-    sharp_px2: float = 2.0
-    # The spread of widths is that of lines of at least so many points, whose squared strength over
-    # noise per point is beyond this: their width is well measured. By hand.
-    clear_points: int = 15
-    clear_snr2: float = 100.0
+    # many widths. By hand, on 21 rendered pictures; shown by Merton.
+    sharp_px2: float = 2.5
     # Slopes beside an edge are taken from so many widths of its profile to so many px farther out.
     # In a soft shadow the levels slope on both sides: by more than this share of the slope on the
     # line itself. By hand.
@@ -110,8 +103,6 @@ class ErrorTuning:
     model_sigma_per_pixel: float = 0.11
     # Lines are neighbours within so many widths of the profile. By hand.
     reach_widths: float = 3.0
-    # Share of the shift ascribed to neighbours that stays as an error.
-    pull_share: float = 0.8
     # Error, px, of a line all of whose points have a neighbour; of others as the share squared.
     crowd_px: float = 0.2
     # How many sigmas of a bow, or of the distance of the last points from the line, noise explains.

@@ -14,12 +14,11 @@ other: the steepest place of the profile moves to that side, by the difference o
 the profile's variance over the height of the step.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from trinoc.image.strip import nearest_levels
 from trinoc.numerics.joins import near_pairs
@@ -138,15 +137,9 @@ def typical_blur(lines: FittedLines) -> float:
     """Variance of the blur of the picture's edges, in px^2: the median, long lines weigh more."""
     if len(lines.support) == 0:
         return 0.0
-    return max(_weighted_quantiles(lines.blur_px2, lines.support, (0.5,))[0], 0.0)
-
-
-def _weighted_quantiles(
-    values: Float[np.ndarray, "r"], weight: Int[np.ndarray, "r"], shares: Sequence[float]
-) -> list[float]:
-    order = np.argsort(values)
-    total = np.cumsum(weight[order])
-    return values[order[np.searchsorted(total, np.array(shares) * total[-1])]].tolist()
+    order = np.argsort(lines.blur_px2)
+    total = np.cumsum(lines.support[order])
+    return max(float(lines.blur_px2[order[np.searchsorted(total, total[-1] / 2)]]), 0.0)
 
 
 def is_sharp(
@@ -155,22 +148,11 @@ def is_sharp(
     """Edges that are no soft shadows: of about the image's typical width, or narrow anyway.
 
     Where the edges of a picture have many widths, as with depth or texture, a wide one is no
-    evidence of a shadow: the limit follows the spread of the widths.
+    evidence of a shadow.
     """
-    profile = lines.kernel_variance_px2 + lines.blur_px2
-    typical = lines.kernel_variance_px2 + usual_px2
-    # Of long, clear lines: the widths of others scatter by noise.
-    clear = (lines.support >= tuning.clear_points) & (
-        lines.snr2 > tuning.clear_snr2 * lines.support
-    )
-    ratio = tuning.soft_ratio
-    if clear.any():
-        widths = (profile / typical)[clear]
-        low, high = _weighted_quantiles(widths, lines.support[clear], (0.25, 0.75))
-        spread = 1 + tuning.soft_spreads * (high - low) / 2
-        ratio = max(ratio, spread)
-    usual = ratio * typical
-    return profile <= np.maximum(usual, lines.kernel_variance_px2 + tuning.sharp_px2)
+    kernel_px2 = lines.kernel_variance_px2
+    limit = np.maximum(tuning.soft_ratio * (kernel_px2 + usual_px2), kernel_px2 + tuning.sharp_px2)
+    return kernel_px2 + lines.blur_px2 <= limit
 
 
 def is_straight(

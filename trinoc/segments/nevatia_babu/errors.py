@@ -258,19 +258,13 @@ def inflate_variance(
     "saturated" or "shaded" where that adds more than noise does, and "" elsewhere. The variance
     leaves out what moves a line as a whole.
     """
-    parts = {
-        "neighbour": np.hypot(
-            tuning.pull_share * disturbed.pull_px,
-            tuning.crowd_px * np.square(disturbed.crowded),
-        ),
-        "bent": tuning.bow_share * disturbed.sagitta_px,
-    }
-    squares = np.square(np.stack(list(parts.values())))
-    all_parts = np.concatenate([squares, [saturated.variance_px2, shaded.variance_px2]])
-    most = all_parts.argmax(axis=0)
-    names = np.array([*parts, "saturated", "shaded"])
-    reasons = np.where(all_parts.max(axis=0) > noise_px2, names[most], "")
-    return noise_px2 + squares.sum(axis=0), reasons
+    crowd_px = tuning.crowd_px * np.square(disturbed.crowded)
+    neighbour = np.square(disturbed.pull_px) + np.square(crowd_px)
+    bent = np.square(tuning.bow_share * disturbed.sagitta_px)
+    parts = np.stack([neighbour, bent, saturated.variance_px2, shaded.variance_px2])
+    names = np.array(["neighbour", "bent", "saturated", "shaded"])
+    reasons = np.where(parts.max(axis=0) > noise_px2, names[parts.argmax(axis=0)], "")
+    return noise_px2 + neighbour + bent, reasons
 
 
 def noise_variance(
