@@ -10,7 +10,7 @@ from trinoc.segments import find_segments
 from trinoc.segments.tuning import DEFAULT
 
 SIDE, STEP, BLUR_PX = 160, 30.0, 1.0
-UNSHADED = with_field(with_field(DEFAULT, "errors.shade_shift", 0.0), "errors.shade_share", 0.0)
+UNSHADED = with_field(DEFAULT, "errors.shade_share", 0.0)
 
 
 def shaded_edge(angle_deg: float, dark: float, bright: float) -> tuple[np.ndarray, np.ndarray]:

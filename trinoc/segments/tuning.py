@@ -112,10 +112,9 @@ class ErrorTuning:
     bow_share: float = 0.2
     last_points: int = 5
     off_share: float = 0.7
-    # Share of the shift that slopes beside a line promise by which it is moved, and share of their
-    # size that stays as an error of the whole line. On twelve rendered scenes with soft shadows.
-    shade_shift: float = 0.3
-    shade_share: float = 0.5
+    # Share of the shift that slopes beside a line promise by which it is moved; of their size as
+    # large a share stays as an error of the whole line. On rendered scenes with soft shadows.
+    shade_share: float = 0.3
     # How far toward the brighter side a pixel must be saturated to bend the profile: so many
     # widths of the blur.
     bright_side_widths: float = 1.75

@@ -26,7 +26,7 @@ from trinoc.segments.nevatia_babu.line_fit import FittedLines
 from trinoc.segments.nevatia_babu.runs import Runs
 from trinoc.segments.tuning import DEFAULT, AcceptTuning, ErrorTuning
 
-# Levels are smoothed by a box with this side: so many points next to each other are one answer.
+# Levels are smoothed by a box with this side.
 _BOX_PX = 3  # numerical: the least box about a pixel
 
 
@@ -49,13 +49,11 @@ class SideSlopes(NamedTuple):
     Fields
     ------
     dark, bright : (r,) beside it on either side.
-    sigma : (r,) of the difference, from how it scatters along the line.
     own : (r,) on the line itself.
     """
 
     dark: Float[np.ndarray, "r"]
     bright: Float[np.ndarray, "r"]
-    sigma: Float[np.ndarray, "r"]
     own: Float[np.ndarray, "r"]
 
 
@@ -80,14 +78,9 @@ def side_slopes(
         )
         for across_px in (-far, -near, near, far)
     )
-    dark, bright = near_dark - far_dark, far_bright - near_bright
-    of_dark, of_bright = runs.mean(dark), runs.mean(bright)
-    square = runs.mean(np.square(bright - dark)) - np.square(of_bright - of_dark)
-    variance = np.maximum(square, 0.0) / np.maximum(runs.count / _BOX_PX, 1.0)
     return SideSlopes(
-        of_dark / further,
-        of_bright / further,
-        np.sqrt(variance) / further,
+        runs.mean(near_dark - far_dark) / further,
+        runs.mean(far_bright - near_bright) / further,
         runs.mean(points.strength),
     )
 
@@ -112,17 +105,15 @@ def shading_shifts(
     points that have another line within reach, whose step is no slope.
 
     The slopes on the line itself are not seen: part of the shift that those beside it promise is
-    taken, beyond one standard deviation of noise, and part of their size stays as an error.
+    taken, and as large a part of their size stays as an error.
     """
     profile_px2 = lines.kernel_variance_px2 + np.maximum(lines.blur_px2, 0.0)
     per_slope = profile_px2 / np.maximum(lines.contrast * lines.light_per_level, 1e-6)
-    promised = slopes.bright - slopes.dark
-    beyond = np.maximum(np.abs(promised) - slopes.sigma, 0.0) * per_slope
+    share_px = tuning.shade_share * per_slope
+    shift = share_px * (slopes.dark - slopes.bright) * (1 - crowded)
     # The edge's own blur reaches so far, too. Without its part the errors of blurred edges are
     # claimed too small.
-    size = np.maximum(np.abs(slopes.dark) + np.abs(slopes.bright) - slopes.sigma, 0.0) * per_slope
-    shift = -tuning.shade_shift * np.sign(promised) * beyond * (1 - crowded)
-    return Shifts(shift, np.square(tuning.shade_share * size))
+    return Shifts(shift, np.square(share_px * (np.abs(slopes.dark) + np.abs(slopes.bright))))
 
 
 _RATE_PER_MEGAPIXEL, _DECAY = 4.2e4, 12.0  # numerical: fitted to white noise, as above
@@ -169,9 +160,8 @@ def is_straight(
     radius = length**2 / np.maximum(8 * bow, 1e-9)
     small = radius < tuning.arc_radius_of_width * width_px
     arc = (bow > tuning.arc_bow_px) & (bow > 3 * sigma) & small
-    curved = np.flatnonzero((bow > tuning.least_bow_px) & (bow > 2 * sigma))
-    if len(curved):
-        arc[curved] |= _continues_curve(lines, tuning)[curved]
+    curved = (bow > tuning.least_bow_px) & (bow > 2 * sigma)
+    arc |= curved & _continues_curve(lines, tuning)
     explained = np.square(_RMS_OF_BOW * bow) / np.maximum(np.square(lines.residual_px), 1e-12)
     ragged = (explained < tuning.arc_explains) & (bow < tuning.arc_bow_of_length * length)
     return ~arc | ragged

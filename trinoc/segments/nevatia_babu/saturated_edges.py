@@ -27,8 +27,6 @@ _BIN_PX = 0.25  # numerical: samples of a profile
 # The profile is looked at so far to both sides, and where its blur is measured so far.
 _REACH_PX, _CLEAR_REACH_PX = 9, 4.0  # numerical: size of a sample
 _LEAST_BINS = 5  # numerical: one more than the unknowns
-# The fit starts from steps so high, in logarithms of the height over the visible one.
-_STARTS = np.array([0.05, 0.4, 1.0])  # numerical: starts of an iteration
 # The blur comes from so many of the longest edges without saturation.
 _REFERENCES = 40  # numerical: size of a sample
 
@@ -162,27 +160,14 @@ def _places(
     prior = np.stack([np.zeros_like(floor), np.full_like(floor, tuning.log_above), floor,
                       np.full_like(floor, blur.log_width)], axis=-1)  # fmt: skip
     precision = np.array([0.0, 1 / tuning.log_above_sigma**2, 0.0, 1 / blur.sigma**2])
-    start = np.tile(prior, (len(_STARTS), 1, 1))
+    start = prior.copy()
     # Where the visible step is half way, a higher one is so many widths before its middle.
-    start[:, :, 0] = -width * ndtri(0.5 * np.exp(-_STARTS[:, None]))
-    start[:, :, 1] = _STARTS[:, None]
-    # All lines from all starts at once.
-    across, level, information, visible, prior = (
-        np.concatenate([each] * len(_STARTS))
-        for each in (across, level, information, visible, prior)
-    )
-    fit = fit_profiles(
-        across, level, information, visible, start.reshape(-1, 4), prior, precision, 0.0
-    )
-    place, _, variance, cost, chi_square = (column.reshape(len(_STARTS), -1) for column in fit)
-    # Starts that end alike are one answer; several answers count by how well they explain.
-    share = np.exp(-0.5 * (cost - cost.min(axis=0)))
-    share = share / share.sum(axis=0)
-    shift = (share * place).sum(axis=0)
-    between = (share * np.square(place - shift)).sum(axis=0)
+    start[:, 0] = -width * ndtri(0.5 * np.exp(-tuning.log_above))
+    fit = fit_profiles(across, level, information, visible, start, prior, precision, 0.0)
     freedom = np.maximum(used.sum(axis=1) - len(precision), 1)
-    variance = (share * variance).sum(axis=0) * np.maximum(chi_square.min(axis=0) / freedom, 1.0)
-    variance = variance + between + np.square(tuning.shift_share * shift)
+    variance = fit.variance_px2 * np.maximum(fit.chi_square / freedom, 1.0)
+    shift = fit.place_px
+    variance = variance + np.square(tuning.shift_share * shift)
     known = np.maximum(np.abs(shift), np.sqrt(variance)) < tuning.most_widths * width
     poor = (used.sum(axis=1) < _LEAST_BINS) | ~known
     return (
