@@ -257,7 +257,7 @@ def test_what_is_fitted_again_is_all_that_changed() -> None:
     for found, anew in zip(lines, fit_lines(runs), strict=True):
         np.testing.assert_array_equal(found, anew)
     near = find_overlaps(runs, lines, level.kernel_variance_px2 + 1)
-    points = without_neighbours(runs.points, lines, np.ones(len(lines.support)), near)
+    points = without_neighbours(runs.points, lines, 1.0, near)
     cleaned = runs._replace(points=points)
     changed = cleaned.differ_from(runs)
     assert 0 < changed.sum() < len(changed)

@@ -234,7 +234,7 @@ def _place_ends(
     pieces = lines.pieces
     near = lines_near_ends(pieces, tuning.ends.snap_px)
     partner, position = snap_ends(pieces, tuning.ends.snap_px, near, tuning.ends)
-    along_px = end_sigmas(pieces, lines.contrast, partner, near, tuning.ends)
+    along_px = end_sigmas(lines.contrast, partner, tuning.ends)
     return pieces._replace(extent_px=position).ends_px, along_px, near
 
 

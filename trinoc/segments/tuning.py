@@ -56,10 +56,8 @@ class AcceptTuning:
     # variance about it and is below this share of its length. By hand, on the same pictures.
     arc_explains: float = 0.7
     arc_bow_of_length: float = 0.04
-    # Pieces of one arc, bowed by at least this, px, and this near, px, turn from each to the next
-    # by an angle in this range, degrees, and by what their bows promise within this factor. By
-    # hand.
-    least_bow_px: float = 0.2
+    # Pieces of one arc, this near, px, turn from each to the next by an angle in this range,
+    # degrees, and by what their bows promise within this factor. By hand.
     next_px: float = 6.0
     turn_deg: tuple[float, float] = (6.0, 60.0)
     turn_ratio: float = 2.5
@@ -79,11 +77,10 @@ class EndpointTuning:
     parallel_deg: float = 15.0
     # Standard deviation of an end along its segment, px: at a crossing (by hand), and, on ten
     # rendered scenes, where the evidence of an edge of one grey level stops. It goes as one over
-    # the root of the contrast, between these limits. 7 and 12 px hold 92 % of the ends of other
+    # the root of the contrast, up to this limit. 7 and 12 px hold 92 % of the ends of other
     # scenes in three sigmas, not 79 %, but matching then finds half a hundredth less of the length.
     sigma_crossing_px: float = 0.5
     sigma_free_px: float = 32.0
-    least_free_px: float = 2.0
     most_free_px: float = 7.0
 
 
@@ -116,7 +113,7 @@ class ErrorTuning:
     # large a share stays as an error of the whole line. On rendered scenes with soft shadows.
     shade_share: float = 0.3
     # How far toward the brighter side a pixel must be saturated to bend the profile: so many
-    # widths of the blur.
+    # widths of the blur. On overexposed rendered scenes, where one width misses many.
     bright_side_widths: float = 1.75
 
 
@@ -139,11 +136,10 @@ class SaturationTuning:
     # quarter of a pixel; and of the shift this share stays as an error, as blurs are not Gaussian.
     misfit: float = 0.007
     shift_share: float = 0.07
-    # The profile is fitted from so many widths of the blur before the line to where noise of so
-    # many sigmas would be clipped; a place farther off than so many widths is none. By hand.
+    # The profile is fitted from so many widths of the blur before the line, and a place farther off
+    # is none, to where noise of so many sigmas would be clipped. By hand.
     fit_widths: float = 3.5
     white_sigmas: float = 2.5
-    most_widths: float = 3.0
     # The blur comes from edges with less than this share of their points beside others, and so
     # many times the noise in contrast. By hand.
     most_crowded: float = 0.2

@@ -160,8 +160,7 @@ def is_straight(
     radius = length**2 / np.maximum(8 * bow, 1e-9)
     small = radius < tuning.arc_radius_of_width * width_px
     arc = (bow > tuning.arc_bow_px) & (bow > 3 * sigma) & small
-    curved = (bow > tuning.least_bow_px) & (bow > 2 * sigma)
-    arc |= curved & _continues_curve(lines, tuning)
+    arc |= (bow > 2 * sigma) & _continues_curve(lines, tuning)
     explained = np.square(_RMS_OF_BOW * bow) / np.maximum(np.square(lines.residual_px), 1e-12)
     ragged = (explained < tuning.arc_explains) & (bow < tuning.arc_bow_of_length * length)
     return ~arc | ragged

@@ -125,25 +125,18 @@ def snap_ends(
 
 
 def end_sigmas(
-    pieces: Pieces,
     contrast: Float[np.ndarray, "r"],
     partner: Int[np.ndarray, "r 2"],
-    near: NearEnds,
     tuning: EndpointTuning = DEFAULT.ends,
 ) -> Float[np.ndarray, "r 2"]:
     """(r, 2) standard deviation of each end along its line, in px.
 
     An end with a `partner` is at a crossing. A free end is where the evidence stops: the edge
-    goes on to the next crossing, if `near` knows one, or unseen into its background, the
-    farther the fainter it is.
+    goes on unseen into its background, the farther the fainter it is.
     """
-    faint = 1 / np.sqrt(np.maximum(contrast, 1e-6))
-    free = np.clip(tuning.sigma_free_px * faint, tuning.least_free_px, tuning.most_free_px)
-    sigma = np.repeat(free[:, None], 2, axis=1)
-    reach = np.full(len(partner), tuning.most_free_px)
-    ahead = endpoint_crossings(pieces, reach, near, tuning)
-    sigma[ahead.line, ahead.side] = np.maximum(ahead.distance_px, tuning.least_free_px)
-    return np.where(partner >= 0, tuning.sigma_crossing_px, sigma)
+    free = tuning.sigma_free_px / np.sqrt(np.maximum(contrast, 1e-6))
+    free = np.minimum(free, tuning.most_free_px)[:, None]
+    return np.where(partner >= 0, tuning.sigma_crossing_px, free)
 
 
 def line_samples(

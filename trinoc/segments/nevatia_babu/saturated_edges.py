@@ -168,7 +168,7 @@ def _places(
     variance = fit.variance_px2 * np.maximum(fit.chi_square / freedom, 1.0)
     shift = fit.place_px
     variance = variance + np.square(tuning.shift_share * shift)
-    known = np.maximum(np.abs(shift), np.sqrt(variance)) < tuning.most_widths * width
+    known = np.maximum(np.abs(shift), np.sqrt(variance)) < tuning.fit_widths * width
     poor = (used.sum(axis=1) < _LEAST_BINS) | ~known
     return (
         np.where(poor, 0.0, shift),
