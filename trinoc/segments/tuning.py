@@ -110,8 +110,10 @@ class ErrorTuning:
     last_points: int = 5
     off_share: float = 0.7
     # Share of the shift that slopes beside a line promise by which it is moved; of their size as
-    # large a share stays as an error of the whole line. On rendered scenes with soft shadows.
+    # large a share stays as an error of the whole line; and the largest that both count, px. On
+    # rendered scenes with soft shadows.
     shade_share: float = 0.3
+    shade_most_px: float = 0.5
     # How far toward the brighter side a pixel must be saturated to bend the profile: so many
     # widths of the blur. On overexposed rendered scenes, where one width misses many.
     bright_side_widths: float = 1.75

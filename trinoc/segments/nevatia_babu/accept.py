@@ -109,11 +109,13 @@ def shading_shifts(
     """
     profile_px2 = lines.kernel_variance_px2 + np.maximum(lines.blur_px2, 0.0)
     per_slope = profile_px2 / np.maximum(lines.contrast * lines.light_per_level, 1e-6)
-    share_px = tuning.shade_share * per_slope
-    shift = share_px * (slopes.dark - slopes.bright) * (1 - crowded)
+    most = tuning.shade_most_px
+    promised = np.clip((slopes.dark - slopes.bright) * per_slope, -most, most)
     # The edge's own blur reaches so far, too. Without its part the errors of blurred edges are
     # claimed too small.
-    return Shifts(shift, np.square(share_px * (np.abs(slopes.dark) + np.abs(slopes.bright))))
+    size = np.minimum((np.abs(slopes.dark) + np.abs(slopes.bright)) * per_slope, most)
+    shift = tuning.shade_share * promised * (1 - crowded)
+    return Shifts(shift, np.square(tuning.shade_share * size))
 
 
 _RATE_PER_MEGAPIXEL, _DECAY = 4.2e4, 12.0  # numerical: fitted to white noise, as above
