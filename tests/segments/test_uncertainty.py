@@ -131,20 +131,21 @@ def test_two_edges_side_by_side_stay_within_their_sigmas() -> None:
 
 
 def test_what_disturbs_a_line_widens_it_and_is_named() -> None:
-    nothing, one = np.zeros(4), np.ones(1)
-    pull, crowded, bow = np.eye(4)[1:]
-    disturbed = ErrorModel(pull, crowded, nothing, bow, np.zeros((4, 2)))
+    nothing, one = np.zeros(5), np.ones(1)
+    pull, crowded, bow, scatter = np.eye(5)[1:]
+    disturbed = ErrorModel(pull, crowded, nothing, bow, scatter, np.zeros((5, 2)))
     calm = Shifts(nothing, nothing)
-    noise_px2 = np.full(4, 1e-4)
+    noise_px2 = np.full(5, 1e-4)
     variance, reasons = inflate_variance(disturbed, noise_px2, calm, calm)
-    sizes = [1.0, DEFAULT.errors.crowd_px, DEFAULT.errors.bow_share]
-    np.testing.assert_allclose(variance - noise_px2, np.square([0.0, *sizes]))
-    assert reasons.tolist() == ["", "neighbour", "neighbour", "bent"]
+    errors = DEFAULT.errors
+    sizes = [0.0, 1.0, errors.crowd_px, errors.bow_share, errors.scatter_share]
+    np.testing.assert_allclose(variance - noise_px2, np.square(sizes))
+    assert reasons.tolist() == ["", "neighbour", "neighbour", "bent", "bent"]
     shifted = Shifts(one, one)
     alone = ErrorModel(*(part[:1] for part in disturbed))
     for saturated, shaded, name in ((shifted, calm, "saturated"), (calm, shifted, "shaded")):
-        shifts = (Shifts(*(part[:1] for part in each)) for each in (saturated, shaded))
-        variance, reasons = inflate_variance(alone, noise_px2[:1], *shifts)
+        first, second = (Shifts(*(part[:1] for part in each)) for each in (saturated, shaded))
+        variance, reasons = inflate_variance(alone, noise_px2[:1], first, second)
         # What moves a line as a whole is the business of `end_covariances`.
         assert variance == noise_px2[0]
         assert reasons.tolist() == [name]

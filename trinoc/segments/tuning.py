@@ -102,11 +102,12 @@ class ErrorTuning:
     reach_widths: float = 3.0
     # Error, px, of a line all of whose points have a neighbour; of others as the share squared.
     crowd_px: float = 0.2
-    # How many sigmas of a bow, or of the distance of the last points from the line, noise explains.
+    # How many sigmas of a bow, or of the distance of points from the line, noise explains.
     noise_sigmas: float = 2.0
-    # Share of a larger bow that stays an error; number of last points, and share of their distance
-    # from the line that stays an error of that end.
+    # Shares of a larger bow and scatter that stay an error; number of last points, and share of
+    # their distance from the line that stays an error of that end.
     bow_share: float = 0.2
+    scatter_share: float = 0.4
     last_points: int = 5
     off_share: float = 0.7
     # Share of the shift that slopes beside a line promise by which it is moved; of their size as

@@ -171,6 +171,8 @@ class ErrorModel(NamedTuple):
     crowded : (r,) share of the points that have a neighbouring line within reach.
     saturated : (r,) share of the points whose bright side is saturated.
     sagitta_px : (r,) deviation from straightness that noise does not explain.
+    scatter_px : (r,) root mean square distance of the points from the line, beyond what noise
+        explains.
     off_px : (r, 2) how far the last points of each end lie off the line, where noise does not
         explain it: a neighbour has them.
     """
@@ -179,6 +181,7 @@ class ErrorModel(NamedTuple):
     crowded: Float[np.ndarray, "r"]
     saturated: Float[np.ndarray, "r"]
     sagitta_px: Float[np.ndarray, "r"]
+    scatter_px: Float[np.ndarray, "r"]
     off_px: Float[np.ndarray, "r 2"]
 
 
@@ -197,7 +200,7 @@ def error_model(
     """
     bow = np.abs(lines.sagitta_px)
     noise_bow = BOW_OF_MIDDLE * np.sqrt(lines.variance_middle_px2)
-    noise_of_point = lines.variance_middle_px2 * lines.support
+    noise_px = tuning.noise_sigmas * np.sqrt(lines.variance_middle_px2 * lines.support)
     shift = (cleaned.points.uv_px - measured.uv_px).astype(np.float64)
     near = np.zeros(len(measured.strength))
     near[found.point] = 1.0
@@ -211,9 +214,8 @@ def error_model(
         cleaned.mean(near),
         cleaned.mean((level >= picture.white).astype(np.float64)),
         np.where(bow > tuning.noise_sigmas * noise_bow, bow, 0.0),
-        _off_line(
-            cleaned, lines, tuning.noise_sigmas * np.sqrt(noise_of_point), tuning.last_points
-        ),
+        np.sqrt(np.maximum(lines.residual_px**2 - noise_px**2, 0.0)),
+        _off_line(cleaned, lines, noise_px, tuning.last_points),
     )
 
 
@@ -252,6 +254,7 @@ def inflate_variance(
     crowd_px = tuning.crowd_px * np.square(disturbed.crowded)
     neighbour = np.square(disturbed.pull_px) + np.square(crowd_px)
     bent = np.square(tuning.bow_share * disturbed.sagitta_px)
+    bent += np.square(tuning.scatter_share * disturbed.scatter_px)
     parts = np.stack([neighbour, bent, saturated.variance_px2, shaded.variance_px2])
     names = np.array(["neighbour", "bent", "saturated", "shaded"])
     reasons = np.where(parts.max(axis=0) > noise_px2, names[parts.argmax(axis=0)], "")
