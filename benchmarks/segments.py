@@ -126,7 +126,7 @@ def _overexposed(picture: Picture, gain: float) -> Picture:
 
 def _print_normalised(ratio: np.ndarray, reasons: np.ndarray) -> None:
     print("normalised across-line error      n   variance  median-based   beyond 3 sigma")
-    for reason in ("all", "", "neighbour", "wide", "saturated", "shaded", "bent"):
+    for reason in ("all", "", "neighbour", "saturated", "shaded", "bent"):
         z = ratio if reason == "all" else ratio[reasons == reason]
         if len(z):
             middle = np.square(np.median(np.abs(z)) / 0.6745)

@@ -14,7 +14,7 @@ def some(count: int, seed: int) -> Segments:
     return dataclasses.replace(
         plain,
         contrast=random.uniform(5, 90, count),
-        reasons=np.array(["", "wide"])[random.integers(0, 2, count)],
+        reasons=np.array(["", "bent"])[random.integers(0, 2, count)],
         chain=random.integers(0, 3, count),
         side_levels=random.uniform(0, 255, (count, 2)),
     )

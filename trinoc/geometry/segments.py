@@ -80,8 +80,8 @@ class Segments(Displayable, Table):
     contrast : (n,) grey levels of the step across the segment; NaN where not known.
     support : (n,) number of edge points behind each segment; 0 where not known.
     image_size_px : (width, height) of the picture, or None where not known.
-    reasons : (n,) what besides noise widened the covariance most: "neighbour", "wide" (more
-        blurred than usual), "saturated", "shaded", "bent", or "" for nothing; None where not known.
+    reasons : (n,) what besides noise widened the covariance most: "neighbour",
+        "saturated", "shaded", "bent", or "" for nothing; None where not known.
     chain : (n,) collinear pieces of one broken edge share a number; None where not searched.
     junctions : where the segments meet; None where not searched.
     side_levels : (n, 2) grey level beside each segment, on the right and on the left of the way

@@ -73,13 +73,11 @@ def blur_of_two_slopes(squared_ratio: float, fine_px: float, coarse_px: float) -
 
 
 class ProfileFit(NamedTuple):
-    """Of each profile: place, logarithm of the width, variance of the place, cost, and its part
-    that is the data's (chi-square)."""
+    """Of each profile: place, logarithm of the width, variance of the place, and chi-square."""
 
     place_px: Float[np.ndarray, "s"]
     log_width: Float[np.ndarray, "s"]
     variance_px2: Float[np.ndarray, "s"]
-    cost: Float[np.ndarray, "s"]
     chi_square: Float[np.ndarray, "s"]
 
 
@@ -141,9 +139,8 @@ def fit_profiles(
     state, equations = gauss_newton(
         residuals, retract, start, steps=_STEPS, largest_step=_LARGEST_STEP
     )
-    cost = equations.chi_square + (precision * np.square(state - prior)).sum(axis=1)
     variance = equations.covariance()[:, 0, 0]
-    return ProfileFit(state[:, 0], state[:, 3], variance, cost, equations.chi_square)
+    return ProfileFit(state[:, 0], state[:, 3], variance, equations.chi_square)
 
 
 class BlockFit(NamedTuple):
