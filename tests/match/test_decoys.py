@@ -64,7 +64,7 @@ def test_depths_that_leave_out_the_scene_are_named_and_not_the_rig(boxes):
     "matrix",
     [
         pytest.param(-np.eye(2), id="turned"),
-        pytest.param(np.diag([-1.0, 1.0]), marks=pytest.mark.slow, id="mirrored"),
+        pytest.param(np.diag([-1.0, 1.0]), id="mirrored"),
     ],
 )
 def test_a_view_that_is_turned_is_suspect_by_name(boxes, matrix):
