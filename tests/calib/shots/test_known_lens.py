@@ -81,6 +81,23 @@ def test_a_lens_that_the_shots_refute_is_named():
     assert found.notes[0].startswith('Of "left": the lens is another than was said, by ')
 
 
+def test_a_lens_without_distortion_is_strained_by_what_the_shots_show_of_it(monkeypatch):
+    """Of it k1 alone is uncertain, and its mean is 0."""
+    true = np.array([*LENSES["left"][:4], -0.2, 0.0, 0.0, 0.0, 0.0])
+    monkeypatch.setitem(LENSES, "left", true)
+    said = Intrinsics(focal_length_px=true[:2], principal_point_px=true[2:4], image_size_px=SIZE_PX)
+    covariance = np.zeros((5, 5))
+    covariance[4, 4] = SIGMA[4] ** 2
+    found = calibrate_rig(
+        shots(count=4, cameras=TWO),
+        BOARD,
+        lens=KNOWN | {"left": said},
+        systematics=known_to(covariance, "left"),
+    )
+    assert found.status is Status.SUSPECT
+    assert found.notes[0].startswith('Of "left": the lens is another than was said, by ')
+
+
 def test_what_is_known_of_a_lens_stays_with_more_parameters_and_with_fewer_free():
     found = calibrate_rig(
         shots(count=4, cameras=TWO), BOARD, lens=KNOWN, systematics=known_to(COVARIANCE, *TWO)

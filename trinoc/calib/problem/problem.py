@@ -16,7 +16,7 @@ from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.registry import stack_lenses
 from trinoc.geometry.pose import Pose
 
-# numerical: of two correlations.
+# numerical: share of the variance by which errors that are alike are set apart.
 _APART = 1e-6
 
 
@@ -122,8 +122,8 @@ def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
 
 def is_given(chart: Chart) -> Bool[np.ndarray, "l"]:
     """Which lenses are known by a covariance; the prior of splines has a mean of 0."""
-    known = np.einsum("lqq->lq", np.asarray(chart.lens_information)) * np.asarray(chart.lens_mean)
-    return np.sum(np.abs(known), axis=1) > 0
+    priors = zip(np.asarray(chart.lens_mean), np.asarray(chart.lens_information), strict=True)
+    return np.array([bool(mean.any() and information.any()) for mean, information in priors])
 
 
 def with_lens_prior(problem: Problem, number: int, factor: Float[np.ndarray, "k r"]) -> Problem:
