@@ -42,17 +42,16 @@ os.environ["TRINOC_COMPILE_CACHE"] = "off"
 
 import hypothesis  # noqa: E402
 import jax  # noqa: E402
-import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
 
-from tests.first_calls import begin_file  # noqa: E402
+from tests import first_calls  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # Before the first import of trinoc: its annotated shapes and dtypes are checked.
-jaxtyping.install_import_hook("trinoc", "tests.first_calls.check_first_calls")
+first_calls.install()
 
 from trinoc.io.compile_cache import FolderStore  # noqa: E402
 from trinoc.numerics.programs import forget_programs, set_program_store  # noqa: E402
@@ -102,7 +101,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
     """Tests of one file share programs, those of another fewer."""
     is_last = nextitem is None or nextitem.path != item.path
     if is_last:
-        begin_file()
+        first_calls.begin_file()
     if is_last and memory_in_use() > MOST_MEMORY:
         forget_what_was_compiled()
 

@@ -6,9 +6,10 @@ check takes longer than many a function. Code of a check is made when it is firs
 
 import contextlib
 import sys
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from typing import Any, ClassVar
 
+import jaxtyping
 from beartype import BeartypeConf, beartype
 
 # Calls of a function that are checked in one file.
@@ -22,8 +23,6 @@ class _File:
 
     number = 0
     past: ClassVar[list[Any]] = []
-    # A function within a function is made anew at each call of that: its check is made once.
-    made: ClassVar[dict[Hashable, Callable[..., Any]]] = {}
 
 
 def begin_file() -> None:
@@ -43,12 +42,7 @@ def check_first_calls(signature: Callable[..., Any]) -> Callable[..., Any]:
     def check(*arguments: Any, **named: Any) -> Any:
         nonlocal checked, file, left
         if checked is None:
-            kinds = tuple(map(repr, signature.__annotations__.items()))
-            names = signature.__code__.co_varnames
-            key = signature.__module__, signature.__qualname__, names, kinds
-            if key not in _File.made:
-                _File.made[key] = beartype(conf=_CONF)(signature)
-            checked = _File.made[key]
+            checked = beartype(conf=_CONF)(signature)
         if file != _File.number:
             file, left = _File.number, MOST_CALLS
         left -= 1
@@ -61,3 +55,21 @@ def check_first_calls(signature: Callable[..., Any]) -> Callable[..., Any]:
         return checked(*arguments, **named)
 
     return check
+
+
+def install() -> None:
+    """Have what is imported from trinoc from now on checked.
+
+    The hook decorates by `jaxtyping.jaxtyped`. A function within a function is made anew at each
+    call of that, and making a check takes longer than most of them: they are left out.
+    """
+    decorator = jaxtyping.jaxtyped
+
+    def decorate_outer(*, typechecker: Callable[..., Any]) -> Callable[..., Any]:
+        decorate = decorator(typechecker=typechecker)
+        return lambda each: (
+            each if "<locals>" in getattr(each, "__qualname__", "") else decorate(each)
+        )
+
+    jaxtyping.jaxtyped = decorate_outer
+    jaxtyping.install_import_hook("trinoc", "tests.first_calls.check_first_calls")

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from tests.first_calls import MOST_CALLS, begin_file
+from trinoc.numerics import programs
+from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.vectors import complete_axes
 
 
@@ -25,3 +27,9 @@ def test_the_first_calls_of_each_file_are_checked() -> None:
     begin_file()
     with pytest.raises(jaxtyping.TypeCheckError):
         complete_axes(wrong)
+
+
+def test_a_function_within_a_function_is_not_wrapped() -> None:
+    """It would be so anew at each call of that."""
+    assert jaxtyping.__name__ in kept_jit.__code__.co_filename
+    assert programs.__name__.split(".")[-1] in kept_jit(complete_axes).__code__.co_filename
