@@ -44,7 +44,7 @@ def test_sheet_and_segments_together_know_more_than_the_sheet_and_say_how_much()
     """Monte Carlo over 60 rigs: errors of parameters and segments follow their covariance."""
     of_rig, of_lines, before, after = [], [], [], []
     for seed in range(60):
-        lines, ends, _ = made_tracks(seed, 60)
+        lines, ends, _ = made_tracks(seed, 100)
         start = sheet_estimate(1000 + seed)
         answer = refine(start, lines)
         assert answer.status is RefineStatus.CONVERGED
@@ -88,7 +88,7 @@ def test_the_noise_of_the_segments_is_estimated():
 
 
 def test_a_sheet_that_fitted_worse_than_it_claims_knows_so_much_less(monkeypatch):
-    lines, _, _ = made_tracks(9, 40, hidden=0.0)
+    lines, _, _ = made_tracks(9, 100, hidden=0.0)
     vague = LineObservations(
         lines.views, lines.fragments_px, 1e8 * lines.covariance_px2, lines.seen, lines.lines_mm
     )
@@ -137,7 +137,7 @@ def spread(rig):
 
 
 def test_the_order_of_cameras_does_not_matter():
-    lines, _, _ = made_tracks(13, 40)
+    lines, _, _ = made_tracks(13, 100)
     start = sheet_estimate(14)
     order = [2, 0, 1]
     turned = LineObservations(
@@ -170,22 +170,22 @@ def test_intrinsics_on_request_follow_their_covariance():
 
 
 def test_matching_again_goes_on_while_it_gains_and_stops_when_it_does_not():
-    lines, _, _ = made_tracks(17, 60)
+    lines, _, _ = made_tracks(17, 100)
     calls = []
 
     def match_again(rig: Rig) -> LineObservations:
         calls.append(rig)
-        return lines if len(calls) < 2 else take_rows(lines, np.arange(60) < 40)
+        return lines if len(calls) < 2 else take_rows(lines, np.arange(100) < 80)
 
     answer = refine(
-        sheet_estimate(18), take_rows(lines, np.arange(60) < 50), match_again=match_again
+        sheet_estimate(18), take_rows(lines, np.arange(100) < 90), match_again=match_again
     )
     assert len(calls) == 2
-    assert len(answer.lines) == 60
+    assert len(answer.lines) == 100
 
 
 def test_measures_carry_shared_and_own_errors():
-    lines, ends, _ = made_tracks(19, 60, hidden=0.0)
+    lines, ends, _ = made_tracks(19, 100, hidden=0.0)
     answer = refine(sheet_estimate(20), lines)
     for measure, indices in ((length_mm, [3]), (angle_deg, [3, 8]), (distance_mm, [3, 8])):
         value, sigma = answer.lines.measure(measure, *indices)
