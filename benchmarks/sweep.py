@@ -4,6 +4,7 @@
     python benchmarks/sweep.py segments.accept.soft_ratio 1.3 2.0
     python benchmarks/sweep.py calib.problem.gate 4.0 10.0
     python benchmarks/sweep.py --each 0.5 2 [--only segments.]
+    python benchmarks/sweep.py --each 0.5 2 --only rims. --scenes FOLDER ...
     python benchmarks/sweep.py --list
 
 Names are those of trinoc/match/tuning, with `segments.` before them those of
@@ -11,7 +12,10 @@ trinoc/segments/tuning.py, with `calib.` those of trinoc/calib/tuning; --list pr
 their values; a tuple is written like (1.0,3.0,8.0). --each takes every number in turn times each
 factor, and prints what changes.
 
-The matcher's scenes are drawn from seeds that nothing was tuned on: blocks on a table, see-through
+Pairs, lines, wire frames and bodies have rows of their own (benchmarks/sweep_bodies.py), whose
+FOLDERs hold scenes of benchmarks/render_pictures.py blocks. Other
+
+scenes of the matcher are drawn from seeds that nothing was tuned on: blocks on a table, see-through
 boxes with cut ends, loose segments. Columns are precision/recall of triples and of pairs, as in
 benchmarks/matching.py, whose rows are larger: judge by those. A kind of scene and a value take some
 seconds, or ten where the kernels of step 1 compile for it.
@@ -44,6 +48,7 @@ import cv2
 import numpy as np
 from match_scores import score_matches
 from segment_truth import Picture, covering, pictures_of_scene, score
+from sweep_bodies import rows_of_group
 
 from trinoc.calib.tuning.every_group import TUNING as OF_CALIB
 from trinoc.io.demo import demo_folder
@@ -195,15 +200,15 @@ def calibration_figures(name: str, value) -> list[str]:
     return figures
 
 
-def row_of_figures(name: str, value, seeds: int) -> list[str]:
+def row_of_figures(name: str, value, seeds: int, scenes: list[Path]) -> list[str]:
     """A value that the code does not bear has a row that says so."""
     try:
-        return _row_of_figures(name, value, seeds)
+        return _row_of_figures(name, value, seeds, scenes)
     except Exception as error:
         return [f"failed: {error}"]
 
 
-def _row_of_figures(name: str, value, seeds: int) -> list[str]:
+def _row_of_figures(name: str, value, seeds: int, scenes: list[Path]) -> list[str]:
     if name.startswith(CALIB):
         return calibration_figures(name.removeprefix(CALIB), value)
     if name.startswith(PREFIX):
@@ -211,6 +216,9 @@ def _row_of_figures(name: str, value, seeds: int) -> list[str]:
         figures = [segment_figures(light, tuning) for light in LIGHTS]
         return [*figures, photograph_figures(tuning)]
     tuning = with_field(DEFAULT, name, value)
+    rows = rows_of_group(name.partition(".")[0], scenes, seeds)
+    if rows:
+        return [figures(tuning) for figures in rows.values()]
     return [match_figures(kind, seeds, tuning) for kind in KINDS]
 
 
@@ -232,22 +240,24 @@ def scaled(value: Any, factor: float) -> Any:
     return max(round(value * factor), 1) if isinstance(value, int) else value * factor
 
 
-def sweep_each(only: str, factors: list[float], seeds: int) -> None:
+def sweep_each(only: str, factors: list[float], seeds: int, scenes: list[Path]) -> None:
     """Every number times every factor; a row where nothing changes says so."""
     standing: dict[str, list[str]] = {}
     for name in names():
         value = standing_value(name)
         if not name.startswith(only) or isinstance(value, bool | str | None):
             continue
-        room = next(prefix for prefix in (PREFIX, CALIB, "") if name.startswith(prefix))
+        room = next((prefix for prefix in (PREFIX, CALIB) if name.startswith(prefix)), "")
+        room = room or name.partition(".")[0]
         if room not in standing:
-            standing[room] = row_of_figures(name, value, seeds)
+            standing[room] = row_of_figures(name, value, seeds, scenes)
             print(f"{'(standing)':38s} {'':14s} " + " | ".join(standing[room]))
         for factor in factors:
             other = scaled(value, factor)
-            row = row_of_figures(name, other, seeds)
+            row = row_of_figures(name, other, seeds, scenes)
             same = row == standing[room]
-            print(f"{name:38s} {other!s:14.14s} {'-' if same else ' | '.join(row)}", flush=True)
+            shown = (" " if a == b else a for a, b in zip(row, standing[room], strict=False))
+            print(f"{name:38s} {other!s:14.14s} {'-' if same else ' | '.join(shown)}", flush=True)
 
 
 def main() -> None:
@@ -258,9 +268,10 @@ def main() -> None:
     parser.add_argument("--each", nargs="+", type=float, metavar="FACTOR")
     parser.add_argument("--only", default="", metavar="START")
     parser.add_argument("--list", action="store_true")
+    parser.add_argument("--scenes", type=Path, nargs="*", default=[], metavar="FOLDER")
     given = parser.parse_args()
     if given.each:
-        sweep_each(given.only, given.each, given.seeds)
+        sweep_each(given.only, given.each, given.seeds, given.scenes)
         return
     if given.list or given.name is None:
         for name in names():
@@ -269,9 +280,10 @@ def main() -> None:
     standing = standing_value(given.name)
     heads = [*LIGHTS, "Merton"] if given.name.startswith(PREFIX) else KINDS
     heads = LIGHTS if given.name.startswith(CALIB) else heads
+    heads = rows_of_group(given.name.partition(".")[0], given.scenes, given.seeds) or heads
     print(f"{given.name:20s} " + " ".join(f"{kind:25s}" for kind in heads))
     for value in dict.fromkeys([standing, *given.values]):
-        row = row_of_figures(given.name, type(standing)(value), given.seeds)
+        row = row_of_figures(given.name, type(standing)(value), given.seeds, given.scenes)
         line = " ".join(f"{figure:25s}" for figure in row)
         print(f"{value!s:20s} {line}{'  (standing)' if value == standing else ''}", flush=True)
 

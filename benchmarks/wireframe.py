@@ -26,6 +26,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.io import load_scene_truth, read_image
 from trinoc.io.rig_json import load_rig
 from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.synth import block_scene
 from trinoc.synth.solids import Polyhedron
 from trinoc.synth.truth import SegmentTruth, shown_parts_of_segments_mm
@@ -44,11 +45,16 @@ class Tally:
         self.square: list[float] = []
 
     def add(
-        self, matches: Matches, rig: Rig, shape: KnownShape, solids: tuple[Polyhedron, ...]
+        self,
+        matches: Matches,
+        rig: Rig,
+        shape: KnownShape,
+        solids: tuple[Polyhedron, ...],
+        tuning: MatchTuning = DEFAULT,
     ) -> None:
         """One scene."""
         start = time.process_time()
-        frame = trinoc.match.wireframe(matches, rig)
+        frame = trinoc.match.wireframe(matches, rig, tuning=tuning)
         self.count["ms"] += round(1e3 * (time.process_time() - start))
         near = trinoc.evaluate(frame, shape, tolerances_mm=(NEAR_MM,))
         wide = trinoc.evaluate(frame, shape, tolerances_mm=(WIDE_MM,))
