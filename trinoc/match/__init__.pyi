@@ -7,14 +7,14 @@ from .bodies.cylinder_search import (
 from .bodies.cylinders import (
     Cylinders as Cylinders,
 )
+from .bodies.explained_tracks import (
+    add_rims as add_rims,
+)
 from .bodies.rim_search import (
     find_rims as find_rims,
 )
 from .bodies.rims import (
     Rims as Rims,
-)
-from .bodies.rims_beside_edges import (
-    add_rims as add_rims,
 )
 from .bodies.shadow_search import (
     Shadows as Shadows,
@@ -26,9 +26,6 @@ from .line_map.collinear_merge import (
 from .line_map.corners import (
     Corners as Corners,
     snap_corners as snap_corners,
-)
-from .line_map.depth import (
-    depth_map as depth_map,
 )
 from .pixels.guide import (
     guide_matches as guide_matches,
@@ -50,6 +47,9 @@ from .warming import (
 )
 from .wire_frame.build import (
     wireframe as wireframe,
+)
+from .wire_frame.depth import (
+    depth_map as depth_map,
 )
 from .wire_frame.frame import (
     Wireframe as Wireframe,

@@ -16,8 +16,8 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.image.response import ResponseLike
 from trinoc.match.bodies.cylinder_search import find_cylinders
+from trinoc.match.bodies.explained_tracks import add_rims
 from trinoc.match.bodies.rim_search import find_rims
-from trinoc.match.bodies.rims_beside_edges import add_rims
 from trinoc.match.bodies.shadow_search import Shadows, find_shadows
 from trinoc.match.matcher import match_segments
 from trinoc.match.pixels.guide import guide_matches

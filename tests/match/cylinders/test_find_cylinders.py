@@ -10,8 +10,10 @@ from tests.match.cylinders.made_outlines import Placed, nothing_matched, seen_by
 from tests.match.made import loose_lines, rig_of
 from trinoc.errors import InputError
 from trinoc.match import Cylinders, MatchTuning, find_cylinders
+from trinoc.match.bodies import cylinder_search
 from trinoc.match.matcher import match_segments
 from trinoc.match.tuning.bodies import CylinderTuning
+from trinoc.numerics.tables import with_field
 from trinoc.numerics.vectors import complete_axes
 from trinoc.synth.solids import box
 
@@ -19,7 +21,9 @@ VIEWS = ("upper", "left", "right")
 UPRIGHT = Placed(12.0, 30.0, shift_mm=(20.0, -15.0, 0.0))
 TILTED = Placed(7.0, 45.0, turn=(0.2, 1.1, 0.0), shift_mm=(-45.0, 5.0, 12.0))
 # Without the bend of outlines into rims, and with errors as they are stated.
-AS_STATED = MatchTuning(cylinders=CylinderTuning(rim_px=0.0, error_shares=(1.0, 0.0, 0.0)))
+AS_STATED = with_field(
+    MatchTuning(cylinders=CylinderTuning(rim_px=0.0)), "collinear.error_shares", (1.0, 0.0, 0.0)
+)
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +50,13 @@ def errors_of(found: Cylinders, row: int, true: Placed) -> tuple[np.ndarray, np.
 
 
 @pytest.mark.parametrize("views", [VIEWS, ("upper", "left"), (*VIEWS, "east")])
-def test_exact_outlines_leave_their_cylinders(views) -> None:
+def test_exact_outlines_leave_their_cylinders(views, monkeypatch) -> None:
     rig = rig_of(*views)
     cylinders = [UPRIGHT, TILTED] if len(views) > 2 else [UPRIGHT]
     segments = seen_by(rig, cylinders, loose_lines(6, seed=1) if len(views) > 2 else None)
     # Two views leave three conditions alone: what is likely before decides.
-    tuning = MatchTuning(cylinders=CylinderTuning(least_posterior=0.5 if len(views) > 2 else 1e-3))
-    found = find_cylinders(nothing_matched(segments), segments, rig, tuning=tuning)
+    monkeypatch.setattr(cylinder_search, "EVEN", 0.5 if len(views) > 2 else 1e-3)
+    found = find_cylinders(nothing_matched(segments), segments, rig)
     assert len(found) == len(cylinders)
     for row in range(len(found)):
         number = int(found.segment[found.cylinder == row].min()) // 2

@@ -10,12 +10,13 @@ from trinoc.match.bodies.cylinder_fit import ROUND, STRAIGHT, Members, fit_cylin
 from trinoc.match.bodies.cylinder_search import place_ends
 from trinoc.match.bodies.outlines import Outlines, possible_outlines, ray_axis_distances
 from trinoc.match.observations.match_input import prepare
-from trinoc.match.tuning.bodies import CylinderTuning
+from trinoc.match.tuning.every_group import DEFAULT as TUNING
+from trinoc.numerics.tables import with_field
 from trinoc.numerics.vectors import complete_axes
 
+ERRORS = TUNING.collinear
 VIEWS = ("upper", "left", "right")
 TRUE = Placed(7.0, 45.0, turn=(0.2, 1.1, 0.0), shift_mm=(-25.0, 5.0, 12.0))
-TUNING = CylinderTuning()
 
 
 def outlines(sigma_px: float, seed: int, wrong_px: float = 0.0) -> tuple[Outlines, Members]:
@@ -23,7 +24,7 @@ def outlines(sigma_px: float, seed: int, wrong_px: float = 0.0) -> tuple[Outline
     rig = rig_of(*VIEWS)
     segments = seen_by(rig, [TRUE], sigma_px=sigma_px, seed=seed)
     seen = prepare(segments, rig, None)
-    table = possible_outlines(seen, nothing_matched(segments), TUNING)
+    table = possible_outlines(seen, nothing_matched(segments), TUNING.cylinders)
     way = np.diff(TRUE.axis_mm, axis=0)[0]
     way = way / np.linalg.norm(way)
     side = np.sign(ray_axis_distances(table.rays, TRUE.axis_mm[0], way).distance_mm.mean(axis=1))
@@ -58,7 +59,7 @@ def log_likelihood(table, members, point, direction, radius) -> float:
         total += np.log(
             sum(
                 share * norm.pdf(along, scale=scale * np.sqrt(values)).prod()
-                for share, scale in zip(TUNING.error_shares, TUNING.error_scales, strict=True)
+                for share, scale in zip(ERRORS.error_shares, ERRORS.error_scales, strict=True)
             )
         )
     return total
@@ -91,7 +92,7 @@ def test_a_fit_is_where_the_likelihood_of_heavy_tails_is_greatest(wrong_px) -> N
 
 def test_the_covariance_is_the_inverse_of_the_curvature_where_errors_are_as_stated() -> None:
     table, members = outlines(0.0, seed=0)
-    tuning = CylinderTuning(error_shares=(1.0, 0.0, 0.0))
+    tuning = with_field(TUNING, "collinear.error_shares", (1.0, 0.0, 0.0))
     fits = fit_cylinders(table, members, *start(), tuning)
     point, direction, radius = fits.point_mm[0], fits.direction[0], fits.radius_mm[0]
     across = complete_axes(direction)

@@ -12,6 +12,7 @@ from trinoc.match import (
     Corners,
     snap_corners,
 )
+from trinoc.match.line_map import corners as corners_file
 from trinoc.match.line_map.corners import (
     Ends,
     _bring,
@@ -108,11 +109,10 @@ def test_snapping_what_is_snapped_moves_nothing(rig) -> None:
         )
 
 
-def test_odds_of_ends_fall_as_the_density_of_how_near_their_lines_pass() -> None:
+def test_odds_of_ends_fall_as_the_density_of_how_near_their_lines_pass(monkeypatch) -> None:
     """Two lines cross at a right angle; only their distance and their covariances change."""
-    tuning = with_field(
-        with_field(MatchTuning(), "corners.rounds", 0), "corners.min_posterior", 1e-9
-    )
+    monkeypatch.setattr(corners_file, "_ROUNDS", 0)
+    tuning = with_field(MatchTuning(), "collinear.min_posterior", 1e-9)
     root = np.random.default_rng(3).normal(size=(2, 6, 6))
     own = 0.02 * root @ root.mT
 

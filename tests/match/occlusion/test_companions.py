@@ -1,7 +1,5 @@
 """Companions: who lies beside whom, or goes on from whom, in every picture; what it is worth."""
 
-from dataclasses import replace
-
 import jax
 import numpy as np
 import pytest
@@ -96,9 +94,8 @@ def in_pairs(count: int) -> Companions:
 def test_what_companions_are_worth_is_learned() -> None:
     # 100 likely pairs, of which 50 have company, and 100 unlikely ones that have none.
     posterior = np.repeat([0.99, 0.01], 100)
-    gain = companion_log_odds(in_pairs(50), posterior, DEFAULT.occlusion)
-    rules = DEFAULT.occlusion
-    weight = rules.prior_observations
+    gain = companion_log_odds(in_pairs(50), posterior, DEFAULT)
+    weight = DEFAULT.evidence.prior_observations
     right = (0.99 * 50 * 0.99 + 0.05 * weight) / (100 + weight)
     wrong = (0.01 * 50 * 0.99 + 0.05 * weight) / (100 + weight)
     assert gain[0] == pytest.approx(
@@ -109,22 +106,22 @@ def test_what_companions_are_worth_is_learned() -> None:
 
 def test_where_company_is_by_chance_it_says_nothing() -> None:
     posterior = np.random.default_rng(0).uniform(0.05, 0.95, 200)
-    assert not companion_log_odds(in_pairs(200), posterior, DEFAULT.occlusion).any()
-    assert not companion_log_odds(in_pairs(0), posterior, DEFAULT.occlusion).any()
+    assert not companion_log_odds(in_pairs(200), posterior, DEFAULT).any()
+    assert not companion_log_odds(in_pairs(0), posterior, DEFAULT).any()
 
 
 def test_nothing_more_is_added_than_may_be() -> None:
     posterior = np.repeat([0.999, 0.001], 100)
     for most in (4.0, 1.0, 0.0):
-        rules = replace(DEFAULT.occlusion, most_companion=most)
-        gain = companion_log_odds(in_pairs(100), posterior, rules)
+        tuning = with_field(DEFAULT, "occlusion.most_companion", most)
+        gain = companion_log_odds(in_pairs(100), posterior, tuning)
         assert np.abs(gain).max() == pytest.approx(most)
 
 
 def test_each_frame_learns_for_itself() -> None:
     posterior = np.tile(np.repeat([0.99, 0.01], 50), 2)
     frame = np.repeat([0, 1], 100)
-    both = companion_log_odds(in_pairs(40), posterior, DEFAULT.occlusion, frame, 2)
-    alone = companion_log_odds(in_pairs(40), posterior[:100], DEFAULT.occlusion)
+    both = companion_log_odds(in_pairs(40), posterior, DEFAULT, frame, 2)
+    alone = companion_log_odds(in_pairs(40), posterior[:100], DEFAULT)
     np.testing.assert_allclose(both[:100], alone)
     assert not both[100:].any()

@@ -19,7 +19,7 @@ def strewn(seed: int) -> np.ndarray:
 
 def placed(ends_mm: np.ndarray, posterior: np.ndarray) -> np.ndarray:
     volume = fit_volume(ends_mm, posterior)
-    return log_place_among(ends_mm, posterior, volume, DEFAULT.occlusion)
+    return log_place_among(ends_mm, posterior, volume, DEFAULT)
 
 
 def test_in_an_even_box_the_density_is_that_of_the_box() -> None:
@@ -52,7 +52,7 @@ def test_frames_of_a_stack_are_profiled_each_for_itself() -> None:
     frame = np.arange(COUNT) % 2
     ends[frame == 1] *= 5.0
     volume = fit_volume(ends, posterior, frame=frame, frames=2)
-    both = log_place_among(ends, posterior, volume, DEFAULT.occlusion, frame)
+    both = log_place_among(ends, posterior, volume, DEFAULT, frame)
     for number in range(2):
         own = frame == number
         np.testing.assert_allclose(both[own], placed(ends[own], posterior[own]), atol=1e-9)

@@ -68,14 +68,14 @@ def test_see_through_boxes_and_blocks_differ_each_frame_for_itself() -> None:
         start += len(ends[-1])
     table, rows = np.concatenate(ends)[None], np.concatenate(index)[:, None]
     owner, sure = np.concatenate(frame), np.ones(start)
-    boxes, blocks = see_through_share(table, rows, sure, DEFAULT.occlusion, owner, 2)
+    boxes, blocks = see_through_share(table, rows, sure, DEFAULT, owner, 2)
     assert boxes > 0.6
     assert blocks < 0.1
-    alone = see_through_share(table, rows[owner == 1], sure[owner == 1], DEFAULT.occlusion)
+    alone = see_through_share(table, rows[owner == 1], sure[owner == 1], DEFAULT)
     assert alone == pytest.approx([blocks])
 
 
 def test_without_a_matched_segment_nothing_is_seen_through() -> None:
     none = np.zeros((0, 2), dtype=np.int64)
-    share = see_through_share(np.zeros((2, 4, 2, 2)), none, np.zeros(0), DEFAULT.occlusion)
+    share = see_through_share(np.zeros((2, 4, 2, 2)), none, np.zeros(0), DEFAULT)
     assert share == pytest.approx([0.0])

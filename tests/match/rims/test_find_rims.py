@@ -69,8 +69,8 @@ def test_few_neighbours_and_small_parts_find_the_same(rig, monkeypatch) -> None:
     whole = find_rims(matches, segments, rig)
     for room in (search, support):
         monkeypatch.setattr(room, "MOST_AT_ONCE", 1000)
-    near = MatchTuning(rims=RimTuning(neighbours=12))
-    parts = find_rims(matches, segments, rig, tuning=near)
+    monkeypatch.setattr(search, "MOST_NEIGHBOURS", 12)
+    parts = find_rims(matches, segments, rig)
     assert len(matches) > 13
     np.testing.assert_allclose(parts.centre_mm, whole.centre_mm, atol=1e-6)
     np.testing.assert_array_equal(parts.segment, whole.segment)

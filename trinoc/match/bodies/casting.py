@@ -139,7 +139,7 @@ def evidence_of_surroundings(
         for row in rows.tolist():
             line, end = corners.line[row], corners.end[row]
             others = corners.line[rows[rows != row]]
-            leaving[line, end] = (np.abs(way[others] @ normal[line]) > tuning.leaving_sine).any()
+            leaving[line, end] = (np.abs(way[others] @ normal[line]) > tuning.least_sine).any()
             body[line, end] = any(
                 abs(way[line] @ cross_3d(way[one], way[two])) > tuning.body_volume
                 for one, two in combinations(others.tolist(), 2)
@@ -228,7 +228,7 @@ def casting_pairs(
     loose = loose + (np.radians(tuning.coarse_deg / 2) * np.linalg.norm(flat, axis=2)) ** 2
     spread = np.einsum("pei,pej,pe->pij", flat, flat, 1 / loose)
     square, turn = np.linalg.eigh(spread)
-    near = square[:, 0] < tuning.coplanar_chi_square
+    near = square[:, 0] < tuning.plane_sigmas**2
     shadow, edge, turn = shadow[near], edge[near], turn[near]
     normal = np.einsum("pi,pij->pj", turn[:, :, 0], across[edge])
     axes = np.stack([way[edge], np.cross(normal, way[edge]), normal], axis=1)

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.geometry.projection import homogeneous_pixel, pixel_change
+from trinoc.geometry.projection import homogeneous_pixel, pixel_change, project_by_matrix
+from trinoc.geometry.rig import Rig
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.tuning.bodies import RimTuning
 from trinoc.match.tuning.every_group import DEFAULT
@@ -24,6 +25,18 @@ ON_ARC, MIDDLE, ENDS = slice(0, 2), 2, slice(3, 5)
 _BUT_ENDS = 3
 # numerical: points round a circle that tell the axes of its image.
 _AROUND = 8
+
+
+def usual_mm_per_px(
+    lines_mm: Float[np.ndarray, "t 2 3"], rig: Rig, views: tuple[str, ...]
+) -> float:
+    """Usual size of a pixel at the lines; 1 where there are none."""
+    length = np.linalg.norm(lines_mm[:, 1] - lines_mm[:, 0], axis=1)
+    shares = []
+    for name in views:
+        image = project_by_matrix(np.asarray(rig[name].matrix_px), lines_mm)
+        shares.append(length / np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
+    return float(np.median(shares)) if len(lines_mm) else 1.0
 
 
 class Circles(NamedTuple):
@@ -164,7 +177,7 @@ def touching(off: Off, within_px: float, tuning: RimTuning) -> Bool[np.ndarray, 
         bow = 3 * np.abs(off.px[..., MIDDLE] - off.px[..., ON_ARC].mean(axis=2))
     tangent = off.cosine > np.cos(np.radians(tuning.tangent_deg))
     opened = off.axis_ratio > tuning.least_axis_ratio
-    return near & tangent & opened & (bow < tuning.most_bow_px)
+    return near & tangent & opened & (bow < tuning.first_px)
 
 
 def points_on_circles(

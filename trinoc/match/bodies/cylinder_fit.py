@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, ray_axis_distances
-from trinoc.match.tuning.bodies import CylinderTuning
+from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.numerics.robust_loss import ScaleMixture
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.tables import take_rows
@@ -70,7 +70,7 @@ def fit_cylinders(
     point_mm: Float[np.ndarray, "h 3"],
     direction: Float[np.ndarray, "h 3"],
     radius_mm: Float[np.ndarray, "h"],
-    tuning: CylinderTuning,
+    tuning: MatchTuning,
     parameters: int = ROUND,
 ) -> Fits:
     """The likeliest cylinders, by Gauss-Newton from given ones; STRAIGHT holds their radii.
@@ -79,7 +79,7 @@ def fit_cylinders(
     """
     held, own = members.held, members.rows_of(table)
     side, by = members.side[:, :, None], whitening(own.across_px2)
-    loss = ScaleMixture(tuning.error_shares, tuning.error_scales, 2)
+    loss = ScaleMixture(tuning.collinear.error_shares, tuning.collinear.error_scales, 2)
 
     def residuals(at: _Axes) -> Residuals:
         rays = ray_axis_distances(own.rays, at.point_mm[:, None], at.direction[:, None])

@@ -14,13 +14,15 @@ from jaxtyping import Float, Int
 
 from trinoc.match.bodies.cylinder_fit import Members
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, before_camera, ray_axis_distances
-from trinoc.match.tuning.bodies import CylinderTuning
+from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import cross_3d
 
 # numerical: pairs and third outlines looked at together: they bound the memory.
 AT_ONCE = 1 << 18
+# numerical: those of the longest outlines, as many as memory holds.
+MOST_HYPOTHESES = 40_000
 
 
 class Start(NamedTuple):
@@ -39,7 +41,7 @@ class _Pairs(NamedTuple):
     normal: Float[np.ndarray, "p 3"]
 
 
-def propose_cylinders(table: Outlines, views: int, tuning: CylinderTuning) -> Start:
+def propose_cylinders(table: Outlines, views: int, tuning: MatchTuning) -> Start:
     """All that are roughly consistent."""
     nothing = np.zeros((0, 3))
     found = [Start(Members(np.zeros((0, 3), np.int64), nothing), nothing, nothing, np.zeros(0))]
@@ -52,11 +54,11 @@ def propose_cylinders(table: Outlines, views: int, tuning: CylinderTuning) -> St
             found += _consistent(table, take_rows(pairs[first], i), third[j], tuning)
     every = concatenate_rows(found)
     # The table begins with the longest.
-    kept = np.argsort(every.members.row.sum(axis=1), kind="stable")[: tuning.most_hypotheses]
+    kept = np.argsort(every.members.row.sum(axis=1), kind="stable")[:MOST_HYPOTHESES]
     return take_rows(every, kept)
 
 
-def _pairs_of_view(table: Outlines, view: int, tuning: CylinderTuning) -> _Pairs:
+def _pairs_of_view(table: Outlines, view: int, tuning: MatchTuning) -> _Pairs:
     """Nearly parallel segments abreast of each other, the longest first where they are many."""
     rows = np.flatnonzero(table.view == view)
     ends, length = table.ends_px[rows], table.length_px[rows]
@@ -71,11 +73,13 @@ def _pairs_of_view(table: Outlines, view: int, tuning: CylinderTuning) -> _Pairs
     shorter, longer = np.minimum(length[i], length[j]), np.maximum(length[i], length[j])
     gap = ends[j].mean(axis=1) - ends[i].mean(axis=1)
     wide = np.abs(gap[:, 0] * mean[:, 1] - gap[:, 1] * mean[:, 0])
-    good = np.abs(dot) > np.cos(np.radians(tuning.parallel_deg))
-    good &= common > tuning.abreast_share * shorter
-    good &= (wide > tuning.narrowest_px) & (wide < tuning.widest_lengths * longer)
+    good = np.abs(dot) > np.cos(np.radians(tuning.cylinders.parallel_deg))
+    good &= common > tuning.tracks.abreast_share * shorter
+    good &= (wide > tuning.cylinders.narrowest_px) & (
+        wide < tuning.cylinders.widest_lengths * longer
+    )
     chosen = np.flatnonzero(good)
-    chosen = chosen[np.argsort(-common[chosen], kind="stable")][: tuning.most_pairs]
+    chosen = chosen[np.argsort(-common[chosen], kind="stable")][: tuning.cylinders.most_pairs]
     row = np.stack([rows[i[chosen]], rows[j[chosen]]], axis=1)
     normal = table.normals[row]
     turn = np.sign((normal[:, 0] * normal[:, 1]).sum(axis=1))
@@ -85,7 +89,7 @@ def _pairs_of_view(table: Outlines, view: int, tuning: CylinderTuning) -> _Pairs
 
 
 def _consistent(
-    table: Outlines, pairs: _Pairs, third: Int[np.ndarray, "h"], tuning: CylinderTuning
+    table: Outlines, pairs: _Pairs, third: Int[np.ndarray, "h"], tuning: MatchTuning
 ) -> list[Start]:
     """Cylinders that the pairs and a third outline touch, one for each of its sides."""
     every = table.normals
@@ -94,8 +98,8 @@ def _consistent(
     size = np.linalg.norm(axis, axis=1)
     own = every[pairs.row]
     out_of = np.abs((own * axis[:, None]).sum(axis=2)).max(axis=1)
-    kept = size > np.sin(np.radians(tuning.least_turn_deg))
-    kept &= out_of < size * np.sin(np.radians(tuning.parallel_deg))
+    kept = size > np.sin(np.radians(tuning.cylinders.least_turn_deg))
+    kept &= out_of < size * np.sin(np.radians(tuning.cylinders.parallel_deg))
     kept = np.flatnonzero(kept)
     row = np.concatenate([pairs.row[kept], third[kept, None]], axis=1)
     normal, direction = normal[kept], axis[kept] / size[kept, None]
@@ -130,7 +134,7 @@ def _before_cameras(
     point_mm: Float[np.ndarray, "h 3"],
     direction: Float[np.ndarray, "h 3"],
     radius_mm: Float[np.ndarray, "h"],
-    tuning: CylinderTuning,
+    tuning: MatchTuning,
 ) -> Start:
     """Those that lie before the cameras, with outlines abreast of each other on both sides."""
     rays = take_rows(table.rays, row)
@@ -141,6 +145,6 @@ def _before_cameras(
     common = along[..., 1].min(axis=1) - along[..., 0].max(axis=1)
     shortest = (along[..., 1] - along[..., 0]).min(axis=1)
     place = point_mm + along.mean(axis=(1, 2))[:, None] * direction
-    good = (side[:, 0] != side[:, 1]) & (common > tuning.abreast_share * shortest)
+    good = (side[:, 0] != side[:, 1]) & (common > tuning.tracks.abreast_share * shortest)
     good &= before_camera(rays, place[:, None]).all(axis=1)
     return take_rows(Start(Members(row, side), place, direction, radius_mm), good)

@@ -16,8 +16,7 @@ from trinoc.match.bodies.cylinders import Cylinders
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, possible_outlines
 from trinoc.match.observations.match_input import prepare, with_noise_scale
 from trinoc.match.observations.pictures_of_views import segments_of_views
-from trinoc.match.tracks.matches import Matches
-from trinoc.match.tuning.bodies import CylinderTuning
+from trinoc.match.tracks.matches import EVEN, Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.tables import take_rows
@@ -34,11 +33,11 @@ class CylinderChoice(NamedTuple):
 
 
 def choose_cylinders(
-    fits: Fits, members: Members, log_odds: Float[np.ndarray, "h"], tuning: CylinderTuning
+    fits: Fits, members: Members, log_odds: Float[np.ndarray, "h"], tuning: MatchTuning
 ) -> CylinderChoice:
     """The likeliest first, then those that share no outline with any of them."""
     posterior = expit(log_odds)
-    left = posterior >= tuning.least_posterior
+    left = posterior >= EVEN
     found, rivals = [], []
     for row in np.argsort(-log_odds, kind="stable").tolist():
         if not left[row]:
@@ -47,7 +46,7 @@ def choose_cylinders(
         sharing = np.isin(members.row, own).any(axis=1)
         left &= ~sharing
         other = np.flatnonzero(sharing)
-        other = other[differs(fits, row, other, tuning.significance)]
+        other = other[differs(fits, row, other, tuning.collinear.significance)]
         found.append(row)
         rivals.append(posterior[other].max(initial=0.0))
     return CylinderChoice(np.array(found, dtype=np.int64), np.array(rivals))
@@ -137,10 +136,10 @@ def find_cylinders(
     given = segments_of_views("Finding cylinders", matches.views, segments)
     seen = with_noise_scale(prepare(given, rig, None), np.array([matches.noise_scale]))
     table = possible_outlines(seen, matches, tuning.cylinders)
-    start = propose_cylinders(table, len(matches.views), tuning.cylinders)
-    fits, members = with_support(table, start, tuning.cylinders)
-    odds = support_log_odds(table, fits, members, matches, tuning.cylinders)
-    best = choose_cylinders(fits, members, odds, tuning.cylinders)
+    start = propose_cylinders(table, len(matches.views), tuning)
+    fits, members = with_support(table, start, tuning)
+    odds = support_log_odds(table, fits, members, matches, tuning)
+    best = choose_cylinders(fits, members, odds, tuning)
     counts = {
         "possible outlines": len(table.view),
         "cylinders that three outlines suggest": len(start.radius_mm),

@@ -7,7 +7,7 @@ from trinoc.match.bodies.cylinder_fit import ROUND, STRAIGHT, Fits, Members, fit
 from trinoc.match.bodies.cylinder_hypotheses import Start
 from trinoc.match.bodies.outlines import Outlines, abreast_mm, before_camera, ray_axis_distances
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tuning.bodies import CylinderTuning
+from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.tails import chi_square_limit
@@ -16,18 +16,22 @@ from trinoc.numerics.tails import chi_square_limit
 AT_ONCE = 1024
 # numerical: outlines that say more than five parameters take.
 FEWEST = 4
+# numerical: rounds in which outlines are added, which converge.
+ROUNDS = 3
+# numerical: a margin for time: outlines further off than this share of the radius do not touch.
+_ABOUT_RADIUS = 0.5
 
 
-def with_support(table: Outlines, start: Start, tuning: CylinderTuning) -> tuple[Fits, Members]:
+def with_support(table: Outlines, start: Start, tuning: MatchTuning) -> tuple[Fits, Members]:
     """Cylinders that fit their three outlines, each with every outline that fits it.
 
     Rounds, since more outlines leave a better cylinder. Cylinders of the same outlines are one.
     """
     fits = fit_cylinders(table, *start, tuning)
     good = _are_determined(fits, tuning)
-    good &= fits.square < chi_square_limit(tuning.significance, fits.degrees)
+    good &= fits.square < chi_square_limit(tuning.collinear.significance, fits.degrees)
     fits, members = take_rows((fits, start.members), good)
-    for _ in range(tuning.rounds):
+    for _ in range(ROUNDS):
         members = _single(table, fits, _touching(table, fits, members, tuning), tuning)
         fits, members = take_rows((fits, members), _distinct(table, members))
         fits = fit_cylinders(table, members, *fits[:3], tuning)
@@ -35,19 +39,19 @@ def with_support(table: Outlines, start: Start, tuning: CylinderTuning) -> tuple
     return fits, members
 
 
-def _are_determined(fits: Fits, tuning: CylinderTuning) -> Bool[np.ndarray, "h"]:
+def _are_determined(fits: Fits, tuning: MatchTuning) -> Bool[np.ndarray, "h"]:
     """Cylinders that their outlines determine: a linear error holds for axis and radius."""
     determined = np.isfinite(fits.square) & (fits.degrees > 0)
     variance = np.einsum("hii->hi", fits.covariance)
     size = np.stack([*[fits.radius_mm] * 2, *[np.ones_like(fits.radius_mm)] * 2, fits.radius_mm])
-    return determined & (variance < (tuning.largest_doubt * size.T) ** 2).all(axis=1)
+    return determined & (variance < (tuning.cylinders.largest_doubt * size.T) ** 2).all(axis=1)
 
 
-def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTuning) -> Members:
+def _touching(table: Outlines, fits: Fits, members: Members, tuning: MatchTuning) -> Members:
     """The outlines of each cylinder: those whose ends lie where they must, within errors."""
     low, high = _extent(table, fits, members)
     known = fits.covariance
-    limit = chi_square_limit(tuning.significance, 2)
+    limit = chi_square_limit(tuning.collinear.significance, 2)
     parts = []
     for part in blocks(len(fits.radius_mm), AT_ONCE):
         here, row = _roughly_touching(table, fits, part, tuning)
@@ -65,7 +69,7 @@ def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTun
         along = np.sort(abreast_mm(rays, point, direction), axis=1)
         common = np.minimum(along[:, 1], high[owner]) - np.maximum(along[:, 0], low[owner])
         good = (square < limit) & before_camera(rays, point)
-        good &= common > tuning.abreast_share * (along[:, 1] - along[:, 0])
+        good &= common > tuning.tracks.abreast_share * (along[:, 1] - along[:, 0])
         # A ray through the axis itself passes it on neither side.
         good &= own != 0
         parts.append((owner[good], row[good], own[good]))
@@ -73,7 +77,7 @@ def _touching(table: Outlines, fits: Fits, members: Members, tuning: CylinderTun
 
 
 def _roughly_touching(
-    table: Outlines, fits: Fits, part: slice, tuning: CylinderTuning
+    table: Outlines, fits: Fits, part: slice, tuning: MatchTuning
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
     """(cylinder, outline) where the outline's plane is along the axis and about a radius off."""
     normal = table.normals
@@ -81,8 +85,8 @@ def _roughly_touching(
     turn = np.abs(fits.direction[part] @ normal.T)
     radius = fits.radius_mm[part, None]
     gap = np.abs(np.abs(fits.point_mm[part] @ normal.T - offset) - radius)
-    near = turn < np.sin(np.radians(tuning.parallel_deg))
-    here, row = np.nonzero(near & (gap < tuning.radius_share * radius))
+    near = turn < np.sin(np.radians(tuning.cylinders.parallel_deg))
+    here, row = np.nonzero(near & (gap < _ABOUT_RADIUS * radius))
     return here, row
 
 
@@ -112,13 +116,13 @@ def _gather_members(
     return members
 
 
-def _single(table: Outlines, fits: Fits, members: Members, tuning: CylinderTuning) -> Members:
+def _single(table: Outlines, fits: Fits, members: Members, tuning: MatchTuning) -> Members:
     """Without those mostly abreast of a longer one that lies on the same side in its view."""
     own = members.rows_of(table)
     along = abreast_mm(own.rays, fits.point_mm[:, None], fits.direction[:, None])
     low, high = along.min(axis=2), along.max(axis=2)
     common = np.minimum(high[:, :, None], high[:, None]) - np.maximum(low[:, :, None], low[:, None])
-    abreast = common > tuning.abreast_share * (high - low)[:, :, None]
+    abreast = common > tuning.tracks.abreast_share * (high - low)[:, :, None]
     doubled = (abreast & same_outline(table, members)).any(axis=2)
     owner, column = np.nonzero(members.held & ~doubled)
     own = members.row[owner, column], members.side[owner, column]
@@ -156,18 +160,18 @@ def assign_outlines(table: Outlines, members: Members) -> Int[np.ndarray, "h k"]
 
 
 def support_log_odds(
-    table: Outlines, fits: Fits, members: Members, matches: Matches, tuning: CylinderTuning
+    table: Outlines, fits: Fits, members: Members, matches: Matches, tuning: MatchTuning
 ) -> Float[np.ndarray, "h"]:
     """That each is a cylinder, against all else."""
     found = _against_chance(table, fits, members, tuning)
     shown = outlines_shown(table, members, len(matches.views)).sum(axis=(1, 2))
-    found += shown * np.log(tuning.shown_share)
-    found += (2 * len(matches.views) - shown) * np.log(1 - tuning.shown_share)
-    return np.log(tuning.prior_cylinders) + found - _as_lines(table, members, matches, tuning)
+    found += shown * np.log(tuning.cylinders.shown_share)
+    found += (2 * len(matches.views) - shown) * np.log(1 - tuning.cylinders.shown_share)
+    return found - _as_lines(table, members, matches, tuning)
 
 
 def _against_chance(
-    table: Outlines, fits: Fits, members: Members, tuning: CylinderTuning
+    table: Outlines, fits: Fits, members: Members, tuning: MatchTuning
 ) -> Float[np.ndarray, "h"]:
     """Log likelihood ratio to segments anywhere, of one cylinder, or one line, anywhere."""
     longest = ~same_outline(table, members).any(axis=2) & members.held
@@ -196,11 +200,11 @@ def _against_chance(
 
 
 def _common_direction(
-    table: Outlines, fits: Fits, members: Members, tuning: CylinderTuning
+    table: Outlines, fits: Fits, members: Members, tuning: MatchTuning
 ) -> tuple[Float[np.ndarray, "h k"], Float[np.ndarray, "h"]]:
     """What is as parallel to each axis as to tell nothing: segments of each outline's view, per
     pixel and radian; and the density of axes, per steradian, half of them along such segments."""
-    width = np.radians(tuning.common_deg)
+    width = np.radians(tuning.cylinders.common_deg)
     along = np.abs(fits.direction @ table.normals.T) < np.sin(width)
     row, column = np.nonzero(members.held)
     along[row, members.row[row, column]] = False
@@ -215,7 +219,7 @@ def _common_direction(
 
 
 def _as_lines(
-    table: Outlines, members: Members, matches: Matches, tuning: CylinderTuning
+    table: Outlines, members: Members, matches: Matches, tuning: MatchTuning
 ) -> Float[np.ndarray, "h"]:
     """Log odds of the tracks that a cylinder would undo: they hold an outline of it."""
     gain = np.maximum(_of_tracks(table, matches, tuning), 0.0)
@@ -228,7 +232,7 @@ def _as_lines(
     return undone @ gain
 
 
-def _of_tracks(table: Outlines, matches: Matches, tuning: CylinderTuning) -> Float[np.ndarray, "t"]:
+def _of_tracks(table: Outlines, matches: Matches, tuning: MatchTuning) -> Float[np.ndarray, "t"]:
     """That each track is a line in space: what the matcher says, or what its segments say here."""
     posterior = np.clip(np.asarray(matches.posterior), 1e-9, 1 - 1e-9)
     gain = np.log(posterior) - np.log1p(-posterior)
@@ -249,6 +253,6 @@ def _of_tracks(table: Outlines, matches: Matches, tuning: CylinderTuning) -> Flo
     own = Members(row[known], np.where(seen[known], 1.0, 0.0))
     start = lines.mean(axis=1), way, np.zeros(len(known))
     straight = fit_cylinders(table, own, *start, tuning, STRAIGHT)
-    found = np.log(tuning.prior_lines) + _against_chance(table, straight, own, tuning)
+    found = np.log(tuning.cylinders.prior_lines) + _against_chance(table, straight, own, tuning)
     gain[known] = np.maximum(gain[known], found)
     return gain

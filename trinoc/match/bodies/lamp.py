@@ -13,6 +13,10 @@ from trinoc.numerics.vectors import complete_axes
 
 # numerical: lamps that are judged at once, so that tables of pairs stay in the cache.
 AT_ONCE = 128
+# numerical: lamps that are pursued.
+PEAKS = 10
+# numerical: of a coarse step: how sharp the last search is, and what counts as another lamp.
+FINE, APART = 0.1, 2.0
 
 
 class Votes(NamedTuple):
@@ -72,7 +76,7 @@ def best_lamp(votes: Votes, upward: Float[np.ndarray, "3"], tuning: ShadowTuning
     density = votes.ratios(lamps, step / 2, tuning)
     votes = votes._replace(mean=density.mean(axis=0) + 1e-12)
     scores = votes.scores(density / votes.mean, tuning)
-    peaks = _peaks(lamps, scores, tuning.peaks, 1.5 * step)
+    peaks = _peaks(lamps, scores, PEAKS, 1.5 * step)
     change = tuning.nearest / 2
     for _ in range(3):
         step, change = step / 2.5, change / 2
@@ -90,7 +94,7 @@ def best_lamp(votes: Votes, upward: Float[np.ndarray, "3"], tuning: ShadowTuning
             values.append(found[best])
         lamps = concatenate_rows(rows)
         scores = np.array(values)
-        peaks = _peaks(lamps, scores, max(len(peaks) // 2, 2), tuning.apart_deg)
+        peaks = _peaks(lamps, scores, max(len(peaks) // 2, 2), APART * tuning.coarse_deg)
     best = take_rows(lamps, peaks[:1])
     rival = float(scores[peaks[1]]) if len(peaks) > 1 else 0.0
     return _mean_lamp(votes, best, step, change / size, rival, tuning)
@@ -102,7 +106,7 @@ def _mean_lamp(
     """The mean of the lamps about the best one, by their likelihood, and its spread."""
     for _ in range(2):
         around = _around(best, step / 2, change, 4, 3)
-        score = votes.scores(votes.ratios(around, tuning.fine_deg, tuning), tuning)
+        score = votes.scores(votes.ratios(around, FINE * tuning.coarse_deg, tuning), tuning)
         weight = np.exp(score - score.max())
         weight /= weight.sum()
         mean = weight @ around.direction
@@ -114,7 +118,7 @@ def _mean_lamp(
     covariance = (off * weight[:, None]).T @ off
     # No finer than the lamps that were tried.
     covariance += np.diag([np.radians(step) ** 2 / 3] * 2 + [change**2 / 3])
-    ratios = votes.ratios(best, tuning.fine_deg, tuning)
+    ratios = votes.ratios(best, FINE * tuning.coarse_deg, tuning)
     top = float(votes.scores(ratios, tuning)[0])
     return Lamp(best.direction[0], float(best.nearness[0]), covariance, top, rival, ratios[0])
 

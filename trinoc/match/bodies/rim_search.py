@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from trinoc.geometry.projection import project_by_matrix
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.bodies.circles import (
@@ -20,6 +19,7 @@ from trinoc.match.bodies.circles import (
     image_circles,
     off_circles,
     touching,
+    usual_mm_per_px,
 )
 from trinoc.match.bodies.rim_answer import (
     Arcs,
@@ -40,19 +40,6 @@ from trinoc.numerics.buckets import blocks
 from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import cross_3d
-
-
-def usual_mm_per_px(
-    lines_mm: Float[np.ndarray, "t 2 3"], rig: Rig, views: tuple[str, ...]
-) -> float:
-    """Usual size of a pixel at the lines; 1 where there are none."""
-    length = np.linalg.norm(lines_mm[:, 1] - lines_mm[:, 0], axis=1)
-    shares = []
-    for name in views:
-        image = project_by_matrix(np.asarray(rig[name].matrix_px), lines_mm)
-        shares.append(length / np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
-    return float(np.median(shares)) if len(lines_mm) else 1.0
-
 
 # Of the circles of most support so many are fitted before the best is chosen.
 # numerical: a block size.
@@ -142,7 +129,7 @@ def _fit_rim(
     rows = np.flatnonzero(about(chords, circle, _ROOM_PX)[0] & free)
     chords = take_rows(chords, rows)
     first = _circle_evidence(chords, circle, tuning.first_px, views, tuning)
-    if first.covered < tuning.least_covered_at_first:
+    if first.covered < tuning.least_covered / 2:
         return None
     covariance = np.zeros((6, 6))
     between = (tuning.first_px + tuning.last_px) / 2
@@ -187,6 +174,9 @@ def _circle_evidence(
 
 # numerical: lines that are held against circles at once: for memory, some 100 bytes each.
 MOST_AT_ONCE = 1 << 21
+# numerical: for time: of each line so many nearest others are tried with it, and so many circles
+# kept, and so many in all: measured scenes have fewer.
+MOST_NEIGHBOURS, MOST_OF_LINE, MOST_CIRCLES = 150, 6, 1500
 
 
 def propose_rims(
@@ -201,12 +191,12 @@ def propose_rims(
     way = lines_mm[:, 1] - lines_mm[:, 0]
     length = np.linalg.norm(way, axis=1)
     unit = way / np.maximum(length, 1e-12)[:, None]
-    one, other = _neighbours(middle, tuning.neighbours)
+    one, other = _neighbours(middle, MOST_NEIGHBOURS)
     least, most = (mm_per_px * radius for radius in tuning.radii_px)
     normal = cross_3d(unit[one], unit[other])
     sine = np.linalg.norm(normal, axis=1)
     apart = np.linalg.norm(middle[one] - middle[other], axis=1)
-    near = (sine > np.sin(np.radians(tuning.least_turn_deg))) & (apart < 2 * most)
+    near = (sine > np.sin(np.radians(tuning.alike_deg))) & (apart < 2 * most)
     one, other, normal = one[near], other[near], normal[near] / sine[near, None]
     step = middle[other] - middle[one]
     inward = [cross_3d(normal, unit[own]) for own in (one, other)]
@@ -235,8 +225,8 @@ def propose_rims(
     # The best of each line, so that one rim of many chords does not hide another.
     best = np.lexsort((-support, line))
     rank = np.arange(len(best)) - np.searchsorted(line[best], line[best])
-    best = best[rank < tuning.most_of_line]
-    best = best[np.argsort(-support[best], kind="stable")[: tuning.most_circles]]
+    best = best[rank < MOST_OF_LINE]
+    best = best[np.argsort(-support[best], kind="stable")[:MOST_CIRCLES]]
     return take_rows(circles, best)
 
 
@@ -271,7 +261,7 @@ def _support(
     out_of_plane = normal @ unit.T
     radial = (middle_mm * unit).sum(axis=1) - centre @ unit.T - height * out_of_plane
     alike = np.sin(np.radians(tuning.alike_deg))
-    near = (tuning.near_px * mm_per_px + tuning.near_share * radius)[:, None]
+    near = ((tuning.closes_px * mm_per_px + tuning.closes_share * radius) / 2)[:, None]
     on = (np.abs(height) < near) & (np.abs(distance - radius[:, None]) < near)
     on &= (np.abs(out_of_plane) < alike) & (np.abs(radial) < alike * distance)
     return on @ length_mm

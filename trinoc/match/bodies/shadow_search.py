@@ -131,7 +131,7 @@ def find_shadows(
         return Shadows(np.zeros(0), 0.0, none, none, 0.0, np.zeros((3, 3)), {"planes": 0})
     joined = join_collinear(matches, rig, tuning=tuning)
     if len(joined) > own.most_lines:
-        unknown = np.full(len(matches), own.share_unknown)
+        unknown = np.full(len(matches), expit(own.log_odds_without[0]))
         return Shadows(unknown, 0.0, none, none, 0.0, np.zeros((3, 3)), {"lines": len(joined)})
     lines, covariance = joined.lines_mm, joined.covariance_mm2
     middle = lines.mean(axis=(0, 1))

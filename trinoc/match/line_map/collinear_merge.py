@@ -33,6 +33,9 @@ from trinoc.match.tuning.line_map import CollinearTuning
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tails import chi_square_tail
 
+# numerical: rounds in which the share is learned, which converge.
+_ROUNDS = 3
+
 
 class _Group(NamedTuple):
     """Tracks taken for one line so far, their segments (view, segment), and that line.
@@ -182,12 +185,11 @@ def _learn_share(
     evidence: CollinearEvidence, scene: LineDensity, count: int, tuning: MatchTuning
 ) -> float:
     """How often a line has another piece, from how many pairs are likely to be one."""
-    rules = tuning.collinear
-    prior, weight = rules.prior_share, rules.prior_observations
+    prior, weight = tuning.collinear.prior_share, tuning.evidence.prior_observations
     share = prior
-    for _ in range(rules.rounds):
+    for _ in range(_ROUNDS):
         likely = expit(collinear_log_odds(evidence, scene, share, tuning)).sum()
-        share = min((likely + weight * prior) / (count + weight), rules.max_share)
+        share = (likely + weight * prior) / (count + weight)
     return share
 
 

@@ -24,6 +24,9 @@ from trinoc.numerics.tables import take_rows
 from trinoc.numerics.tails import chi_square_tail
 from trinoc.numerics.vectors import complete_axes
 
+# numerical: rounds in which shares are learned, which converge.
+_ROUNDS = 3
+
 
 class Corners(eqx.Module):
     """Where lines meet, and the lines carried there.
@@ -108,7 +111,7 @@ def corner_candidates(
     log_passing = -0.5 * (np.log(2 * np.pi * variance) + distance**2 / variance)
     odds = _learn_odds(m, n, log_passing - np.log(sine * density), stop, count, tuning)
     likely = log_likely(odds, joined.posterior[m // 2] * joined.posterior[n // 2])
-    sure = likely >= np.log(tuning.corners.min_posterior)
+    sure = likely >= np.log(tuning.collinear.min_posterior)
     return np.stack([m, n], axis=1)[sure], likely[sure]
 
 
@@ -138,9 +141,9 @@ def _learn_odds(
     where both ends stop, for each scale of gaps.
     """
     prior, prior_gaps = tuning.junctions.prior_at_junction, np.array(tuning.junctions.prior_gaps)
-    weight = tuning.corners.prior_observations
+    weight = tuning.evidence.prior_observations
     joined, shares = prior, prior_gaps
-    for _ in range(tuning.corners.rounds):
+    for _ in range(_ROUNDS):
         stops = stop @ shares
         odds = log_passing + np.log(stops) + np.log(joined / (1 - joined))
         likely = expit(odds)
@@ -148,7 +151,7 @@ def _learn_odds(
         best = np.zeros(count)
         np.maximum.at(best, m, likely)
         np.maximum.at(best, n, likely)
-        joined = min((best.sum() + weight * prior) / (count + weight), tuning.corners.max_at_corner)
+        joined = (best.sum() + weight * prior) / (count + weight)
         kinds = likely @ (stop * shares / stops[:, None]) + weight * prior_gaps
         shares = kinds / kinds.sum()
     return log_passing + np.log(stop @ shares) + np.log(joined / (1 - joined))
@@ -231,7 +234,7 @@ def _common_point(ends: Ends, together: tuple[int, ...], tuning: MatchTuning) ->
         residuals, lambda point, step: point + step[0], starts.mean(axis=0), steps=2
     )
     square = float(equations.chi_square[0])
-    fits = chi_square_tail(square, 2 * len(chosen) - 3) >= tuning.corners.significance
+    fits = chi_square_tail(square, 2 * len(chosen) - 3) >= tuning.collinear.significance
     near = np.abs(outward_mm(point)) * ends.px_per_mm[chosen] < tuning.junctions.reach_px
     return _Corner(together, point, square) if fits and near.all() else None
 

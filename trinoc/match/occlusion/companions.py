@@ -16,7 +16,6 @@ from scipy.spatial import KDTree
 
 from trinoc.match.candidates.table import Candidates
 from trinoc.match.tuning.every_group import MatchTuning
-from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.numerics.joins import broadcast_groups, expand_ranges, group_sums
 
 # numerical: what a neighbour is: parallel and beside, or going on from an end.
@@ -159,7 +158,7 @@ def _holders(
 def companion_log_odds(
     graph: Companions,
     posterior: Float[np.ndarray, "m"],
-    tuning: OcclusionTuning,
+    tuning: MatchTuning,
     frame: Int[np.ndarray, "m"] | None = None,
     frames: int = 1,
 ) -> Float[np.ndarray, "m"]:
@@ -169,22 +168,22 @@ def companion_log_odds(
     hardly differ, nothing is added.
     """
     gain = np.zeros(len(posterior))
-    prior, usual = tuning.prior_observations, tuning.companion_share
+    rules, prior = tuning.occlusion, tuning.evidence.prior_observations
     for kind in (BESIDE, CONTINUES):
         of_kind = graph.kind == kind
         doubt = np.log1p(-np.minimum(posterior[graph.other[of_kind]], 1 - 1e-6))
         none = np.bincount(graph.site[of_kind], doubt, minlength=len(posterior))
         has = -np.expm1(none)
         right, wrong = (
-            (group_sums(weight * has, frame, frames) + prior * usual)
+            (group_sums(weight * has, frame, frames) + prior * rules.companion_share)
             / (group_sums(weight, frame, frames) + prior)
             for weight in (posterior, 1 - posterior)
         )
         with_one, without = np.log(right / wrong), np.log((1 - right) / (1 - wrong))
-        tells = with_one > tuning.least_companion_ratio
+        tells = with_one > rules.least_companion_ratio
         with_one, without = (
             broadcast_groups(np.where(tells, term, 0.0), frame) for term in (with_one, without)
         )
-        most = tuning.most_companion
+        most = rules.most_companion
         gain += np.clip(has * with_one + (1 - has) * without, -most, most)
     return gain

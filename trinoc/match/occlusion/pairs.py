@@ -56,6 +56,8 @@ from trinoc.numerics.tables import concatenate_rows
 
 # What is known of each frame before its pairs are judged.
 Rates = tuple[MixtureParameters, JunctionParameters]
+# numerical: rounds of marginals, prior and junctions, which converge.
+ROUNDS = 6
 
 
 def match_occluded(
@@ -91,7 +93,7 @@ def occluded_pairs(
     # Where hardly any line is seen in three views, pairs themselves say how they are.
     label = matched.candidates.frame
     label = np.zeros(len(matched.candidates.index), np.int64) if label is None else label
-    alone = np.bincount(label, minlength=frames) < tuning.occlusion.min_tracks_to_learn
+    alone = np.bincount(label, minlength=frames) < tuning.tracks.min_tracks_to_learn
     learned = _learn_rates(selections, tuning)
     several = lines.frame is not None or alone.any()
     bound, agree_px = None, None
@@ -148,7 +150,7 @@ def _likelier_half(
 def _learn_rates(selections: list[Selection], tuning: MatchTuning) -> Rates | None:
     """What three views taught a single frame, if enough."""
     most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
-    if most is None or most.taken.sum() < tuning.occlusion.min_tracks_to_learn:
+    if most is None or most.taken.sum() < tuning.tracks.min_tracks_to_learn:
         return None
     return most.mixture, most.junctions
 
@@ -168,7 +170,7 @@ def _start(
     if most is None:
         return usual
     number = group_sums(most.taken.astype(np.float64), most.candidates.frame, np.size(typical))
-    enough = number >= tuning.occlusion.min_tracks_to_learn
+    enough = number >= tuning.tracks.min_tracks_to_learn
 
     def choose(learned: ArrayLike | float, usual: ArrayLike | float) -> np.ndarray:
         axes = tuple(range(np.ndim(enough), np.ndim(usual)))
@@ -218,18 +220,19 @@ def pairs_beside_lines(
     known = probability(matched.posterior_log_odds)
     frames = np.size(mixture.log_count)
     lines_known = group_sums(known, matched.candidates.frame, frames)
-    share = np.full(np.shape(mixture.log_count), rules.prior_share)
+    prior, weight = rules.prior_share, tuning.evidence.prior_observations
+    share = np.full(np.shape(mixture.log_count), prior)
     density = mixture.log_count - mixture.volume.log_size + np.log(2)
     helped = broadcast_groups(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
     beliefs = None
-    for _ in range(rules.rounds):
+    for _ in range(ROUNDS):
         odds = evidence + broadcast_groups(np.log(share), frame) + gain
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
-        share = (group_sums(posterior, frame, frames) + 1) / (lines_known + 10)
+        share = (group_sums(posterior, frame, frames) + weight * prior) / (lines_known + weight)
         if np.any(helped):
             gain, _ = junction_log_odds(
                 meetings,

@@ -54,13 +54,17 @@ from trinoc.numerics.joins import broadcast_groups, group_sums, take_groups
 # numerical: shares of a line's weight in its own bin of a profile and in each of the two beside
 # it.
 _OWN, _BESIDE = 0.5, 0.25
+# numerical: bins of a profile.
+BINS = 32
+# numerical: rounds of EM, which converge.
+ROUNDS = 10
 
 
 def log_place_among(
     ends_mm: Float[np.ndarray, "m 2 3"],
     posterior: Float[np.ndarray, "m"],
     volume: Volume,
-    tuning: OcclusionTuning,
+    tuning: MatchTuning,
     frame: Int[np.ndarray, "m"] | None = None,
 ) -> Float[np.ndarray, "m"]:
     """Log density of a line at each place, per volume (mm^3) and direction (of 2 pi).
@@ -76,10 +80,10 @@ def log_place_among(
         ends_mm,
         broadcast_groups(volume.centre_mm, frame),
         broadcast_groups(axes, frame),
-        tuning,
+        tuning.occlusion,
     )
-    width, usual = _empty_profile(tuning)
-    frames, prior = np.size(volume.log_size), tuning.prior_observations
+    width, usual = _empty_profile(tuning.occlusion)
+    frames, prior = np.size(volume.log_size), tuning.evidence.prior_observations
     others = broadcast_groups(group_sums(posterior, frame, frames), frame) - posterior
     # Of the volume that coordinates of unit variance span, to that in mm^3.
     total = broadcast_groups(0.5 * np.log(square).sum(axis=-1), frame) - np.log(2 * np.pi)
@@ -87,7 +91,7 @@ def log_place_among(
         first, second = place[:, :, axis].T
         shared = np.where(first == second, _OWN, np.where(abs(first - second) == 1, _BESIDE, 0.0))
         own = posterior / 2 * (_OWN + shared)
-        profile = _profile(first, second, posterior, tuning.place_bins, frame, frames)
+        profile = _profile(first, second, posterior, BINS, frame, frames)
         for bin_ in (first, second):
             count = profile[bin_] if frame is None else profile[frame, bin_]
             share = (np.maximum(count - own, 0.0) + prior * usual[bin_]) / (others + prior)
@@ -105,14 +109,14 @@ def _bins(
     centred = ends_mm - np.expand_dims(centre_mm, -2)
     place = np.einsum("mej,...ij->mei" if axes.ndim == 2 else "mej,mij->mei", centred, axes)
     share = (place / tuning.place_reach + 1) / 2
-    return np.clip(np.floor(share * tuning.place_bins), 0, tuning.place_bins - 1).astype(np.int64)
+    return np.clip(np.floor(share * BINS), 0, BINS - 1).astype(np.int64)
 
 
 def _empty_profile(
     tuning: OcclusionTuning,
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """(width of each bin, share of each before any line is known: a box, and a few beyond)."""
-    bins, reach = tuning.place_bins, tuning.place_reach
+    bins, reach = BINS, tuning.place_reach
     edges, half = np.linspace(-reach, reach, bins + 1), np.sqrt(3.0)
     inside = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0.0)
     usual = (1 - tuning.place_anywhere) * inside / inside.sum() + tuning.place_anywhere / bins
@@ -168,24 +172,24 @@ def learn_rates(
 ) -> PairRates:
     """One round of EM, in each frame."""
     rules, frames = tuning.occlusion, np.size(rates.mixture.log_count)
-    frame = candidates.frame
+    frame, prior = candidates.frame, tuning.evidence.prior_observations
     terms = np.exp(candidates.end_log) * np.expand_dims(broadcast_groups(rates.ends, frame), -2)
     terms /= terms.sum(axis=2, keepdims=True)
     ends = group_sums(posterior[:, None] * terms.sum(axis=1), frame, frames)
-    ends += rules.prior_observations * rates.ends
+    ends += prior * rates.ends
     # Clutter's lengths are spread as t / (length + t)^2.
     borders = np.array([0.0, *rules.length_classes_px])
     below = borders / (borders + np.expand_dims(typical_px, -1))
     usual = np.diff(below, axis=-1, append=1.0)
     in_class = np.eye(len(borders))[length_class(candidates, tuning)]
     count = group_sums(posterior[:, None] * in_class, frame, frames)
-    total, prior = group_sums(posterior, frame, frames), rules.prior_observations
+    total = group_sums(posterior, frame, frames)
     by_length = np.log((count + prior * usual) / (np.expand_dims(total + prior, -1) * usual))
     mixture = rates.mixture._replace(
         volume=fit_volume(candidates.ends_mm, posterior, tuning.evidence, frame, frames),
         log_count=np.log(np.maximum(total, 1.0)),
     )
-    place = log_place_among(candidates.ends_mm, posterior, mixture.volume, rules, frame)
+    place = log_place_among(candidates.ends_mm, posterior, mixture.volume, tuning, frame)
     ends = ends / ends.sum(axis=-1, keepdims=True)
     return PairRates(ends, by_length, mixture, junctions, place)
 
@@ -236,7 +240,7 @@ def pairs_alone(
     beliefs = None
     graph_of_companions, more = None, np.zeros(len(evidence))
     count = np.size(mixture.log_count)
-    for _ in range(rules.rounds_alone):
+    for _ in range(ROUNDS):
         # Where lines meet nowhere, what pairs they make by chance is independent, as odds take it.
         free = 1 - broadcast_groups(rates.junctions.end_at_junction, frame)
         free = np.where(candidates.side_log.any(axis=1), 0.0, rules.offset_unjoined * free)
@@ -247,7 +251,7 @@ def pairs_alone(
         if graph_of_companions is None:
             likely = np.flatnonzero(posterior > rules.companion_likely)
             graph_of_companions = companions(candidates, likely, ends_px, tuning)
-        more = companion_log_odds(graph_of_companions, posterior, rules, frame, count)
+        more = companion_log_odds(graph_of_companions, posterior, tuning, frame, count)
         density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
         gain, junctions = junction_log_odds(
             meetings, posterior, density, rates.junctions, tuning.junctions, frame
@@ -263,7 +267,7 @@ def pairs_alone(
         ends_px,
         candidates.index[chosen],
         probability(tempered[chosen]),
-        rules,
+        tuning,
         take_groups(frame, chosen),
         count,
     )

@@ -22,15 +22,17 @@ from trinoc.match.observations.table import SegmentTable
 from trinoc.match.selection.marginals import Selection, Tracks
 from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.evidence import EvidenceTuning
-from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.numerics.joins import broadcast_groups
+
+# numerical: of more segments of a view, that many are counted, for time.
+MOST_CROSSING = 200
 
 
 def see_through_share(
     ends_px: Float[np.ndarray, "v n 2 2"],
     index: Int[np.ndarray, "m v"],
     posterior: Float[np.ndarray, "m"],
-    tuning: OcclusionTuning,
+    tuning: MatchTuning,
     frame: Int[np.ndarray, "m"] | None = None,
     frames: int = 1,
 ) -> Float[np.ndarray, "f"]:
@@ -43,7 +45,7 @@ def see_through_share(
     share = np.zeros(frames)
     own = np.zeros(len(index), np.int64) if frame is None else frame
     for number in range(frames):
-        rows, found, usual = np.flatnonzero(own == number), 0.0, tuning.prior_observations
+        rows, found, usual = np.flatnonzero(own == number), 0.0, tuning.evidence.prior_observations
         for view, ends in enumerate(ends_px):
             on = rows[index[rows, view] >= 0]
             segment, place = np.unique(index[on, view], return_inverse=True)
@@ -51,8 +53,10 @@ def see_through_share(
             np.maximum.at(weight, place, posterior[on])
             count = len(segment)
             # Evenly among all: they are in order of their place.
-            few = np.linspace(0, count - 1, min(count, tuning.most_crossing)).astype(np.int64)
-            seen, expected = crossings(ends[segment[few]], weight[few], tuning.crossing_margin_px)
+            few = np.linspace(0, count - 1, min(count, MOST_CROSSING)).astype(np.int64)
+            seen, expected = crossings(
+                ends[segment[few]], weight[few], tuning.occlusion.crossing_margin_px
+            )
             found, usual = found + seen, usual + expected
         share[number] = min(found / usual, 1.0)
     return share
@@ -112,7 +116,7 @@ def estimate_bodies(
         np.asarray(lines.ends_px),
         index,
         probability(tracks.posterior_log_odds),
-        tuning.occlusion,
+        tuning,
         tracks.candidates.frame,
         joined.size,
     )

@@ -15,7 +15,6 @@ from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.match.tuning.line_map import (
     CollinearTuning,
     CornerTuning,
-    DepthTuning,
     WireframeTuning,
 )
 from trinoc.match.tuning.occlusion import OcclusionTuning
@@ -49,7 +48,6 @@ class MatchTuning:
     collinear: CollinearTuning = field(default_factory=CollinearTuning)
     corners: CornerTuning = field(default_factory=CornerTuning)
     wireframe: WireframeTuning = field(default_factory=WireframeTuning)
-    depth: DepthTuning = field(default_factory=DepthTuning)
     guided: GuidedTuning = field(default_factory=GuidedTuning)
     cylinders: CylinderTuning = field(default_factory=CylinderTuning)
     rims: RimTuning = field(default_factory=RimTuning)

@@ -8,22 +8,20 @@ class CollinearTuning:
     """Tracks joined to straight lines. Shown by "pairs of tracks joined" and by the errors of lines
     of benchmarks/joined_lines.py."""
 
-    # Tracks are joined where that is as likely as this, and both are right as likely as that.
+    # Tracks are joined, and ends meet, where that is as likely as this; of tracks both are right as
+    # likely as that.
     min_posterior: float = 0.9
     trusted_posterior: float = 0.7
     # Pairs that differ by more than this (chi-square, 4 degrees of freedom) stay apart whatever
     # else is found on their lines. By hand.
     prune_chi_square: float = 60.0
-    # A line that fits its segments as badly as this share of true lines does is none.
+    # A line that fits its segments as badly as this share of true lines does is none, nor a corner
+    # that fits its lines so.
     significance: float = 1e-3
-    # How often a line has another piece before it is known, for so many observations, learned in
-    # so many rounds, and at most. By hand.
+    # How often a line has another piece before it is known. By hand; learned.
     prior_share: float = 0.1
-    prior_observations: float = 10.0
-    rounds: int = 3
-    max_share: float = 0.9
-    # Of pieces that a detector broke, gaps are spread exponentially with this mean, px; the rest
-    # is hidden by something, with gaps of any length. By hand.
+    # Of pieces that a detector broke, gaps are spread exponentially with this mean, px; the rest is
+    # hidden by something, with gaps of any length. By hand.
     break_px: float = 15.0
     broken_share: float = 0.7
     # Pieces of one line lie beside each other so seldom, and do so when they share more than this
@@ -57,20 +55,12 @@ class CollinearTuning:
 
 @dataclass(frozen=True)
 class CornerTuning:
-    """Ends snapped to corners, with `JunctionTuning`. Shown by the corners and the lengths of
+    """Ends snapped to corners, with `JunctionTuning` and what `CollinearTuning`
+    says of both. Shown by the corners and the lengths of
     benchmarks/joined_lines.py."""
 
-    # Ends meet where that is as likely as this, both lines' posteriors included.
-    min_posterior: float = 0.9
-    # Lines pass through one point no worse than this share of true corners do.
-    significance: float = 1e-3
-    # Observations that the prior share of ends at corners counts for, rounds of learning, and the
-    # largest share. By hand.
-    prior_observations: float = 10.0
-    rounds: int = 3
-    max_at_corner: float = 0.95
-    # Standard deviation along its line of where a detector stops, px. By hand; free ends are
-    # 6.9 px off in the median (docs/segments.md).
+    # Standard deviation along its line of where a detector stops, px. By hand; free ends are 6.9 px
+    # off in the median (docs/segments.md).
     free_end_px: float = 7.0
 
 
@@ -83,18 +73,3 @@ class WireframeTuning:
     plane_significance: float = 0.01
     # A loop is a face where its vertices are known across it to this share of its size. By hand.
     plane_doubt: float = 0.1
-    # Sine of the least angle of a corner, and the most edges that a face has. By hand.
-    smallest_sine: float = 0.1
-    most_edges: int = 12
-
-
-@dataclass(frozen=True)
-class DepthTuning:
-    """Faces of depth maps. No benchmark shows it."""
-
-    # Ends nearer than this in the picture are one corner, px; lines nearer to a plane lie in it.
-    # By hand.
-    corner_px: float = 4.0
-    # Sine of the least angle of a corner, and the most edges that a face has. By hand.
-    smallest_sine: float = 0.1
-    most_edges: int = 8

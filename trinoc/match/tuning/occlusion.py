@@ -11,27 +11,21 @@ class OcclusionTuning:
     # In large pictures whose ends meet no others, pairs have an end that agrees by so many times
     # what triples need. By hand: it halves their time.
     ends_reach: float = 3.0
-    # Rounds of marginals, prior and junctions. By hand.
-    rounds: int = 6
-    # With fewer lines than this in three views, nothing is learned from them. By hand.
-    min_tracks_to_learn: int = 10
     # A segment of which less than this is matched may be half of a pair. From the prototype.
     max_matched_share: float = 0.5
     # Pairs before any is known, as a share of the lines matched in three views. By hand; learned.
     prior_share: float = 0.1
     # Probability that a view misses a line within its borders. By hand.
     missed: float = 0.5
-    # Added to the log odds of every pair, so that posteriors match the share that is right:
-    # fitted on made scenes (seeds from 700,000 on), better on four of five kinds of scene.
+    # Added to the log odds of every pair, so that posteriors match the share that is right: fitted
+    # on made scenes (seeds from 700,000 on), better on four of five kinds of scene.
     log_odds_offset: float = 2.25
     # The same in two views, where no third checks: rates of lines by length, of ends and of
-    # junctions, and where lines lie, are learned from the pairs in more rounds, beside so many
-    # usual ones. More is added as fewer ends meet: parts of one body fit each other by more than
-    # chance. All fitted on made scenes (seeds 8,000 to 8,019).
+    # junctions, and where lines lie, are learned from the pairs. More is added as fewer ends meet:
+    # parts of one body fit each other by more than chance. All fitted on made scenes (seeds 8,000
+    # to 8,019).
     log_odds_offset_alone: float = 1.75
     offset_unjoined: float = 0.75
-    rounds_alone: int = 10
-    prior_observations: float = 10.0
     length_classes_px: tuple[float, ...] = (12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 135.0)
     # In two views, however well a pair fits, it is right no oftener than this, where no levels
     # beside segments are known. Fitted on made scenes (seeds 0 to 9).
@@ -45,21 +39,18 @@ class OcclusionTuning:
     pair_temperature: float = 0.2
     solid_offset: float = 3.0
     doubt_turned: float = 7.0
-    # Segments that cross each other do so by more than this beyond either, px; of more segments of
-    # a view than so many, that many are counted, for time. By hand.
+    # Segments that cross each other do so by more than this beyond either, px. By hand.
     crossing_margin_px: float = 3.0
-    most_crossing: int = 200
-    # Profiles of where lines lie: bins, over so many standard deviations to either side; how much
-    # wider the outermost count; what share lies anywhere before a line is known. By hand.
-    place_bins: int = 32
+    # Profiles of where lines lie, over so many standard deviations to either side; how much wider
+    # the outermost bins count; what share lies anywhere before a line is known. By hand.
     place_reach: float = 4.0
     place_beyond: float = 4.0
     place_anywhere: float = 0.1
     # Companions: parallel segments are beside each other at distances between these, px, and
     # segments go on from ends as near as that, px. By hand, as is all that follows: the share of
-    # pairs that have one before any is known; the log ratio of shares below which nothing is
-    # added; the most that is added; and how likely who supports must be at first. Shown by frames
-    # of bars and by curves (benchmarks/companions.py).
+    # pairs that have one before any is known; the log ratio of shares below which nothing is added;
+    # the most that is added; and how likely who supports must be at first. Shown by frames of bars
+    # and by curves (benchmarks/companions.py).
     beside_px: tuple[float, float] = (1.5, 15.0)
     continues_px: float = 8.0
     companion_share: float = 0.05

@@ -144,7 +144,7 @@ def wireframe(
     joined = join_collinear(matches, rig, tuning=tuning)
     corners = snap_corners(joined, tuning=tuning)
     graph = build_graph(joined, corners, tuning.corners.free_end_px)
-    found = snoop_ends(graph, joined.posterior, tuning.corners.significance)
+    found = snoop_ends(graph, joined.posterior, tuning.collinear.significance)
     edges, edge_of_line = _edges(found.graph)
     edge_of_track = edge_of_line[joined.line_of_track]
     fit = end_fit(found.graph, found.answer)
@@ -153,7 +153,7 @@ def wireframe(
         # One track that is no shadow is enough for an edge.
         shadow = _combine_members(np.minimum, 1.0, shadow, edge_of_track)
     solid = np.ones(len(edges), dtype=bool) if shadow is None else shadow <= EVEN
-    loops = find_faces(found.answer, edges[solid], tuning.wireframe)
+    loops = find_faces(found.answer, edges[solid], tuning)
     answer = flatten_faces(found.answer, loops) if flat else found.answer
     faces = [
         fit_plane(answer, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
@@ -168,7 +168,7 @@ def wireframe(
         found.answer,
         joined.px_per_mm,
         tuning.corners.free_end_px,
-        tuning.corners.significance,
+        tuning.collinear.significance,
     )
     return Wireframe(
         vertices_mm=answer.points_mm,

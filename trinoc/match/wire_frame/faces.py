@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.line_map import WireframeTuning
 from trinoc.match.wire_frame.adjustment import AdjustedGraph
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
@@ -54,7 +55,7 @@ class Face(NamedTuple):
 
 
 def find_faces(
-    answer: AdjustedGraph, edges: Int[np.ndarray, "e 2"], tuning: WireframeTuning
+    answer: AdjustedGraph, edges: Int[np.ndarray, "e 2"], tuning: MatchTuning
 ) -> list[Face]:
     """Every loop without a chord that two edges of a vertex begin, in their plane."""
     import networkx
@@ -66,24 +67,24 @@ def find_faces(
             near = _in_plane(answer, np.array([at, first, second]), tuning)
             if near is None:
                 continue
-            loop = _loop(net, near, at, first, second, tuning.most_edges)
+            loop = _loop(net, near, at, first, second)
             if loop is None or frozenset(loop) in found:
                 continue
             face = fit_plane(answer, np.array(loop))
-            if _is_plane(answer, face, tuning):
+            if _is_plane(answer, face, tuning.wireframe):
                 found[frozenset(loop)] = face
     return list(found.values())
 
 
 def _in_plane(
-    answer: AdjustedGraph, corner: Int[np.ndarray, "3"], tuning: WireframeTuning
+    answer: AdjustedGraph, corner: Int[np.ndarray, "3"], tuning: MatchTuning
 ) -> Bool[np.ndarray, "n"] | None:
     """Which vertices may lie in the plane of three; None where these are nearly in a row."""
     points = answer.points_mm
     to_first, to_second = points[corner[1:]] - points[corner[0]]
     normal = np.cross(to_first, to_second)
     size = np.linalg.norm(normal)
-    if size < tuning.smallest_sine * np.linalg.norm(to_first) * np.linalg.norm(to_second):
+    if size < tuning.junctions.smallest_sine * np.linalg.norm(to_first) * np.linalg.norm(to_second):
         return None
     normal = normal / size
     near = np.zeros(len(points), dtype=bool)
@@ -100,13 +101,13 @@ def _in_plane(
         + np.einsum("nk,kl,nl->n", weight, joint[np.ix_(at, at)], weight)
     )
     square = (offset @ normal) ** 2 / np.maximum(variance, np.finfo(float).tiny)
-    near[others] = square < chi_square_limit(tuning.plane_significance, 1)
+    near[others] = square < chi_square_limit(tuning.wireframe.plane_significance, 1)
     near[corner] = True
     return near
 
 
 def _loop(
-    net: "networkx.Graph", near: Bool[np.ndarray, "n"], at: int, first: int, second: int, most: int
+    net: "networkx.Graph", near: Bool[np.ndarray, "n"], at: int, first: int, second: int
 ) -> list[int] | None:
     """The shortest loop in the plane through both edges, None where it has a chord."""
     within = net.subgraph([v for v in net if near[v] and v != at])
@@ -119,9 +120,7 @@ def _loop(
     except networkx.NetworkXNoPath:
         return None
     loop = [at, *way]
-    if len(loop) > most or net.subgraph(loop).number_of_edges() > len(loop):
-        return None
-    return loop
+    return None if net.subgraph(loop).number_of_edges() > len(loop) else loop
 
 
 def fit_plane(

@@ -6,23 +6,17 @@ import pytest
 from tests.match.made import pictures, rig_of
 from trinoc.errors import InputError
 from trinoc.match import depth_map
-from trinoc.match.line_map.depth import find_loops
 from trinoc.match.matcher import match_segments
 
 CORNERS = np.array([[-20, -15, 5], [25, -15, 5], [25, 20, 12], [-20, 20, 12]], dtype=float)
 SQUARE = np.stack([CORNERS, np.roll(CORNERS, -1, axis=0)], axis=1)
 
 
-def test_a_closed_loop_is_one_face_and_an_open_one_none() -> None:
-    (face,) = find_loops(SQUARE, 1.0)
-    assert {tuple(p) for p in face.tolist()} == {tuple(p) for p in CORNERS.tolist()}
-    assert find_loops(SQUARE[:3], 1.0) == []
-
-
-def test_a_bent_loop_is_no_face() -> None:
-    bent = CORNERS.copy()
-    bent[2, 2] += 20
-    assert find_loops(np.stack([bent, np.roll(bent, -1, axis=0)], axis=1), 1.0) == []
+def test_an_open_loop_is_not_filled() -> None:
+    rig = rig_of("upper", "left", "right")
+    matches = match_segments(pictures(rig, SQUARE[:3]), rig, sigma_px=0.1)
+    sparse, filled = (depth_map(matches, rig, "upper", filled=filled) for filled in (False, True))
+    np.testing.assert_array_equal(filled, sparse)
 
 
 def test_depth_is_that_of_the_lines_and_of_the_plane_between() -> None:

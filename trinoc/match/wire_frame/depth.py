@@ -1,0 +1,81 @@
+"""Depth as one view sees it: along the matched lines, and on the faces of their wire frame."""
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from skimage.draw import polygon
+
+from trinoc.geometry.camera import Camera, project
+from trinoc.geometry.rig import Rig
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.wire_frame.build import wireframe
+from trinoc.numerics.precision import in_float64
+
+
+@in_float64
+def depth_map(
+    matches: Matches,
+    rig: Rig,
+    view: str,
+    *,
+    filled: bool = False,
+    tuning: MatchTuning = DEFAULT,
+) -> Float[np.ndarray, "h w"]:
+    """Depth in mm before a camera at each pixel, NaN where nothing is known.
+
+    Along every line that the view sees; with `filled` also inside every face of the wire frame
+    (`wireframe`), whichever views see it, the nearest where several overlap. Nothing is guessed
+    where a loop is not closed. Raises InputError for an unknown view, and with `filled` where the
+    covariance of the fragments is not known.
+    """
+    camera = rig[view]
+    width, height = camera.image_size_px
+    depth = np.full((height, width), np.inf)
+    seen = matches.index[:, matches.views.index(view)] >= 0
+    for line in matches.lines_mm[seen]:
+        _put_line(depth, camera, line)
+    if filled:
+        frame = wireframe(matches, rig, tuning=tuning)
+        for loop in frame.faces:
+            _put_face(depth, camera, frame.vertices_mm[loop])
+    return np.where(np.isfinite(depth), depth, np.nan)
+
+
+def _depths(camera: Camera, points_mm: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+    pose = np.asarray(camera.cam_from_world)
+    return points_mm @ pose[2, :3] + pose[2, 3]
+
+
+def _put_line(depth: Float[np.ndarray, "h w"], camera: Camera, line: np.ndarray) -> None:
+    ends = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, line))
+    samples = max(int(2 * np.linalg.norm(ends[1] - ends[0])), 2)
+    points = line[0] + np.linspace(0, 1, samples)[:, None] * (line[1] - line[0])
+    uv = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, points))
+    _put(depth, np.rint(uv[:, 1]), np.rint(uv[:, 0]), _depths(camera, points))
+
+
+def _put_face(depth: Float[np.ndarray, "h w"], camera: Camera, face: np.ndarray) -> None:
+    if (_depths(camera, face) <= 0).any():
+        return
+    uv = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, face))
+    rows, columns = polygon(uv[:, 1], uv[:, 0], depth.shape)
+    normalise = jax.vmap(camera.intrinsics.normalised_from_pixel)
+    normalised = np.asarray(normalise(np.stack([columns, rows], axis=1).astype(np.float64)))
+    rays = np.concatenate([normalised, np.ones((len(rows), 1))], axis=1)
+    pose = np.asarray(camera.cam_from_world)
+    corners = face @ pose[:, :3].T + pose[:, 3]
+    centre = corners.mean(axis=0)
+    normal = np.linalg.svd(corners - centre)[2][2]
+    with np.errstate(divide="ignore"):
+        _put(depth, rows, columns, (centre @ normal) / (rays @ normal))
+
+
+def _put(
+    depth: Float[np.ndarray, "h w"], rows: np.ndarray, columns: np.ndarray, value: np.ndarray
+) -> None:
+    """The nearer of what is there and what comes."""
+    height, width = depth.shape
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width) & (value > 0)
+    place = rows[inside].astype(np.int64), columns[inside].astype(np.int64)
+    np.minimum.at(depth, place, value[inside])
