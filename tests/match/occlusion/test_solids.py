@@ -46,10 +46,10 @@ def test_odds_of_tracks_keep_order_and_sign_and_shrink_as_more_ends_meet(noisy, 
 def test_where_all_ends_meet_and_nothing_is_seen_through_odds_have_their_temperature(noisy) -> None:
     solid, rules = Bodies(1.0, 0.0), DEFAULT.occlusion
     tracks = of_tracks(noisy.seen.lines, solid)
-    np.testing.assert_allclose(tracks, rules.track_temperature * ODDS)
+    np.testing.assert_allclose(tracks, rules.solid_temperature * ODDS)
     # What the turn takes off is the same for all.
     pairs = of_pairs(0.4, solid, UNKNOWN)
-    np.testing.assert_allclose(np.diff(pairs), rules.pair_temperature * np.diff(ODDS))
+    np.testing.assert_allclose(np.diff(pairs), rules.solid_temperature * np.diff(ODDS))
 
 
 def test_pairs_of_solids_are_less_likely_as_the_viewpoint_turns_unless_levels_are_known() -> None:

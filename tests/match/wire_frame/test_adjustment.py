@@ -134,11 +134,11 @@ def test_where_a_line_stops_is_known_by_its_own_variance_and_the_detectors() -> 
 
 def test_vertices_beside_a_plane_are_in_it_as_far_as_all_four_err() -> None:
     """Three corners of a square and its middle, which is a mean of two of them."""
-    tuning, sigma_mm = DEFAULT.wireframe, 0.1
+    tuning, sigma_mm = DEFAULT, 0.1
     places = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [5, 5, 0]])
     # Of the middle less the mean of the second and the third.
     of_offset = sigma_mm * np.sqrt(1 + 0.25 + 0.25)
-    limit = np.sqrt(chi_square_limit(tuning.plane_significance, 1)) * of_offset
+    limit = np.sqrt(chi_square_limit(tuning.collinear.significance, 1)) * of_offset
     for share, inside in ((0.95, True), (1.05, False)):
         points = places.copy()
         points[3, 2] = share * limit

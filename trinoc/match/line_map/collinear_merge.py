@@ -69,9 +69,8 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     Two tracks are one line where that is at least 0.9 likely, and 0.7 that both are right: their
     difference under their covariances against how dense parallel and other lines are
     thereabouts, and how wide the gap is in pixels. The line then must fit all segments of all
-    its tracks, at a level of 0.001. Tracks that lie beside each other join as others do, but
-    more must speak for it. A segment that serves several tracks of a line counts once. Where
-    the misfit of most tracks says that segments err by more than they state, all covariances
+    its tracks, at a level of 0.001. A segment that serves several tracks of a line
+    counts once. Where the misfit of most tracks says that segments err by more than they state, all covariances
     are that much larger; and in few cases segments err by up to four times as much.
 
     Raises InputError where the covariance of the fragments is not known.
@@ -99,11 +98,11 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
         apart,
         np.maximum(parallel[one], parallel[other]),
         ((pieces.index[one] == pieces.index[other]) & (pieces.index[one] >= 0)).any(axis=1),
-        gap_mm(pieces.common_mm[one], pieces.common_mm[other], rules),
+        gap_mm(pieces.common_mm[one], pieces.common_mm[other]),
         (pieces.px_per_mm[one] + pieces.px_per_mm[other]) / 2,
     )
     share = _learn_share(evidence, scene, len(order), tuning)
-    surely_others = apart.square > rules.prune_chi_square
+    surely_others = apart.square > rules.different
     alone = [
         _Group(
             (t,),
@@ -164,21 +163,17 @@ def _agglomerate(
     return list(alive.values())
 
 
-def _least_gaps(
-    ones: list[_Group], others: list[_Group], tuning: CollinearTuning
-) -> Float[np.ndarray, "p"]:
-    """The smallest gap between a piece of one and a piece of the other, -1 beside each other."""
+def _least_gaps(ones: list[_Group], others: list[_Group]) -> Float[np.ndarray, "p"]:
+    """The smallest gap between a piece of one and a piece of the other."""
     rows, first, second = [], [], []
     for row, (one, other) in enumerate(zip(ones, others, strict=True)):
         for piece in one.common_mm:
             rows.extend([row] * len(other.common_mm))
             first.extend([piece] * len(other.common_mm))
             second.extend(other.common_mm)
-    gap = gap_mm(np.array(first), np.array(second), tuning)
-    least, beside = np.full(len(ones), np.inf), np.zeros(len(ones), dtype=bool)
-    np.minimum.at(least, rows, np.where(gap < 0, np.inf, gap))
-    np.logical_or.at(beside, rows, gap < 0)
-    return np.where(beside, -1.0, least)
+    least = np.full(len(ones), np.inf)
+    np.minimum.at(least, rows, gap_mm(np.array(first), np.array(second)))
+    return least
 
 
 def _learn_share(
@@ -210,7 +205,7 @@ def _odds(ones: list[_Group], others: list[_Group], problem: _Problem) -> Float[
         apart,
         np.array([max(a.parallel, b.parallel) for a, b in both]),
         np.array([not a.segments.isdisjoint(b.segments) for a, b in both]),
-        _least_gaps(ones, others, problem.tuning.collinear),
+        _least_gaps(ones, others),
         np.array([scale[[*a.tracks, *b.tracks]].mean() for a, b in both]),
     )
     return collinear_log_odds(evidence, problem.scene, problem.share, problem.tuning)

@@ -84,17 +84,12 @@ def difference(
 
 
 def gap_mm(
-    first_mm: Float[np.ndarray, "p 2 3"],
-    second_mm: Float[np.ndarray, "p 2 3"],
-    tuning: CollinearTuning = DEFAULT.collinear,
+    first_mm: Float[np.ndarray, "p 2 3"], second_mm: Float[np.ndarray, "p 2 3"]
 ) -> Float[np.ndarray, "p"]:
-    """Length between pieces, two by two: 0 where they touch, -1 where they lie side by side."""
+    """Length between pieces, two by two: 0 where they touch or lie side by side."""
     unit = _common_direction(first_mm, second_mm)
     (low, high), (other_low, other_high) = (_extent(unit, ends).T for ends in (first_mm, second_mm))
-    gap = np.maximum(low, other_low) - np.minimum(high, other_high)
-    shorter = np.minimum(high - low, other_high - other_low)
-    beside = -gap > tuning.beside_overlap * shorter
-    return np.where(beside, -1.0, np.maximum(gap, 0.0))
+    return np.maximum(np.maximum(low, other_low) - np.minimum(high, other_high), 0.0)
 
 
 class CollinearEvidence(NamedTuple):
@@ -126,9 +121,8 @@ def collinear_log_odds(
     in_plane = np.log(scene.size / (np.sqrt(2 * np.pi) * apart.shift_sigma))
     in_plane += _log_tailed(apart.square, 4, tail) - _log_tailed(np.zeros(1), 4, tail)
     break_px, broken = rules.break_px, rules.broken_share
-    breaks = np.exp(-np.maximum(gap, 0) * px_per_mm / break_px) * px_per_mm / break_px
-    gaps = broken * breaks * scene.size + 1 - broken
-    along = np.log(np.where(gap >= 0, gaps, rules.beside_share))
+    breaks = np.exp(-gap * px_per_mm / break_px) * px_per_mm / break_px
+    along = np.log(broken * breaks * scene.size + 1 - broken)
     return along + np.where(shared, in_plane, np.log(share) - others)
 
 
@@ -205,12 +199,12 @@ def line_density(
 class NearbyLines(NamedTuple):
     """Pairs of lines that may be one, and the distances of others that run beside each.
 
-    pairs : (p, 2) the first less than the second. beside_mm : (t, k) of the nearest parallel
-        lines that are not among the pairs, inf where there are fewer.
+    pairs : (p, 2) the first less than the second. beside_mm : (t,) of the nearest parallel line
+        that is not among the pairs, inf where there is none.
     """
 
     pairs: Int[np.ndarray, "p 2"]
-    beside_mm: Float[np.ndarray, "t k"]
+    beside_mm: Float[np.ndarray, "t"]
 
 
 def nearby_lines(
@@ -224,9 +218,9 @@ def nearby_lines(
     length = np.linalg.norm(way, axis=1)
     unit = way / length[:, None]
     sigma = np.sqrt(_across_variance(unit, covariance_mm2))
-    angle = np.radians(tuning.parallel_deg) + tuning.parallel_sigmas * sigma / length
+    angle = np.radians(tuning.parallel_deg) + tuning.gate_sigmas * sigma / length
     angle = np.minimum(angle, np.radians(tuning.widest_deg))
-    pairs, beside = [], np.full((count, tuning.nearest), np.inf)
+    pairs, beside = [], np.full(count, np.inf)
     for rows in blocks(count, ROWS_IN_BLOCK):
         cosine = np.minimum(np.abs(unit[rows] @ unit.T), 1.0)
         limit = np.maximum(angle[rows, None], angle)
@@ -241,7 +235,7 @@ def nearby_lines(
         known = sigma[i] * (1 + 2 * reach / length[i]) + sigma[j] * (1 + 2 * reach / length[j])
         close = distance < tuning.gate_sigmas * known
         pairs.append(np.stack([i, j], axis=1)[close & (i < j)])
-        _keep_nearest(beside, i[~close], distance[~close])
+        np.minimum.at(beside, i[~close], distance[~close])
     return NearbyLines(np.concatenate(pairs), beside)
 
 
@@ -255,24 +249,9 @@ def parallel_density(
     beside = near.beside_mm.copy()
     other = apart.square > tuning.different
     for side in (0, 1):
-        _keep_nearest(beside, near.pairs[other, side], apart.shift[other])
-    local = tuning.nearest / (np.pi * beside[:, -1] ** 2 + np.finfo(float).tiny)
+        np.minimum.at(beside, near.pairs[other, side], apart.shift[other])
+    local = 1 / (np.pi * beside**2 + np.finfo(float).tiny)
     return np.maximum(local, max(float(np.median(local)), 1 / scene.size**2))
-
-
-def _keep_nearest(
-    beside_mm: Float[np.ndarray, "t k"],
-    row: Int[np.ndarray, "q"],
-    distance: Float[np.ndarray, "q"],
-) -> None:
-    """Put into `beside_mm` what is nearer than what is there."""
-    row = np.concatenate([np.repeat(np.arange(len(beside_mm)), beside_mm.shape[1]), row])
-    distance = np.concatenate([beside_mm.reshape(-1), distance])
-    order = np.lexsort((distance, row))
-    row, distance = row[order], distance[order]
-    rank = np.arange(len(row)) - np.searchsorted(row, row)
-    keep = rank < beside_mm.shape[1]
-    beside_mm[row[keep], rank[keep]] = distance[keep]
 
 
 def _across_variance(

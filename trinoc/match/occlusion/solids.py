@@ -133,7 +133,7 @@ def temper_tracks(
     own = broadcast_groups(share, candidates.frame)
     posterior, rivals = (
         _temper_log_odds(
-            log_odds, candidates.side_log, own, rules.track_temperature, tuning.evidence
+            log_odds, candidates.side_log, own, rules.solid_temperature, tuning.evidence
         )
         for log_odds in (tracks.posterior_log_odds, tracks.rival_posterior)
     )
@@ -152,7 +152,7 @@ def temper_pairs(
     beside segments tell edges apart."""
     rules, solid = tuning.occlusion, bodies.joined * (1 - bodies.through)
     turned = solid * (rules.solid_offset - rules.doubt_turned * crossing_sine)
-    given = posterior_log_odds, side_log, solid, rules.pair_temperature, tuning.evidence
+    given = posterior_log_odds, side_log, solid, rules.solid_temperature, tuning.evidence
     return _temper_log_odds(*given) + np.where(side_log.any(axis=1), 0.0, turned)
 
 

@@ -12,11 +12,8 @@ class CollinearTuning:
     # likely as that.
     min_posterior: float = 0.9
     trusted_posterior: float = 0.7
-    # Pairs that differ by more than this (chi-square, 4 degrees of freedom) stay apart whatever
-    # else is found on their lines. By hand.
-    prune_chi_square: float = 60.0
     # A line that fits its segments as badly as this share of true lines does is none, nor a corner
-    # that fits its lines so.
+    # that fits its lines so, nor a face its vertices.
     significance: float = 1e-3
     # How often a line has another piece before it is known. By hand; learned.
     prior_share: float = 0.1
@@ -24,21 +21,15 @@ class CollinearTuning:
     # hidden by something, with gaps of any length. By hand.
     break_px: float = 15.0
     broken_share: float = 0.7
-    # Pieces of one line lie beside each other so seldom, and do so when they share more than this
-    # of the shorter. By hand.
-    beside_share: float = 0.1
-    beside_overlap: float = 0.3
-    # Lines within this angle, degrees, or within so many sigmas of it, count as parallel, but not
+    # Lines within this angle, degrees, or within `gate_sigmas` of it, count as parallel, but not
     # beyond the widest, degrees. By hand.
     parallel_deg: float = 3.0
-    parallel_sigmas: float = 3.0
     widest_deg: float = 20.0
     # Lines further apart than this are not compared; those that differ by this chi-square (4
-    # degrees of freedom) are surely others, and tell how dense parallel lines are. By hand.
+    # degrees of freedom) are surely others, stay apart, and tell how dense parallel lines are. By
+    # hand.
     gate_sigmas: float = 6.0
     different: float = 25.0
-    # So many nearest parallel lines tell how dense they are. By hand.
-    nearest: int = 2
     # Segments err by more than they say: by one of these factors, in so many cases. Fitted to the
     # segments of 18 rendered scenes (seeds 0 to 11 and 200 to 205). Smaller errors are not assumed,
     # so that no covariance is smaller than the segments' own. How often they do is learned from
@@ -55,9 +46,8 @@ class CollinearTuning:
 
 @dataclass(frozen=True)
 class CornerTuning:
-    """Ends snapped to corners, with `JunctionTuning` and what `CollinearTuning`
-    says of both. Shown by the corners and the lengths of
-    benchmarks/joined_lines.py."""
+    """Ends snapped to corners, with `JunctionTuning` and `CollinearTuning`. Shown by the corners
+    and the lengths of benchmarks/joined_lines.py."""
 
     # Standard deviation along its line of where a detector stops, px. By hand; free ends are 6.9 px
     # off in the median (docs/segments.md).
@@ -69,7 +59,5 @@ class WireframeTuning:
     """Faces of the wire frame, with `CornerTuning` for what fits its corner. Shown by
     benchmarks/wireframe.py."""
 
-    # Vertices lie in one plane no worse than this share of true faces do.
-    plane_significance: float = 0.01
     # A loop is a face where its vertices are known across it to this share of its size. By hand.
     plane_doubt: float = 0.1

@@ -30,13 +30,12 @@ class OcclusionTuning:
     # In two views, however well a pair fits, it is right no oftener than this, where no levels
     # beside segments are known. Fitted on made scenes (seeds 0 to 9).
     most_alone: float = 0.98
-    # Temperature of tracks where all ends meet, and by how much less it counts of bodies that are
-    # seen through; that of pairs of solids; what is added to their log odds, and taken off by the
-    # sine of the angle between the interpretation planes (`solids.py`). All fitted on made scenes,
-    # blocks on a table, see-through boxes and loose segments (seeds from 1,100,000 on).
-    track_temperature: float = 0.15
+    # Temperature of tracks and pairs where all ends meet, and by how much less it counts of tracks
+    # of bodies that are seen through; what is added to log odds of pairs of solids, and taken off
+    # by the sine of the angle between the interpretation planes (`solids.py`). All fitted on made
+    # scenes, blocks on a table, see-through boxes and loose segments (seeds from 1,100,000 on).
+    solid_temperature: float = 0.15
     seen_through_gain: float = 0.3
-    pair_temperature: float = 0.2
     solid_offset: float = 3.0
     doubt_turned: float = 7.0
     # Segments that cross each other do so by more than this beyond either, px. By hand.

@@ -134,7 +134,7 @@ def wireframe(
     level of 0.001 is let go, the worst first, and stays as a free end. It is named in `let_go`, as
     is an end that stops beside a corner, within 7 pixels, but does not run through it. Lines
     between the same two vertices are one edge. A face is a shortest loop of three edges or more
-    whose vertices lie in one plane at a level of 0.01; with `flat` they are then held to it.
+    whose vertices lie in one plane at that level, too; with `flat` they are then held to it.
     An edge that is likely the boundary of a shadow (the mark "shadow") stays and bounds no face.
 
     Free ends are where detectors stopped: along its edge each has a standard deviation of 7 pixels

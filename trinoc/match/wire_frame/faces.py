@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.tuning.every_group import MatchTuning
-from trinoc.match.tuning.line_map import WireframeTuning
 from trinoc.match.wire_frame.adjustment import AdjustedGraph
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.tails import chi_square_limit, chi_square_tail
@@ -71,7 +70,7 @@ def find_faces(
             if loop is None or frozenset(loop) in found:
                 continue
             face = fit_plane(answer, np.array(loop))
-            if _is_plane(answer, face, tuning.wireframe):
+            if _is_plane(answer, face, tuning):
                 found[frozenset(loop)] = face
     return list(found.values())
 
@@ -101,7 +100,7 @@ def _in_plane(
         + np.einsum("nk,kl,nl->n", weight, joint[np.ix_(at, at)], weight)
     )
     square = (offset @ normal) ** 2 / np.maximum(variance, np.finfo(float).tiny)
-    near[others] = square < chi_square_limit(tuning.wireframe.plane_significance, 1)
+    near[others] = square < chi_square_limit(tuning.collinear.significance, 1)
     near[corner] = True
     return near
 
@@ -172,15 +171,15 @@ def _least_normal(points_mm: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "3"]
     return np.linalg.svd(points_mm)[2][2]
 
 
-def _is_plane(answer: AdjustedGraph, face: Face, tuning: WireframeTuning) -> bool:
+def _is_plane(answer: AdjustedGraph, face: Face, tuning: MatchTuning) -> bool:
     """Whether the vertices lie in the plane, and are known well enough to tell."""
     points = answer.points_mm[face.loop]
     variance = np.diagonal(_variance_along(face.plane[:3], answer.joint(face.loop)))
     size = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
-    if np.sqrt(variance.max()) > tuning.plane_doubt * size:
+    if np.sqrt(variance.max()) > tuning.wireframe.plane_doubt * size:
         return False
     tail = chi_square_tail(face.chi_square, max(face.degrees, 1))
-    return face.degrees == 0 or bool(tail >= tuning.plane_significance)
+    return face.degrees == 0 or bool(tail >= tuning.collinear.significance)
 
 
 def _variance_along(
