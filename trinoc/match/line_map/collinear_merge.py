@@ -70,8 +70,8 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     difference under their covariances against how dense parallel and other lines are
     thereabouts, and how wide the gap is in pixels. The line then must fit all segments of all
     its tracks, at a level of 0.001. A segment that serves several tracks of a line
-    counts once. Where the misfit of most tracks says that segments err by more than they state, all covariances
-    are that much larger; and in few cases segments err by up to four times as much.
+    counts once. Where the misfit of most tracks says that segments err by more than they state,
+    all covariances are that much larger; and in few cases segments err by up to four times as much.
 
     Raises InputError where the covariance of the fragments is not known.
     """
