@@ -14,6 +14,7 @@ from trinoc.match.occlusion.companions import (
     picture_neighbours,
 )
 from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.numerics.tables import with_field
 
 # A bar of two sides 5 px apart, a piece that goes on from the first, and a stranger.
 PICTURE = np.array(
