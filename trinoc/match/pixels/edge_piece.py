@@ -26,18 +26,14 @@ class Place(NamedTuple):
     """Fields
     ------
     middle : (n, 2) of the first and the second half, in blocks along the probe.
-    offset_px, variance_px2 : (n, 2) across at these, the variance from noise and from what is not
-        straight.
-    asymmetry : (n, 2) how far the two shoulders differ there, as a share of the ridge's height.
-    width_px : (n, 2) standard deviation there of the ridge, as a Gaussian, across the edge.
+    offset_px, variance_px2 : (n, 2) across at these, the variance from noise, from what is not
+        straight, and from other edges, which make the two shoulders differ.
     contrast : (n,) grey levels of the step.
     """
 
     middle: Float[np.ndarray, "n 2"]
     offset_px: Float[np.ndarray, "n 2"]
     variance_px2: Float[np.ndarray, "n 2"]
-    asymmetry: Float[np.ndarray, "n 2"]
-    width_px: Float[np.ndarray, "n 2"]
     contrast: Float[np.ndarray, "n"]
 
 
@@ -54,11 +50,7 @@ def estimate_extent(
     blocks of a window may hold no edge.
     """
     gain = (own * mean[:, None] - 0.5 * mean[:, None] ** 2) / growth
-    gain = np.where(
-        usable,
-        np.clip(gain, -DEFAULT.guided.most_of_block, DEFAULT.guided.most_of_block),
-        -4 * DEFAULT.guided.most_of_block,
-    )
+    gain = np.where(usable, gain, -np.inf)
     blocks, cuts = np.arange(BLOCKS), np.arange(BLOCKS + 1)
     right = np.where(blocks >= half[:, None], gain, 0.0)
     left = np.where(blocks < half[:, None], gain, 0.0)
@@ -83,15 +75,15 @@ def _spread(log: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n"]:
 
 def locate_edge(
     across: Float[np.ndarray, "n o b"],
-    column: Int[np.ndarray, "n b"],
-    at: Int[np.ndarray, "n b"],
+    at_px: Int[np.ndarray, "n"],
     extent: Extent,
     variance: Float[np.ndarray, "n"],
 ) -> Place:
-    """Where the edge lies in either half, by a log-parabola; `column` and `at` are where its line
-    is at every block, `variance` is that of one block in the sum of many."""
-    beside = np.array([-SHOULDER, -1, 0, 1, SHOULDER])[:, None]
-    near = np.take_along_axis(across, column[:, None] + beside, axis=1)
+    """Where the edge lies in either half, by a log-parabola about its line, which is at `at_px`;
+    `variance` is that of one block in the sum of many."""
+    beside = np.array([-SHOULDER, -1, 0, 1, SHOULDER])
+    column = (at_px + across.shape[1] // 2)[:, None] + beside
+    near = np.take_along_axis(across, column[..., None], axis=1)
     halves = _halves(extent)
     inside = halves.max(axis=1)
     top = np.maximum((near[:, 2] * inside).sum(axis=1) / inside.sum(axis=1), _LEAST_TOP)
@@ -102,11 +94,11 @@ def locate_edge(
     # The difference of two places, 2 px apart, has about the ridge's own variance.
     of_block = variance / (2 * bend * top) ** 2
     weight = halves * alone[:, None]
-    middle, offset = _middles(weight, extent), _offsets(weight, near, at, bend, top)
+    middle, offset = _middles(weight, extent), _offsets(weight, near, at_px, bend, top)
     means = weight @ near.mT / weight.sum(axis=2, keepdims=True)
     own = of_block[:, None] * (weight**2).sum(axis=2) / weight.sum(axis=2) ** 2
     quarters = _quarters(halves) * alone[:, None]
-    apart = _offsets(quarters, near, at, bend, top) - _on_line(quarters, middle, offset)
+    apart = _offsets(quarters, near, at_px, bend, top) - _on_line(quarters, middle, offset)
     noise = (
         of_block[:, None] * (quarters**2).sum(axis=2) / np.maximum(quarters.sum(axis=2), 1e-9) ** 2
     )
@@ -114,14 +106,9 @@ def locate_edge(
     bow = np.where(quarters.sum(axis=2) > 0, np.maximum(apart**2 - 3 * noise, 0.0), 0.0).mean(
         axis=1
     )
-    return Place(
-        middle,
-        offset,
-        own + bow[:, None],
-        (means[..., 4] - means[..., 0]) / top[:, None],
-        1 / np.sqrt(_parabola(means, np.maximum(means[..., 2], _LEAST_TOP))[1]),
-        height_of_step(top, 1 / bend),
-    )
+    pull = DEFAULT.guided.pull_px * (means[..., 4] - means[..., 0]) / top[:, None]
+    own += bow[:, None] + pull**2 + DEFAULT.guided.floor_px**2
+    return Place(middle, offset, own, height_of_step(top, 1 / bend))
 
 
 def _parabola(
@@ -135,7 +122,7 @@ def _parabola(
 def _offsets(
     weight: Float[np.ndarray, "n k b"],
     near: Float[np.ndarray, "n p b"],
-    at: Int[np.ndarray, "n b"],
+    at_px: Int[np.ndarray, "n"],
     bend: Float[np.ndarray, "n"],
     top: Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "n k"]:
@@ -143,10 +130,8 @@ def _offsets(
     total = np.maximum(weight.sum(axis=2), 1e-9)
     means = (weight @ near.mT) / total[..., None]
     rise, _ = _parabola(means, np.broadcast_to(top[:, None], total.shape))
-    shift = np.clip(
-        rise / bend[:, None], -DEFAULT.guided.most_shift_px, DEFAULT.guided.most_shift_px
-    )
-    return (weight @ at[..., None])[..., 0] / total + shift
+    # The parabola is that of places up to 1 px away.
+    return at_px[:, None] + np.clip(rise / bend[:, None], -1.0, 1.0)
 
 
 def _on_line(

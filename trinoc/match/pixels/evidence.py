@@ -1,8 +1,8 @@
 """Whether a picture shows an edge at a known place and in a known direction.
 
-All windows of blocks, and all lines within the gate, shifted across and turned a little, are tests
-of their own, and are counted. Of
-the edges that are sure the nearest to the known place is taken, since others may lie beside it.
+All windows of blocks, and all lines within the gate, shifted across, are tests of their own, and
+are counted. Of the edges that are sure the nearest to the known place is taken, since others may
+lie beside it.
 """
 
 from typing import NamedTuple
@@ -30,10 +30,8 @@ from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import take_rows
 from trinoc.numerics.tails import normal_limit
 
-# numerical: how far the line's two ends lie on different sides of the probe, px.
-TILTS = np.array([-2, 0, 2])
-# numerical: places of the lines' middles across, px.
-MIDDLES = np.arange(-REACH, REACH + 1, dtype=np.int8)
+# numerical: places of the lines across, px.
+_ACROSS = np.arange(-REACH, REACH + 1)
 
 
 class WindowEvidence(NamedTuple):
@@ -74,22 +72,12 @@ class Band(NamedTuple):
     known: Bool[np.ndarray, "n b"]
 
 
-class ProbeLines(NamedTuple):
-    """Lines of all tilts, and of each all middles: l of them beside every probe.
-
-    shift : (n, t, b) what each tilt adds at every block, -1, 0 or 1 px.
-    at : (n, l, b) where each line is across, px.
-    """
-
-    shift: Int[np.ndarray, "n t b"]
-    at: Int[np.ndarray, "n l b"]
-
-
 class Tests(NamedTuple):
-    """Of windows x on lines l: score : (n, l, x), with sign. whole : whether it was one at all."""
+    """Of windows x on the lines r: score : (n, r, x), with sign. whole : whether it was one at
+    all."""
 
-    score: Float[np.ndarray, "n l x"]
-    whole: Bool[np.ndarray, "n l x"]
+    score: Float[np.ndarray, "n r x"]
+    whole: Bool[np.ndarray, "n r x"]
 
 
 def search_windows(
@@ -107,21 +95,20 @@ def search_windows(
     the picture's noise, and `growth` is g(n) of every window's size.
     """
     band = prepare_band(by_uv, least, places)
-    lines = list_lines(band.known)
-    tests = sum_windows(band, lines, growth, gate_px, latest)
+    tests = sum_windows(band, growth, gate_px, latest)
     number = tests.whole.sum(axis=(1, 2))
-    limit = normal_limit(DEFAULT.guided.usual / 2 / np.maximum(number, 1))
+    limit = normal_limit(DEFAULT.guided.weak / 2 / np.maximum(number, 1))
     size = np.where(tests.whole, np.abs(tests.score), 0.0).max(axis=(1, 2))
     probe = np.flatnonzero(size > limit)
-    band, lines, tests = take_rows((band, lines, tests), probe)
-    good = tests.whole & is_edge(band, lines, tests, growth)
-    best = nearest_of_surest(lines, tests.score, good, near_px[probe])
+    band, tests = take_rows((band, tests), probe)
+    good = tests.whole & is_edge(band, tests)
+    best = nearest_of_surest(tests.score, good, near_px[probe])
     row = np.flatnonzero(good.any(axis=(1, 2)))
-    band, lines = take_rows((band, lines), row)
+    band = take_rows(band, row)
     line, window = np.divmod(best[row], tests.score.shape[2])
     score, probe = tests.score[row, line, window], probe[row]
     sign = np.sign(score).astype(np.float64)
-    extent, place = measure_piece(band, lines, line, window, sign, gate_px[probe], growth)
+    extent, place = measure_piece(band, line, window, sign, growth)
     return WindowEvidence(
         probe,
         np.abs(score).astype(np.float64),
@@ -142,105 +129,54 @@ def prepare_band(by_uv: Float[np.ndarray, "2 h w"], least: float, places: Sample
 
 def sum_windows(
     band: Band,
-    lines: ProbeLines,
     growth: Float[np.ndarray, "k"],
     gate_px: Float[np.ndarray, "n"],
     latest: Int[np.ndarray, "n"],
 ) -> Tests:
     """The sum of the ridge over every window on every line."""
-    height = np.pad(band.height, ((0, 0), (1, 1), (0, 0)))
-    sums = windows(on_lines(height, lines)) / band.sigma[:, None, None]
-    begins = latest[:, None] >= WINDOW_FIRST
-    whole = whole_windows(blocks_in_gate(lines, band.known, gate_px)) & begins[:, None]
-    return Tests(sums / window_spread(growth), whole)
+    sums = windows(band.height) / band.sigma[:, None, None]
+    begins = (latest[:, None] >= WINDOW_FIRST) & whole_windows(band.known)
+    near = np.abs(_ACROSS) <= gate_px[:, None]
+    return Tests(sums / window_spread(growth), near[..., None] & begins[:, None])
 
 
-def is_edge(
-    band: Band, lines: ProbeLines, tests: Tests, growth: Float[np.ndarray, "k"]
-) -> Bool[np.ndarray, "n l x"]:
+def is_edge(band: Band, tests: Tests) -> Bool[np.ndarray, "n r x"]:
     """Whether the gradient across is largest on a line itself, and hardly any goes along it."""
-    count = len(band.sigma)
-    across = windows(on_lines(band.across, lines, REACH + 1))
-    size = np.abs(across).reshape(count, len(TILTS), len(MIDDLES) + 2, len(WINDOW_FIRST))
-    top = (size[:, :, 1:-1] >= size[:, :, :-2]) & (size[:, :, 1:-1] >= size[:, :, 2:])
-    own = across.reshape(size.shape)[:, :, 1:-1].reshape(tests.score.shape)
-    along = np.abs(windows(on_lines(band.along, lines)))
-    noise = DEFAULT.guided.oblique_sigmas * band.sigma[:, None, None] * window_spread(growth)
-    straight = along < DEFAULT.guided.oblique_share * np.abs(own) + noise
-    return top.reshape(own.shape) & straight & ((own > 0) == (tests.score > 0))
+    across = windows(band.across[:, SHOULDER - 1 : 1 - SHOULDER])
+    size, own = np.abs(across), across[:, 1:-1]
+    top = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:])
+    along = np.abs(windows(band.along[:, SHOULDER:-SHOULDER]))
+    straight = along < DEFAULT.guided.oblique_share * np.abs(own)
+    return top & straight & ((own > 0) == (tests.score > 0))
 
 
 def nearest_of_surest(
-    lines: ProbeLines,
-    score: Float[np.ndarray, "n l x"],
-    good: Bool[np.ndarray, "n l x"],
+    score: Float[np.ndarray, "n r x"],
+    good: Bool[np.ndarray, "n r x"],
     near_px: Float[np.ndarray, "n"],
 ) -> Int[np.ndarray, "n"]:
     """Line and window as one number: of edges that are sure the nearest, of others the surest."""
-    row, line, window = np.nonzero(good)
-    size = np.abs(score[row, line, window])
-    ends = (lines.at[row, line, end[window]] for end in (WINDOW_FIRST, WINDOW_LAST))
-    off = np.maximum(*np.abs(np.stack(list(ends)))) / np.maximum(near_px, 0.3)[row]
-    value = np.full(score.shape, -np.inf)
-    value[row, line, window] = (
-        np.minimum(size, DEFAULT.guided.sure_score) ** 2 + 2 * np.log1p(size) - off**2
-    )
-    count, number, kinds = score.shape
-    return value.reshape(count, number * kinds).argmax(axis=1)
+    size = np.abs(score)
+    off = _ACROSS / np.maximum(near_px, 0.3)[:, None]
+    value = np.minimum(size, DEFAULT.guided.sure_score) ** 2 + 2 * np.log1p(size)
+    value = np.where(good, value - (off**2)[..., None], -np.inf)
+    count, lines, kinds = score.shape
+    return value.reshape(count, lines * kinds).argmax(axis=1)
 
 
 def measure_piece(
     band: Band,
-    lines: ProbeLines,
     line: Int[np.ndarray, "n"],
     window: Int[np.ndarray, "n"],
     sign: Float[np.ndarray, "n"],
-    gate_px: Float[np.ndarray, "n"],
     growth: Float[np.ndarray, "k"],
 ) -> tuple[Extent, Place]:
     """The edge that shows best in one window on one line: as far as it goes on, and its place."""
-    at = lines.at[np.arange(len(line)), line]
-    column = np.clip(at, -REACH, REACH) + REACH
-    own = np.take_along_axis(band.height, column[:, None], axis=1)[:, 0]
-    own = (sign / band.sigma)[:, None] * own
+    own = (sign / band.sigma)[:, None] * band.height[np.arange(len(line)), line]
     blocks = np.arange(BLOCKS)
     inside = (blocks >= WINDOW_FIRST[window, None]) & (blocks <= WINDOW_LAST[window, None])
     mean = (own * inside).sum(axis=1) / WINDOW_SIZE[window]
-    usable = blocks_in_gate(lines, band.known, gate_px)[np.arange(len(line)), line]
     half = WINDOW_FIRST[window] + WINDOW_SIZE[window] // 2
-    extent = estimate_extent(own, mean, usable, half, growth[0])
+    extent = estimate_extent(own, mean, band.known, half, growth[0])
     across = sign[:, None, None] * band.across
-    return extent, locate_edge(across, column + SHOULDER, at, extent, growth[2] * band.sigma**2)
-
-
-def list_lines(known: Bool[np.ndarray, "n b"]) -> ProbeLines:
-    """All lines; they are turned about the middle of what is known of the probe."""
-    first = known.argmax(axis=1)[:, None]
-    last = BLOCKS - 1 - known[:, ::-1].argmax(axis=1)[:, None]
-    place = (np.arange(BLOCKS) - (first + last) / 2) / (last - first + 1)
-    shift = np.clip(np.rint(TILTS[:, None] * place[:, None]), -1, 1).astype(np.int8)
-    at = MIDDLES[:, None] + shift[:, :, None]
-    return ProbeLines(shift, at.reshape(len(known), -1, BLOCKS))
-
-
-def on_lines(
-    part: Float[np.ndarray, "n o b"], lines: ProbeLines, reach: int = REACH
-) -> Float[np.ndarray, "n l b"]:
-    """What `part`, whose middle column is the probe itself, holds on lines up to `reach` across."""
-    middle = part.shape[1] // 2
-    left, own, right = (
-        part[:, middle - reach + step : middle + reach + step + 1] for step in (-1, 0, 1)
-    )
-    held = [
-        np.where(turn > 0, right, np.where(turn < 0, left, own))
-        for turn in lines.shift.transpose(1, 0, 2)[:, :, None]
-    ]
-    return np.concatenate(held, axis=1)
-
-
-def blocks_in_gate(
-    lines: ProbeLines, known: Bool[np.ndarray, "n b"], gate_px: Float[np.ndarray, "n"]
-) -> Bool[np.ndarray, "n l b"]:
-    """Which blocks of each line are inside, and within the gate."""
-    gate = np.minimum(gate_px, REACH)[:, None, None]
-    return (np.abs(lines.at) <= gate) & known[:, None]
+    return extent, locate_edge(across, line - REACH, extent, growth[2] * band.sigma**2)

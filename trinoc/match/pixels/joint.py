@@ -1,9 +1,8 @@
 """What all pictures answer about one line that may be there, taken together."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -40,29 +39,13 @@ def query_pictures(
     pictures: list[PictureInput],
     ends_mm: Float[np.ndarray, "n 2 3"],
     covariance_mm2: Float[np.ndarray, "n 6 6"],
-    wanted: Bool[np.ndarray, "n v"],
     tuning: GuidedTuning,
 ) -> EdgeQuery:
-    """The pictures about the lines for which they are `wanted`; the others show nothing."""
-    columns = []
-    for view, picture in enumerate(pictures):
-        rows = np.flatnonzero(wanted[:, view])
-        part = _of_view(picture, ends_mm[rows], covariance_mm2[rows], tuning)
-        columns.append(tuple(_spread_out(column, rows, len(ends_mm)) for column in part))
+    """All pictures about the lines."""
+    columns = [_of_view(picture, ends_mm, covariance_mm2, tuning) for picture in pictures]
     answers = [column[0] for column in columns]
     rest = [np.stack(list(part), axis=1) for part in zip(*(c[1:] for c in columns), strict=True)]
     return EdgeQuery(answers, *rest)
-
-
-def _spread_out(column: Any, rows: np.ndarray, count: int) -> Any:
-    """Rows of zeros between those of an array, or of all arrays of a table."""
-
-    def one(array: np.ndarray) -> np.ndarray:
-        whole = np.zeros((count, *array.shape[1:]), array.dtype)
-        whole[rows] = array
-        return whole
-
-    return jax.tree.map(one, column)
 
 
 def _of_view(

@@ -17,16 +17,14 @@ from trinoc.geometry.intrinsics import distort_pixels
 from trinoc.geometry.projection import project_by_matrix
 from trinoc.match.pixels.joint import Proposals, propose_lines, query_pictures
 from trinoc.match.pixels.partners import (
-    Hypotheses,
     joined_ends,
     locate_corners,
     mm_per_px,
     propose_partners,
 )
 from trinoc.match.pixels.probes import REACH
-from trinoc.match.pixels.state import GuidedTracks, State, build_tables, refit_tracks, with_segments
+from trinoc.match.pixels.state import GuidedTracks, State, refit_tracks, with_segments
 from trinoc.match.pixels.views import PictureInput
-from trinoc.match.tracks.assembly import direction_doubt
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.numerics.tables import concatenate_rows, take_rows
@@ -58,8 +56,7 @@ def with_new_lines(
     if not promising.any():
         return state, 0, before_mm
     hypotheses = take_rows(hypotheses, promising)
-    wanted = _looks(pictures, hypotheses.ends_mm) > tuning.asked_sigmas
-    found = query_pictures(pictures, hypotheses.ends_mm, hypotheses.covariance_mm2, wanted, tuning)
+    found = query_pictures(pictures, hypotheses.ends_mm, hypotheses.covariance_mm2, tuning)
     sizes = [picture.size_px for picture in pictures]
     proposals = propose_lines(state, found, hypotheses, sizes, len(promising), tuning)
     return *with_accepted(state, proposals, tuning), before_mm
@@ -90,7 +87,7 @@ def _promising(
     for view, picture in enumerate(pictures):
         used = np.unique(state.tracks.index[:, view])
         matched = state.segments[view].ends_px[used[used >= 0]]
-        rest.append(mask_segments(picture, matched, tuning.matched_width_px))
+        rest.append(mask_segments(picture, matched, 2 * REACH + 1))
     return (_looks(rest, lines_mm) > tuning.plausible_sigmas).sum(axis=1) >= 2
 
 
@@ -227,7 +224,7 @@ def with_accepted(state: State, proposals: Proposals, tuning: GuidedTuning) -> t
         if count and _are_on_tracks(state, one, tuning).any():
             continue
         grown, new = _try_line(state, one, tuning)
-        if new.misfit[0] > tuning.gate or not _is_where_sought(grown, new, one.asked_for, tuning):
+        if new.misfit[0] > tuning.gate or not np.isfinite(new.ends_mm).all():
             continue
         state = grown._replace(tracks=concatenate_rows([state.tracks, new]))
         count += 1
@@ -267,23 +264,3 @@ def _unlocated_track(
     """A track whose line is where it was asked for."""
     unknown = np.zeros((1, 6, 6)), np.zeros(1), np.zeros((*index.shape, 2))
     return GuidedTracks(index, log_odds, line_mm, *unknown)
-
-
-def _is_where_sought(
-    state: State, new: GuidedTracks, asked_for: Hypotheses, tuning: GuidedTuning
-) -> bool:
-    """Whether its views locate a new line, and where it was asked for: near its line, and from
-    about a corner on."""
-    doubt = direction_doubt(build_tables(state).lines, new.index)
-    if not np.isfinite(new.ends_mm).all() or doubt[0] >= tuning.largest_doubt:
-        return False
-    begin, end = asked_for.ends_mm[0]
-    length = np.linalg.norm(end - begin)
-    unit = (end - begin) / length
-    along = (new.ends_mm[0] - begin) @ unit
-    across = np.linalg.norm(new.ends_mm[0] - begin - along[:, None] * unit, axis=1)
-    gap = along.min()
-    if asked_for.ends_in_corner[0]:
-        gap = min(gap, length - along.max())
-    near = across < tuning.as_asked_px * mm_per_px(state, new.ends_mm[0])
-    return bool(near.all() and gap < tuning.corner_gap * length)

@@ -1,4 +1,4 @@
-"""Lines that may be there: from a corner parallel to a line near it, and from corner to corner."""
+"""Lines that may be there: from a corner, parallel to a line near it."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,6 @@ from scipy.spatial import KDTree
 from trinoc.match.pixels.state import State
 from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.numerics.joins import group_labels
-from trinoc.numerics.tables import concatenate_rows, take_rows
 
 
 class JoinedEnds(NamedTuple):
@@ -88,25 +87,38 @@ class Hypotheses(NamedTuple):
     ------
     ends_mm : (n, 2, 3) where a line may begin, which is a corner, and where it may end.
     covariance_mm2 : (n, 6, 6) of them.
-    ends_in_corner : (n,) whether its end is a corner, too.
     """
 
     ends_mm: Float[np.ndarray, "n 2 3"]
     covariance_mm2: Float[np.ndarray, "n 6 6"]
-    ends_in_corner: Bool[np.ndarray, "n"]
 
 
 def propose_partners(
     state: State, ends: JoinedEnds, corners: LocatedCorners, tuning: GuidedTuning
 ) -> Hypotheses:
-    """Of both kinds, without those where a line begins already."""
+    """From each corner both ways along lines near it, one of each direction, without those where a
+    line begins already."""
     taken = _directions(state, ends, len(corners.place_mm))
-    both = concatenate_rows(
-        [_parallel(state, corners, taken, tuning), _join_nearest_corners(corners, taken, tuning)]
-    )
-    size = mm_per_px(state, both.ends_mm.mean(axis=1))
-    long = np.linalg.norm(both.ends_mm[:, 1] - both.ends_mm[:, 0], axis=1)
-    return take_rows(both, long > tuning.shortest_px * size)
+    tracks = state.tracks
+    way = tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0]
+    length = np.linalg.norm(way, axis=1)
+    corner, line = _near_lines(state, corners, tuning)
+    corner, line = np.tile(corner, 2), np.tile(line, 2)
+    side = np.repeat([1.0, -1.0], len(line) // 2)
+    unit = side[:, None] * (way / length[:, None])[line]
+    free = _free(taken, corner, unit, tuning)
+    corner, line, unit = corner[free], line[free], unit[free]
+    reach = tuning.longer * length[line]
+    blocks = tracks.covariance_mm2[line].reshape(-1, 2, 3, 2, 3)
+    turn = blocks[:, 0, :, 0] + blocks[:, 1, :, 1] - blocks[:, 0, :, 1] - blocks[:, 1, :, 0]
+    turn = tuning.longer**2 * turn
+    turn += (reach * np.radians(tuning.parallel_deg))[:, None, None] ** 2 * np.eye(3)
+    start = corners.place_mm[corner]
+    covariance = np.tile(corners.covariance_mm2[corner], (1, 2, 2))
+    covariance[:, 3:, 3:] += turn
+    ends = np.stack([start, start + reach[:, None] * unit], axis=1)
+    long = reach > tuning.shortest_px * mm_per_px(state, ends.mean(axis=1))
+    return Hypotheses(ends[long], covariance[long])
 
 
 def _directions(state: State, ends: JoinedEnds, corners: int) -> Float[np.ndarray, "c k 3"]:
@@ -133,36 +145,10 @@ def _free(
     return alike <= np.cos(np.radians(tuning.same_direction_deg))
 
 
-def _parallel(
-    state: State, corners: LocatedCorners, taken: Float[np.ndarray, "c k 3"], tuning: GuidedTuning
-) -> Hypotheses:
-    """From each corner both ways along lines near it, one of each direction."""
-    tracks = state.tracks
-    way = tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0]
-    length = np.linalg.norm(way, axis=1)
-    corner, line = _near_lines(state, corners, tuning)
-    corner, line = np.tile(corner, 2), np.tile(line, 2)
-    side = np.repeat([1.0, -1.0], len(line) // 2)
-    unit = side[:, None] * (way / length[:, None])[line]
-    free = _free(taken, corner, unit, tuning)
-    corner, line, unit = corner[free], line[free], unit[free]
-    reach = tuning.longer * length[line]
-    blocks = tracks.covariance_mm2[line].reshape(-1, 2, 3, 2, 3)
-    turn = blocks[:, 0, :, 0] + blocks[:, 1, :, 1] - blocks[:, 0, :, 1] - blocks[:, 1, :, 0]
-    turn = tuning.longer**2 * turn
-    turn += (reach * np.radians(tuning.parallel_deg))[:, None, None] ** 2 * np.eye(3)
-    start = corners.place_mm[corner]
-    covariance = np.tile(corners.covariance_mm2[corner], (1, 2, 2))
-    covariance[:, 3:, 3:] += turn
-    ends = np.stack([start, start + reach[:, None] * unit], axis=1)
-    return Hypotheses(ends, covariance, np.zeros(len(ends), dtype=bool))
-
-
 def _near_lines(
     state: State, corners: LocatedCorners, tuning: GuidedTuning
 ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """(corner, line): of the lines nearest to each corner, and of the usual ones, the longest of
-    each direction."""
+    """(corner, line): of the lines nearest to each corner the longest of each direction."""
     ends = state.tracks.ends_mm
     way = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(way, axis=1)
@@ -176,34 +162,11 @@ def _near_lines(
     one = first_of_each(corner * len(length) + line)
     corner, line = corner[one], line[one]
     few = np.arange(len(corner)) - np.searchsorted(corner, corner) < tuning.partners
-    usual = largest_families(family, length, tuning.usual_directions)
-    every = np.arange(len(corners.place_mm))
-    corner = np.concatenate([corner[few], np.repeat(every, len(usual))])
-    line = np.concatenate([line[few], np.tile(usual, len(every))])
+    corner, line = corner[few], line[few]
     longest = np.argsort(-length[line], kind="stable")
     corner, line = corner[longest], line[longest]
     one = first_of_each(corner * len(length) + family[line])
     return corner[one], line[one]
-
-
-def _join_nearest_corners(
-    corners: LocatedCorners, taken: Float[np.ndarray, "c k 3"], tuning: GuidedTuning
-) -> Hypotheses:
-    """From each corner to those nearest to it."""
-    most = min(tuning.corners + 1, len(corners.place_mm))
-    near = np.asarray(KDTree(corners.place_mm).query(corners.place_mm, most)[1])
-    one, other = np.repeat(np.arange(len(near)), most), near.reshape(-1)
-    pair = np.unique(np.sort(np.stack([one, other], axis=1), axis=1), axis=0)
-    one, other = pair[pair[:, 0] != pair[:, 1]].T
-    step = corners.place_mm[other] - corners.place_mm[one]
-    unit = step / np.maximum(np.linalg.norm(step, axis=1), 1e-9)[:, None]
-    free = _free(taken, one, unit, tuning) & _free(taken, other, -unit, tuning)
-    one, other = one[free], other[free]
-    covariance = np.zeros((len(one), 6, 6))
-    covariance[:, :3, :3] = corners.covariance_mm2[one]
-    covariance[:, 3:, 3:] = corners.covariance_mm2[other]
-    places = np.stack([corners.place_mm[one], corners.place_mm[other]], axis=1)
-    return Hypotheses(places, covariance, np.ones(len(places), dtype=bool))
 
 
 def parallel_families(
@@ -217,17 +180,6 @@ def parallel_families(
             alike = np.abs(unit @ unit[line]) > np.cos(np.radians(same_deg))
             family[alike & (family < 0)] = family.max() + 1
     return family
-
-
-def largest_families(
-    family: Int[np.ndarray, "t"], length: Float[np.ndarray, "t"], count: int
-) -> Int[np.ndarray, "k"]:
-    """Of the longest families of three lines or more, the line of median length."""
-    number, total = np.bincount(family), np.bincount(family, length)
-    largest = [k for k in np.argsort(-total, kind="stable").tolist() if number[k] >= 3][:count]
-    members = [np.flatnonzero(family == k) for k in largest]
-    middle = [own[np.argsort(length[own], kind="stable")[len(own) // 2]] for own in members]
-    return np.array(middle, dtype=np.int64)
 
 
 def first_of_each(key: Int[np.ndarray, "n"]) -> Int[np.ndarray, "k"]:

@@ -8,7 +8,6 @@ from jaxtyping import Float, Int, Shaped
 
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
-from trinoc.match.pixels.edge_piece import Place
 from trinoc.match.pixels.evidence import WindowEvidence, search_windows
 from trinoc.match.pixels.probes import (
     NEXT,
@@ -38,9 +37,7 @@ class PictureInput(NamedTuple):
     by_uv : (2, h, w) gradient.
     noise : standard deviation of the gradient from noise.
     least : the same of one block's ridge.
-    growth : (k,) what windows of correlated noise sum up to, see `false_alarms.py`.
-    usual_px : how wide the ridges of edges are here, see `with_usual_width`; infinite where nobody
-        knows.
+    growth : (k,) what windows of correlated noise sum up to, see `measure_growth`.
     """
 
     name: str
@@ -51,7 +48,6 @@ class PictureInput(NamedTuple):
     noise: float
     least: float
     growth: Float[np.ndarray, "k"]
-    usual_px: float = np.inf
 
 
 class EdgeResponse(NamedTuple):
@@ -61,22 +57,18 @@ class EdgeResponse(NamedTuple):
     ------
     log_chance : (n,) logarithm of the probability that noise shows as much in the best of all
         tests of this probe (at most 0).
-    log_one : (n,) the same of one test.
     sign : (n,) +1 where it is brighter on the right of the way.
     ends_px : (n, 2, 2) ends of the edge, undistorted.
     covariance_px2 : (n, 4, 4) of them.
     along_px : (n, 2) where the ends lie along the probe.
-    width_px : (n, 2) of its ridge, in the first and the second half.
     contrast : (n,) grey levels of the step. tests : (n,) how many were made.
     """
 
     log_chance: Float[np.ndarray, "n"]
-    log_one: Float[np.ndarray, "n"]
     sign: Float[np.ndarray, "n"]
     ends_px: Float[np.ndarray, "n 2 2"]
     covariance_px2: Float[np.ndarray, "n 4 4"]
     along_px: Float[np.ndarray, "n 2"]
-    width_px: Float[np.ndarray, "n 2"]
     contrast: Float[np.ndarray, "n"]
     tests: Float[np.ndarray, "n"]
 
@@ -130,7 +122,7 @@ def ask(
         return _nothing(0)
     whole = concatenate_rows(found)
     return spread_out(
-        _answer(picture.usual_px, ends_px[whole.probe], block_px[whole.probe], whole),
+        _answer(ends_px[whole.probe], block_px[whole.probe], whole),
         whole.probe,
         len(ends_px),
     )
@@ -145,13 +137,11 @@ def spread_out(answer: EdgeResponse, rows: Int[np.ndarray, "n"], count: int) -> 
 
 
 def _nothing(count: int) -> EdgeResponse:
-    zero, ends = np.zeros(count), np.zeros((count, 2, 2))
-    rest = np.zeros((count, 4, 4)), *np.zeros((2, count, 2)), *np.zeros((2, count))
-    return EdgeResponse(zero.copy(), zero.copy(), zero.copy(), ends, *rest)
+    shapes = (), (), (2, 2), (4, 4), (2,), (), ()
+    return EdgeResponse(*(np.zeros((count, *shape)) for shape in shapes))
 
 
 def _answer(
-    usual_px: float,
     ends_px: Float[np.ndarray, "n 2 2"],
     block_px: Float[np.ndarray, "n"],
     found: WindowEvidence,
@@ -168,13 +158,7 @@ def _answer(
     share = (along - middle[:, :1]) / apart[:, None]
     weight = np.stack([1 - share, share], axis=2)
     across = (weight @ place.offset_px[:, :, None])[..., 0]
-    own = place.variance_px2 + DEFAULT.guided.floor_px**2
-    own += (
-        DEFAULT.guided.pull_px
-        * np.clip(np.abs(place.asymmetry) - DEFAULT.guided.unpulled_share, 0.0, 2.0)
-    ) ** 2
-    own += _neighbour_variance_px2(place, usual_px)
-    spread = np.einsum("nij,nj,nkj->nik", weight, own, weight)
+    spread = np.einsum("nij,nj,nkj->nik", weight, place.variance_px2, weight)
     end_sigma = extent.sigma * block_px[:, None]
     covariance = np.einsum("nef,ni,nj->neifj", spread, right, right)
     for end in (0, 1):
@@ -185,42 +169,12 @@ def _answer(
     one = log_chance(found.score, found.excess)
     return EdgeResponse(
         np.minimum(one + np.log(np.maximum(found.tests, 1.0)), 0.0),
-        one,
         found.sign,
         places,
         covariance.reshape(-1, 4, 4),
         along,
-        place.width_px,
         place.contrast,
         found.tests,
-    )
-
-
-def _neighbour_variance_px2(place: Place, usual_px: float) -> Float[np.ndarray, "n 2"]:
-    """Variance of the place of ridges that are wider than usual, so that another edge may be in
-    them."""
-    wider = np.log(np.maximum(place.width_px / usual_px, 1.0))
-    beyond_noise = np.maximum(
-        wider**2 - DEFAULT.guided.widening_by_noise**2 * place.variance_px2, 0.0
-    )
-    return np.square(DEFAULT.guided.hidden_widths * place.width_px) * beyond_noise
-
-
-def with_usual_width(
-    picture: PictureInput, segments_px: Float[np.ndarray, "n 2 2"]
-) -> PictureInput:
-    """The picture with the median width of the ridges on its segments (undistorted pixels).
-
-    A sliver of a face, or the shadow under an edge, that is narrower than the blur makes one ridge
-    of two edges, whose top lies between them. That it is wider than others is its only sign.
-    """
-    length = np.linalg.norm(segments_px[:, 1] - segments_px[:, 0], axis=1)
-    longest = np.sort(np.argsort(-length, kind="stable")[: DEFAULT.guided.longest_segments])
-    gate = np.full(len(longest), DEFAULT.guided.usual_gate_px)
-    answer = ask(picture, segments_px[longest], gate, gate / 2, np.full(len(longest), np.inf))
-    width = answer.width_px[answer.contrast > 0].reshape(-1)
-    return picture._replace(
-        usual_px=float(np.median(width)) if len(width) >= DEFAULT.guided.fewest_segments else np.inf
     )
 
 

@@ -8,7 +8,7 @@ class GuidedTuning:
     """Pictures asked again where lines must be. Shown by benchmarks/guided.py."""
 
     # Rounds at most; they end where nothing is added. By hand.
-    rounds: int = 3
+    rounds: int = 2
     # False alarms from noise that are expected in one picture, one round and one kind of question.
     false_alarms: float = 0.05
     # Only lines surer than this are lengthened, log odds. By hand.
@@ -42,15 +42,10 @@ class GuidedTuning:
     # noise, apart from what lies within this width, px, of matched segments. By hand, for time:
     # lines that were put out showed 1.5 and more.
     plausible_sigmas: float = 1.2
-    # Then all pictures that show so much are asked, and the others show nothing. By hand.
-    asked_sigmas: float = 0.7
-    matched_width_px: int = 5
     # Directions nearer than this are one, degrees.
     same_direction_deg: float = 4.0
-    usual_directions: int = 3
     parallel_deg: float = 0.3
     longer: float = 1.2
-    corners: int = 8
     # Beside a projected line an edge is looked for within so many standard deviations, and so much
     # more, px. By hand.
     reach_sigmas: float = 2.5
@@ -64,13 +59,8 @@ class GuidedTuning:
     # How likely a line is that a quick look has chosen, and how likely a picture is to miss one.
     # By hand, on seeds 0 to 11.
     prior_new: float = 0.05
-    # A new line is put out from these log odds on, where its views locate it as well as this, and
-    # so near to where it was asked for, px, and no further from a corner than this share of what
-    # was asked for. By hand.
+    # A new line is put out from these log odds on.
     new_log_odds: float = 1.0
-    largest_doubt: float = 0.5
-    as_asked_px: float = 4.0
-    corner_gap: float = 0.35
     # An edge in one picture counts beside a sure one in another where noise shows as much so
     # seldom.
     weak: float = 0.01
@@ -78,22 +68,15 @@ class GuidedTuning:
     # Standard deviation of the smoothing, px: with the blur of usual pictures the profile of an
     # edge is some 1.5 px wide. By hand.
     smoothing_px: float = 1.2
-    # What one block may say for or against an edge that goes on, log likelihood; most that the
-    # ridge of either half may lie off its line, px. By hand.
-    most_of_block: float = 4.0
-    most_shift_px: float = 1.5
     # A block whose shoulders differ by this share of the ridge's height more than by noise, which
     # is as much again, has half the weight: another edge is beside it. By hand.
-    unlike_share: float = 0.1
+    unlike_share: float = 0.05
     # Score above which an edge is no surer for being stronger: the nearest of such is the line's
     # own. By hand.
     sure_score: float = 8.0
-    # An edge that crosses the line has a gradient along it: at most this share of that across, and
-    # what noise adds to it, in standard deviations. By hand.
-    oblique_share: float = 0.15
-    oblique_sigmas: float = 1.5
-    # What noise shows more often than this, in the best of all tests of a probe, is no evidence.
-    usual: float = 0.1
+    # An edge that crosses the line has a gradient along it: at most this share of that across. By
+    # hand.
+    oblique_share: float = 0.3
     # In a quick look one place counts so many standard deviations of noise at most. By hand.
     most_of_place: float = 3.0
     # Of the place across, what noise does not explain: sampling and interpolation, px; and how far
@@ -101,19 +84,6 @@ class GuidedTuning:
     # height, beyond what shading makes. On edges of rendered pictures, seeds 0 to 11 and others.
     floor_px: float = 0.03
     pull_px: float = 0.7
-    unpulled_share: float = 0.05
-    # How far a second edge, too near to make a ridge of its own, moves the ridge of both: in widths
-    # of it for each unit of the logarithm by which it is wider than is usual in the picture. And
-    # what noise makes of that logarithm, for each px that it moves the ridge (their standard
-    # deviations). On edges of rendered pictures, seeds 0 to 11 and 200 to 205, that thresholds of 7
-    # to 26 hid.
-    hidden_widths: float = 1.0
-    widening_by_noise: float = 0.8
-    # So many of the longest segments tell the usual width of ridges, if so many of them are found
-    # again so near, px. By hand.
-    longest_segments: int = 48
-    fewest_segments: int = 6
-    usual_gate_px: float = 1.0
     # Blocks of a probe tell their sigma like so many independent ones; below this excess it is
     # chance. By hand.
     block_degrees: int = 12
