@@ -28,12 +28,14 @@ class Place(NamedTuple):
     middle : (n, 2) of the first and the second half, in blocks along the probe.
     offset_px, variance_px2 : (n, 2) across at these, the variance from noise, from what is not
         straight, and from other edges, which make the two shoulders differ.
+    width_px : (n, 2) standard deviation there of the ridge, as a Gaussian, across the edge.
     contrast : (n,) grey levels of the step.
     """
 
     middle: Float[np.ndarray, "n 2"]
     offset_px: Float[np.ndarray, "n 2"]
     variance_px2: Float[np.ndarray, "n 2"]
+    width_px: Float[np.ndarray, "n 2"]
     contrast: Float[np.ndarray, "n"]
 
 
@@ -108,7 +110,8 @@ def locate_edge(
     )
     pull = DEFAULT.guided.pull_px * (means[..., 4] - means[..., 0]) / top[:, None]
     own += bow[:, None] + pull**2 + DEFAULT.guided.floor_px**2
-    return Place(middle, offset, own, height_of_step(top, 1 / bend))
+    width = 1 / np.sqrt(_parabola(means, np.maximum(means[..., 2], _LEAST_TOP))[1])
+    return Place(middle, offset, own, width, height_of_step(top, 1 / bend))
 
 
 def _parabola(

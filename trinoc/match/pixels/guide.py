@@ -14,7 +14,7 @@ from trinoc.match.observations.pictures_of_views import check_pictures, segments
 from trinoc.match.pixels.new_lines import with_new_lines
 from trinoc.match.pixels.prolong import prolong_segments
 from trinoc.match.pixels.state import State, build_tables, ends_are_swapped, initial_state
-from trinoc.match.pixels.views import PictureInput, picture_inputs
+from trinoc.match.pixels.views import PictureInput, picture_inputs, with_usual_width
 from trinoc.match.tracks.answers import MATCHED
 from trinoc.match.tracks.assembly import flag_viewpoint_dependent
 from trinoc.match.tracks.line_fit import (
@@ -82,6 +82,10 @@ def guide_matches(
     given = segments_of_views("Guided detection", matches.views, segments)
     inputs = picture_inputs(rig, {name: pictures[name] for name in matches.views})
     before = initial_state(matches, given, rig)
+    inputs = [
+        with_usual_width(picture, shown.ends_px)
+        for picture, shown in zip(inputs, before.segments, strict=True)
+    ]
     after, added = rounds(before, inputs, tuning.guided)
     tables = collect_segments(before, after, given)
     return GuidedMatches(tables, join_matches(after, matches, added, tuning))

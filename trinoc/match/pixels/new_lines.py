@@ -17,6 +17,7 @@ from trinoc.geometry.intrinsics import distort_pixels
 from trinoc.geometry.projection import project_by_matrix
 from trinoc.match.pixels.joint import Proposals, propose_lines, query_pictures
 from trinoc.match.pixels.partners import (
+    Hypotheses,
     joined_ends,
     locate_corners,
     mm_per_px,
@@ -224,7 +225,7 @@ def with_accepted(state: State, proposals: Proposals, tuning: GuidedTuning) -> t
         if count and _are_on_tracks(state, one, tuning).any():
             continue
         grown, new = _try_line(state, one, tuning)
-        if new.misfit[0] > tuning.gate or not np.isfinite(new.ends_mm).all():
+        if new.misfit[0] > tuning.gate or not _is_where_sought(grown, new, one.asked_for, tuning):
             continue
         state = grown._replace(tracks=concatenate_rows([state.tracks, new]))
         count += 1
@@ -264,3 +265,13 @@ def _unlocated_track(
     """A track whose line is where it was asked for."""
     unknown = np.zeros((1, 6, 6)), np.zeros(1), np.zeros((*index.shape, 2))
     return GuidedTracks(index, log_odds, line_mm, *unknown)
+
+
+def _is_where_sought(
+    state: State, new: GuidedTracks, asked_for: Hypotheses, tuning: GuidedTuning
+) -> bool:
+    """Whether a new line lies as near to where it was asked for as ends that meet."""
+    begin, end = asked_for.ends_mm[0]
+    off = new.ends_mm[0] - begin
+    across = np.linalg.norm(np.cross(off, (end - begin) / np.linalg.norm(end - begin)), axis=1)
+    return bool((across < tuning.meet_px * mm_per_px(state, new.ends_mm[0])).all())

@@ -1,7 +1,7 @@
 """Segments of matched lines lengthened to where the edge ends, and gaps closed.
 
 Beyond each end of a matched segment the picture is asked along its own line, whose place is known
-better than any projection. A segment is lengthened no further than a second view shows the line.
+better than any projection.
 """
 
 import numpy as np
@@ -11,32 +11,26 @@ from trinoc.geometry.projection import project_by_matrix
 from trinoc.match.pixels.partners import joined_ends
 from trinoc.match.pixels.state import State, ViewSegments, refit_tracks, with_view
 from trinoc.match.pixels.views import EdgeResponse, PictureInput, ask
-from trinoc.match.tracks.line_fit import positions_abreast
 from trinoc.match.tuning.guided import GuidedTuning
+from trinoc.numerics.tables import take_rows
 
 
 def prolong_segments(
     state: State, pictures: list[PictureInput], tuning: GuidedTuning
 ) -> tuple[State, int]:
     """(the state with longer segments, how many ends have moved)."""
-    found = [_beyond(state, view, picture, tuning) for view, picture in enumerate(pictures)]
-    changed, moved = state, 0
-    for view, (ends, answer, hit) in enumerate(found):
-        allowed = _largest_extension(state, found, view)
+    changed = state
+    for view, picture in enumerate(pictures):
+        ends, answer = _beyond(state, view, picture, tuning)
         own = state.segments[view]
         table = [own.ends_px.copy(), own.covariance_px2.copy(), own.contrast, own.guided.copy()]
-        for row in np.flatnonzero(hit).tolist():
-            segment, end = ends[row].tolist()
-            length = min(answer.along_px[row, 1], allowed[row])
-            if length < tuning.least_gain_px:
-                continue
-            ends_px, covariance = lengthen(
-                table[0][segment], table[1][segment], end, length, answer, row
+        for row, (segment, end) in enumerate(ends.tolist()):
+            table[0][segment], table[1][segment] = lengthen(
+                table[0][segment], table[1][segment], end, answer, row
             )
-            table[0][segment], table[1][segment], table[3][segment] = ends_px, covariance, True
-            moved += 1
+            table[3][segment] = True
         changed = with_view(changed, view, own._make(table))
-    return _undo_disagreements(state, changed, tuning) if moved else (state, 0)
+    return _undo_disagreements(state, changed, tuning)
 
 
 def _undo_disagreements(state: State, changed: State, tuning: GuidedTuning) -> tuple[State, int]:
@@ -55,37 +49,28 @@ def _undo_disagreements(state: State, changed: State, tuning: GuidedTuning) -> t
         ]
         changed = with_view(changed, view, ViewSegments(*table))
         moved += int((changed.segments[view].ends_px != own.ends_px).any(axis=(1, 2)).sum())
-    if not moved:
-        return state, 0
-    return refit_tracks(changed, state.tracks) if worse.any() else trial, moved
+    return refit_tracks(changed, state.tracks), moved
 
 
 def _beyond(
     state: State, view: int, picture: PictureInput, tuning: GuidedTuning
-) -> tuple[np.ndarray, EdgeResponse, Bool[np.ndarray, "n"]]:
-    """(segment and end, the answers beyond them, which are edges)."""
+) -> tuple[np.ndarray, EdgeResponse]:
+    """(segment and end of those whose edge goes on, the answers beyond them)."""
     own = state.segments[view]
-    index = state.tracks.index[state.tracks.log_odds > tuning.trusted_log_odds, view]
-    used = np.unique(index[index >= 0])
+    used = np.unique(state.tracks.index[:, view])
+    used = used[used >= 0]
     ends = np.stack([np.repeat(used, 2), np.tile([0, 1], len(used))], axis=1)
     tests = max(len(ends), 1)
     ends = ends[~_at_corner(state, view, ends, tuning)]
     here = own.ends_px[ends[:, 0], ends[:, 1]]
     there = own.ends_px[ends[:, 0], 1 - ends[:, 1]]
     length = np.linalg.norm(here - there, axis=1)
-    out = (here - there) / length[:, None]
-    least = tuning.prolong_px + tuning.prolong_share * length
-    reach = np.maximum(least, _extension_in_other_views(state, view, ends) + tuning.prolong_px / 2)
-    # Right at the end there may be a corner, with other edges about it.
-    start = here + tuning.corner_px * out
-    reach = np.clip(reach, 0, tuning.longest_px)
-    probe = np.stack([start, start + reach[:, None] * out], axis=1)
-    gate = np.full(len(ends), tuning.prolong_gate_px)
-    answer = ask(picture, probe, gate, 0.5 * gate, np.full(len(ends), tuning.gap_px))
-    answer = answer._replace(along_px=answer.along_px + tuning.corner_px)
+    reach = tuning.prolong_px + tuning.prolong_share * length
+    probe = np.stack([here, here + (reach / length)[:, None] * (here - there)], axis=1)
+    gate = np.ones(len(ends))
+    answer = ask(picture, probe, gate, gate / 2, np.full(len(ends), tuning.gap_px))
     hit = answer.log_chance < np.log(tuning.false_alarms / tests)
-    hit &= answer.length_px > tuning.least_piece_px
-    return ends, answer, hit & _continues(own, ends, answer, tuning)
+    return take_rows((ends, answer), hit & (answer.length_px > tuning.least_piece_px))
 
 
 def _at_corner(
@@ -104,108 +89,20 @@ def _at_corner(
     return corner[ends[:, 0], ends[:, 1]]
 
 
-def _continues(
-    own: ViewSegments, ends: np.ndarray, answer: EdgeResponse, tuning: GuidedTuning
-) -> Bool[np.ndarray, "n"]:
-    """Whether the pieces found lie on the segments' own lines, as far as both are known.
-
-    Another edge that leaves the same corner at a small angle does not.
-    """
-    segment, end = ends.T
-    here, there = own.ends_px[segment, end], own.ends_px[segment, 1 - end]
-    before = np.linalg.norm(here - there, axis=1)
-    unit = (here - there) / before[:, None]
-    right = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
-    piece = answer.ends_px - there[:, None]
-    seen = np.einsum("nei,ni->ne", piece, right)
-    share = np.einsum("nei,ni->ne", piece, unit) / before[:, None]
-    weight = np.stack([1 - share, share], axis=2)
-    blocks = own.covariance_px2[segment].reshape(-1, 2, 2, 2, 2)
-    blocks = np.where((end == 0)[:, None, None, None, None], blocks[:, ::-1, :, ::-1], blocks)
-    across = np.einsum("neifj,ni,nj->nef", blocks, right, right)
-    spread = weight @ across @ weight.mT + tuning.straight_px**2 * np.eye(2)
-    found = answer.covariance_px2.reshape(-1, 2, 2, 2, 2)
-    spread += np.einsum("neifj,ni,nj->nef", found, right, right)
-    square = (seen * np.linalg.solve(spread, seen[..., None])[..., 0]).sum(axis=1)
-    return square < tuning.gate
-
-
-def _extension_in_other_views(state: State, view: int, ends: np.ndarray) -> Float[np.ndarray, "n"]:
-    """How far beyond each end any other view shows the line, px."""
-    tracks = state.tracks
-    span = np.stack(
-        [np.nanmin(tracks.reach[..., 0], axis=1), np.nanmax(tracks.reach[..., 1], axis=1)], axis=1
-    )
-    return _farthest(state, view, ends, span)
-
-
-def _farthest(
-    state: State, view: int, ends: np.ndarray, span: Float[np.ndarray, "t 2"]
-) -> Float[np.ndarray, "n"]:
-    """How far beyond each end the image of any of its tracks' lines goes, px, at least 0; `span`
-    are the ends of these, where 0 and 1 are the tracks' own."""
-    tracks, own = state.tracks, state.segments[view].ends_px
-    on = np.flatnonzero(tracks.index[:, view] >= 0)
-    step = tracks.ends_mm[on, 1] - tracks.ends_mm[on, 0]
-    line = tracks.ends_mm[on, :1] + span[on, :, None] * step[:, None]
-    image = project_by_matrix(state.cameras.matrix_px[view], line)
-    segment = own[tracks.index[on, view]]
-    out = segment - segment[:, ::-1]
-    out = out / np.linalg.norm(out, axis=2, keepdims=True)
-    # Of both ends of a segment (axis 1) both ends of the line (axis 2).
-    beyond = ((image[:, None] - segment[:, :, None]) * out[:, :, None]).sum(axis=3).max(axis=2)
-    most = np.zeros((len(own), 2))
-    np.maximum.at(most, tracks.index[on, view], np.nan_to_num(beyond, nan=0.0, posinf=0.0))
-    return most[ends[:, 0], ends[:, 1]]
-
-
-def _largest_extension(
-    state: State, found: list[tuple[np.ndarray, EdgeResponse, np.ndarray]], view: int
-) -> Float[np.ndarray, "n"]:
-    """How far each end may move, px, so that a second view shows the line there too."""
-    others = _reach_after(state, found)
-    others[:, view] = np.nan
-    span = np.stack(
-        [np.fmin.reduce(others[..., 0], axis=1), np.fmax.reduce(others[..., 1], axis=1)], axis=1
-    )
-    return _farthest(state, view, found[view][0], span)
-
-
-def _reach_after(
-    state: State, found: list[tuple[np.ndarray, EdgeResponse, np.ndarray]]
-) -> Float[np.ndarray, "t v 2"]:
-    """Where every view's segment would begin and end along its track if all ends moved."""
-    tracks = state.tracks
-    reach = np.full(tracks.reach.shape, np.nan)
-    for view, (ends, answer, hit) in enumerate(found):
-        longer = state.segments[view].ends_px.copy()
-        rows = np.flatnonzero(hit)
-        segment, end = ends[rows].T
-        here, there = longer[segment, end], longer[segment, 1 - end]
-        out = (here - there) / np.linalg.norm(here - there, axis=1)[:, None]
-        longer[segment, end] = here + answer.along_px[rows, 1:] * out
-        on = np.flatnonzero(tracks.index[:, view] >= 0)
-        matrix = state.cameras.matrix_px[view]
-        places = positions_abreast(matrix, longer[tracks.index[on, view]], tracks.ends_mm[on])
-        reach[on, view] = np.sort(places, axis=1)
-    return reach
-
-
 def lengthen(
     ends_px: Float[np.ndarray, "2 2"],
     covariance_px2: Float[np.ndarray, "4 4"],
     end: int,
-    length: float,
     answer: EdgeResponse,
     row: int,
 ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "4 4"]]:
-    """A segment whose `end` moves out by `length`, by least squares of its line and of the
-    edge found beyond it."""
+    """A segment whose `end` moves out to that of the edge found beyond it, by least squares of
+    both."""
     here, there = ends_px[end], ends_px[1 - end]
     before = float(np.linalg.norm(here - there))
     unit = (here - there) / before
     right = np.array([-unit[1], unit[0]])
-    total = before + length
+    total = before + answer.along_px[row, 1]
 
     def rows_beside_line(along: np.ndarray) -> np.ndarray:
         share = along / total

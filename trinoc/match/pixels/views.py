@@ -38,6 +38,8 @@ class PictureInput(NamedTuple):
     noise : standard deviation of the gradient from noise.
     least : the same of one block's ridge.
     growth : (k,) what windows of correlated noise sum up to, see `measure_growth`.
+    usual_px : how wide the ridges of edges are here, see `with_usual_width`; infinite where nobody
+        knows.
     """
 
     name: str
@@ -48,6 +50,7 @@ class PictureInput(NamedTuple):
     noise: float
     least: float
     growth: Float[np.ndarray, "k"]
+    usual_px: float = np.inf
 
 
 class EdgeResponse(NamedTuple):
@@ -61,6 +64,7 @@ class EdgeResponse(NamedTuple):
     ends_px : (n, 2, 2) ends of the edge, undistorted.
     covariance_px2 : (n, 4, 4) of them.
     along_px : (n, 2) where the ends lie along the probe.
+    width_px : (n, 2) of its ridge, in the first and the second half.
     contrast : (n,) grey levels of the step. tests : (n,) how many were made.
     """
 
@@ -69,6 +73,7 @@ class EdgeResponse(NamedTuple):
     ends_px: Float[np.ndarray, "n 2 2"]
     covariance_px2: Float[np.ndarray, "n 4 4"]
     along_px: Float[np.ndarray, "n 2"]
+    width_px: Float[np.ndarray, "n 2"]
     contrast: Float[np.ndarray, "n"]
     tests: Float[np.ndarray, "n"]
 
@@ -122,7 +127,7 @@ def ask(
         return _nothing(0)
     whole = concatenate_rows(found)
     return spread_out(
-        _answer(ends_px[whole.probe], block_px[whole.probe], whole),
+        _answer(picture.usual_px, ends_px[whole.probe], block_px[whole.probe], whole),
         whole.probe,
         len(ends_px),
     )
@@ -137,11 +142,12 @@ def spread_out(answer: EdgeResponse, rows: Int[np.ndarray, "n"], count: int) -> 
 
 
 def _nothing(count: int) -> EdgeResponse:
-    shapes = (), (), (2, 2), (4, 4), (2,), (), ()
+    shapes = (), (), (2, 2), (4, 4), (2,), (2,), (), ()
     return EdgeResponse(*(np.zeros((count, *shape)) for shape in shapes))
 
 
 def _answer(
+    usual_px: float,
     ends_px: Float[np.ndarray, "n 2 2"],
     block_px: Float[np.ndarray, "n"],
     found: WindowEvidence,
@@ -158,7 +164,10 @@ def _answer(
     share = (along - middle[:, :1]) / apart[:, None]
     weight = np.stack([1 - share, share], axis=2)
     across = (weight @ place.offset_px[:, :, None])[..., 0]
-    spread = np.einsum("nij,nj,nkj->nik", weight, place.variance_px2, weight)
+    # A ridge wider than usual may hold another edge, which moves it by a part of its width.
+    wider = np.log(np.maximum(place.width_px / usual_px, 1.0))
+    own = place.variance_px2 + (place.width_px * wider) ** 2
+    spread = np.einsum("nij,nj,nkj->nik", weight, own, weight)
     end_sigma = extent.sigma * block_px[:, None]
     covariance = np.einsum("nef,ni,nj->neifj", spread, right, right)
     for end in (0, 1):
@@ -173,9 +182,24 @@ def _answer(
         places,
         covariance.reshape(-1, 4, 4),
         along,
+        place.width_px,
         place.contrast,
         found.tests,
     )
+
+
+def with_usual_width(
+    picture: PictureInput, segments_px: Float[np.ndarray, "n 2 2"]
+) -> PictureInput:
+    """The picture with the median width of the ridges on its segments (undistorted pixels).
+
+    A sliver of a face, or the shadow under an edge, that is narrower than the blur makes one ridge
+    of two edges, whose top lies between them. That it is wider than others is its only sign.
+    """
+    gate = np.ones(len(segments_px))
+    answer = ask(picture, segments_px, gate, gate / 2, np.full(len(gate), np.inf))
+    width = answer.width_px[answer.contrast > 0]
+    return picture._replace(usual_px=float(np.median(width)) if width.size else np.inf)
 
 
 # numerical: how many control probes measure the noise.

@@ -11,20 +11,13 @@ class GuidedTuning:
     rounds: int = 2
     # False alarms from noise that are expected in one picture, one round and one kind of question.
     false_alarms: float = 0.05
-    # Only lines surer than this are lengthened, log odds. By hand.
-    trusted_log_odds: float = 0.8
-    # Beyond each end so much is asked, px and share of the segment, and never more than the
-    # longest; the edge goes on within the gate of the segment's line, after a gap no longer than
-    # this; a segment is not lengthened by less than the least gain, px. By hand.
+    # Beyond each end so much is asked, px and share of the segment; the edge goes on after a gap no
+    # longer than this; an edge is this long, px. By hand.
     prolong_px: float = 24.0
     prolong_share: float = 0.3
-    longest_px: float = 256.0
-    prolong_gate_px: float = 1.0
     gap_px: float = 6.0
-    corner_px: float = 4.0
-    least_gain_px: float = 8.0
     least_piece_px: float = 7.9
-    straight_px: float = 0.3
+    # A chi-square of a track above this, or larger by so much, is a disagreement.
     gate: float = 9.2
     # Ends of lines that differ by this angle, degrees, and lie this near are a corner, px of the
     # picture that shows it largest; what a corner is off by at least, and along its line where
