@@ -67,7 +67,7 @@ def _of_view(
     answer = ask(picture, image, gate, most, np.full(len(image), np.inf))
     known = before & (length > tuning.shortest_px)
     hit = known & (answer.log_chance < np.log(tuning.weak))
-    hit &= answer.length_px >= tuning.least_piece_px
+    hit &= answer.length_px > tuning.shortest_px
     # The line of the edge abreast of the two ends.
     unit = way / length[:, None]
     off = answer.ends_px - image[:, :1]

@@ -65,12 +65,16 @@ def _beyond(
     here = own.ends_px[ends[:, 0], ends[:, 1]]
     there = own.ends_px[ends[:, 0], 1 - ends[:, 1]]
     length = np.linalg.norm(here - there, axis=1)
+    out = (here - there) / length[:, None]
+    # Right at the end there may be a corner, with other edges about it.
+    start = here + tuning.meet_px * out
     reach = tuning.prolong_px + tuning.prolong_share * length
-    probe = np.stack([here, here + (reach / length)[:, None] * (here - there)], axis=1)
+    probe = np.stack([start, start + reach[:, None] * out], axis=1)
     gate = np.ones(len(ends))
     answer = ask(picture, probe, gate, gate / 2, np.full(len(ends), tuning.gap_px))
+    answer = answer._replace(along_px=answer.along_px + tuning.meet_px)
     hit = answer.log_chance < np.log(tuning.false_alarms / tests)
-    return take_rows((ends, answer), hit & (answer.length_px > tuning.least_piece_px))
+    return take_rows((ends, answer), hit & (answer.length_px > tuning.shortest_px))
 
 
 def _at_corner(
