@@ -120,8 +120,8 @@ def with_rims(place: Place, guided: GuidedMatches) -> Matches:
 # What guided detection asks the pictures, by the function of its file that does so, and what that
 # answers where nothing is asked.
 QUESTIONS = {
-    "lines": ("with_new_lines", lambda state, pictures, before_mm, _: (state, 0, before_mm)),
-    "ends": ("prolonged", lambda state, *_: (state, 0)),
+    "lines": ("with_new_lines", lambda state, *_: (state, 0)),
+    "ends": ("prolong_segments", lambda state, *_: (state, 0)),
 }
 
 

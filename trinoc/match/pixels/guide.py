@@ -63,8 +63,8 @@ def guide_matches(
     A search for edges in one picture has millions of places to be wrong at, and must ask for much.
     Along a known line there is one: the picture is asked for an edge at this place and in this
     direction, with a rate of false alarms for these few tests. Asked for are what lies
-    beyond the ends of matched segments, and lines that should be there: from corner to corner, and
-    from a corner parallel to a line beside it. Rounds until nothing is added.
+    beyond the ends of matched segments, and lines that may be there: from a corner parallel to a
+    line beside it.
 
     Parameters
     ----------
@@ -95,10 +95,9 @@ def rounds(
     state: State, pictures: list[PictureInput], tuning: GuidedTuning
 ) -> tuple[State, dict[str, int]]:
     """(the state when nothing more is added, how much was added of each kind)."""
-    asked = np.zeros((0, 2, 3))
     total = np.zeros(2, dtype=np.int64)
     for _ in range(tuning.rounds):
-        state, new, asked = with_new_lines(state, pictures, asked, tuning)
+        state, new = with_new_lines(state, pictures, tuning)
         state, longer = prolong_segments(state, pictures, tuning)
         total += [new, longer]
         if new + longer == 0:

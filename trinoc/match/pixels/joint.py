@@ -1,12 +1,11 @@
 """What all pictures answer about one line that may be there, taken together."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.geometry.projection import project_by_matrix, project_with_jacobian
+from trinoc.geometry.projection import project_with_jacobian
 from trinoc.match.pixels.partners import Hypotheses
 from trinoc.match.pixels.probes import REACH
 from trinoc.match.pixels.state import State
@@ -63,7 +62,7 @@ def _of_view(
     by_ends[:, 0, :3], by_ends[:, 1, 3:] = across[:, 0], across[:, 1]
     spread = np.einsum("nei,nij,nej->ne", by_ends, covariance_mm2, by_ends)
     most = np.sqrt(spread.max(axis=1))
-    gate = np.clip(tuning.reach_sigmas * most + tuning.corner_gate_px, 1.0, REACH)
+    gate = np.clip(tuning.reach_sigmas * most, 1.0, REACH)
     answer = ask(picture, image, gate, most, np.full(len(image), np.inf))
     known = before & (length > tuning.shortest_px)
     hit = known & (answer.log_chance < np.log(tuning.weak))
@@ -140,7 +139,6 @@ def propose_lines(
     state: State,
     found: EdgeQuery,
     hypotheses: Hypotheses,
-    size_px: Sequence[tuple[int, int]],
     looked_at: int,
     tuning: GuidedTuning,
 ) -> Proposals:
@@ -153,14 +151,12 @@ def propose_lines(
     members = _overlapping(state, found, hypotheses.ends_mm, tuning)
     surely = _surely_two(found, members, strict)
     found, hypotheses, members = take_rows((found, hypotheses, members), surely)
-    missed = np.log(tuning.missed) * _in_picture(state, hypotheses.ends_mm, size_px)
     choices = [members] + [members & (np.arange(views) != k) for k in range(views) if views > 2]
     log_odds = np.stack(
         [
             np.where(
                 _surely_two(found, choice, strict),
-                joint_log_odds(found, hypotheses.covariance_mm2, choice, chance)
-                + (missed * ~choice).sum(axis=1),
+                joint_log_odds(found, hypotheses.covariance_mm2, choice, chance),
                 -np.inf,
             )
             for choice in choices
@@ -181,18 +177,6 @@ def _surely_two(
     """Whether two views show an edge, and one of them would not by noise."""
     sure = np.stack([answer.log_chance < strict for answer in found.answers], axis=1)
     return (members.sum(axis=1) >= 2) & (members & sure).any(axis=1)
-
-
-def _in_picture(
-    state: State, lines_mm: Float[np.ndarray, "n 2 3"], size_px: Sequence[tuple[int, int]]
-) -> Bool[np.ndarray, "n v"]:
-    """Which pictures have the middle of each line within their borders."""
-    middle = lines_mm.mean(axis=1)
-    inside = []
-    for matrix, size in zip(state.cameras.matrix_px, size_px, strict=True):
-        place = project_by_matrix(matrix, middle)
-        inside.append(((place >= 0) & (place <= np.array(size) - 1)).all(axis=1))
-    return np.stack(inside, axis=1)
 
 
 def _overlapping(

@@ -2,8 +2,7 @@
 
 First comes a quick look, far cheaper than the one test: the gradient across is read at LOOKS
 places along, from the nearest pixels, on five lines side by side. Where most of it goes along the
-probe, it is that of an edge that crosses, and does not count; and one place counts no more than a
-few standard deviations, so that many must agree.
+probe, it is that of an edge that crosses, and does not count.
 """
 
 from typing import NamedTuple
@@ -11,7 +10,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 
 from trinoc.geometry.intrinsics import distort_pixels
 from trinoc.geometry.projection import project_by_matrix
@@ -26,7 +24,6 @@ from trinoc.match.pixels.partners import (
 from trinoc.match.pixels.probes import REACH
 from trinoc.match.pixels.state import GuidedTracks, State, refit_tracks, with_segments
 from trinoc.match.pixels.views import PictureInput
-from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.numerics.tables import concatenate_rows, take_rows
 
@@ -39,42 +36,21 @@ _DIGITS = 4
 
 
 def with_new_lines(
-    state: State,
-    pictures: list[PictureInput],
-    before_mm: Float[np.ndarray, "m 2 3"],
-    tuning: GuidedTuning,
-) -> tuple[State, int, Float[np.ndarray, "k 2 3"]]:
-    """(the state with new tracks, how many, the lines asked for); `before_mm` are those of earlier
-    rounds, which are not asked for again."""
+    state: State, pictures: list[PictureInput], tuning: GuidedTuning
+) -> tuple[State, int]:
+    """(the state with new tracks, how many)."""
     ends = joined_ends(state, tuning)
     if len(ends.place_mm) == 0:
-        return state, 0, before_mm
+        return state, 0
     hypotheses = propose_partners(state, ends, locate_corners(state, ends, tuning), tuning)
-    new = _first_time(state, hypotheses.ends_mm, before_mm, tuning)
-    hypotheses = take_rows(hypotheses, new)
-    before_mm = np.concatenate([before_mm, hypotheses.ends_mm])
     promising = _promising(state, pictures, hypotheses.ends_mm, tuning)
     if not promising.any():
-        return state, 0, before_mm
+        return state, 0
     hypotheses = take_rows(hypotheses, promising)
     found = query_pictures(pictures, hypotheses.ends_mm, hypotheses.covariance_mm2, tuning)
-    sizes = [picture.size_px for picture in pictures]
-    proposals = propose_lines(state, found, hypotheses, sizes, len(promising), tuning)
-    return *with_accepted(state, proposals, tuning), before_mm
-
-
-def _first_time(
-    state: State,
-    lines_mm: Float[np.ndarray, "n 2 3"],
-    before_mm: Float[np.ndarray, "m 2 3"],
-    tuning: GuidedTuning,
-) -> Bool[np.ndarray, "n"]:
-    """Whether no such line has been asked for, either way round."""
-    if len(before_mm) == 0 or len(lines_mm) == 0:
-        return np.ones(len(lines_mm), dtype=bool)
-    both = np.concatenate([before_mm, before_mm[:, ::-1]]).reshape(-1, 6)
-    apart = KDTree(both).query(lines_mm.reshape(-1, 6))[0]
-    return np.asarray(apart) > tuning.asked_again_px * mm_per_px(state, lines_mm.mean(axis=1))
+    return with_accepted(
+        state, propose_lines(state, found, hypotheses, len(promising), tuning), tuning
+    )
 
 
 def _promising(
@@ -105,7 +81,7 @@ def quick_look(
     picture: PictureInput, ends_px: Float[np.ndarray, "n 2 2"]
 ) -> Float[np.ndarray, "n"]:
     """Mean of the gradient across along the better half of each probe, in standard deviations of
-    its noise; without sign, 0 to 3."""
+    its noise; without sign."""
     found = np.zeros(len(ends_px))
     for start in range(0, len(ends_px), _AT_ONCE):
         rows = slice(start, start + _AT_ONCE)
@@ -135,11 +111,7 @@ def _sample_mask(
         by_u * side[:, :1] + by_v * side[:, 1:]
         for side in ((axis / noise).astype(np.float32) for axis in (right, unit))
     )
-    across = np.where(
-        np.abs(crossing) < np.abs(across),
-        np.clip(across, -DEFAULT.guided.most_of_place, DEFAULT.guided.most_of_place),
-        0.0,
-    )
+    across = np.where(np.abs(crossing) < np.abs(across), across, 0.0)
     quarters = across.reshape(len(way), len(beside), 4, LOOKS // 4).sum(axis=3)
     halves = np.abs(quarters[..., :-1] + quarters[..., 1:])
     return halves.max(axis=(1, 2), initial=0.0) / (LOOKS // 2)
@@ -180,8 +152,8 @@ def edge_knowledge(
     segment = _best(shared, tuning.same_overlap)
     on = np.flatnonzero(state.tracks.index[:, view] >= 0)
     image = project_by_matrix(state.cameras.matrix_px[view], state.tracks.ends_mm[on])
-    parts = overlap_shares(ends_px, image, tuning.same_px + 0.3)
-    track = _best(parts, tuning.claimed_overlap)
+    parts = overlap_shares(ends_px, image, tuning.same_px)
+    track = _best(parts, tuning.same_overlap)
     return EdgeKnowledge(segment, np.where(track >= 0, on[track] if len(on) else NONE, NONE))
 
 

@@ -51,7 +51,9 @@ def joined_ends(state: State, tuning: GuidedTuning) -> JoinedEnds:
     apart = np.linalg.norm(places[one] - places[other], axis=1)
     close = (apart < np.minimum(near[one], near[other])) & (one // 2 != other // 2)
     one, other = one[close], other[close]
-    turned = np.abs((unit[one] * unit[other]).sum(axis=1)) < np.cos(np.radians(tuning.meet_deg))
+    turned = np.abs((unit[one] * unit[other]).sum(axis=1)) < np.cos(
+        np.radians(tuning.same_direction_deg)
+    )
     met = np.zeros(len(places), dtype=bool)
     met[one[turned]] = met[other[turned]] = True
     label = group_labels(len(places), one[turned], other[turned])
@@ -65,9 +67,8 @@ def locate_corners(state: State, ends: JoinedEnds, tuning: GuidedTuning) -> Loca
     blocks = state.tracks.covariance_mm2.reshape(-1, 2, 3, 2, 3)
     own = np.stack([blocks[:, 0, :, 0, :], blocks[:, 1, :, 1, :]], axis=1).reshape(-1, 3, 3)
     size = mm_per_px(state, ends.place_mm)
-    along = np.where(ends.met, 1e3, tuning.free_end_px) * size
+    along = np.where(ends.met, 1e3, tuning.meet_px) * size
     own = own + (along**2)[:, None, None] * unit[:, :, None] * unit[:, None, :]
-    own = own + ((tuning.corner_floor_px * size) ** 2)[:, None, None] * np.eye(3)
     information = np.linalg.inv(own)
     count = int(ends.corner.max()) + 1 if len(ends.corner) else 0
     total, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
@@ -108,17 +109,15 @@ def propose_partners(
     unit = side[:, None] * (way / length[:, None])[line]
     free = _free(taken, corner, unit, tuning)
     corner, line, unit = corner[free], line[free], unit[free]
-    reach = tuning.longer * length[line]
+    reach = length[line]
     blocks = tracks.covariance_mm2[line].reshape(-1, 2, 3, 2, 3)
     turn = blocks[:, 0, :, 0] + blocks[:, 1, :, 1] - blocks[:, 0, :, 1] - blocks[:, 1, :, 0]
-    turn = tuning.longer**2 * turn
-    turn += (reach * np.radians(tuning.parallel_deg))[:, None, None] ** 2 * np.eye(3)
     start = corners.place_mm[corner]
     covariance = np.tile(corners.covariance_mm2[corner], (1, 2, 2))
     covariance[:, 3:, 3:] += turn
-    ends = np.stack([start, start + reach[:, None] * unit], axis=1)
-    long = reach > tuning.shortest_px * mm_per_px(state, ends.mean(axis=1))
-    return Hypotheses(ends[long], covariance[long])
+    lines = np.stack([start, start + reach[:, None] * unit], axis=1)
+    long = reach > tuning.shortest_px * mm_per_px(state, lines.mean(axis=1))
+    return Hypotheses(lines[long], covariance[long])
 
 
 def _directions(state: State, ends: JoinedEnds, corners: int) -> Float[np.ndarray, "c k 3"]:

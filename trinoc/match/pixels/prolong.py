@@ -71,7 +71,7 @@ def _beyond(
     reach = tuning.prolong_px + tuning.prolong_share * length
     probe = np.stack([start, start + reach[:, None] * out], axis=1)
     gate = np.ones(len(ends))
-    answer = ask(picture, probe, gate, gate / 2, np.full(len(ends), tuning.gap_px))
+    answer = ask(picture, probe, gate, gate / 2, np.full(len(ends), tuning.meet_px))
     answer = answer._replace(along_px=answer.along_px + tuning.meet_px)
     hit = answer.log_chance < np.log(tuning.false_alarms / tests)
     return take_rows((ends, answer), hit & (answer.length_px > tuning.shortest_px))
