@@ -218,3 +218,17 @@ def test_a_wider_ridge_than_usual_may_hide_an_edge_and_is_placed_so():
 def test_without_segments_nobody_knows_how_wide_ridges_are():
     picture = seen(sliver(0.0).picture)
     assert with_usual_width(picture, np.zeros((0, 2, 2))).usual_px == np.inf
+
+
+def test_an_edge_all_along_another_makes_the_place_less_sure():
+    variance = []
+    for gap in (40.0, 4.0):
+        edge = sliver(gap)
+        found = answers(seen(edge.picture), edge.ends_px[None], gate=1.0)
+        way = edge.ends_px[1] - edge.ends_px[0]
+        right = np.array([-way[1], way[0]]) / np.linalg.norm(way)
+        blocks = found.covariance_px2[0].reshape(2, 2, 2, 2)
+        variance.append(np.einsum("i,eiej,j->e", right, blocks, right).mean())
+        across = (found.ends_px[0] - edge.ends_px) @ right
+        assert (np.abs(across) < 3 * np.sqrt(variance[-1])).all()
+    assert variance[1] > 4 * variance[0]
