@@ -89,7 +89,7 @@ def test_skew_and_distortion_are_found_together() -> None:
         distortion=(-0.2, 0.0, 0.0, 0.0, 0.0),
     )
     camera, random = camera_of(TABLE_1["left"], lens), np.random.default_rng(3)
-    points = block(random, 400)
+    points = block(random, 250)
     found = calibrate_points(points, see(camera, points, random), image_size_px=SIZE_PX)
     assert {"skew_px", "k1"} <= set(found.parameters)
     assert squared_error_of_centre(found, camera) < chi2.ppf(0.9999, 3)
@@ -123,7 +123,7 @@ def test_a_skew_that_gains_nothing_beside_what_is_freed_later_is_held_again(seed
 
 def test_points_that_ask_for_a_lens_that_is_held_are_suspect_and_say_for_what() -> None:
     random = np.random.default_rng(11)
-    points = block(random, 80)
+    points = block(random)
     bent = see(camera_of(TABLE_1["left"], DISTORTED_LENS), points, random)
     skewed = see(camera_of(TABLE_1["left"], SKEWED), points, random)
     for uv_px, cause in ((bent, "free k1"), (skewed, "free skew_px")):
@@ -166,7 +166,7 @@ def test_a_lens_is_refuted_beyond_what_is_said_of_it(sigmas: float, status: Stat
         principal_point_px=LENS.principal_point_px + sigmas * np.array([sigma_px, -sigma_px]),
     )
     random = np.random.default_rng(13)
-    points = block(random, 300)
+    points = block(random, 250)
     uv_px = see(camera_of(TABLE_1["left"], lens), points, random)
     stated = Systematics(lens_covariance=np.diag([25.0, 25.0, sigma_px**2, sigma_px**2]))
     found = calibrate_points(points, uv_px, LENS, systematics=stated)
