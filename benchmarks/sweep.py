@@ -48,7 +48,7 @@ import cv2
 import numpy as np
 from match_scores import score_matches
 from segment_truth import Picture, covering, pictures_of_scene, score
-from sweep_bodies import rows_of_group
+from sweep_bodies import SCENES, rows_of_group
 
 from trinoc.calib.tuning.every_group import TUNING as OF_CALIB
 from trinoc.io.demo import demo_folder
@@ -59,12 +59,10 @@ from trinoc.segments.find import find_segments
 from trinoc.segments.tuning import DEFAULT as OF_SEGMENTS
 from trinoc.synth import (
     Detector,
-    block_scene,
     loose_segments,
     simulate_segments,
     table1_rig,
 )
-from trinoc.synth.scenes import see_through_boxes
 
 FIRST_SEED = 130_000
 PREFIX = "segments."
@@ -97,11 +95,7 @@ print(json.dumps(answers))
 """
 OPTIONS: dict[str, Any] = {"": DEFAULT, PREFIX: OF_SEGMENTS, CALIB: OF_CALIB}
 KINDS = {
-    "table": (lambda seed: block_scene(seed, count=8), Detector(shortest_px=8.0)),
-    "boxes ej5": (
-        lambda seed: see_through_boxes(seed, count=10),
-        Detector(cut_back_px=5.0, shortest_px=3.0),
-    ),
+    **{kind: SCENES[kind] for kind in ("table", "boxes ej5")},
     "random": (lambda seed: loose_segments(seed, count=120), Detector(shortest_px=8.0)),
 }
 # (gain, noise in grey levels) of the demo's pictures.

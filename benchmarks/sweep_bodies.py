@@ -154,8 +154,8 @@ def shown_pairs(folder: Path, views: tuple[str, ...]) -> Figures:
             segments = {name: each.segments[name] for name in views}
             matches = match_segments(segments, each.place.rig, tuning=tuning)
             right, shadow = shares_of(each.place, matches)
-            told = (right > 0.5) | (shadow <= 0.5)
-            score = log_score(matches.posterior[told], right[told] > 0.5)
+            scored = (right > 0.5) | (shadow <= 0.5)
+            score = log_score(matches.posterior[scored], right[scored] > 0.5)
             found.append([*lengths(each.place, matches), score])
         return "{:.3f}/{:.3f} {:.1f}".format(*np.mean(found, axis=0))
 
