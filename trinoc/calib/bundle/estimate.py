@@ -70,6 +70,10 @@ class FreeParameters(NamedTuple):
     aim_held: bool = False
     lens_held: bool = False
 
+    def holds_aims_of(self, rig: Rig) -> bool:
+        """Whether no aim of a rig can change, so that the answer need not tell them."""
+        return self.aim_held and set(self.trusted) >= set(rig.names)
+
 
 def joint_estimate(
     rig: Rig,
@@ -100,8 +104,10 @@ def joint_estimate(
     segment_information = fit.information - fit.sheet_information
     weighted = factor**-2 * segment_information + sheet**-2 * fit.sheet_information
     determined = determined_part(weighted, fit.sheet_information)
-    names = tuple(f"{camera}.{name}" for camera in rig.names for name in sheet_cameras.names)
-    covariance = fit.by_step @ determined.covariance @ fit.by_step.T
+    every = [f"{camera}.{name}" for camera in rig.names for name in sheet_cameras.names]
+    told = np.flatnonzero([not choice.holds_aims_of(rig) or ".aim_" not in name for name in every])
+    names = tuple(every[i] for i in told)
+    covariance = (fit.by_step @ determined.covariance @ fit.by_step.T)[np.ix_(told, told)]
     refined = {
         name: camera_of_state(jax.tree.map(lambda leaf, v=v: leaf[v], fit.cameras), rig[name])
         for v, name in enumerate(rig.names)
@@ -116,12 +122,12 @@ def joint_estimate(
         status,
         Rig(refined, parameters=names, covariance=covariance) if known else Rig(refined),
         names,
-        fit.values.reshape(-1),
+        fit.values.reshape(-1)[told],
         covariance,
         UncertainLines(fit.ends_mm[:count], own, fit.by_cameras[:count], determined.covariance),
         inlier,
         np.where(lines.seen, np.sqrt(squared), np.nan),
-        determined.rank,
+        determined.rank - (len(every) - len(told)),
         determined.gauge,
         factor,
         sheet,

@@ -87,12 +87,13 @@ def refine(
     trusted = tuple(name for name in rig.names if name not in moved)
     usual = _usual_pose_model(rig)
     chosen = None if pose_model is None else PoseModel.of(pose_model)
-    # A knocked camera need not aim at the origin of the sheet any more.
-    knocked = bool(moved) and chosen is None and usual is PoseModel.AIMED
-    model = PoseModel.AIM_FREE if knocked else chosen or usual
+    # Aims that the sheet knows are held by their prior and not by another model: a knocked camera
+    # need not aim at the origin any more, and one program serves both.
+    aim_held = chosen is None and usual is PoseModel.AIMED
+    model = PoseModel.AIM_FREE if aim_held else chosen or usual
     lens_is_open = any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
     is_free = lens_is_open if free_lens is None else free_lens
-    choice = FreeParameters(model, is_free, trusted, knocked, lens_held=free_lens is None)
+    choice = FreeParameters(model, is_free, trusted, aim_held, lens_held=free_lens is None)
     refinement = _Refinement(calibrated, rig, choice)
     first = refinement.refine_matches(start or rig, matches)
     if match_again is None:
@@ -101,7 +102,7 @@ def refine(
     best = refinement.repeat_while_better(first, matchers[-1])
     if len(matchers) > 1:
         best = more_probable(best, refinement.refine_from(rig, matchers))
-    turned = start_rigs(rig, moved, choice.pose_model)
+    turned = start_rigs(rig, moved, aimed=model is PoseModel.AIMED or (aim_held and not moved))
     others = [refinement.refine_from(start, matchers) for start in turned]
     for other in others:
         best = more_probable(best, other)
@@ -196,11 +197,11 @@ def _observations_of_rig(matches: MatchedTracks | LineObservations, rig: Rig) ->
     )
 
 
-def start_rigs(rig: Rig, moved: Collection[str], pose_model: PoseModel) -> list[Rig]:
+def start_rigs(rig: Rig, moved: Collection[str], *, aimed: bool) -> list[Rig]:
     """The rig with one camera turned about its x and y axes, to either side.
 
     It is the last of those that moved, or of all where none is named; no start where the sheet
-    knows its orientation. A camera that must aim at the origin is taken round it instead.
+    knows its orientation. One that must stay `aimed` at the origin is taken round it instead.
     """
     name = next(camera for camera in reversed(rig.names) if camera in moved or not moved)
     known_deg = TUNING.bundle.known_share * TUNING.bundle.turn_deg
@@ -208,7 +209,7 @@ def start_rigs(rig: Rig, moved: Collection[str], pose_model: PoseModel) -> list[
         return []
     pose, poses = rig[name].pose, []
     for axis in (*np.eye(3)[:2], *-np.eye(3)[:2]):
-        if pose_model is PoseModel.AIMED:
+        if aimed:
             turn = np.radians(TUNING.bundle.round_deg) * axis
             rotation = rotation_from_vector(turn) @ pose.rotation
             distance = jnp.linalg.norm(pose.centre_world_mm)
