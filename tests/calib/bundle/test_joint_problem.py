@@ -125,7 +125,8 @@ def test_whitening_makes_the_distances_independent():
 
 
 @pytest.mark.parametrize(
-    ("pose_model", "with_intrinsics"), [(PoseModel.AIM_FREE, False), (PoseModel.AIMED, True)]
+    ("pose_model", "with_intrinsics"),
+    [pytest.param(PoseModel.AIMED, False, marks=pytest.mark.slow), (PoseModel.AIM_FREE, True)],
 )
 def test_cost_and_half_its_gradient_are_those_of_the_equations(pose_model, with_intrinsics):
     """Of lines and prior, off their minimum, some fragments being wrong."""

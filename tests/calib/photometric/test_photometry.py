@@ -34,11 +34,11 @@ def model_residuals(pattern: Pattern, values: tuple[float, ...]) -> list[np.ndar
 @pytest.mark.parametrize(
     ("rings", "style"),
     [
-        ("none", "stop"),
         ("code", "through"),
         *(
             pytest.param(rings, style, marks=pytest.mark.slow)
             for rings, style in (
+                ("none", "stop"),
                 ("none", "through"),
                 ("none", "white"),
                 ("code", "white"),
@@ -122,7 +122,7 @@ def test_derivatives_are_those_of_differences(kind: str, near_line: bool) -> Non
         assert error < 0.04 * np.sqrt(np.mean(exact**2)) + 1e-6, k
 
 
-@pytest.mark.parametrize("near_line", [False, True])
+@pytest.mark.parametrize("near_line", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_an_ideal_camera_is_the_delivered_one_with_unknowns_held(near_line: bool) -> None:
     pattern, ideal = reference_sheet(), STATES["ideal"]
     group, _ = pixels_of(np.zeros(LENS.image_size_px[::-1]), pattern, near_line=near_line)

@@ -50,7 +50,11 @@ class Bare:
     line_gap_mm: float = 0.0
 
 
-@pytest.fixture(scope="module", params=BOARDS)
+# Those of a ChArUco board are squares, too.
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param("chessboard", marks=pytest.mark.slow), "charuco", "april_grid"],
+)
 def board(request):
     return BOARDS[request.param]
 

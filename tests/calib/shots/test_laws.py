@@ -76,7 +76,7 @@ def test_points_on_a_line_have_no_pose():
     assert plane_pose(np.pad(places, ((0, 0), (0, 1)), constant_values=9.0), places) is None
 
 
-@pytest.mark.parametrize("places_are_free", [False, True])
+@pytest.mark.parametrize("places_are_free", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_equations_are_those_of_the_cost(places_are_free):
     here = problem(board_poses(3))
     assert_equations_are_those_of_the_cost(with_free_places(here) if places_are_free else here)
