@@ -5,6 +5,8 @@ check takes longer than many a function. Code of a check is made when it is firs
 """
 
 import contextlib
+import functools
+import inspect
 import sys
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -57,6 +59,21 @@ def check_first_calls(signature: Callable[..., Any]) -> Callable[..., Any]:
     return check
 
 
+def _decorate_late(
+    function: Callable[..., Any], decorate: Callable[..., Any]
+) -> Callable[..., Any]:
+    """The function, decorated when it is first called: a file of tests calls few of all."""
+    decorated: Callable[..., Any] | None = None
+
+    @functools.wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        nonlocal decorated
+        decorated = decorated or decorate(function)
+        return decorated(*arguments, **named)
+
+    return call
+
+
 def install() -> None:
     """Have what is imported from trinoc from now on checked.
 
@@ -67,9 +84,13 @@ def install() -> None:
 
     def decorate_outer(*, typechecker: Callable[..., Any]) -> Callable[..., Any]:
         decorate = decorator(typechecker=typechecker)
-        return lambda each: (
-            each if "<locals>" in getattr(each, "__qualname__", "") else decorate(each)
-        )
+
+        def choose(each: Any) -> Any:
+            if "<locals>" in getattr(each, "__qualname__", ""):
+                return each
+            return _decorate_late(each, decorate) if inspect.isfunction(each) else decorate(each)
+
+        return choose
 
     jaxtyping.jaxtyped = decorate_outer
     jaxtyping.install_import_hook("trinoc", "tests.first_calls.check_first_calls")

@@ -8,14 +8,12 @@ container an axis is a number or begins with an underscore, which jaxtyping does
 import ast
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import jaxtyping
 import pytest
 
-import trinoc
+from tests.package import ROOT, list_files, parse_file
 
-ROOT = Path(trinoc.__file__).parent
 # Not containers: one value, or a function, whose arguments nothing checks.
 TRANSPARENT = {
     "AbstractVar",
@@ -94,19 +92,14 @@ def aliases_of(tree: ast.Module) -> dict[str, ast.Subscript]:
     }
 
 
-PACKAGE = {
-    path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
-    for path in sorted(ROOT.rglob("*.py"))
-}
-ALIASES = {name: shape for tree in PACKAGE.values() for name, shape in aliases_of(tree).items()}
-
-
 def test_no_axis_within_a_container_has_a_name():
+    package = {path.relative_to(ROOT).as_posix(): parse_file(path) for path in list_files()}
+    aliases = {n: shape for tree in package.values() for n, shape in aliases_of(tree).items()}
     wrong = [
         f"{path}:{annotation.lineno}: {ast.unparse(annotation)}"
-        for path, tree in PACKAGE.items()
+        for path, tree in package.items()
         for annotation in annotations(tree)
-        for shape in shapes_in_containers(annotation, ALIASES)
+        for shape in shapes_in_containers(annotation, aliases)
         if bound_axes(shape)
     ]
     assert wrong == []

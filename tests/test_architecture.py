@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import trinoc
-from tests.test_floors import INNER_FLOORS, LAZY, MAY_IMPORT, MODULES, PLAIN, imported
+from tests.test_floors import INNER_FLOORS, LAZY, MAY_IMPORT, PLAIN, imported, modules
 
 PAGE = (Path(trinoc.__file__).parents[1] / "docs" / "architecture.md").read_text(encoding="utf-8")
 
@@ -55,7 +55,7 @@ def sentences(title: str) -> str:
 def test_solvers_are_those_of_the_page() -> None:
     used = {
         f"{module.removeprefix('trinoc.calib.').replace('.', '/')}.py"
-        for module, room, tree in MODULES
+        for module, room, tree in modules()
         if room == "calib" and any(name.split(".")[0] == "optimistix" for name in imported(tree))
     }
     said = quoted(sentences("Solvers"))
@@ -68,14 +68,14 @@ def test_tuning_values_are_those_of_the_page() -> None:
 
     classes = {
         node.name
-        for module, _, tree in MODULES
+        for module, _, tree in modules()
         if "tuning" in module.split(".")
         for node in ast.walk(tree)
         if isinstance(node, ast.ClassDef)
     }
     groups = {
         name
-        for module, _, tree in MODULES
+        for module, _, tree in modules()
         if "tuning" in module.split(".")
         for node in ast.walk(tree)
         if isinstance(node, ast.AnnAssign)

@@ -1,19 +1,17 @@
 """Tuned numbers of `segments`, `match` and `calib` stand in the tuning of their room."""
 
 import ast
-from pathlib import Path
 
 import pytest
 
-import trinoc
+from tests.package import ROOT, list_files, parse_file
 
-ROOT = Path(trinoc.__file__).parent
 MARK = "# numerical:"
 
 
 def parts():
     """(name, files): `segments`; inner rooms and loose files of `match` and `calib`."""
-    yield "segments", sorted((ROOT / "segments").rglob("*.py"))
+    yield "segments", list_files("segments")
     for room in ("match", "calib"):
         yield room, sorted((ROOT / room).glob("*.py"))
         for inner in sorted(path.parent for path in (ROOT / room).glob("*/__init__.py")):
@@ -52,10 +50,10 @@ def test_a_number_stands_in_tuning_or_is_marked_as_numerical(part):
     for path in PARTS[part]:
         if path.name == "tuning.py":
             continue
-        text = path.read_text(encoding="utf-8")
-        for node in ast.parse(text).body:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for node in parse_file(path).body:
             if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
                 continue
-            if has_number(node.value) and not is_marked(text.splitlines(), node):
+            if has_number(node.value) and not is_marked(lines, node):
                 wrong.append(f"{path.relative_to(ROOT)}:{node.lineno} {ast.unparse(node)[:70]}")
     assert wrong == []

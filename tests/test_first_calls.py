@@ -4,6 +4,7 @@ import jaxtyping
 import numpy as np
 import pytest
 
+from tests import first_calls
 from tests.first_calls import MOST_CALLS, begin_file
 from trinoc.numerics import programs
 from trinoc.numerics.programs import kept_jit
@@ -31,5 +32,5 @@ def test_the_first_calls_of_each_file_are_checked() -> None:
 
 def test_a_function_within_a_function_is_not_wrapped() -> None:
     """It would be so anew at each call of that."""
-    assert jaxtyping.__name__ in kept_jit.__code__.co_filename
+    assert kept_jit.__code__.co_filename == first_calls.__file__
     assert programs.__name__.split(".")[-1] in kept_jit(complete_axes).__code__.co_filename

@@ -1,15 +1,14 @@
 """The floors of the house: which room may import which, read from the imports themselves."""
 
 import ast
+import functools
 import importlib
 import re
 from pathlib import Path
 
 import pytest
 
-import trinoc
-
-ROOT = Path(trinoc.__file__).parent
+from tests.package import ROOT, list_files, parse_file
 
 MAY_IMPORT = {
     "numerics": set(),
@@ -66,13 +65,16 @@ BELOW_IO = (
 OUTER_MODULES = {"argparse", "io", "logging", "os", "pathlib", "shutil", "subprocess", "sys"}
 
 
+@functools.cache
 def modules():
     """(module name, room, syntax tree) of every file of the package."""
-    for path in sorted(ROOT.rglob("*.py")):
+    found = []
+    for path in list_files():
         parts = path.relative_to(ROOT).with_suffix("").parts
         room = parts[0] if len(parts) > 1 else ""
         name = ".".join(("trinoc", *parts)).removesuffix(".__init__")
-        yield name, room, ast.parse(path.read_text(encoding="utf-8"))
+        found.append((name, room, parse_file(path)))
+    return found
 
 
 def imported(tree, *, at_top_only=False):
@@ -86,7 +88,6 @@ def imported(tree, *, at_top_only=False):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-MODULES = list(modules())
 PACKAGES = sorted(
     ".".join(("trinoc", *path.parent.relative_to(ROOT).parts)) for path in ROOT.rglob("__init__.py")
 )
@@ -96,7 +97,7 @@ PACKAGES = sorted(
 def test_a_room_imports_only_the_floors_below(room):
     wrong = [
         f"{module} imports {name}"
-        for module, own, tree in MODULES
+        for module, own, tree in modules()
         if own == room
         for name in imported(tree)
         if name.split(".")[0] == "trinoc"
@@ -108,7 +109,7 @@ def test_a_room_imports_only_the_floors_below(room):
 
 
 def test_every_room_stands_in_the_table():
-    assert {own for _, own, _ in MODULES if own} == set(MAY_IMPORT)
+    assert {own for _, own, _ in modules() if own} == set(MAY_IMPORT)
 
 
 @pytest.mark.parametrize("room", INNER_FLOORS)
@@ -116,7 +117,7 @@ def test_inner_rooms_import_only_the_floors_below(room):
     floors = INNER_FLOORS[room]
     assert set(floors) == {path.parent.name for path in (ROOT / room).glob("*/__init__.py")}
     wrong = []
-    for module, own, tree in MODULES:
+    for module, own, tree in modules():
         parts = module.split(".")
         if own != room or len(parts) < 4:
             continue
@@ -131,11 +132,11 @@ def test_inner_rooms_import_only_the_floors_below(room):
 def test_code_imports_from_the_files():
     wrong = [
         f"{module} imports {name}"
-        for module, _, tree in MODULES
+        for module, _, tree in modules()
         for node in ast.walk(tree)
         if isinstance(node, ast.ImportFrom) and node.module in PACKAGES
         for name in (f"{node.module}.{alias.name}" for alias in node.names)
-        if module not in PACKAGES and name not in {each for each, _, _ in MODULES}
+        if module not in PACKAGES and name not in {each for each, _, _ in modules()}
     ]
     assert wrong == []
 
@@ -169,7 +170,7 @@ def test_a_door_says_what_is_done_and_hands_on_little(package):
 def test_only_these_doors_are_lazy():
     lazy = {
         module
-        for module, _, tree in MODULES
+        for module, _, tree in modules()
         if any(name.startswith("lazy_loader") for name in imported(tree))
     }
     assert lazy == set(LAZY)
@@ -177,7 +178,7 @@ def test_only_these_doors_are_lazy():
 
 def test_docs_name_no_path_behind_a_door():
     """Docstrings are shown from their files; prose and snippets name doors."""
-    files = [f"{module}." for module, _, _ in MODULES if module not in PACKAGES]
+    files = [f"{module}." for module, _, _ in modules() if module not in PACKAGES]
     files.remove("trinoc.errors.")
     pages = [*(ROOT.parent / "docs").glob("*.md"), *ROOT.parent.glob("*.md")]
     wrong = [
@@ -193,7 +194,7 @@ def test_docs_name_no_path_behind_a_door():
 def test_below_io_nothing_touches_files_or_the_outside():
     wrong = [
         f"{module} imports {name}"
-        for module, own, tree in MODULES
+        for module, own, tree in modules()
         if own in BELOW_IO
         for name in imported(tree)
         if name.split(".")[0] in OUTER_MODULES or name.startswith("cv2.imread")
@@ -203,7 +204,7 @@ def test_below_io_nothing_touches_files_or_the_outside():
 
 def test_below_io_nothing_opens_prints_or_sets():
     wrong = []
-    for module, own, tree in MODULES:
+    for module, own, tree in modules():
         if own not in BELOW_IO:
             continue
         for node in ast.walk(tree):
@@ -225,7 +226,7 @@ def test_below_io_nothing_opens_prints_or_sets():
 def test_extras_are_imported_where_they_are_used():
     wrong = [
         f"{module} imports {name}"
-        for module, _, tree in MODULES
+        for module, _, tree in modules()
         for name in imported(tree, at_top_only=True)
         if name.split(".")[0] in EXTRAS
     ]
@@ -233,7 +234,7 @@ def test_extras_are_imported_where_they_are_used():
 
 
 def test_no_package_that_we_decided_against():
-    names = {name.split(".")[0] for _, _, tree in MODULES for name in imported(tree)}
+    names = {name.split(".")[0] for _, _, tree in modules() for name in imported(tree)}
     assert names & FORBIDDEN == set()
 
 
@@ -241,7 +242,7 @@ def test_nothing_imports_what_takes_longer_than_a_match():
     slow = ("scipy.stats", "scipy.signal")  # a second; `trinoc.numerics.tails` has their tails
     wrong = [
         f"{module} imports {name}"
-        for module, _, tree in MODULES
+        for module, _, tree in modules()
         for name in imported(tree, at_top_only=True)
         if name.startswith(slow)
     ]
@@ -254,7 +255,7 @@ def test_commands_import_nothing_heavy_at_the_top():
     light = {"trinoc.match.step_names.StepName"}
     wrong = [
         f"{module} imports {name}"
-        for module, own, tree in MODULES
+        for module, own, tree in modules()
         if own == "cli"
         for name in imported(tree, at_top_only=True)
         if name.split(".")[0] in heavy

@@ -3,13 +3,11 @@
 import ast
 import re
 from collections import defaultdict
-from pathlib import Path
 
 import pytest
 
-import trinoc
+from tests.package import ROOT, list_files, parse_file
 
-ROOT = Path(trinoc.__file__).parent
 ROOMS = sorted(path.parent.name for path in ROOT.glob("*/__init__.py"))
 
 PARTICIPLE = re.compile(r"(?!need|feed|speed|seed|embed|shed|red|bed|proceed|succeed|exceed)\w+ed")
@@ -28,8 +26,8 @@ PREPOSITIONS = {
 
 def definitions(room):
     """(file, node, whether it is a method) of every class and function of a room but properties."""
-    for path in sorted((ROOT / room).rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+    for path in list_files(room):
+        tree = parse_file(path)
         classes = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
         methods = {id(node) for each in classes for node in each.body}
         for node in ast.walk(tree):
@@ -82,8 +80,8 @@ def test_no_class_is_a_participle_and_no_name_uses_words_that_are_not_used(room)
 
 def test_no_class_and_no_public_function_stands_twice():
     places = defaultdict(list)
-    for path in sorted(ROOT.rglob("*.py")):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for path in list_files():
+        for node in parse_file(path).body:
             if not isinstance(node, ast.FunctionDef | ast.ClassDef):
                 continue
             if any(ast.unparse(each) == "overload" for each in node.decorator_list):

@@ -1,5 +1,7 @@
 """What knowing more would give is what a fit that knows more gives."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -15,19 +17,23 @@ WIDE = 10 * LENS_FACTOR
 SHEET_OF_PRINTER = Systematics(
     print_scale_sigma=(7e-4, 7e-4), print_size_sigma=2e-3, flatness_mm=0.3
 )
-MADE = made_views(3, Systematics())
+
+
+@functools.cache
+def made_cameras():
+    return made_views(3, Systematics()).cameras
 
 
 def fitted(known: Systematics, lens_factor: np.ndarray | None = None) -> Adjustment:
     """The same circles, made of an exact sheet, under what is said to be known."""
-    cameras = [each._replace(lens_factor=lens_factor) for each in MADE.cameras]
+    cameras = [each._replace(lens_factor=lens_factor) for each in made_cameras()]
     return adjust_cameras(cameras, SHEET, known, PoseModel.AIM_FREE, AIM_MM)
 
 
 def largest_sigmas(found: Adjustment) -> tuple[float, float]:
     """Of angles in degrees, and of distances in mm."""
     sigmas = []
-    for view in range(len(MADE.cameras)):
+    for view in range(len(made_cameras())):
         rows, by_step = found.rows(view), found.degrees_by_step(view)
         own = by_step @ found.covariance[np.ix_(rows, rows)] @ by_step.T
         sigmas.append(np.sqrt(np.diag(own)))
