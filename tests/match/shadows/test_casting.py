@@ -30,7 +30,7 @@ def density(edge, shadow, lamp, middle_mm=None) -> float:
     lines = np.stack([edge, shadow])
     middle = np.zeros(3) if middle_mm is None else middle_mm
     covariance = np.tile(SIGMA_MM**2 * np.eye(6), (2, 1, 1))
-    pairs = casting_pairs(lines, covariance, middle, SIZE_MM, TUNING)
+    pairs = casting_pairs(lines, covariance, middle, TUNING)
     own = take_rows(pairs, (pairs.shadow == 1) & (pairs.edge == 0))
     if len(own.shadow) == 0:
         return 0.0
@@ -78,7 +78,7 @@ def test_what_is_left_out_unseen_is_as_good_as_zero(nearest: float, turn_deg: fl
     # Half of the lines lie in one plane, as shadows do.
     ends[::2, :, 2] = 0.0
     root = generator.normal(scale=SIGMA_MM, size=(24, 6, 6))
-    pairs = casting_pairs(ends, root @ root.mT, ends.mean(axis=(0, 1)), SIZE_MM, TUNING)
+    pairs = casting_pairs(ends, root @ root.mT, ends.mean(axis=(0, 1)), TUNING)
     direction = generator.normal(size=(300, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     lamps = Lamps(direction, generator.uniform(0, nearest / SIZE_MM, 300))

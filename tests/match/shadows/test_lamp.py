@@ -30,7 +30,7 @@ def covariance_of(turn_rad: float, nearness: float) -> np.ndarray:
     sigma, nothing = np.array([turn_rad, turn_rad, nearness]), np.zeros(0)
     votes = NormalVotes(cast(ShadowPairs, None), sigma, nothing, 0.0)
     best = Lamps(TRUE[None], np.array([NEARNESS]))
-    return _mean_lamp(votes, best, STEP_DEG, CHANGE, 0.0, ShadowTuning()).covariance
+    return _mean_lamp(votes, best, STEP_DEG, CHANGE, ShadowTuning()).covariance
 
 
 def test_sure_votes_leave_the_lamp_as_unsure_as_the_grid_is_wide() -> None:

@@ -141,7 +141,7 @@ def evidence_of_surroundings(
             others = corners.line[rows[rows != row]]
             leaving[line, end] = (np.abs(way[others] @ normal[line]) > tuning.least_sine).any()
             body[line, end] = any(
-                abs(way[line] @ cross_3d(way[one], way[two])) > tuning.body_volume
+                abs(way[line] @ cross_3d(way[one], way[two])) > tuning.least_sine
                 for one, two in combinations(others.tolist(), 2)
             )
     alike = np.zeros(count)
@@ -180,8 +180,8 @@ class ShadowPairs(NamedTuple):
 
     shadow, edge : numbers of the lines. axes : of each edge, rows. middle_mm : the scene's middle
     from the edge's first end, in these axes. ends_mm : both ends of the shadow, likewise.
-    length_mm : of the edge. own_mm2 : variances of the shadow's ends normal to the plane, with the
-    error that every line has; edge_mm2 : of the edge's ends, and their covariance.
+    length_mm : of the edge. own_mm2 : variances of the shadow's ends normal to the plane.
+    edge_mm2 : of the edge's ends, and their covariance.
     """
 
     shadow: Int[np.ndarray, "p"]
@@ -206,13 +206,9 @@ def casting_pairs(
     lines_mm: Float[np.ndarray, "e 2 3"],
     covariance_mm2: Float[np.ndarray, "e 6 6"],
     middle_mm: Float[np.ndarray, "3"],
-    size_mm: float,
     tuning: ShadowTuning,
 ) -> ShadowPairs:
-    """Every two lines that lie in one plane within errors, and within the turn of a coarse search.
-
-    `size_mm` is the scene's.
-    """
+    """Every two lines that lie in one plane within errors and the turn of a coarse search."""
     count = len(lines_mm)
     shadow, edge = np.nonzero(~np.eye(count, dtype=bool))
     step = lines_mm[:, 1] - lines_mm[:, 0]
@@ -223,8 +219,7 @@ def casting_pairs(
     flat = offset @ across[edge].mT
     blocks = covariance_mm2.reshape(-1, 2, 3, 2, 3)
     own = np.stack([blocks[:, 0, :, 0], blocks[:, 1, :, 1]], axis=1)
-    floor = tuning.floor * size_mm
-    loose = np.trace(own, axis1=2, axis2=3)[shadow] / 2 + floor**2
+    loose = np.trace(own, axis1=2, axis2=3)[shadow] / 2
     loose = loose + (np.radians(tuning.coarse_deg / 2) * np.linalg.norm(flat, axis=2)) ** 2
     spread = np.einsum("pei,pej,pe->pij", flat, flat, 1 / loose)
     square, turn = np.linalg.eigh(spread)
@@ -241,7 +236,7 @@ def casting_pairs(
         np.einsum("pai,pi->pa", axes, middle_mm - lines_mm[edge, 0]),
         np.einsum("pai,pei->pea", axes, lines_mm[shadow] - lines_mm[edge, None, 0]),
         length[edge],
-        np.einsum("pi,peij,pj->pe", normal, own[shadow], normal) + floor**2,
+        np.einsum("pi,peij,pj->pe", normal, own[shadow], normal),
         np.stack([np.einsum("pi,pij,pj->p", normal, part, normal) for part in sides], axis=1),
     )
 
@@ -318,6 +313,6 @@ def cast_density(
     reached = np.minimum(high, pairs.length_mm + room) - np.maximum(low, -room)
     reached = np.clip((reached / np.maximum(high - low, 1e-9) - 0.4) / 0.4, 0.0, 1.0)
     beyond = (np.minimum(*gaps) > -BEFORE * room) & (np.maximum(*cut) < 0.9)
-    beyond &= np.maximum(*gaps) > tuning.least_gap * size_mm
+    beyond &= np.maximum(*gaps) > 0
     density = np.exp(-0.5 * square) / np.sqrt(variances) / pairs.length_mm
     return np.where(beyond, reached * density, 0.0)

@@ -55,15 +55,13 @@ class Votes(NamedTuple):
 
 
 class Lamp(NamedTuple):
-    """The best lamp. score : its log likelihood over none. rival : score of the best lamp of
-    another direction. covariance : of its turn about two axes across (`axes_across`), rad, and of
-    its nearness, per mm. ratios : of each line, see `Votes`."""
+    """The best lamp. score : its log likelihood over none. covariance : of its turn about two axes
+    across (`axes_across`), rad, and of its nearness, per mm. ratios : of each line, see `Votes`."""
 
     direction: Float[np.ndarray, "3"]
     nearness: float
     covariance: Float[np.ndarray, "3 3"]
     score: float
-    rival: float
     ratios: Float[np.ndarray, "e"]
 
 
@@ -85,7 +83,7 @@ def best_lamp(votes: Votes, upward: Float[np.ndarray, "3"], tuning: ShadowTuning
             around = _around(take_rows(lamps, np.array([row])), step, change / size, 2, 1)
             inside = np.arcsin(np.clip(around.direction @ upward, -1, 1))
             # The peak itself may lie on the bound: rounding is allowed for.
-            inside = np.abs(np.degrees(inside) - tuning.middle_deg) <= tuning.reach_deg + 1e-6
+            inside = np.abs(np.degrees(inside) - 45) <= 45 - tuning.margin_deg + 1e-6
             inside &= around.nearness <= tuning.nearest / size * (1 + 1e-9)
             around = take_rows(around, np.flatnonzero(inside))
             found = votes.scores(votes.ratios(around, step / 2, tuning), tuning)
@@ -95,14 +93,10 @@ def best_lamp(votes: Votes, upward: Float[np.ndarray, "3"], tuning: ShadowTuning
         lamps = concatenate_rows(rows)
         scores = np.array(values)
         peaks = _peaks(lamps, scores, max(len(peaks) // 2, 2), APART * tuning.coarse_deg)
-    best = take_rows(lamps, peaks[:1])
-    rival = float(scores[peaks[1]]) if len(peaks) > 1 else 0.0
-    return _mean_lamp(votes, best, step, change / size, rival, tuning)
+    return _mean_lamp(votes, take_rows(lamps, peaks[:1]), step, change / size, tuning)
 
 
-def _mean_lamp(
-    votes: Votes, best: Lamps, step: float, change: float, rival: float, tuning: ShadowTuning
-) -> Lamp:
+def _mean_lamp(votes: Votes, best: Lamps, step: float, change: float, tuning: ShadowTuning) -> Lamp:
     """The mean of the lamps about the best one, by their likelihood, and its spread."""
     for _ in range(2):
         around = _around(best, step / 2, change, 4, 3)
@@ -120,15 +114,15 @@ def _mean_lamp(
     covariance += np.diag([np.radians(step) ** 2 / 3] * 2 + [change**2 / 3])
     ratios = votes.ratios(best, FINE * tuning.coarse_deg, tuning)
     top = float(votes.scores(ratios, tuning)[0])
-    return Lamp(best.direction[0], float(best.nearness[0]), covariance, top, rival, ratios[0])
+    return Lamp(best.direction[0], float(best.nearness[0]), covariance, top, ratios[0])
 
 
 def _above(upward: np.ndarray, step_deg: float, tuning: ShadowTuning) -> np.ndarray:
     """Directions about `step_deg` apart, neither too low nor straight above a plane."""
     rows = [np.zeros((0, 3))]
     across = complete_axes(upward)
-    low, high = tuning.middle_deg - tuning.reach_deg, tuning.middle_deg + tuning.reach_deg
-    for height in np.radians(np.arange(low, high + 1e-9, step_deg)):
+    margin = tuning.margin_deg
+    for height in np.radians(np.arange(margin, 90 - margin + 1e-9, step_deg)):
         number = max(int(np.ceil(2 * np.pi * np.cos(height) / np.radians(step_deg))), 1)
         angle = 2 * np.pi * np.arange(number) / number
         round_it = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across

@@ -16,12 +16,11 @@ from trinoc.match.bodies.casting import (
     side_levels_of_lines,
     suggest_planes,
 )
-from trinoc.match.bodies.lamp import Lamp, Votes, best_lamp
+from trinoc.match.bodies.lamp import Votes, best_lamp
 from trinoc.match.line_map.collinear_merge import join_collinear
 from trinoc.match.line_map.corners import snap_corners
 from trinoc.match.observations.pictures_of_views import segments_of_views
 from trinoc.match.tracks.matches import EVEN, Matches
-from trinoc.match.tuning.bodies import ShadowTuning
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
 
@@ -109,7 +108,7 @@ def find_shadows(
     A shadow's boundary lies in the plane through the lamp and the edge that casts it, beyond that
     edge. Each line that may be a shadow of another votes for the lamps that would cast it there;
     the levels beside lines, and corners of bodies, say before which lines may. The lamp is a point,
-    near or infinitely far, from 12 to 84 degrees above the plane that most lines lie in. Where no
+    near or infinitely far, from 10 to 80 degrees above the plane that most lines lie in. Where no
     lamp stands out (`lamp_posterior`), as in soft light, probabilities are low, since little is
     known, not because there are no shadows. No lamp is looked for among more than 150 lines, of
     which some agree on one by chance. Nothing is dropped from the matches.
@@ -131,7 +130,7 @@ def find_shadows(
         return Shadows(np.zeros(0), 0.0, none, none, 0.0, np.zeros((3, 3)), {"planes": 0})
     joined = join_collinear(matches, rig, tuning=tuning)
     if len(joined) > own.most_lines:
-        unknown = np.full(len(matches), expit(own.log_odds_without[0]))
+        unknown = np.full(len(matches), expit(own.log_odds_without))
         return Shadows(unknown, 0.0, none, none, 0.0, np.zeros((3, 3)), {"lines": len(joined)})
     lines, covariance = joined.lines_mm, joined.covariance_mm2
     middle = lines.mean(axis=(0, 1))
@@ -141,20 +140,21 @@ def find_shadows(
     levels = side_levels_of_lines(matches, given, joined)
     corners = snap_corners(joined, tuning=tuning)
     known = evidence_of_surroundings(joined, corners, planes, levels, own)
-    prior = expit(_log_odds(known, own.first_log_odds))
-    without = expit(_log_odds(known, own.log_odds_without))
+    odds = own.log_odds[0] + known @ np.array(own.log_odds[1:])
+    prior, without = expit(odds), np.full(len(joined), expit(own.log_odds_without))
     counts = {"lines": len(joined), "planes": len(planes), "pairs that a lamp may join": 0}
     if not planes:
         shadow = without[joined.line_of_track]
         return Shadows(shadow, 0.0, middle, none, 0.0, np.zeros((3, 3)), counts)
-    pairs = casting_pairs(lines, covariance, middle, size, own)
+    pairs = casting_pairs(lines, covariance, middle, own)
     counts["pairs that a lamp may join"] = len(pairs.shadow)
     upward = max(planes, key=lambda plane: int(plane.members.sum())).normal
     weight = ((1 - prior) * joined.posterior)[pairs.edge]
     lamp = best_lamp(Votes(pairs, prior, weight, size), upward, own)
-    right = _lamp_posterior(lamp, own)
+    first, by_score = own.log_odds_of_lamp
+    right = float(expit(first + by_score * lamp.score))
     cast = np.log((1 - own.unexplained) * lamp.ratios + own.unexplained)
-    with_lamp = expit(_log_odds(np.column_stack([known, cast]), own.log_odds_with))
+    with_lamp = expit(odds + cast)
     shadow = right * with_lamp + (1 - right) * without
     counts["tracks likely to be shadows"] = int((shadow[joined.line_of_track] > 0.5).sum())
     return Shadows(
@@ -166,12 +166,3 @@ def find_shadows(
         lamp.covariance,
         counts,
     )
-
-
-def _log_odds(known: Float[np.ndarray, "e k"], weights: tuple[float, ...]) -> np.ndarray:
-    return weights[0] + known @ np.array(weights[1:])
-
-
-def _lamp_posterior(lamp: Lamp, tuning: ShadowTuning) -> float:
-    lead = np.array([[lamp.score, lamp.score - lamp.rival]])
-    return float(expit(_log_odds(lead, tuning.log_odds_of_lamp)[0]))
