@@ -69,23 +69,6 @@ class GemanMcClure(AbstractRobustLoss):
         return GemanMcClure(self.ceiling * factor**2)
 
 
-class Cauchy(AbstractRobustLoss):
-    """rho(s) = c^2 log(1 + s / c^2), which never levels out: at c a residual has half its weight.
-
-    Source: P. W. Holland and R. E. Welsch, Communications in Statistics A6(9), 1977.
-    """
-
-    scale: float = eqx.field(static=True)
-
-    def rho(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
-        """c^2 log(1 + s / c^2)."""
-        return self.scale**2 * array_namespace(squared).log1p(squared / self.scale**2)
-
-    def weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
-        """1 / (1 + s / c^2)."""
-        return 1 / (1 + squared / self.scale**2)
-
-
 class ScaleMixture(AbstractRobustLoss):
     """Minus twice the log likelihood, against no error at all, of errors of several sizes.
 

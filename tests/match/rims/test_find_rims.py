@@ -19,7 +19,6 @@ from trinoc.synth.solids import Cylinder
 VIEWS = ("upper", "left", "right")
 FLAT = Ring((20.0, -15.0, 30.0), (0.0, 0.0, 1.0), 14.0)
 TILTED = Ring((-35.0, 12.0, 15.0), (0.2, -0.1, 1.0), 9.0)
-AS_STATED = MatchTuning(rims=RimTuning(floor_px=0.0))
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +80,7 @@ def test_errors_are_those_of_their_covariance(rig) -> None:
     matches, squares = match_segments(exact, rig), []
     for seed in range(4):
         segments = chords_seen(rig, [FLAT], sigma_px=0.2, seed=seed)
-        found = find_rims(matches, segments, rig, tuning=AS_STATED)
+        found = find_rims(matches, segments, rig)
         assert len(found) == 1
         error = np.array([*(found.centre_mm[0] - FLAT.centre_mm), found.radius_mm[0] - 14.0])
         rows = np.array([0, 1, 2, 6])
@@ -227,10 +226,10 @@ def test_two_views_make_a_rim_of_a_circle_and_none_of_short_arcs(rig) -> None:
     found = find_rims(matches, two, rig)
     assert len(found) == 1
     pieces = found.matches.posterior[len(found.kept) :]
-    np.testing.assert_array_equal(pieces, RimTuning().posterior_of_two)
+    np.testing.assert_array_equal(pieces, RimTuning().posterior)
     # A third of each ring, and the lines.
     part = {name: each.take(np.r_[0:5, 14 : len(each)]) for name, each in two.items()}
-    kept = dataclasses.replace(RimTuning(), least_covered_of_two=0.2)
+    kept = dataclasses.replace(RimTuning(), least_covered=0.1)
     lax = find_rims(match_segments(part, rig), part, rig, tuning=MatchTuning(rims=kept))
     assert len(lax) == 1
     assert len(find_rims(match_segments(part, rig), part, rig)) == 0

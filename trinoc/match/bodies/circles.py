@@ -9,8 +9,6 @@ from trinoc.geometry.projection import homogeneous_pixel, pixel_change, project_
 from trinoc.geometry.rig import Rig
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.tuning.bodies import RimTuning
-from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.numerics.robust_loss import Cauchy
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, misfit_factor
 from trinoc.numerics.vectors import complete_axes, cross_3d, vector3
 
@@ -79,7 +77,7 @@ class Off(NamedTuple):
     around_mm: Float[np.ndarray, "h s k 3"]
 
 
-def collect_chords(seen: MatchInput, views: tuple[str, ...], tuning: RimTuning) -> Chords:
+def collect_chords(seen: MatchInput, views: tuple[str, ...]) -> Chords:
     """All segments of all views."""
     parts = []
     for number, name in enumerate(views):
@@ -103,7 +101,7 @@ def collect_chords(seen: MatchInput, views: tuple[str, ...], tuning: RimTuning) 
                 np.tile(-inverse @ matrix[:, 3], (len(ends), 1)),
                 np.tile(matrix, (len(ends), 1, 1)),
                 # The ends of a line through many points have twice the variance.
-                np.sqrt(of_ends / 2 + tuning.floor_px**2),
+                np.sqrt(of_ends / 2),
                 length,
             )
         )
@@ -177,7 +175,7 @@ def touching(off: Off, within_px: float, tuning: RimTuning) -> Bool[np.ndarray, 
         bow = 3 * np.abs(off.px[..., MIDDLE] - off.px[..., ON_ARC].mean(axis=2))
     tangent = off.cosine > np.cos(np.radians(tuning.tangent_deg))
     opened = off.axis_ratio > tuning.least_axis_ratio
-    return near & tangent & opened & (bow < tuning.first_px)
+    return near & tangent & opened & (bow < 2 * tuning.touch_px)
 
 
 def points_on_circles(
@@ -223,7 +221,6 @@ def fit_circle(chords: Chords, circle: Circles) -> CircleFit:
         lambda at, step: move_circle(at, step * _scale(at)),
         circle,
         steps=_STEPS,
-        loss=Cauchy(DEFAULT.rims.robust_sigmas),
         largest_step=_LARGEST_STEP,
     )
     scale = _scale(circle)

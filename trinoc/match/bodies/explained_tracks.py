@@ -35,10 +35,11 @@ from trinoc.numerics.vectors import cross_3d
 def are_outlines(
     chords: Chords, circles: Circles, mm_per_px: float, tuning: RimTuning
 ) -> Bool[np.ndarray, "n"]:
-    """Whether the rays of a segment's ends touch the cylinder over any of the circles, near it."""
+    """Whether the rays of a segment's ends touch the cylinder over any of the circles, one of them
+    nearer to it than its radius."""
     found = np.zeros(len(chords.view), dtype=bool)
     rays = chords.rays[:, ENDS]
-    within_mm = (tuning.first_px + tuning.last_px) / 2 * mm_per_px
+    within_mm = 2 * tuning.touch_px * mm_per_px
     for centre, axis, radius in zip(*circles, strict=True):
         across = cross_3d(rays, axis)
         sine = np.maximum(np.linalg.norm(across, axis=2), 1e-9)
@@ -46,10 +47,10 @@ def are_outlines(
         distance = np.abs((off * across).sum(axis=2)) / sine
         height = abs_height(rays, off, axis)
         near = np.abs(distance - radius).max(axis=1) < within_mm
-        begins = height.min(axis=1) < tuning.outline_from * radius
+        begins = height.min(axis=1) < radius
         # From the rim down: a line across it does not leave its plane.
         leaves = height.max(axis=1) - height.min(axis=1) > within_mm
-        found |= near & begins & leaves & (height.max(axis=1) < tuning.outline_to * radius)
+        found |= near & begins & leaves
     return found
 
 
@@ -86,7 +87,7 @@ def tracks_beside_rims(
     kept = np.flatnonzero(~_explains_tracks(matches, chords, rim))
     outline = are_outlines(chords, circles, mm_per_px, tuning) & (rim < 0)
     held = _on_tracks(matches, chords, outline).sum(axis=1) >= 2
-    mark = np.where(held, tuning.posterior_of_two, 0.0)[kept]
+    mark = np.where(held, tuning.posterior, 0.0)[kept]
     if "silhouette" in matches.marks:
         mark = np.maximum(mark, matches.marks["silhouette"][kept])
     return TracksBesideRims(kept, mark, int(held[kept].sum()))
@@ -203,7 +204,7 @@ def add_rims(
             f"The rims are of the views {', '.join(rims.views)}, but the matches of "
             f"{', '.join(views)}: find both in the same pictures, the views in one order."
         )
-    own = collect_chords(prepare(given, rig, None), views, tuning.rims)
+    own = collect_chords(prepare(given, rig, None), views)
     circles = Circles(rims.centre_mm, rims.normal, rims.radius_mm)
     rim = _assign_rims(own, circles, tuning.rims)
     scale = usual_mm_per_px(matches.lines_mm, rig, views)
@@ -228,5 +229,5 @@ def _assign_rims(chords: Chords, circles: Circles, tuning: RimTuning) -> Int[np.
         return np.full(len(chords.view), -1)
     off = off_circles(chords, circles)
     apart = np.abs(off.px[..., ON_ARC]).max(axis=2)
-    apart = np.where(touching(off, tuning.last_px, tuning), apart, np.inf)
+    apart = np.where(touching(off, tuning.touch_px, tuning), apart, np.inf)
     return np.where(np.isfinite(apart.min(axis=0)), apart.argmin(axis=0), -1)

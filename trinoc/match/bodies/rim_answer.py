@@ -22,7 +22,6 @@ from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.tracks.line_fit import cut_fragments, ending_view, track_intervals
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tuning.bodies import RimTuning
-from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import add_error_of_ends, complete_axes, cross_3d
 
@@ -72,7 +71,7 @@ def share_of_two_views(arcs: Arcs, view: Int[np.ndarray, "n"], views: int) -> fl
 
 
 def cut_pieces(
-    arcs: Arcs, view: Int[np.ndarray, "n"], views: int, least_rad: float, tuning: RimTuning
+    arcs: Arcs, view: Int[np.ndarray, "n"], views: int, least_rad: float
 ) -> CirclePieces:
     """The parts that one set of chords shows each, of two views or more; of several chords of a
     view the one that reaches furthest."""
@@ -86,11 +85,10 @@ def cut_pieces(
         if len(own):
             best = own[reach[:, own].argmax(axis=1)]
             chord[:, number] = np.where(reach[np.arange(len(border)), best] > 0, best, -1)
-    # Neighbours that the same chords show are one, as long as it is not too long.
+    # Neighbours that the same chords show are one.
     begin, end, rows = [], [], []
     for row, (start, step) in enumerate(zip(border, width, strict=True)):
-        same = len(rows) > 0 and (chord[rows[-1]] == chord[row]).all()
-        if same and start + step - begin[-1] <= tuning.longest_piece_rad:
+        if len(rows) > 0 and (chord[rows[-1]] == chord[row]).all():
             end[-1] = start + step
         else:
             begin.append(start)
@@ -227,8 +225,8 @@ def _pieces(
     """Pieces of one rim, as lines in space with their covariance."""
     circle = rim.circle
     radius = circle.radius_mm[0]
-    least = tuning.shortest_piece_px * mm_per_px / radius
-    found = cut_pieces(rim.arcs, chords.view[rim.own], views, least, tuning)
+    least = tuning.end_px * mm_per_px / radius
+    found = cut_pieces(rim.arcs, chords.view[rim.own], views, least)
     angle = np.stack([found.begin, found.end], axis=1)
     ends = points_on_circles(circle, angle.reshape(1, -1)).reshape(-1, 2, 3)
     out = (ends - circle.centre_mm[0]) / radius
@@ -240,10 +238,9 @@ def _pieces(
     slope[..., 5] = out
     slope = slope.reshape(-1, 6, 6)
     covariance = slope @ rim.covariance @ slope.mT
-    add_error_of_ends(covariance, (DEFAULT.rims.end_px * mm_per_px) * cross_3d(circle.normal, out))
+    add_error_of_ends(covariance, (tuning.end_px * mm_per_px) * cross_3d(circle.normal, out))
     chord = np.where(found.chord >= 0, rim.own[np.maximum(found.chord, 0)], -1)
-    posterior = np.full(len(chord), tuning.posterior_of_two if rim.of_two else tuning.posterior)
-    return RimPieces(chord, ends, covariance, posterior)
+    return RimPieces(chord, ends, covariance, np.full(len(chord), tuning.posterior))
 
 
 def _public(rim: FittedRim) -> Float[np.ndarray, "7 7"]:

@@ -79,18 +79,18 @@ def find_rims(
     """
     stated = prepare(segments_of_views("Finding rims", matches.views, segments), rig, None)
     # Matched chords disagree: what that makes of their errors is none of the rims'.
-    chords = collect_chords(stated, matches.views, tuning.rims)
+    chords = collect_chords(stated, matches.views)
     seen = with_noise_scale(stated, np.array([matches.noise_scale]))
     scale = usual_mm_per_px(matches.lines_mm, rig, matches.views)
     cameras = np.asarray(stated.frames[0].cameras.matrix_px)
-    start = propose_rims(matches.lines_mm, cameras, scale, tuning.rims)
+    start = propose_rims(matches.lines_mm, cameras, tuning.rims)
     chosen = _choose_rims(chords, start, tuning.rims)
     return build_rims(matches, seen, chords, chosen, scale, tuning.rims)
 
 
 def _choose_rims(chords: Chords, start: Circles, tuning: RimTuning) -> RimChoice:
     """Rims, one after the other, those of the longest chords first; a chord belongs to one."""
-    support = supports(chords, start, tuning.first_px, tuning)
+    support = supports(chords, start, 2 * tuning.touch_px, tuning)
     ones = np.ones_like(support.data)
     touches = csr_array((ones, support.indices, support.indptr), support.shape)
     views = int(chords.view.max(initial=-1)) + 1
@@ -128,22 +128,22 @@ def _fit_rim(
     """The rim near a circle; None where too little touches it."""
     rows = np.flatnonzero(about(chords, circle, _ROOM_PX)[0] & free)
     chords = take_rows(chords, rows)
-    first = _circle_evidence(chords, circle, tuning.first_px, views, tuning)
+    touch = tuning.touch_px
+    first = _circle_evidence(chords, circle, 2 * touch, views, tuning)
     if first.covered < tuning.least_covered / 2:
         return None
     covariance = np.zeros((6, 6))
-    between = (tuning.first_px + tuning.last_px) / 2
-    for within in (tuning.first_px, between, tuning.last_px, tuning.last_px):
+    for within in (2 * touch, 1.5 * touch, touch, touch):
         own = np.flatnonzero(touching(off_circles(chords, circle), within, tuning)[0])
         if np.sort(np.bincount(chords.view[own], minlength=views))[-2] < tuning.least_chords:
             return None
         circle, covariance = fit_circle(take_rows(chords, own), circle)
-    last = _circle_evidence(chords, circle, tuning.last_px, views, tuning)
+    last = _circle_evidence(chords, circle, touch, views, tuning)
     number = np.bincount(chords.view[last.own], minlength=views)
     # Two arcs of two views leave three numbers each, place, direction and bend, as many as a circle
     # takes: they always lie on one, unless they are long.
     of_two = np.count_nonzero(number) == 2
-    least = tuning.least_covered_of_two if of_two else tuning.least_covered
+    least = tuning.least_covered * (2 if of_two else 1)
     if np.sort(number)[-2] < tuning.least_chords or last.covered < least:
         return None
     if not np.isfinite(covariance).all():
@@ -182,7 +182,6 @@ MOST_NEIGHBOURS, MOST_OF_LINE, MOST_CIRCLES = 150, 6, 1500
 def propose_rims(
     lines_mm: Float[np.ndarray, "t 2 3"],
     cameras_px: Float[np.ndarray, "v 3 4"],
-    mm_per_px: float,
     tuning: RimTuning,
 ) -> Circles:
     """Circles that touch two lines each at their middles and that two cameras at least do not see
@@ -192,12 +191,10 @@ def propose_rims(
     length = np.linalg.norm(way, axis=1)
     unit = way / np.maximum(length, 1e-12)[:, None]
     one, other = _neighbours(middle, MOST_NEIGHBOURS)
-    least, most = (mm_per_px * radius for radius in tuning.radii_px)
     normal = cross_3d(unit[one], unit[other])
     sine = np.linalg.norm(normal, axis=1)
-    apart = np.linalg.norm(middle[one] - middle[other], axis=1)
-    near = (sine > np.sin(np.radians(tuning.alike_deg))) & (apart < 2 * most)
-    one, other, normal = one[near], other[near], normal[near] / sine[near, None]
+    turned = sine > np.sin(np.radians(tuning.tangent_deg))
+    one, other, normal = one[turned], other[turned], normal[turned] / sine[turned, None]
     step = middle[other] - middle[one]
     inward = [cross_3d(normal, unit[own]) for own in (one, other)]
     found = []
@@ -209,8 +206,7 @@ def propose_rims(
         radius = np.abs(reach)
         # Each line is a chord, shorter than the circle is wide.
         wide = radius > np.maximum(length[one], length[other]) / 2
-        closes = np.maximum(tuning.closes_px * mm_per_px, tuning.closes_share * radius)
-        good = (open_mm < closes) & wide & (radius > least) & (radius < most)
+        good = (open_mm < tuning.closes_share * radius) & wide
         centre = (middle[one] + middle[other]) / 2
         centre = centre + reach[:, None] * (inward[0] + side * inward[1]) / 2
         found.append((one[good], Circles(centre[good], normal[good], radius[good])))
@@ -221,7 +217,7 @@ def propose_rims(
     support = np.zeros(len(line))
     for part in blocks(len(line), max(MOST_AT_ONCE // max(len(lines_mm), 1), 1)):
         some = Circles(*(column[part] for column in circles))
-        support[part] = _support(some, middle, unit, length, mm_per_px, tuning)
+        support[part] = _support(some, middle, unit, length, tuning)
     # The best of each line, so that one rim of many chords does not hide another.
     best = np.lexsort((-support, line))
     rank = np.arange(len(best)) - np.searchsorted(line[best], line[best])
@@ -249,7 +245,6 @@ def _support(
     middle_mm: Float[np.ndarray, "t 3"],
     unit: Float[np.ndarray, "t 3"],
     length_mm: Float[np.ndarray, "t"],
-    mm_per_px: float,
     tuning: RimTuning,
 ) -> Float[np.ndarray, "h"]:
     """Length of the lines that lie on each circle, as far as lines in space are known."""
@@ -260,8 +255,8 @@ def _support(
     distance = np.sqrt(np.maximum(square - height**2, 1e-12))
     out_of_plane = normal @ unit.T
     radial = (middle_mm * unit).sum(axis=1) - centre @ unit.T - height * out_of_plane
-    alike = np.sin(np.radians(tuning.alike_deg))
-    near = ((tuning.closes_px * mm_per_px + tuning.closes_share * radius) / 2)[:, None]
+    alike = np.sin(np.radians(tuning.tangent_deg))
+    near = (tuning.closes_share * radius / 2)[:, None]
     on = (np.abs(height) < near) & (np.abs(distance - radius[:, None]) < near)
     on &= (np.abs(out_of_plane) < alike) & (np.abs(radial) < alike * distance)
     return on @ length_mm

@@ -95,7 +95,8 @@ def _has_other_chords(
     second: int,
     tuning: RimTuning,
 ) -> bool:
-    """Whether the second view shows a circle of the same image in the first by other chords."""
+    """Whether the second view shows a circle of the same image in the first by other chords, half
+    as long."""
     there = chords.view == second
     rows = np.setdiff1d(np.flatnonzero(there), own)
     if len(rows) == 0:
@@ -103,8 +104,8 @@ def _has_other_chords(
     eye = chords.centre_mm[(chords.view == first).argmax()]
     moved = _of_one_image(circle, eye, chords.matrix_px[there.argmax()], tuning)
     others = take_rows(chords, rows)
-    longest = (supports(others, moved, tuning.first_px, tuning) > 0) @ others.length_px
-    return bool(longest.max() > tuning.rival_share * chords.length_px[own[there[own]]].sum())
+    longest = (supports(others, moved, 2 * tuning.touch_px, tuning) > 0) @ others.length_px
+    return bool(longest.max() > 0.5 * chords.length_px[own[there[own]]].sum())
 
 
 def _of_one_image(
@@ -119,7 +120,7 @@ def _of_one_image(
     afar = other_px[:, :3] @ way
     # From what is far away to here; where it leaves the view sideways, as many steps as allowed.
     path = np.linalg.norm(here[:2] / here[2] - afar[:2] / max(afar[2], 1e-9 * abs(here[2])))
-    steps = int(np.clip(_NEAREST * path / tuning.first_px, 1, _MOST_STEPS))
+    steps = int(np.clip(_NEAREST * path / (2 * tuning.touch_px), 1, _MOST_STEPS))
     larger = steps / (_NEAREST * np.arange(1, steps + 1))
     return Circles(
         eye_mm + larger[:, None] * way,

@@ -7,55 +7,30 @@ from dataclasses import dataclass
 class RimTuning:
     """From chords to circles. Shown by benchmarks/guided.py."""
 
-    # Two matched lines suggest a circle where what touches both closes within so many px, and share
-    # of its radius, of the usual picture; others speak for it within half of both. By hand.
-    closes_px: float = 5.0
+    # Two matched lines suggest a circle where what touches both closes within this share of its
+    # radius; others speak for it within half of that. By hand.
     closes_share: float = 0.2
-    # Radii, px of the usual picture. By hand.
-    radii_px: tuple[float, float] = (4.0, 200.0)
-    # Lines that speak for a circle have a direction that differs by less than this from its tangent
-    # and plane, degrees; those of two that suggest one differ by more. By hand.
-    alike_deg: float = 20.0
-    # A chord touches a circle within so many px, first and last, and bows no further off it than
-    # the first: more than detectors let pass; its direction differs by less than this, degrees. By
-    # hand.
-    first_px: float = 2.0
-    last_px: float = 1.0
-    tangent_deg: float = 12.0
+    # Directions are those of a circle where they differ from its tangent by less than this,
+    # degrees; those of two lines that suggest one differ by more. By hand.
+    tangent_deg: float = 15.0
+    # A chord touches a circle within so many px, and twice as many before it is fitted and at its
+    # middle: more than detectors let pass. By hand: at half of it a rim of 13 is lost.
+    touch_px: float = 1.0
     # Chords speak for a circle in views whose image of it has more than this, its shorter over its
     # longer axis: a row of bricks lies on many a narrow ellipse. By hand: 18 wrong circles on
     # photographs of Merton College have less than .08 in all views, the rims of seeds 0 to 11 more
     # than .6.
     least_axis_ratio: float = 0.15
-    # Beyond what segments claim, a chord's two places on its arc are off by this, px: where arcs
-    # are cut, their ends bend. By hand.
-    floor_px: float = 0.15
     # A circle is put out where so many chords touch it in each of two views and two views show this
-    # share of it, half of that before it is fitted. By hand, on seeds 0 to 11 and the demo: wrong
-    # ones showed .10 to .25.
+    # share of it, half of that before it is fitted, twice where no third view has chords. By hand,
+    # on seeds 0 to 11 and the demo: wrong ones showed .10 to .25.
     least_chords: int = 3
     least_covered: float = 0.28
-    # The same where all chords are of two views. By hand.
-    least_covered_of_two: float = 0.5
-    # Of the 23 that were put out on these, none was wrong: one more of each kind.
-    posterior: float = 0.96
-    # The same where no third view has chords, and of outlines below rims. By hand.
-    posterior_of_two: float = 0.9
-    # Such a rim is dropped where other chords of one view fit as well, by their length: this share.
-    # By hand, on photographs of a plate of 100 equal circles.
-    rival_share: float = 0.5
-    # Pieces of a rim are at most this long, rad, and at least this, px. By hand.
-    longest_piece_rad: float = 0.7
-    shortest_piece_px: float = 1.5
-    # A track shows the outline of the body below a rim where two of its segments have ends that
-    # touch that cylinder, one of them this near to the rim, as a share of its radius, and neither
-    # further away along the axis than so many radii. By hand. Of 10 such tracks on seeds 0 to 11
-    # none was an edge; of those with one such segment 6 of 11 were.
-    outline_from: float = 0.4
-    outline_to: float = 4.0
-    # Residuals of so many standard deviations have half the weight. By hand.
-    robust_sigmas: float = 3.0
-    # Standard deviation of a piece's ends along the rim, px: where detectors cut an arc. By hand.
+    # Of the 23 that were put out on these, and of 10 tracks of outlines below them, none was wrong:
+    # one more of each kind would be .97.
+    posterior: float = 0.95
+    # Standard deviation of a piece's ends along the rim, px: where detectors cut an arc; shorter
+    # pieces are none. By hand.
     end_px: float = 1.0
 
 
