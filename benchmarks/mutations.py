@@ -66,9 +66,11 @@ class Outcome(NamedTuple):
     noticed: str
 
 
-def run_tests(copy: Path, tests: Sequence[str], limit_s: float | None = LIMIT_S) -> Outcome:
+def run_tests(
+    copy: Path, tests: Sequence[str], limit_s: float | None = LIMIT_S, jobs: int = 0
+) -> Outcome:
     """Pytest in a copy of the checkout, which stops at the first failure."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n0", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", f"-n{jobs}", "-p", "no:cacheprovider"]
     command += ["-m", "not slow", *(f"tests/{each}" for each in tests)]
     environment = {
         **os.environ,
@@ -103,8 +105,8 @@ def outcome(mutation: Mutation, copies: list[Path]) -> tuple[str, str]:
         start = time.perf_counter()
         status, noticed = run_tests(copy, mutation.tests)
         noticed = f"{time.perf_counter() - start:.0f} s {noticed}"
-        # 1 : tests failed; 2 : the file does not even import.
-        end = "late" if status is None else "caught" if status in (1, 2) else "survived"
+        # 1 : tests failed; 2 and 4 : the file does not even import.
+        end = "late" if status is None else "caught" if status in (1, 2, 4) else "survived"
         return end, noticed
     finally:
         path.write_text(source)
@@ -128,9 +130,8 @@ def main() -> int:
             for name in COPIED:
                 source = CHECKOUT / name
                 (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
-        if run_tests(
-            copies[0], sorted({test for each in chosen for test in each.tests}), None
-        ).status:
+        nearest = sorted({test for each in chosen for test in each.tests})
+        if run_tests(copies[0], nearest, None, options.jobs).status:
             print("The tests fail without any mutation: mend them first.")
             return 1
         ends = []
