@@ -183,8 +183,8 @@ def notes_of_camera(
         )
     elif choice.agreement < TUNING.answer.chance_of_answers:
         notes.append(
-            "the circles' centres disagree with the grey levels and with each other, which uneven "
-            "light does. The grey levels were used."
+            "the circles' centres disagree with the grey levels, as uneven light makes them. The "
+            "grey levels were used."
         )
     dropped = detection.circle_index[~used]
     if len(dropped):

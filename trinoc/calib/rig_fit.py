@@ -15,6 +15,7 @@ from trinoc.calib.adjustment.each_camera import PoseEstimate, fit_camera
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.photometric.encoding import Encoding
+from trinoc.calib.photometric.image_fit import UNEVEN_LIGHT
 from trinoc.calib.photometric.scene import ShiftOfPlaces
 from trinoc.calib.photometric.views import PictureFit, refine_views
 from trinoc.calib.problem.apparent_shift import apparent_shift
@@ -161,7 +162,8 @@ def _choose(
         return by_picture
     scatter = scatter_of_blocks(of_circles, view)
     enlarged = float(of_circles.enlarged[view]), float(of_pictures.enlarged[view])
-    if is_shown and circles_are_refuted(scatter, *enlarged):
+    shows = picture.quality.found if picture and picture.quality else ()
+    if is_shown and circles_are_refuted(scatter, *enlarged, light_is_uneven=UNEVEN_LIGHT in shows):
         return by_picture
     # By all that blocks say where the model is wrong.
     scatter = scatter if is_shown or scatter > TUNING.answer.largest_scatter else 1.0

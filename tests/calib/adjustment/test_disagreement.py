@@ -101,16 +101,20 @@ def test_blocks_scatter_as_claimed_unless_neighbours_share_an_error() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scatter", "enlarged", "enlarged_of_grey", "refuted"),
+    ("scatter", "enlarged", "enlarged_of_grey", "light_is_uneven", "refuted"),
     [
-        (1.0, 1.0, 1.0, False),
-        (1.9, 1.0, 1.0, True),
-        (1.4, 1.0, 1.0, False),
-        (1.0, 1.2, 1.0, True),
-        (1.9, 1.9, 1.3, False),
+        (1.0, 1.0, 1.0, False, False),
+        (1.9, 1.0, 1.0, False, True),
+        (1.4, 1.0, 1.0, False, False),
+        (1.4, 1.0, 1.0, True, True),
+        (1.0, 1.2, 1.0, False, True),
+        (1.9, 1.9, 1.3, True, False),
     ],
 )
 def test_circles_are_refuted_by_their_own_scatter_where_grey_levels_agree_with_themselves(
-    scatter: float, enlarged: float, enlarged_of_grey: float, refuted: bool
+    scatter: float, enlarged: float, enlarged_of_grey: float, light_is_uneven: bool, refuted: bool
 ) -> None:
-    assert circles_are_refuted(scatter, enlarged, enlarged_of_grey) is refuted
+    answer = circles_are_refuted(
+        scatter, enlarged, enlarged_of_grey, light_is_uneven=light_is_uneven
+    )
+    assert answer is refuted

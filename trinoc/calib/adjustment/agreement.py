@@ -87,12 +87,15 @@ def difference_of_answers(
     return float(np.sum((directions.T @ own) ** 2 / variance))
 
 
-def circles_are_refuted(scatter: float, enlarged: float, enlarged_of_grey: float) -> bool:
+def circles_are_refuted(
+    scatter: float, enlarged: float, enlarged_of_grey: float, *, light_is_uneven: bool
+) -> bool:
     """Whether, of two answers that differ, the circles' is the one that its own data speak against.
 
     scatter : of its blocks, as broad glare makes them scatter. enlarged, enlarged_of_grey : how
     many times as much as they claim the places scatter one by one, of both answers; 1 where that
-    may be chance.
+    may be chance. light_is_uneven : whether the grey levels show light that circles take for even:
+    it shifts them smoothly, and a free lens and a bend hide that from their scatter.
     """
-    refuted = scatter > TUNING.answer.largest_scatter or enlarged > 1.0
+    refuted = scatter > TUNING.answer.largest_scatter or enlarged > 1.0 or light_is_uneven
     return refuted and enlarged_of_grey == 1.0

@@ -123,8 +123,9 @@ class AdjustmentTuning:
 
     # A camera is started another way where half of its circles lie farther off, in sigmas. By hand.
     far_sigmas: float = 10.0
-    # The difference of two answers has at least this share of the circles' covariance. By hand.
-    least_difference: float = 0.1
+    # The difference of two answers has at least this share of the circles' covariance: what they
+    # claim differs by so much from picture to picture. By hand.
+    least_difference: float = 0.3
     # Blocks along each side of the sheet that are left out in turn, and the fewest with circles
     # that tell how blocks scatter. By hand.
     blocks: int = 4
