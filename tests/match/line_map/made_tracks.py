@@ -14,11 +14,7 @@ VIEWS = ("upper", "left", "right")
 _triangulated = jax.jit(jax.vmap(triangulate_segment, in_axes=(None, 0, 0, 0)))
 ROOM = 128
 # For segments that err as they say, whatever those of pictures do.
-AS_STATED = with_field(
-    with_field(MatchTuning(), "collinear.error_shares", (1 - 2e-9, 1e-9, 1e-9)),
-    "collinear.error_observations",
-    1e9,
-)
+AS_STATED = with_field(MatchTuning(), "collinear.error_shares", (1 - 2e-9, 1e-9, 1e-9))
 
 
 def fitted_covariance(ends_px: np.ndarray, sigma_px: float) -> np.ndarray:

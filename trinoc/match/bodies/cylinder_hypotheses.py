@@ -21,6 +21,8 @@ from trinoc.numerics.vectors import cross_3d
 
 # numerical: pairs and third outlines looked at together: they bound the memory.
 AT_ONCE = 1 << 18
+# numerical: of each view, those that share most, as many as there is time for.
+MOST_PAIRS = 1000
 # numerical: those of the longest outlines, as many as memory holds.
 MOST_HYPOTHESES = 40_000
 
@@ -70,16 +72,13 @@ def _pairs_of_view(table: Outlines, view: int, tuning: MatchTuning) -> _Pairs:
     middle = 0.5 * (ends[i].mean(axis=1) + ends[j].mean(axis=1))
     reach = [np.sort(((ends[k] - middle[:, None]) * mean[:, None]).sum(-1), axis=1) for k in (i, j)]
     common = np.minimum(reach[0][:, 1], reach[1][:, 1]) - np.maximum(reach[0][:, 0], reach[1][:, 0])
-    shorter, longer = np.minimum(length[i], length[j]), np.maximum(length[i], length[j])
+    good = np.abs(dot) > np.cos(np.radians(tuning.cylinders.parallel_deg))
+    good &= common > tuning.tracks.abreast_share * np.minimum(length[i], length[j])
     gap = ends[j].mean(axis=1) - ends[i].mean(axis=1)
     wide = np.abs(gap[:, 0] * mean[:, 1] - gap[:, 1] * mean[:, 0])
-    good = np.abs(dot) > np.cos(np.radians(tuning.cylinders.parallel_deg))
-    good &= common > tuning.tracks.abreast_share * shorter
-    good &= (wide > tuning.cylinders.narrowest_px) & (
-        wide < tuning.cylinders.widest_lengths * longer
-    )
+    good &= wide > tuning.cylinders.narrowest_px
     chosen = np.flatnonzero(good)
-    chosen = chosen[np.argsort(-common[chosen], kind="stable")][: tuning.cylinders.most_pairs]
+    chosen = chosen[np.argsort(-common[chosen], kind="stable")][:MOST_PAIRS]
     row = np.stack([rows[i[chosen]], rows[j[chosen]]], axis=1)
     normal = table.normals[row]
     turn = np.sign((normal[:, 0] * normal[:, 1]).sum(axis=1))
@@ -98,9 +97,7 @@ def _consistent(
     size = np.linalg.norm(axis, axis=1)
     own = every[pairs.row]
     out_of = np.abs((own * axis[:, None]).sum(axis=2)).max(axis=1)
-    kept = size > np.sin(np.radians(tuning.cylinders.least_turn_deg))
-    kept &= out_of < size * np.sin(np.radians(tuning.cylinders.parallel_deg))
-    kept = np.flatnonzero(kept)
+    kept = np.flatnonzero(out_of < size * np.sin(np.radians(tuning.cylinders.parallel_deg)))
     row = np.concatenate([pairs.row[kept], third[kept, None]], axis=1)
     normal, direction = normal[kept], axis[kept] / size[kept, None]
     centre = table.rays.centre_mm[row]

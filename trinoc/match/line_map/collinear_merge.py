@@ -33,9 +33,6 @@ from trinoc.match.tuning.line_map import CollinearTuning
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tails import chi_square_tail
 
-# numerical: rounds in which the share is learned, which converge.
-_ROUNDS = 3
-
 
 class _Group(NamedTuple):
     """Tracks taken for one line so far, their segments (view, segment), and that line.
@@ -58,7 +55,6 @@ class _Group(NamedTuple):
 class _Problem(NamedTuple):
     pieces: TrackTable
     scene: LineDensity
-    share: float
     tuning: MatchTuning
 
 
@@ -94,15 +90,7 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     )
     scene = line_density(pieces.ends_mm, tuning.evidence)
     parallel = parallel_density(near, apart, scene, rules)
-    evidence = CollinearEvidence(
-        apart,
-        np.maximum(parallel[one], parallel[other]),
-        ((pieces.index[one] == pieces.index[other]) & (pieces.index[one] >= 0)).any(axis=1),
-        gap_mm(pieces.common_mm[one], pieces.common_mm[other]),
-        (pieces.px_per_mm[one] + pieces.px_per_mm[other]) / 2,
-    )
-    share = _learn_share(evidence, scene, len(order), tuning)
-    surely_others = apart.square > rules.different
+    surely_others = apart.square > rules.gate_sigmas**2
     alone = [
         _Group(
             (t,),
@@ -117,7 +105,7 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
         )
         for t in range(len(order))
     ]
-    problem = _Problem(pieces, scene, share, tuning)
+    problem = _Problem(pieces, scene, tuning)
     groups = _agglomerate(alone, near.pairs[~surely_others], problem)
     return _as_lines(groups, pieces, order, matches.noise_tail, rules)
 
@@ -176,18 +164,6 @@ def _least_gaps(ones: list[_Group], others: list[_Group]) -> Float[np.ndarray, "
     return least
 
 
-def _learn_share(
-    evidence: CollinearEvidence, scene: LineDensity, count: int, tuning: MatchTuning
-) -> float:
-    """How often a line has another piece, from how many pairs are likely to be one."""
-    prior, weight = tuning.collinear.prior_share, tuning.evidence.prior_observations
-    share = prior
-    for _ in range(_ROUNDS):
-        likely = expit(collinear_log_odds(evidence, scene, share, tuning)).sum()
-        share = (likely + weight * prior) / (count + weight)
-    return share
-
-
 def _odds(ones: list[_Group], others: list[_Group], problem: _Problem) -> Float[np.ndarray, "p"]:
     if not ones:
         return np.zeros(0)
@@ -208,7 +184,7 @@ def _odds(ones: list[_Group], others: list[_Group], problem: _Problem) -> Float[
         _least_gaps(ones, others),
         np.array([scale[[*a.tracks, *b.tracks]].mean() for a, b in both]),
     )
-    return collinear_log_odds(evidence, problem.scene, problem.share, problem.tuning)
+    return collinear_log_odds(evidence, problem.scene, problem.tuning)
 
 
 def _join_groups(one: _Group, other: _Group, problem: _Problem) -> _Group | None:

@@ -109,9 +109,9 @@ class CollinearEvidence(NamedTuple):
 
 
 def collinear_log_odds(
-    evidence: CollinearEvidence, scene: LineDensity, share: float, tuning: MatchTuning = DEFAULT
+    evidence: CollinearEvidence, scene: LineDensity, tuning: MatchTuning = DEFAULT
 ) -> Float[np.ndarray, "p"]:
-    """Log odds that each two are one line; `share` is how often a line has another piece."""
+    """Log odds that each two are one line."""
     apart, parallel, shared, gap, px_per_mm = evidence
     rules, tail = tuning.collinear, tuning.evidence
     others = np.logaddexp(
@@ -120,10 +120,9 @@ def collinear_log_odds(
     )
     in_plane = np.log(scene.size / (np.sqrt(2 * np.pi) * apart.shift_sigma))
     in_plane += _log_tailed(apart.square, 4, tail) - _log_tailed(np.zeros(1), 4, tail)
-    break_px, broken = rules.break_px, rules.broken_share
-    breaks = np.exp(-gap * px_per_mm / break_px) * px_per_mm / break_px
-    along = np.log(broken * breaks * scene.size + 1 - broken)
-    return along + np.where(shared, in_plane, np.log(share) - others)
+    breaks = np.exp(-gap * px_per_mm / rules.break_px) * px_per_mm / rules.break_px
+    along = np.log((breaks * scene.size + 1) / 2)
+    return along + np.where(shared, in_plane, np.log(rules.share) - others)
 
 
 def _log_tailed(
@@ -218,8 +217,7 @@ def nearby_lines(
     length = np.linalg.norm(way, axis=1)
     unit = way / length[:, None]
     sigma = np.sqrt(_across_variance(unit, covariance_mm2))
-    angle = np.radians(tuning.parallel_deg) + tuning.gate_sigmas * sigma / length
-    angle = np.minimum(angle, np.radians(tuning.widest_deg))
+    angle = np.minimum(tuning.gate_sigmas * sigma / length, np.radians(tuning.widest_deg))
     pairs, beside = [], np.full(count, np.inf)
     for rows in blocks(count, ROWS_IN_BLOCK):
         cosine = np.minimum(np.abs(unit[rows] @ unit.T), 1.0)
@@ -247,7 +245,7 @@ def parallel_density(
 ) -> Float[np.ndarray, "t"]:
     """Lines parallel to each, per area across: as dense as about it, or as about most."""
     beside = near.beside_mm.copy()
-    other = apart.square > tuning.different
+    other = apart.square > tuning.gate_sigmas**2
     for side in (0, 1):
         np.minimum.at(beside, near.pairs[other, side], apart.shift[other])
     local = 1 / (np.pi * beside**2 + np.finfo(float).tiny)

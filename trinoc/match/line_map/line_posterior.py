@@ -23,8 +23,6 @@ from trinoc.numerics.vectors import complete_axes
 ALL_FACTORS_TO = 4
 # numerical: see above.
 PAIRS_TO = 16
-# numerical: rounds of the search for the likeliest factors, at most.
-ROUNDS = 10
 # numerical: a guard of the logarithm.
 LEAST_POSTERIOR = 1e-6
 
@@ -33,12 +31,10 @@ class LinePosteriors(NamedTuple):
     """Mean and covariance across of lines at the places they were asked for.
 
     ends_mm : moved across only. covariance_mm2 : of the ends, nothing along the line.
-    error_shares : how often segments err by each factor, as these lines show it.
     """
 
     ends_mm: Float[np.ndarray, "e 2 3"]
     covariance_mm2: Float[np.ndarray, "e 6 6"]
-    error_shares: Float[np.ndarray, "3"]
 
 
 class _Equations(NamedTuple):
@@ -52,11 +48,10 @@ class _Equations(NamedTuple):
 
 
 class _Answer(NamedTuple):
-    """Of each line: mean and covariance of its four offsets, and how likely each factor is."""
+    """Of each line: mean and covariance of its four offsets."""
 
     offset: Float[np.ndarray, "l 4"]
     covariance: Float[np.ndarray, "l 4 4"]
-    factors: Float[np.ndarray, "l n 3"]
 
 
 def line_posteriors(
@@ -76,34 +71,23 @@ def line_posteriors(
     equations = _equations(shown, ends_mm, axes)
     # None is surely wrong: every factor keeps a share.
     right = np.maximum(posterior, LEAST_POSTERIOR)[:, None]
-    scales, prior = np.array(tuning.error_scales), shares_of_tail(tail, tuning)
-    widest, weight = np.array([0.0, 0.0, 1.0]), tuning.error_observations
-    shares, answers = prior, list[_Answer]()
-    for _ in range(ROUNDS):
-        of_line = right * shares + (1 - right) * widest
-        answers = [_answer(group, of_line[group.lines], scales) for group in equations]
-        # Two segments agree whatever their errors.
-        checked = [
-            answer.factors[posterior[group.lines] >= tuning.min_posterior].reshape(-1, 3)
-            for group, answer in zip(equations, answers, strict=True)
-            if answer.factors.shape[1] > 2
-        ]
-        seen = np.concatenate([*checked, np.zeros((0, 3))])
-        shares = (seen.sum(axis=0) + weight * prior) / (len(seen) + weight)
+    scales, shares = np.array(tuning.error_scales), shares_of_tail(tail, tuning)
+    of_line = right * shares + (1 - right) * np.array([0.0, 0.0, 1.0])
     ends, covariance = ends_mm.copy(), np.zeros((len(ends_mm), 6, 6))
-    for group, answer in zip(equations, answers, strict=True):
+    for group in equations:
+        answer = _answer(group, of_line[group.lines], scales)
         across = axes[group.lines]
         ends[group.lines] += answer.offset.reshape(-1, 2, 2) @ across
         spread = answer.covariance.reshape(-1, 2, 2, 2, 2)
         spread = np.einsum("lai,leafb,lbj->leifj", across, spread, across)
         covariance[group.lines] = spread.reshape(-1, 6, 6)
-    return LinePosteriors(ends, covariance, shares)
+    return LinePosteriors(ends, covariance)
 
 
 def shares_of_tail(
     tail: float, tuning: CollinearTuning = DEFAULT.collinear
 ) -> Float[np.ndarray, "3"]:
-    """How often segments err by each factor, before lines of three views are looked at."""
+    """How often segments err by each factor."""
     more = np.clip(tail / tuning.error_tail, 1.0, tuning.most_error_shares)
     larger = more * np.array(tuning.error_shares[1:])
     return np.concatenate([[1 - larger.sum()], larger])
@@ -140,8 +124,7 @@ def _answer(
     spread = np.einsum("lk,lkab->lab", weight, covariance)
     apart = offset - mean[:, None]
     spread += (weight[..., None] * apart).mT @ apart
-    likely = [weight @ (factors == kind) for kind in range(len(scales))]
-    return _Answer(mean, spread, np.stack(likely, axis=2))
+    return _Answer(mean, spread)
 
 
 def _fits(

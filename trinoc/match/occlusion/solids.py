@@ -53,7 +53,9 @@ def see_through_share(
             count = len(segment)
             # Evenly among all: they are in order of their place.
             few = np.linspace(0, count - 1, min(count, MOST_CROSSING)).astype(np.int64)
-            seen, expected = crossings(ends[segment[few]], weight[few], tuning.junctions.reach_px)
+            # Further than detectors stop from where segments end.
+            margin_px = tuning.junctions.gaps_px[-1]
+            seen, expected = crossings(ends[segment[few]], weight[few], margin_px)
             found, usual = found + seen, usual + expected
         share[number] = min(found / usual, 1.0)
     return share

@@ -45,17 +45,11 @@ class CylinderTuning:
     shortest_px: float = 8.0
     # Standard deviation by which an outline's ends are off where it bends into a rim, px.
     rim_px: float = 0.3
-    # Both outlines of a view are as parallel as this, deg, and so wide apart, px and lengths of the
-    # longer. By hand.
+    # Both outlines of a view are as parallel as this, deg, and so wide apart, px. Segments this
+    # nearly parallel to an axis, deg, are as likely to be there as its outlines. By hand: without
+    # the last two edges of boxes make a cylinder.
     parallel_deg: float = 12.0
     narrowest_px: float = 4.0
-    widest_lengths: float = 4.0
-    # So many pairs of outlines of a view at most, those that share most. By hand, for time.
-    most_pairs: int = 1000
-    # The planes half-way between the outlines of two views meet at this angle or more, deg.
-    least_turn_deg: float = 2.0
-    # Segments this nearly parallel to an axis, deg, are as likely to be there as its outlines. By
-    # hand.
     common_deg: float = 3.0
     # A cylinder is determined where the standard deviations of its place and radius are below this
     # share of the radius, and that of its direction below as much, rad. By hand.
