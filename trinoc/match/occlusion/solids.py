@@ -53,8 +53,8 @@ def see_through_share(
             count = len(segment)
             # Evenly among all: they are in order of their place.
             few = np.linspace(0, count - 1, min(count, MOST_CROSSING)).astype(np.int64)
-            # Further than detectors stop from where segments end.
-            margin_px = tuning.junctions.gaps_px[-1]
+            # Further than detectors mostly stop from where segments end.
+            margin_px = tuning.junctions.gaps_px[1]
             seen, expected = crossings(ends[segment[few]], weight[few], margin_px)
             found, usual = found + seen, usual + expected
         share[number] = min(found / usual, 1.0)
@@ -132,9 +132,11 @@ def temper_tracks(
 ) -> Tracks:
     """Tracks with tempered log odds, their rivals' too."""
     candidates = tracks.candidates
-    solid = broadcast_groups(bodies.solid, candidates.frame)
+    # Edges seen through others have corners, too, but are hidden less often.
+    share = bodies.joined * (1 - tuning.occlusion.seen_through_gain * bodies.through)
+    own = broadcast_groups(share, candidates.frame)
     posterior, rivals = (
-        _temper_log_odds(log_odds, candidates.side_log, solid, tuning)
+        _temper_log_odds(log_odds, candidates.side_log, own, tuning)
         for log_odds in (tracks.posterior_log_odds, tracks.rival_posterior)
     )
     return Tracks(candidates, posterior, rivals)

@@ -26,9 +26,12 @@ class OcclusionTuning:
     # beside segments are known. Fitted on made scenes (seeds 0 to 9).
     most_alone: float = 0.98
     # Temperature of tracks and pairs of solids, whose ends meet (`solids.py`), fitted on made
-    # scenes: blocks, see-through boxes, loose segments (seeds from 1,100,000 on). What is added to
-    # log odds of such pairs: by hand, on made blocks (seeds 131,000 to 131,002).
+    # scenes: blocks, see-through boxes, loose segments (seeds from 1,100,000 on).
     solid_temperature: float = 0.15
+    # By how much less it counts of tracks of bodies that are seen through. Fitted to the same; at 1
+    # a view that is shifted by 5 px is no longer suspect.
+    seen_through_gain: float = 0.3
+    # Added to log odds of such pairs. By hand, on made blocks (seeds 131,000 to 131,002).
     solid_offset: float = -1.0
     # What share of lines lies anywhere before a line is known. By hand.
     place_anywhere: float = 0.1
