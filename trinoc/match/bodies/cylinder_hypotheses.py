@@ -74,6 +74,9 @@ def _pairs_of_view(table: Outlines, view: int, tuning: MatchTuning) -> _Pairs:
     common = np.minimum(reach[0][:, 1], reach[1][:, 1]) - np.maximum(reach[0][:, 0], reach[1][:, 0])
     good = np.abs(dot) > np.cos(np.radians(tuning.cylinders.parallel_deg))
     good &= common > tuning.tracks.abreast_share * np.minimum(length[i], length[j])
+    gap = ends[j].mean(axis=1) - ends[i].mean(axis=1)
+    wide = np.abs(gap[:, 0] * mean[:, 1] - gap[:, 1] * mean[:, 0])
+    good &= wide > tuning.cylinders.narrowest_px
     chosen = np.flatnonzero(good)
     chosen = chosen[np.argsort(-common[chosen], kind="stable")][:MOST_PAIRS]
     row = np.stack([rows[i[chosen]], rows[j[chosen]]], axis=1)

@@ -204,7 +204,7 @@ def _common_direction(
 ) -> tuple[Float[np.ndarray, "h k"], Float[np.ndarray, "h"]]:
     """What is as parallel to each axis as to tell nothing: segments of each outline's view, per
     pixel and radian; and the density of axes, per steradian, half of them along such segments."""
-    width = np.radians(tuning.cylinders.parallel_deg)
+    width = np.radians(tuning.cylinders.common_deg)
     along = np.abs(fits.direction @ table.normals.T) < np.sin(width)
     row, column = np.nonzero(members.held)
     along[row, members.row[row, column]] = False

@@ -45,9 +45,12 @@ class CylinderTuning:
     shortest_px: float = 8.0
     # Standard deviation by which an outline's ends are off where it bends into a rim, px.
     rim_px: float = 0.3
-    # Both outlines of a view are as parallel as this, deg; segments as nearly parallel to an axis
-    # are as likely to be there as its outlines. By hand.
+    # Both outlines of a view are as parallel as this, deg, and so wide apart, px. Segments this
+    # nearly parallel to an axis, deg, are as likely to be there as its outlines. By hand: without
+    # the last two edges of boxes make a cylinder.
     parallel_deg: float = 12.0
+    narrowest_px: float = 4.0
+    common_deg: float = 3.0
     # A cylinder is determined where the standard deviations of its place and radius are below this
     # share of the radius, and that of its direction below as much, rad. By hand.
     largest_doubt: float = 0.5
