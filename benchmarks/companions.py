@@ -9,14 +9,14 @@ what is not; differences are those of the same scene, with the standard error of
 
 import argparse
 from collections.abc import Iterator
-from unittest.mock import patch
+from dataclasses import replace
 
 import numpy as np
 from match_scores import score_matches
 from matching_truth import _outcomes
 
+from trinoc.match import MatchTuning
 from trinoc.match.matcher import match_segments
-from trinoc.match.occlusion import pairs_alone
 from trinoc.synth import (
     Detector,
     block_scene,
@@ -67,18 +67,13 @@ def scenes(seeds: int) -> Iterator[tuple[str, list[tuple[int, Scene]]]]:
     yield "loose segments", [(seed, loose_segments(seed, count=500)) for seed in every]
 
 
-def of_no_company(_, posterior: np.ndarray, *others) -> np.ndarray:
-    """Log odds where companions say nothing."""
-    return np.zeros(len(posterior))
-
-
-def figures(seed: int, scene: Scene, asked: bool) -> np.ndarray:
+def figures(seed: int, scene: Scene, most: float) -> np.ndarray:
     """Precision and recall of pairs, log score, calibration error."""
     rig = table1_rig()
     segments, truth = simulate_segments(scene, rig, Detector(), seed=seed)
-    of_company = pairs_alone.companion_log_odds if asked else of_no_company
-    with patch.object(pairs_alone, "companion_log_odds", of_company):
-        matches = match_segments({name: segments[name] for name in VIEWS}, rig)
+    usual = MatchTuning()
+    tuning = replace(usual, occlusion=replace(usual.occlusion, most_companion=most))
+    matches = match_segments({name: segments[name] for name in VIEWS}, rig, tuning=tuning)
     pairs = score_matches(matches, truth).pairs
     stated, right = np.array(_outcomes(matches, truth), dtype=float).T
     stated = np.clip(stated, 1e-4, 1 - 1e-4)
@@ -94,8 +89,7 @@ def main() -> None:
     given = parser.parse_args()
     for kind, drawn in scenes(given.seeds):
         without, found = (
-            np.array([figures(seed, scene, asked) for seed, scene in drawn])
-            for asked in (False, True)
+            np.array([figures(seed, scene, most) for seed, scene in drawn]) for most in (0.0, 4.0)
         )
         change = found - without
         spread = change.std(axis=0, ddof=1) / np.sqrt(len(drawn))

@@ -14,10 +14,11 @@ from trinoc.match.occlusion.companions import (
     picture_neighbours,
 )
 from trinoc.match.tuning.every_group import DEFAULT
+from trinoc.numerics.tables import with_field
 
 # A bar of two sides 5 px apart, a piece that goes on from the first, and a stranger.
 PICTURE = np.array(
-    [[[0.0, 0], [60, 0]], [[2, 5], [45, 5]], [[62, 1], [100, 4]], [[300, 0], [300, 50]]]
+    [[[0.0, 0], [60, 0]], [[2, 5], [50, 5]], [[62, 1], [100, 4]], [[300, 0], [300, 50]]]
 )
 
 
@@ -96,9 +97,8 @@ def test_what_companions_are_worth_is_learned() -> None:
     posterior = np.repeat([0.99, 0.01], 100)
     gain = companion_log_odds(in_pairs(50), posterior, DEFAULT)
     weight = DEFAULT.evidence.prior_observations
-    usual = weight * DEFAULT.occlusion.prior_share
-    right = (0.99 * 50 * 0.99 + usual) / (100 + weight)
-    wrong = (0.01 * 50 * 0.99 + usual) / (100 + weight)
+    right = (0.99 * 50 * 0.99 + 0.05 * weight) / (100 + weight)
+    wrong = (0.01 * 50 * 0.99 + 0.05 * weight) / (100 + weight)
     assert gain[0] == pytest.approx(
         0.99 * np.log(right / wrong) + 0.01 * np.log((1 - right) / (1 - wrong))
     )
@@ -107,16 +107,22 @@ def test_what_companions_are_worth_is_learned() -> None:
 
 def test_where_company_is_by_chance_it_says_nothing() -> None:
     posterior = np.random.default_rng(0).uniform(0.05, 0.95, 200)
-    even = np.concatenate([posterior, 1 - posterior])
-    for count in (0, 400):
-        gain = companion_log_odds(in_pairs(count), even, DEFAULT)
-        np.testing.assert_allclose(gain, 0.0, atol=1e-9)
+    assert not companion_log_odds(in_pairs(200), posterior, DEFAULT).any()
+    assert not companion_log_odds(in_pairs(0), posterior, DEFAULT).any()
+
+
+def test_nothing_more_is_added_than_may_be() -> None:
+    posterior = np.repeat([0.999, 0.001], 100)
+    for most in (4.0, 1.0, 0.0):
+        tuning = with_field(DEFAULT, "occlusion.most_companion", most)
+        gain = companion_log_odds(in_pairs(100), posterior, tuning)
+        assert np.abs(gain).max() == pytest.approx(most)
 
 
 def test_each_frame_learns_for_itself() -> None:
     posterior = np.tile(np.repeat([0.99, 0.01], 50), 2)
     frame = np.repeat([0, 1], 100)
     both = companion_log_odds(in_pairs(40), posterior, DEFAULT, frame, 2)
-    for own, count in ((slice(0, 100), 40), (slice(100, 200), 0)):
-        alone = companion_log_odds(in_pairs(count), posterior[own], DEFAULT)
-        np.testing.assert_allclose(both[own], alone, atol=1e-12)
+    alone = companion_log_odds(in_pairs(40), posterior[:100], DEFAULT)
+    np.testing.assert_allclose(both[:100], alone)
+    assert not both[100:].any()

@@ -23,13 +23,13 @@ def of_tracks(lines, bodies: Bodies, sides: np.ndarray = UNKNOWN) -> np.ndarray:
     return tracks.posterior_log_odds
 
 
-def of_pairs(bodies: Bodies, sides: np.ndarray) -> np.ndarray:
-    return temper_pairs(ODDS, sides, bodies, DEFAULT)
+def of_pairs(sine: float, bodies: Bodies, sides: np.ndarray) -> np.ndarray:
+    return temper_pairs(ODDS, sides, np.full(len(ODDS), sine), bodies, DEFAULT)
 
 
 def test_lines_that_meet_nowhere_keep_their_odds(noisy) -> None:
     np.testing.assert_array_equal(of_tracks(noisy.seen.lines, NO_BODIES), ODDS)
-    np.testing.assert_array_equal(of_pairs(NO_BODIES, UNKNOWN), ODDS)
+    np.testing.assert_array_equal(of_pairs(0.7, NO_BODIES, UNKNOWN), ODDS)
 
 
 @pytest.mark.parametrize("through", [0.0, 0.8])
@@ -47,16 +47,16 @@ def test_where_all_ends_meet_and_nothing_is_seen_through_odds_have_their_tempera
     solid, rules = Bodies(1.0, 0.0), DEFAULT.occlusion
     tracks = of_tracks(noisy.seen.lines, solid)
     np.testing.assert_allclose(tracks, rules.solid_temperature * ODDS)
-    # What is taken off is the same for all.
-    pairs = of_pairs(solid, UNKNOWN)
+    # What the turn takes off is the same for all.
+    pairs = of_pairs(0.4, solid, UNKNOWN)
     np.testing.assert_allclose(np.diff(pairs), rules.solid_temperature * np.diff(ODDS))
 
 
-def test_pairs_of_solids_are_less_likely_unless_levels_are_known() -> None:
-    by_share = np.array([of_pairs(Bodies(share, 0.0), UNKNOWN) for share in (0.0, 0.5, 1.0)])
-    assert (np.diff(by_share, axis=0)[:, ODDS >= 0] < 0).all()
-    in_pictures = of_pairs(Bodies(0.8, 0.0), KNOWN)
-    np.testing.assert_array_equal(in_pictures, of_pairs(Bodies(0.2, 0.9), KNOWN))
+def test_pairs_of_solids_are_less_likely_as_the_viewpoint_turns_unless_levels_are_known() -> None:
+    by_sine = np.array([of_pairs(sine, Bodies(0.8, 0.0), UNKNOWN) for sine in (0.1, 0.5, 0.9)])
+    assert (np.diff(by_sine, axis=0) < 0).all()
+    in_pictures = of_pairs(0.1, Bodies(0.8, 0.0), KNOWN)
+    np.testing.assert_array_equal(in_pictures, of_pairs(0.9, Bodies(0.2, 0.9), KNOWN))
     np.testing.assert_allclose(in_pictures, DEFAULT.evidence.temperature * ODDS)
 
 

@@ -22,7 +22,8 @@ class Candidates(NamedTuple):
     interval : common part on each segment. ends_mm : ends in space.
     chi_square, log_density, union_ends_mm, union_covariance_mm2, px_per_mm : see TripleEvidence.
     end_log : see `end_evidence`. side_log : see `side_evidence`.
-    expected : in how many views a pair is not seen that should show it; 0 for triples.
+    expected : in how many views a pair is not seen that should show it. crossing_sine : of a pair,
+        of the angle between its interpretation planes. Both are 0 for triples.
     frame : of a stack, the frame of each.
     """
 
@@ -37,6 +38,7 @@ class Candidates(NamedTuple):
     px_per_mm: Float[np.ndarray, "m"]
     side_log: Float[np.ndarray, "m s"]
     expected: Float[np.ndarray, "m"]
+    crossing_sine: Float[np.ndarray, "m"]
     frame: Int[np.ndarray, "m"] | None = None
 
     def take(self, rows: np.ndarray) -> "Candidates":
@@ -60,8 +62,8 @@ def build_candidates(
     polarity = polarity_evidence(np.asarray(lines.polarity), index, interval, tuning.evidence)
     evidence = ends_mm, chi_square, log_density + polarity, end_log
     sides = side_evidence(np.asarray(lines.sides), index, interval, tuning.sides)
-    (expected,) = more or (np.zeros(len(index)),)
-    of_line = outer_mm, spread, px_per_mm, sides, expected
+    expected, sine = more or np.zeros((2, len(index)))
+    of_line = outer_mm, spread, px_per_mm, sides, expected, sine
     return Candidates(index, interval, *evidence, *of_line, look_up_frames(lines, index))
 
 
@@ -78,6 +80,7 @@ def no_candidates(views: int, stacked: bool = False) -> Candidates:
         np.zeros((0, 2, 6)),
         np.zeros(0),
         np.zeros((0, len(SIDE_COMPONENTS))),
+        np.zeros(0),
         np.zeros(0),
         np.zeros(0, dtype=np.int32) if stacked else None,
     )

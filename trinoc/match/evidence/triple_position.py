@@ -228,7 +228,7 @@ class PairEvidence(NamedTuple):
 
     end_log : (2, c) log density of each component, over clutter's: ends agree, by scale; or not.
     expected : in how many of the other views the line should be seen, as far as their
-        borders go.
+        borders go. crossing_sine : of the angle between their interpretation planes.
     """
 
     ends_mm: tuple[Vector3, Vector3]
@@ -240,6 +240,7 @@ class PairEvidence(NamedTuple):
     union_covariance_mm2: tuple[Symmetric3, Symmetric3]
     px_per_mm: Scalar
     expected: Scalar
+    crossing_sine: Scalar
 
 
 def pair_evidence(
@@ -295,6 +296,7 @@ def pair_evidence(
         (nth6(spread, 2), nth6(spread, 3)),
         px_per_mm,
         _views_expected(lines, views, segments, points),
+        sine,
     )
 
 

@@ -58,7 +58,7 @@ def _find_parallels(
     tuning: MatchTuning,
 ) -> PictureNeighbours:
     """Nearly parallel, close, on one side along half of the shorter."""
-    least, most = tuning.occlusion.beside_px, tuning.junctions.reach_px
+    least, most = tuning.occlusion.beside_px
     # Places on each, so dense that those of two which lie beside each other are near.
     pieces = np.maximum(np.ceil(length / most).astype(np.int64), 1)
     owner = np.repeat(np.arange(len(length)), pieces)
@@ -86,7 +86,7 @@ def _continuing(
     ends_px: Float[np.ndarray, "n 2 2"], unit: Float[np.ndarray, "n 2"], tuning: MatchTuning
 ) -> PictureNeighbours:
     """An end near another's, and nearly the same way on: ends at an angle are junctions."""
-    reach = tuning.junctions.reach_px
+    reach = tuning.occlusion.continues_px
     near = KDTree(ends_px.reshape(-1, 2)).query_pairs(reach, output_type="ndarray")
     near = np.concatenate([near, near[:, ::-1]])
     (i, j), (end, other) = near.T // 2, near.T % 2
@@ -164,25 +164,26 @@ def companion_log_odds(
 ) -> Float[np.ndarray, "m"]:
     """Log odds that companions, or their want, add to pairs.
 
-    The shares of right and of wrong pairs that have one are learned in each frame; where wrong ones
-    have one as often, nothing is added.
+    The shares of right and of wrong pairs that have one are learned in each frame; where they
+    hardly differ, nothing is added.
     """
     gain = np.zeros(len(posterior))
-    usual, prior = tuning.occlusion.prior_share, tuning.evidence.prior_observations
+    rules, prior = tuning.occlusion, tuning.evidence.prior_observations
     for kind in (BESIDE, CONTINUES):
         of_kind = graph.kind == kind
         doubt = np.log1p(-np.minimum(posterior[graph.other[of_kind]], 1 - 1e-6))
         none = np.bincount(graph.site[of_kind], doubt, minlength=len(posterior))
         has = -np.expm1(none)
         right, wrong = (
-            (group_sums(weight * has, frame, frames) + prior * usual)
+            (group_sums(weight * has, frame, frames) + prior * rules.companion_share)
             / (group_sums(weight, frame, frames) + prior)
             for weight in (posterior, 1 - posterior)
         )
         with_one, without = np.log(right / wrong), np.log((1 - right) / (1 - wrong))
-        tells = with_one > 0.0
+        tells = with_one > rules.least_companion_ratio
         with_one, without = (
             broadcast_groups(np.where(tells, term, 0.0), frame) for term in (with_one, without)
         )
-        gain += has * with_one + (1 - has) * without
+        most = rules.most_companion
+        gain += np.clip(has * with_one + (1 - has) * without, -most, most)
     return gain

@@ -248,7 +248,8 @@ def pairs_beside_lines(
     posterior_log_odds = with_log_share(posterior_log_odds, log_share)
     chosen = choose_greedily(posterior_log_odds, graph)
     bodies = Bodies(*(broadcast_groups(each, frame) for each in bodies))
-    tempered = temper_pairs(posterior_log_odds, candidates.side_log, bodies, tuning)
+    of_pair = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
+    tempered = temper_pairs(*of_pair, tuning)
     return Pairs(candidates, odds, tempered, chosen, missed)
 
 

@@ -48,6 +48,7 @@ from trinoc.match.selection.messages import (
     with_log_share,
 )
 from trinoc.match.tuning.every_group import MatchTuning
+from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.numerics.joins import broadcast_groups, group_sums, take_groups
 
 # numerical: shares of a line's weight in its own bin of a profile and in each of the two beside
@@ -55,14 +56,8 @@ from trinoc.numerics.joins import broadcast_groups, group_sums, take_groups
 _OWN, _BESIDE = 0.5, 0.25
 # numerical: bins of a profile.
 BINS = 32
-# numerical: standard deviations to either side over which they are spread.
-_REACH = 4.0
-# numerical: borders of classes of length, px, each half as far again as the last.
-_LENGTHS_PX = 12 * 1.5 ** np.arange(7)
 # numerical: rounds of EM, which converge.
 ROUNDS = 10
-# numerical: pairs that are less likely at first are nobody's companions: it bounds the memory.
-_LEAST_LIKELY = 0.02
 
 
 def log_place_among(
@@ -85,8 +80,9 @@ def log_place_among(
         ends_mm,
         broadcast_groups(volume.centre_mm, frame),
         broadcast_groups(axes, frame),
+        tuning.occlusion,
     )
-    width, usual = 2 * _REACH / BINS, _empty_profile(tuning.occlusion.place_anywhere)
+    width, usual = _empty_profile(tuning.occlusion)
     frames, prior = np.size(volume.log_size), tuning.evidence.prior_observations
     others = broadcast_groups(group_sums(posterior, frame, frames), frame) - posterior
     # Of the volume that coordinates of unit variance span, to that in mm^3.
@@ -99,7 +95,7 @@ def log_place_among(
         for bin_ in (first, second):
             count = profile[bin_] if frame is None else profile[frame, bin_]
             share = (np.maximum(count - own, 0.0) + prior * usual[bin_]) / (others + prior)
-            total = total + np.log(share / width) / 2
+            total = total + np.log(share / width[bin_]) / 2
     return total
 
 
@@ -107,19 +103,26 @@ def _bins(
     ends_mm: Float[np.ndarray, "m 2 3"],
     centre_mm: Float[np.ndarray, "*m 3"],
     axes: Float[np.ndarray, "*m 3 3"],
+    tuning: OcclusionTuning,
 ) -> Int[np.ndarray, "m 2 3"]:
     """The bin of both ends in each coordinate; the outermost hold all beyond."""
     centred = ends_mm - np.expand_dims(centre_mm, -2)
     place = np.einsum("mej,...ij->mei" if axes.ndim == 2 else "mej,mij->mei", centred, axes)
-    share = (place / _REACH + 1) / 2
+    share = (place / tuning.place_reach + 1) / 2
     return np.clip(np.floor(share * BINS), 0, BINS - 1).astype(np.int64)
 
 
-def _empty_profile(anywhere: float) -> Float[np.ndarray, "k"]:
-    """Share of each bin before any line is known: a box, and a few beyond."""
-    edges, half = np.linspace(-_REACH, _REACH, BINS + 1), np.sqrt(3.0)
+def _empty_profile(
+    tuning: OcclusionTuning,
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """(width of each bin, share of each before any line is known: a box, and a few beyond)."""
+    bins, reach = BINS, tuning.place_reach
+    edges, half = np.linspace(-reach, reach, bins + 1), np.sqrt(3.0)
     inside = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0.0)
-    return (1 - anywhere) * inside / inside.sum() + anywhere / BINS
+    usual = (1 - tuning.place_anywhere) * inside / inside.sum() + tuning.place_anywhere / bins
+    width = np.full(bins, 2 * reach / bins)
+    width[[0, -1]] *= tuning.place_beyond
+    return width, usual
 
 
 def _profile(
@@ -151,12 +154,12 @@ class PairRates(NamedTuple):
     log_place: Float[np.ndarray, "m"] | None
 
 
-def length_class(candidates: Candidates) -> Int[np.ndarray, "m"]:
+def length_class(candidates: Candidates, tuning: MatchTuning) -> Int[np.ndarray, "m"]:
     """The class of length, in the image, of each candidate."""
     length_px = candidates.px_per_mm * np.linalg.norm(
         candidates.union_ends_mm[:, 1] - candidates.union_ends_mm[:, 0], axis=1
     )
-    return np.searchsorted(_LENGTHS_PX, length_px)
+    return np.searchsorted(tuning.occlusion.length_classes_px, length_px)
 
 
 def learn_rates(
@@ -168,17 +171,17 @@ def learn_rates(
     tuning: MatchTuning,
 ) -> PairRates:
     """One round of EM, in each frame."""
-    frames = np.size(rates.mixture.log_count)
+    rules, frames = tuning.occlusion, np.size(rates.mixture.log_count)
     frame, prior = candidates.frame, tuning.evidence.prior_observations
     terms = np.exp(candidates.end_log) * np.expand_dims(broadcast_groups(rates.ends, frame), -2)
     terms /= terms.sum(axis=2, keepdims=True)
     ends = group_sums(posterior[:, None] * terms.sum(axis=1), frame, frames)
     ends += prior * rates.ends
     # Clutter's lengths are spread as t / (length + t)^2.
-    borders = np.array([0.0, *_LENGTHS_PX])
+    borders = np.array([0.0, *rules.length_classes_px])
     below = borders / (borders + np.expand_dims(typical_px, -1))
     usual = np.diff(below, axis=-1, append=1.0)
-    in_class = np.eye(len(borders))[length_class(candidates)]
+    in_class = np.eye(len(borders))[length_class(candidates, tuning)]
     count = group_sums(posterior[:, None] * in_class, frame, frames)
     total = group_sums(posterior, frame, frames)
     by_length = np.log((count + prior * usual) / (np.expand_dims(total + prior, -1) * usual))
@@ -204,21 +207,21 @@ def pairs_alone(
     rules, frame = tuning.occlusion, found.frame
     mixture, junctions = start
     in_images = found.side_log.any(axis=1)
-    offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset)
+    offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset_alone)
     evidence = (
         found.log_density
         + log_sides(found.side_log, mixture, frame)
         + found.expected * float(np.log(rules.missed))
         + offset
     )
-    frames, classes = np.shape(mixture.log_count), len(_LENGTHS_PX) + 1
+    frames, classes = np.shape(mixture.log_count), len(rules.length_classes_px) + 1
     ends = end_shares(mixture, tuning.ends)
     rates = PairRates(ends, np.zeros((*frames, classes)), mixture, junctions, None)
 
     def prior_odds(c: Candidates, evidence: np.ndarray, rates: PairRates) -> np.ndarray:
         frame = c.frame
         ends = log_ends(c, broadcast_groups(rates.ends, frame))
-        classes = length_class(c)
+        classes = length_class(c, tuning)
         every = broadcast_groups(rates.log_by_length, frame)
         lengths = every[classes] if frame is None else every[np.arange(len(classes)), classes]
         prior = broadcast_groups(rates.mixture.log_count, frame)
@@ -238,12 +241,15 @@ def pairs_alone(
     graph_of_companions, more = None, np.zeros(len(evidence))
     count = np.size(mixture.log_count)
     for _ in range(ROUNDS):
-        odds = prior_odds(candidates, evidence, rates) + gain + more
+        # Where lines meet nowhere, what pairs they make by chance is independent, as odds take it.
+        free = 1 - broadcast_groups(rates.junctions.end_at_junction, frame)
+        free = np.where(candidates.side_log.any(axis=1), 0.0, rules.offset_unjoined * free)
+        odds = prior_odds(candidates, evidence, rates) + gain + free + more
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
         if graph_of_companions is None:
-            likely = np.flatnonzero(posterior > _LEAST_LIKELY)
+            likely = np.flatnonzero(posterior > rules.companion_likely)
             graph_of_companions = companions(candidates, likely, ends_px, tuning)
         more = companion_log_odds(graph_of_companions, posterior, tuning, frame, count)
         density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
@@ -267,7 +273,8 @@ def pairs_alone(
     )
     every = junctions.end_at_junction, through.reshape(np.shape(mixture.log_count))
     bodies = Bodies(*(broadcast_groups(each, frame) for each in every))
-    tempered = temper_pairs(posterior_log_odds, candidates.side_log, bodies, tuning)
+    of_pair = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
+    tempered = temper_pairs(*of_pair, tuning)
     most = rules.most_alone * probability(tempered)
     in_images = candidates.side_log.any(axis=1)
     tempered = np.where(in_images, tempered, np.log(most) - np.log1p(-most))

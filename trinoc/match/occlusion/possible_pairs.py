@@ -87,7 +87,7 @@ def _evaluate_pairs(
     bound: PairBound | None,
 ) -> Candidates:
     ends = len(tuning.ends.agreeing_px) + 1
-    shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), ())
+    shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), (), ())
 
     def evaluate(segments: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
         groups = {"tuning": tuning.candidates, "ends": tuning.ends}
@@ -121,6 +121,7 @@ def _pair_evidence(
     columns = (
         *(found.interval, found.ends_mm, found.log_density, found.end_log, found.union_ends_mm),
         *(found.union_covariance_mm2, found.px_per_mm, found.expected),
+        found.crossing_sine,
     )
     return found.possible, as_columns(columns)
 
@@ -159,7 +160,7 @@ def may_be_likely(
     `possible_pairs` makes: intervals, ends, log density, that of the ends, and others."""
     components = len(bound.log_ends)
     ends_mm, log_density, end_log = columns[4:10], columns[10], columns[11 : 11 + 2 * components]
-    total = log_density + columns[-1] * bound.log_missed + bound.prior
+    total = log_density + columns[-2] * bound.log_missed + bound.prior
     xp = array_namespace(columns)
     square = xp.zeros_like(total)
     for e in range(2):

@@ -21,6 +21,7 @@ from trinoc.match.evidence.mixture import probability, temper
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.selection.marginals import Selection, Tracks
 from trinoc.match.tuning.every_group import MatchTuning
+from trinoc.match.tuning.evidence import EvidenceTuning
 from trinoc.numerics.joins import broadcast_groups
 
 # numerical: of more segments of a view, that many are counted, for time.
@@ -53,9 +54,9 @@ def see_through_share(
             count = len(segment)
             # Evenly among all: they are in order of their place.
             few = np.linspace(0, count - 1, min(count, MOST_CROSSING)).astype(np.int64)
-            # Further than detectors mostly stop from where segments end.
-            margin_px = tuning.junctions.gaps_px[1]
-            seen, expected = crossings(ends[segment[few]], weight[few], margin_px)
+            seen, expected = crossings(
+                ends[segment[few]], weight[few], tuning.occlusion.crossing_margin_px
+            )
             found, usual = found + seen, usual + expected
         share[number] = min(found / usual, 1.0)
     return share
@@ -93,15 +94,10 @@ def crossings(
 
 class Bodies(NamedTuple):
     """Of each frame: the share of ends that meet others, and how far edges are seen through what
-    stands before them (`see_through_share`)."""
+    stands before them (`see_through.py`)."""
 
     joined: Float[np.ndarray, "*f"] | float
     through: Float[np.ndarray, "*f"] | float
-
-    @property
-    def solid(self) -> Float[np.ndarray, "*f"] | float:
-        """How far edges are those of solids."""
-        return self.joined * (1 - self.through)
 
 
 # numerical: lines that meet nowhere.
@@ -131,12 +127,14 @@ def temper_tracks(
     lines: SegmentTable, tracks: Tracks, bodies: Bodies, tuning: MatchTuning
 ) -> Tracks:
     """Tracks with tempered log odds, their rivals' too."""
-    candidates = tracks.candidates
+    candidates, rules = tracks.candidates, tuning.occlusion
     # Edges seen through others have corners, too, but are hidden less often.
-    share = bodies.joined * (1 - tuning.occlusion.seen_through_gain * bodies.through)
+    share = bodies.joined * (1 - rules.seen_through_gain * bodies.through)
     own = broadcast_groups(share, candidates.frame)
     posterior, rivals = (
-        _temper_log_odds(log_odds, candidates.side_log, own, tuning)
+        _temper_log_odds(
+            log_odds, candidates.side_log, own, rules.solid_temperature, tuning.evidence
+        )
         for log_odds in (tracks.posterior_log_odds, tracks.rival_posterior)
     )
     return Tracks(candidates, posterior, rivals)
@@ -145,22 +143,26 @@ def temper_tracks(
 def temper_pairs(
     posterior_log_odds: Float[np.ndarray, "m"],
     side_log: Float[np.ndarray, "m s"],
+    crossing_sine: Float[np.ndarray, "m"],
     bodies: Bodies,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "m"]:
-    """Tempered log odds of pairs, each with its own frame's bodies, less as these are solid: edges
-    are hidden from one view. Levels beside segments tell edges apart."""
-    hidden = np.where(side_log.any(axis=1), 0.0, tuning.occlusion.solid_offset * bodies.solid)
-    return _temper_log_odds(posterior_log_odds, side_log, bodies.solid, tuning) + hidden
+    """Tempered log odds of pairs, each with its own frame's bodies, less as the viewpoint turns
+    about them: the further it does, the more edges of a solid are hidden from one view. Levels
+    beside segments tell edges apart."""
+    rules, solid = tuning.occlusion, bodies.joined * (1 - bodies.through)
+    turned = solid * (rules.solid_offset - rules.doubt_turned * crossing_sine)
+    given = posterior_log_odds, side_log, solid, rules.solid_temperature, tuning.evidence
+    return _temper_log_odds(*given) + np.where(side_log.any(axis=1), 0.0, turned)
 
 
 def _temper_log_odds(
     log_odds: Float[np.ndarray, "m"],
     side_log: Float[np.ndarray, "m s"],
-    solid: Float[np.ndarray, "*m"] | float,
-    tuning: MatchTuning,
+    share: Float[np.ndarray, "*m"] | float,
+    temperature: float,
+    tuning: EvidenceTuning,
 ) -> Float[np.ndarray, "m"]:
     # Those of pictures have a temperature of their own.
-    cooled = 1 - (1 - tuning.occlusion.solid_temperature) * solid
-    factor = np.where(side_log.any(axis=1), 1.0, cooled)
-    return factor * temper(log_odds, side_log, tuning.evidence)
+    factor = np.where(side_log.any(axis=1), 1.0, 1 - (1 - temperature) * share)
+    return factor * temper(log_odds, side_log, tuning)
