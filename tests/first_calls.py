@@ -63,13 +63,14 @@ def _decorate_late(
     function: Callable[..., Any], decorate: Callable[..., Any]
 ) -> Callable[..., Any]:
     """The function, decorated when it is first called: a file of tests calls few of all."""
-    decorated: Callable[..., Any] | None = None
+
+    @functools.cache
+    def decorated() -> Callable[..., Any]:
+        return decorate(function)
 
     @functools.wraps(function)
     def call(*arguments: Any, **named: Any) -> Any:
-        nonlocal decorated
-        decorated = decorated or decorate(function)
-        return decorated(*arguments, **named)
+        return decorated()(*arguments, **named)
 
     return call
 
