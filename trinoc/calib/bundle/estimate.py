@@ -105,9 +105,9 @@ def joint_estimate(
     weighted = factor**-2 * segment_information + sheet**-2 * fit.sheet_information
     determined = determined_part(weighted, fit.sheet_information)
     every = [f"{camera}.{name}" for camera in rig.names for name in sheet_cameras.names]
-    told = np.flatnonzero([not choice.holds_aims_of(rig) or ".aim_" not in name for name in every])
-    names = tuple(every[i] for i in told)
-    covariance = (fit.by_step @ determined.covariance @ fit.by_step.T)[np.ix_(told, told)]
+    kept = np.flatnonzero([not choice.holds_aims_of(rig) or ".aim_" not in name for name in every])
+    names = tuple(every[i] for i in kept)
+    covariance = (fit.by_step @ determined.covariance @ fit.by_step.T)[np.ix_(kept, kept)]
     refined = {
         name: camera_of_state(jax.tree.map(lambda leaf, v=v: leaf[v], fit.cameras), rig[name])
         for v, name in enumerate(rig.names)
@@ -122,12 +122,12 @@ def joint_estimate(
         status,
         Rig(refined, parameters=names, covariance=covariance) if known else Rig(refined),
         names,
-        fit.values.reshape(-1)[told],
+        fit.values.reshape(-1)[kept],
         covariance,
         UncertainLines(fit.ends_mm[:count], own, fit.by_cameras[:count], determined.covariance),
         inlier,
         np.where(lines.seen, np.sqrt(squared), np.nan),
-        determined.rank - (len(every) - len(told)),
+        determined.rank - (len(every) - len(kept)),
         determined.gauge,
         factor,
         sheet,
