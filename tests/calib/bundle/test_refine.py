@@ -49,6 +49,7 @@ def test_sheet_and_segments_together_know_more_than_the_sheet_and_say_how_much()
         answer = refine(start, lines)
         assert answer.status is RefineStatus.CONVERGED
         assert answer.parameters == NAMES
+        assert answer.rank == len(NAMES)
         error = answer.values - TRUTH
         of_rig.append(normalised(error, answer.covariance))
         offset = (answer.lines.ends_mm - ends).reshape(-1, 6)
