@@ -13,6 +13,7 @@ from trinoc.calib.messages import (
     is_suspect,
     notes_of_aim,
     notes_of_camera,
+    notes_of_misfit,
     notes_of_priors,
     notes_of_sheet,
 )
@@ -142,6 +143,8 @@ def _camera_fit(
     reduced = float(of_circles.reduced_chi_square[view])
     gauge = tuple(PARAMETER_NAMES[k] for k in seen.gauge)
     refuted = (*notes_of_priors(fit.adjustment, view, choice, known), *of_sheet)
+    if not refuted and not is_suspect(tests, float(source.reduced_chi_square[view])):
+        refuted = notes_of_misfit(of_circles, view)
     notes = notes_of_camera(choice, known.pattern, used, tests, reduced, gauge)
     by_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
     picture = choice.picture if choice.method == "pixels" else None

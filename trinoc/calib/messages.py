@@ -5,9 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from trinoc.calib.adjustment.agreement import autocorrelation_of_circles
 from trinoc.calib.adjustment.each_camera import PoseEstimate
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.detection.detection import Detection
+from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.result.calibration import Alternative, Status
 from trinoc.calib.rig_fit import CameraChoice, Knowledge
@@ -16,7 +18,7 @@ from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold
 from trinoc.geometry.pose import PoseModel
-from trinoc.numerics.tails import chi_square_tail
+from trinoc.numerics.tails import chi_square_tail, normal_limit
 
 # numerical: rows of a lens.
 _PRINCIPAL_POINT = slice(2, 4)
@@ -101,6 +103,25 @@ def notes_of_priors(
     return tuple(notes)
 
 
+def notes_of_misfit(circles: Adjustment, view: int) -> tuple[str, ...]:
+    """Where nothing else is said against a camera: errors many times the noise, which neighbouring
+    circles share.
+
+    circles : the adjustment of all cameras by their circles.
+    """
+    times = float(circles.enlarged[view])
+    if times <= TUNING.answer.strain_sigmas:
+        return ()
+    if autocorrelation_of_circles(circles, view) <= normal_limit(TUNING.answer.chance_of_answers):
+        return ()
+    off_px = np.sqrt(np.mean(errors_px(circles.problem)[view][circles.used[view]] ** 2))
+    return (
+        f"neighbouring circles lie aside alike, by {off_px:.2g} px, {times:.0f} times their noise: "
+        "the lens is another than was said, the sheet bends otherwise, or something moved while "
+        "the picture was read out.",
+    )
+
+
 def lens_strain_sentence(strain: float) -> str:
     """strain : by how many of its sigmas a lens is off that was stated with a covariance."""
     return (
@@ -183,8 +204,8 @@ def notes_of_camera(
         )
     elif choice.agreement < TUNING.answer.chance_of_answers:
         notes.append(
-            "the circles' centres disagree with the grey levels, as uneven light makes them. The "
-            "grey levels were used."
+            "the circles' centres disagree with the grey levels, as shadows, uneven light and blur "
+            "make them. The grey levels were used."
         )
     dropped = detection.circle_index[~used]
     if len(dropped):

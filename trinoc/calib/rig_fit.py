@@ -6,16 +6,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.adjustment.agreement import (
-    circles_are_refuted,
-    probability_of_agreement,
-    scatter_of_blocks,
-)
+from trinoc.calib.adjustment.agreement import probability_of_agreement, scatter_of_blocks
 from trinoc.calib.adjustment.each_camera import PoseEstimate, fit_camera
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.photometric.encoding import Encoding
-from trinoc.calib.photometric.image_fit import UNEVEN_LIGHT
 from trinoc.calib.photometric.scene import ShiftOfPlaces
 from trinoc.calib.photometric.views import PictureFit, refine_views
 from trinoc.calib.problem.apparent_shift import apparent_shift
@@ -132,7 +127,7 @@ def fit_rig(cameras: Sequence[SheetCamera], known: Knowledge) -> RigFit:
     is_shown = any(camera.shown is not None for camera in either)
     of_pictures = known.adjust(either, of_circles) if is_shown else of_circles
     choices = [
-        _choose(k, camera, picture, of_circles, of_pictures)
+        choose_answer(k, camera, picture, of_circles, of_pictures)
         for k, (camera, picture) in enumerate(zip(either, pictures, strict=True))
     ]
     final = of_pictures if any(one.method == "pixels" for one in choices) else of_circles
@@ -146,25 +141,25 @@ def fit_rig(cameras: Sequence[SheetCamera], known: Knowledge) -> RigFit:
     return RigFit(choices, final, of_circles)
 
 
-def _choose(
+def choose_answer(
     view: int,
     camera: SheetCamera,
     picture: PictureFit | None,
     of_circles: Adjustment,
     of_pictures: Adjustment,
 ) -> CameraChoice:
+    """The grey levels' answer of one camera, unless their own places speak against it."""
     is_shown = camera.shown is not None
     agreement = float("nan")
     if is_shown:
         agreement = probability_of_agreement(of_circles, of_pictures, view)
-    by_picture = CameraChoice(camera, picture, "pixels", agreement, 1.0)
-    if agreement >= TUNING.answer.chance_of_answers:
-        return by_picture
+    # Shadows, uneven light and blur move circles alike, so that these agree among themselves; what
+    # the grey levels do not model makes their places scatter.
+    if agreement >= TUNING.answer.chance_of_answers or (
+        is_shown and of_pictures.enlarged[view] == 1.0
+    ):
+        return CameraChoice(camera, picture, "pixels", agreement, 1.0)
     scatter = scatter_of_blocks(of_circles, view)
-    enlarged = float(of_circles.enlarged[view]), float(of_pictures.enlarged[view])
-    shows = picture.quality.found if picture and picture.quality else ()
-    if is_shown and circles_are_refuted(scatter, *enlarged, light_is_uneven=UNEVEN_LIGHT in shows):
-        return by_picture
     # By all that blocks say where the model is wrong.
     scatter = scatter if is_shown or scatter > TUNING.answer.largest_scatter else 1.0
     return CameraChoice(camera, picture, "points", agreement, scatter)

@@ -5,7 +5,6 @@ import pytest
 
 from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, made_views
 from trinoc.calib.adjustment.agreement import (
-    circles_are_refuted,
     difference_of_answers,
     probability_of_agreement,
     scatter_of_blocks,
@@ -14,6 +13,7 @@ from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.adjustment.model_tests import information_left
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.views import SheetPoints
+from trinoc.calib.rig_fit import choose_answer
 from trinoc.geometry.pose import PoseModel
 
 
@@ -28,10 +28,9 @@ def test_right_answers_agree_and_wrong_ones_do_not() -> None:
         circles = adjusted([camera])
         # Grey levels know the same places better, by what makes the circles' image centres less
         # the images of their centres.
-        residuals = circles.near.residual[0][: 2 * len(SHEET)].reshape(-1, 2) * SIGMA_PX
         better = SheetPoints(
             SHEET.centres_mm,
-            _images_px(circles) - residuals,
+            _images_px(circles) - _residuals_px(circles),
             np.eye(2 * len(SHEET)) * np.sqrt(1.75) / SIGMA_PX,
         )
         same = adjusted([camera._replace(shown=better)])
@@ -81,6 +80,10 @@ def _images_px(circles: Adjustment) -> np.ndarray:
     return errors + problem.views[0].detection.centres_px
 
 
+def _residuals_px(circles: Adjustment) -> np.ndarray:
+    return circles.near.residual[0][: 2 * len(SHEET)].reshape(-1, 2) * SIGMA_PX
+
+
 def scatters(shared_px: float) -> list[float]:
     """Of 20 pictures whose circles share an error with those of their block."""
     found = []
@@ -100,21 +103,17 @@ def test_blocks_scatter_as_claimed_unless_neighbours_share_an_error() -> None:
     assert np.mean(shared) > np.mean(alone) + 0.1
 
 
-@pytest.mark.parametrize(
-    ("scatter", "enlarged", "enlarged_of_grey", "light_is_uneven", "refuted"),
-    [
-        (1.0, 1.0, 1.0, False, False),
-        (1.9, 1.0, 1.0, False, True),
-        (1.4, 1.0, 1.0, False, False),
-        (1.4, 1.0, 1.0, True, True),
-        (1.0, 1.2, 1.0, False, True),
-        (1.9, 1.9, 1.3, True, False),
-    ],
-)
-def test_circles_are_refuted_by_their_own_scatter_where_grey_levels_agree_with_themselves(
-    scatter: float, enlarged: float, enlarged_of_grey: float, light_is_uneven: bool, refuted: bool
+@pytest.mark.parametrize(("scatters", "method"), [(False, "pixels"), (True, "points")])
+def test_grey_levels_that_differ_are_believed_where_their_places_agree_with_each_other(
+    scatters: bool, method: str
 ) -> None:
-    answer = circles_are_refuted(
-        scatter, enlarged, enlarged_of_grey, light_is_uneven=light_is_uneven
-    )
-    assert answer is refuted
+    """As circles under a shadow's edge, which move together: all lie a sigma aside."""
+    (camera,) = made_views(0, cameras=("left",)).cameras
+    circles, finer_px = adjusted([camera]), SIGMA_PX / np.sqrt(1.75)
+    noise = np.random.default_rng(1).normal(scale=2.0 if scatters else 1.0, size=(len(SHEET), 2))
+    places_px = _images_px(circles) + SIGMA_PX + finer_px * noise
+    root = np.eye(2 * len(SHEET)) / finer_px
+    shown = camera._replace(shown=SheetPoints(SHEET.centres_mm, places_px, root))
+    choice = choose_answer(0, shown, None, circles, adjusted([shown]))
+    assert choice.agreement < 1e-3
+    assert choice.method == method

@@ -59,3 +59,24 @@ def test_what_lies_within_what_was_said_is_no_doubt() -> None:
     result = calibrated(aim=2.0, XX=2.0, XY=-2.0, **{"print along X": 2.0})
     assert set(result.status.values()) == {Status.CONVERGED}
     assert result.notes == ()
+
+
+@pytest.mark.parametrize("is_shared", [True, False])
+def test_errors_far_beyond_noise_are_suspect_where_neighbouring_circles_share_them(
+    is_shared: bool,
+) -> None:
+    """As of a camera that shook while its rows were read; circles that were printed each where it
+    fell err as far, but their poses less than these claim."""
+    random, seen = np.random.default_rng(6), {}
+    for name, values in TABLE_1.items():
+        pose = Pose.from_parameters(jnp.array([*np.radians(values[:3]), values[3], 0.0, 0.0]))
+        places_px = seen_px(pose, np.zeros(5), np.zeros(len(SIGMAS)))
+        smooth = np.cos(SHEET.centres_mm[:, 1] / 20.0)
+        off_px = smooth if is_shared else random.normal(size=len(places_px))
+        noise = SIGMA_PX * random.normal(size=places_px.shape)
+        noise[:, 0] += 20 * SIGMA_PX * off_px
+        seen[name] = detection(places_px + noise, SIGMA_PX)
+    result = calibrate_detections(seen, SHEET, LENS, systematics=TYPICAL, throw=False)
+    for name in TABLE_1:
+        assert any("neighbouring" in note for note in result.fits[name].notes) is is_shared
+        assert (result.status[name] is Status.SUSPECT) is is_shared

@@ -14,11 +14,15 @@ have them: the priors, which make both answers nearly as uncertain as each other
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.distance import cdist
 
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.tails import chi_square_tail
+
+# numerical: neighbours on a lattice, whose diagonals are 1.41 as long.
+_NEIGHBOURS = 1.2
 
 
 def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
@@ -45,6 +49,24 @@ def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
     spread = np.stack(steps)
     ratio = np.linalg.solve(np.sum(expected, axis=0), spread.T @ spread)
     return float(np.sqrt(max(1.0, np.trace(ratio) / len(own))))
+
+
+def autocorrelation_of_circles(adjustment: Adjustment, view: int) -> float:
+    """Of the residuals of neighbours, in its standard deviations were all errors independent.
+
+    P. A. P. Moran, "Notes on continuous stochastic phenomena", Biometrika 37, 1950.
+    """
+    used = np.flatnonzero(adjustment.used[view])
+    index = adjustment.problem.views[view].detection.circle_index[used]
+    place_mm = adjustment.problem.target.centres_mm[index]
+    residuals = adjustment.near.residual[view].reshape(-1, 2)[used]
+    apart_mm = cdist(place_mm, place_mm)
+    nearest_mm = np.partition(apart_mm, 1, axis=1)[:, 1]
+    first, second = np.nonzero(np.triu(apart_mm < _NEIGHBOURS * np.median(nearest_mm), 1))
+    products = np.sum(residuals[first] * residuals[second], axis=1)
+    # Products of different pairs of independent errors are not correlated.
+    sigma = np.mean(residuals**2) * np.sqrt(2 * len(products))
+    return float(products.sum() / sigma)
 
 
 def _blocks(place_mm: np.ndarray, used: np.ndarray) -> list[np.ndarray]:
@@ -85,17 +107,3 @@ def difference_of_answers(
     shares, directions = np.linalg.eigh(0.5 * (other + other.T))
     variance = np.maximum(np.abs(1 - shares), TUNING.adjustment.least_difference)
     return float(np.sum((directions.T @ own) ** 2 / variance))
-
-
-def circles_are_refuted(
-    scatter: float, enlarged: float, enlarged_of_grey: float, *, light_is_uneven: bool
-) -> bool:
-    """Whether, of two answers that differ, the circles' is the one that its own data speak against.
-
-    scatter : of its blocks, as broad glare makes them scatter. enlarged, enlarged_of_grey : how
-    many times as much as they claim the places scatter one by one, of both answers; 1 where that
-    may be chance. light_is_uneven : whether the grey levels show light that circles take for even:
-    it shifts them smoothly, and a free lens and a bend hide that from their scatter.
-    """
-    refuted = scatter > TUNING.answer.largest_scatter or enlarged > 1.0 or light_is_uneven
-    return refuted and enlarged_of_grey == 1.0

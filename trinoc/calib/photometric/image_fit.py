@@ -36,8 +36,6 @@ from trinoc.image.response import PowerResponse
 _CONVERGED_SIGMAS = 0.3
 # numerical: for words only: said from so many standard deviations on, and from these amounts on.
 _SIGMAS, _LEAST_BEND, _LEAST_LOBE, _LEAST_MOTION_PX = 4.0, 0.03, 0.03, 0.5
-# What circles take for even, and local levels fit.
-UNEVEN_LIGHT = "uneven light"
 # numerical: for words only.
 _LEAST_INFLATION, _SATURATED_SHARE = 1.2, 0.01
 
@@ -176,7 +174,7 @@ def describe_processing(
     if np.mean(scene.grey >= scene.top - 0.5) > _SATURATED_SHARE:
         said.append("saturated paper")
     if scene.local:
-        said.append(UNEVEN_LIGHT)
+        said.append("uneven light")
     if covariance.correlation is not None:
         shared = inflation(covariance.correlation)
         if shared > _LEAST_INFLATION:
