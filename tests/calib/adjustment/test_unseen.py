@@ -28,6 +28,8 @@ FOCAL_PX = np.asarray(LENS.focal_length_px)
 CHANGES = {
     "focal length": np.array([*FOCAL_PX, 0.0, 0.0, 0.0]),
     "aspect": np.array([-0.5 * FOCAL_PX[0], 0.5 * FOCAL_PX[1], 0.0, 0.0, 0.0]),
+    "principal point along u": np.array([0.0, 0.0, 1.0, 0.0, 0.0]),
+    "principal point along v": np.array([0.0, 0.0, 0.0, 1.0, 0.0]),
     "radial distortion": np.array([0.0, 0.0, 0.0, 0.0, 1.0]),
 }
 
@@ -92,7 +94,7 @@ def test_what_may_go_unseen_is_said_of_the_worst() -> None:
     worst = max(tests, key=lambda test: test.unseen_strain)
     said = say_what_goes_unseen({"left": tests})
     assert f"{worst.unseen_strain:.0f} of its sigmas" in said
-    assert f"{worst.unseen[0]:.2%}" in said
+    assert f"{worst.name.split(' along')[0]} {worst.unseen[0]:.2g} px off" in said
 
 
 def test_what_would_move_no_camera_is_not_worth_saying() -> None:

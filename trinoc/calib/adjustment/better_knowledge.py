@@ -23,6 +23,8 @@ _UNSEEN = {
     "aim": "an optical axis {:.2g} mm beside the origin of the sheet",
     "focal length": "a focal length {:.2%} off",
     "aspect": "a focal length along v {:.2%} off against that along u",
+    "principal point along u": "a principal point {:.2g} px off along u",
+    "principal point along v": "a principal point {:.2g} px off along v",
     "radial distortion": "a radial distortion k1 {:.2g} off",
 }
 _SAY_LENS = "give a lens with its covariance, as `trinoc intrinsics` writes it"

@@ -16,7 +16,7 @@ from trinoc.calib.result.calibration import Alternative
 from trinoc.calib.tuning.every_group import TUNING
 
 # numerical: columns of a lens and of a pose.
-_FOCAL, _RADIAL, _AIM = (0, 1), 4, (4, 6)
+_FOCAL, _CENTRE, _RADIAL, _AIM = (0, 1), 2, 4, (4, 6)
 # numerical: a change of the aspect leaves the mean of both focal lengths as it is.
 _ASPECT = np.array([-0.5, 0.5])
 
@@ -41,6 +41,8 @@ def alternatives(
         focal = np.asarray(adjustment.lens(view).focal_length_px)
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
         columns["aspect"] = by_lens[:, _FOCAL] @ (focal * _ASPECT)[:, None]
+        columns["principal point along u"] = by_lens[:, _CENTRE : _CENTRE + 1]
+        columns["principal point along v"] = by_lens[:, _CENTRE + 1 : _CENTRE + 2]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
     unit = {"aim": float(chart.unit_mm)}
     tests = [
@@ -124,6 +126,11 @@ def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarr
         return (
             f"the residuals look like a focal length along v {100 * estimate[0]:+.3f} +- "
             f"{100 * sigma[0]:.1g} % off against that along u: check the pixel pitch."
+        )
+    if name.startswith("principal point"):
+        return (
+            f"the residuals look like a {name} {estimate[0]:+.2g} +- {sigma[0]:.1g} px off: see "
+            "that the picture is not cut, and that the lens is this camera's."
         )
     return (
         f"the residuals look like radial distortion k1 = {estimate[0]:+.3f} +- {sigma[0]:.3f} "

@@ -30,11 +30,12 @@ class Alternative(NamedTuple):
 
     Fields
     ------
-    name : "aim", "focal length", "aspect" or "radial distortion".
+    name : "aim", "focal length", "aspect", "principal point along u", "principal point along v"
+        or "radial distortion".
     chi_square_drop : likelihood ratio against the model as it is.
     p_value : probability of such a drop by noise alone.
     estimate : of the change, in mm of aim, share of the focal length, that along v against that
-        along u, or k1.
+        along u, px, or k1.
     sigma : of the estimate.
     sentence : what it means.
     strain : by how many of its sigmas the change would move the camera (Mahalanobis distance).
