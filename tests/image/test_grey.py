@@ -1,12 +1,13 @@
 """One grey conversion for all: without an order of channels, exact where numbers are whole."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 import trinoc
-from trinoc.image.grey import grey_image, why_interlaced
+from trinoc.image.grey import grey_image, why_interlaced, why_mixed, why_mosaic
 from trinoc.io.demo import demo_images
 
 SHAPE = (16, 17, 3)
@@ -79,6 +80,42 @@ def test_a_picture_of_one_moment_is_not_called_interlaced():
             assert why_interlaced(grey_image(noisy.astype(np.uint8))) is None
     assert why_interlaced(grey_image(noise.integers(0, 256, (90, 120), dtype=np.uint8))) is None
     assert why_interlaced(grey_image(np.zeros((16, 16), np.uint8))) is None
+
+
+def as_mosaic(picture, red, blue):
+    """RGGB of a grey scene, whose colours the sensor sees so much darker than green."""
+    raw = picture.astype(float)
+    raw[::2, ::2] *= red
+    raw[1::2, 1::2] *= blue
+    return raw.astype(picture.dtype)
+
+
+@pytest.mark.parametrize(("red", "blue"), [(0.6, 0.5), (0.5, 1.0), (1.0, 0.85)])
+@pytest.mark.parametrize("kind", ["scene", "sheet"])
+def test_a_raw_mosaic_is_named_whatever_its_levels_and_first_colour(kind, red, blue):
+    picture = as_mosaic(demo_images(kind)["left"], red, blue)
+    for seen in (
+        picture,
+        picture[1:],
+        picture[:, 1:],
+        picture.astype(np.uint16) * 16,
+        picture / 255,
+    ):
+        assert "--bayer" in (why_mosaic(grey_image(seen)) or "")
+        assert why_mixed(grey_image(seen)) is not None
+    colours = cv2.cvtColor(picture, cv2.COLOR_BayerRGGB2RGB)
+    assert why_mosaic(grey_image(colours)) is None
+
+
+def test_grey_pictures_are_no_mosaics():
+    noise = np.random.default_rng(4)
+    for kind in ("scene", "sheet"):
+        for picture in demo_images(kind).values():
+            assert why_mixed(grey_image(picture)) is None
+            assert why_mosaic(grey_image(as_mosaic(picture, 0.98, 1.0))) is None
+    for size in (16, 33, 90):
+        assert why_mosaic(grey_image(noise.integers(0, 256, (size, size), dtype=np.uint8))) is None
+    assert why_mosaic(grey_image(np.zeros((16, 16), np.uint8))) is None
 
 
 def test_fine_texture_that_alternates_both_ways_is_of_one_moment():

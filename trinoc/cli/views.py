@@ -154,7 +154,7 @@ def read_segments(
     quiet: bool,
 ) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
     """(the pictures among the files, the segments of all): read, or found in the pictures."""
-    from trinoc.image.grey import grey_image, why_interlaced
+    from trinoc.image.grey import grey_image, why_mixed
     from trinoc.io.images import expect_inside, expect_size, read_views
     from trinoc.io.segment_table import load_segments
 
@@ -167,9 +167,9 @@ def read_segments(
         for name in each(tuple(files), "segments", quiet=quiet)
     }
     for name, image in images.items():
-        interlaced = why_interlaced(grey_image(image))
-        if interlaced is not None:
-            LOGGER.warning('%s, the picture of "%s": %s', files[name], name, interlaced)
+        mixed = why_mixed(grey_image(image))
+        if mixed is not None:
+            LOGGER.warning('%s, the picture of "%s": %s', files[name], name, mixed)
     for name, found in segments.items():
         if len(found) == 0:
             _warn_of_nothing(name, images.get(name), files[name])

@@ -25,6 +25,11 @@ _SLACK = 1.25
 # rows. Of 15 pictures that scikit-image carries none has ten times as many down as along.
 _COMB_ROWS, _COMB_SIGMAS, _COMB_LEVELS = 6, 6.0, 8.0
 _COMB_SHARE, _COMB_RATIO = 0.002, 10
+# A mosaic: colours that differ by so much of the mean level and so many sigmas, each beside what
+# smooths all of them away. Pixels of one industrial camera differ by .012 in their gains, those of
+# 100 other pictures by less, colours of a raw picture by .5.
+_MOSAIC_SHARE, _MOSAIC_SIGMAS = 0.05, 6.0
+_SMOOTH = np.array([0.25, 0.5, 0.25])
 
 
 class GreyImage(NamedTuple):
@@ -114,6 +119,28 @@ def _full_white(largest: float) -> float:
 def _white(dtype: np.dtype, full: float) -> float:
     """The last level below saturation, in 255ths as cameras that shift their bits deliver it."""
     return 254 / 255 * full if dtype in (np.uint8, np.uint16) else np.inf
+
+
+def why_mixed(image: GreyImage) -> str | None:
+    """That neighbouring pixels are of two moments or of several colours, and what to do about it;
+    None where they are of one light."""
+    return why_interlaced(image) or why_mosaic(image)
+
+
+def why_mosaic(image: GreyImage) -> str | None:
+    """That pixels are of several colours by turns, and what to do about it; None where not.
+
+    A mosaic of colours that are alike in it, as under balanced light, is as good as grey.
+    """
+    steps = image.grey - cv2.sepFilter2D(image.grey, -1, _SMOOTH, _SMOOTH)
+    means = [steps[row::2, column::2].mean() for row in (0, 1) for column in (0, 1)]
+    noise = _MOSAIC_SIGMAS * steps.std() / np.sqrt(steps.size / len(means))
+    if max(means) - min(means) <= max(_MOSAIC_SHARE * image.grey.mean(), noise):
+        return None
+    return (
+        "Its pixels are of several colours by turns (a raw mosaic): turn it into colour or grey, "
+        'or name the colours where `calibrate` is given it (--bayer RGGB, bayer="RGGB").'
+    )
 
 
 def why_interlaced(image: GreyImage) -> str | None:

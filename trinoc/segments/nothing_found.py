@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.image.grey import grey_image, why_interlaced
+from trinoc.image.grey import grey_image, why_mixed
 from trinoc.image.light import Light
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
@@ -17,14 +17,14 @@ _FAR_APART_PX, _SOFT_PX = 16, 2.8  # numerical: for a message only
 
 
 def why_short(image: Shaped[np.ndarray, "..."]) -> str | None:
-    """That the edges of a picture are soft, or combs of two moments, which breaks lines into short
-    pieces, and what to do about it; None where they are not.
+    """That the edges of a picture are soft, or that its pixels are of two moments or of several
+    colours, which breaks lines into short pieces, and what to do about it; None where they are not.
 
     Raises InputError for what is no picture.
     """
-    interlaced = why_interlaced(grey_image(image))
-    if interlaced is not None:
-        return interlaced
+    mixed = why_mixed(grey_image(image))
+    if mixed is not None:
+        return mixed
     grey = Light.from_picture(image).levels
     if min(grey.shape) <= _FAR_APART_PX:
         return None

@@ -128,15 +128,18 @@ def test_a_tag_of_another_board_in_view_is_left_out():
 
 
 @pytest.mark.parametrize("name", BOARDS)
-def test_rows_of_two_moments_are_refused_in_one_board_and_in_a_set(name):
+def test_rows_of_two_moments_and_pixels_of_several_colours_are_refused_in_boards_and_sets(name):
     board = BOARDS[name]
     seen, _ = picture(board)
-    fields = seen.copy()
+    fields, mosaic = seen.copy(), seen.copy()
     fields[1::2] = np.roll(seen, 2, axis=1)[1::2]
+    mosaic[::2, ::2] //= 2
     for target in (board, BoardSet([board])):
         assert len(detect_target(seen, target)) > 0
         with pytest.raises(DetectionError, match="interlaced"):
             detect_target(fields, target)
+        with pytest.raises(DetectionError, match="raw mosaic"):
+            detect_target(mosaic, target)
 
 
 def test_what_is_no_such_board_is_refused():

@@ -77,6 +77,3 @@ def test_a_raw_mosaic_is_fitted_without_interpolation() -> None:
     balanced = refine_image(raw.astype(np.float32), *arguments, encoding=Encoding("RGGB"))
     assert balanced is not None
     assert mahalanobis(balanced) < 25.0
-    # Without a word about its colours it is told, or not answered, without a crash.
-    untold = refine_image(raw.astype(np.float32), *arguments)
-    assert untold is None or untold.found == ("a raw mosaic of colours",)

@@ -16,7 +16,7 @@ from trinoc.calib.targets.board_set import BoardSet, first_places
 from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError, InputError
-from trinoc.image.grey import grey_image, why_interlaced
+from trinoc.image.grey import grey_image, why_mixed
 
 DETECTORS: dict[type[AbstractTarget], Callable[..., Detection]] = {
     Pattern: detect_circles,
@@ -35,11 +35,11 @@ def detect_target(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> D
     ------
     InputError : `image` is no picture, or nothing detects such a target.
     DetectionError : the board is not seen, or not in a way that can be trusted: rows that are of
-        two moments place it between them.
+        two moments place it between them, pixels of several colours beside it.
     """
-    interlaced = why_interlaced(grey_image(np.asarray(image)))
-    if interlaced is not None:
-        raise DetectionError(interlaced)
+    mixed = why_mixed(grey_image(np.asarray(image)))
+    if mixed is not None:
+        raise DetectionError(mixed)
     return _detect(image, target)
 
 

@@ -114,15 +114,12 @@ def refine_image(
         )
 
     residual = point.level - scene.grey
-    # The median of flat parts sees no more noise than the residuals, a mosaic's colours apart.
-    left = TUNING.photometric.mosaic_noise * np.sqrt(np.mean(residual[point.kept] ** 2))
-    is_mosaic = scene.noise_floor > left
     is_said = encoding.bayer is not None or bool(encoding.bend)
     refuted = "model" if is_said else find_refuted_part(scene, point)
-    if refuted == "noise" and not is_mosaic:
+    if refuted == "noise":
         sigma = noise_by_level(point.level, residual, point.kept, point.level)
         point = refit_ideal_camera(scene, point._replace(sigma=sigma))
-    if refuted == "model" and not is_mosaic:
+    if refuted == "model":
         blocks = blocks_of_pixels(scene.chosen, start, lens, pattern)
         wider = scene._replace(blocks=blocks)
         fitted = fit_delivered_camera(wider, robust.state, start)
@@ -132,9 +129,7 @@ def refine_image(
             if np.isfinite(covariance.matrix).all():
                 found = describe_processing(wider, delivered, covariance)
                 return refinement(wider, delivered, covariance, found)
-    # Flat parts that are noisier than what the fit leaves over have neighbours of other colours.
-    found = ("a raw mosaic of colours",) if is_mosaic else ()
-    return refinement(scene, point, pose_covariance(scene, point, correlated=False), found)
+    return refinement(scene, point, pose_covariance(scene, point, correlated=False), ())
 
 
 def _noise_in_the_middle(point: Point) -> float:

@@ -52,8 +52,6 @@ class PhotometricTuning:
     significant_sigmas: float = 3.0
     # Least variance of what an edge says over that of white noise: sharpening lowers it to a half.
     least_spread: float = 0.4
-    # Flat parts noisier than what the fit leaves over, by this factor, are a mosaic's.
-    mosaic_noise: float = 1.5
 
     # Paper up to this share of ink, and ink from as much short of all on, are flat.
     flat_share: float = 0.1
