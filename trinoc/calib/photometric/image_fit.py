@@ -26,7 +26,6 @@ from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.image.response import PowerResponse
