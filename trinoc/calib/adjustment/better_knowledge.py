@@ -23,8 +23,7 @@ _UNSEEN = {
     "aim": "an optical axis {:.2g} mm beside the origin of the sheet",
     "focal length": "a focal length {:.2%} off",
     "aspect": "a focal length along v {:.2%} off against that along u",
-    "principal point along u": "a principal point {:.2g} px off along u",
-    "principal point along v": "a principal point {:.2g} px off along v",
+    "principal point": "a principal point {:.2g} px off",
     "radial distortion": "a radial distortion k1 {:.2g} off",
 }
 _SAY_LENS = "give a lens with its covariance, as `trinoc intrinsics` writes it"
@@ -120,7 +119,7 @@ def say_what_goes_unseen(alternatives: Mapping[str, Sequence[Alternative]]) -> s
     of, better = ("aim", _SAY_AIM) if worst.name == "aim" else ("lens", _SAY_LENS)
     return (
         f"The {of} is taken to be exact. The picture of {name} may well not show "
-        f"{_UNSEEN[worst.name].format(worst.unseen.max())}, which moves the camera by "
+        f"{_UNSEEN[worst.name].format(np.linalg.norm(worst.unseen))}, which moves the camera by "
         f"{worst.unseen_strain:.0f} of its sigmas: {better}."
     )
 

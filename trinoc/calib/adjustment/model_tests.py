@@ -20,9 +20,6 @@ _FOCAL, _CENTRE, _RADIAL, _AIM = (0, 1), 2, 4, (4, 6)
 # numerical: a change of the aspect leaves the mean of both focal lengths as it is.
 _ASPECT = np.array([-0.5, 0.5])
 
-# numerical: the least error, in sigmas of its estimate, that the test finds so often.
-UNSEEN_SIGMAS = unseen_sigmas(TUNING.answer.chance, 1)
-
 
 def alternatives(
     adjustment: Adjustment, view: int, freedom: float, *, lens_is_free: bool, aim_is_held: bool
@@ -41,8 +38,9 @@ def alternatives(
         focal = np.asarray(adjustment.lens(view).focal_length_px)
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
         columns["aspect"] = by_lens[:, _FOCAL] @ (focal * _ASPECT)[:, None]
-        columns["principal point along u"] = by_lens[:, _CENTRE : _CENTRE + 1]
-        columns["principal point along v"] = by_lens[:, _CENTRE + 1 : _CENTRE + 2]
+        if not aim_is_held:
+            # Where the aim is held, its own test finds what displaces all alike.
+            columns["principal point"] = by_lens[:, _CENTRE : _CENTRE + 2]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
     unit = {"aim": float(chart.unit_mm)}
     tests = [
@@ -71,7 +69,11 @@ def _score(
     test = test.with_noise(max(1.0, test.noise_variance(float(residual @ residual), freedom)))
     sigma = unit * np.sqrt(np.diag(test.covariance))
     by_pose = pose_by_extra(extra, adjustment, view)
-    most = np.linalg.norm(by_pose @ np.linalg.cholesky(test.covariance), ord=2)
+    root = np.linalg.cholesky(test.covariance)
+    # Of all changes that are found equally often, the one that moves the camera most.
+    strains, worst = np.linalg.svd(by_pose @ root)[1:]
+    sigmas = unseen_sigmas(TUNING.answer.chance, test.freedom)
+    unseen = unit * sigmas * root @ worst[0]
     return Alternative(
         name=name,
         chi_square_drop=test.chi_square,
@@ -80,8 +82,8 @@ def _score(
         sigma=sigma,
         sentence=_sentence(name, unit * test.step, sigma),
         strain=float(np.linalg.norm(by_pose @ test.step)),
-        unseen=UNSEEN_SIGMAS * sigma,
-        unseen_strain=UNSEEN_SIGMAS * float(most),
+        unseen=unseen * np.sign(unseen[np.argmax(np.abs(unseen))]),
+        unseen_strain=sigmas * float(strains[0]),
     )
 
 
@@ -127,10 +129,11 @@ def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarr
             f"the residuals look like a focal length along v {100 * estimate[0]:+.3f} +- "
             f"{100 * sigma[0]:.1g} % off against that along u: check the pixel pitch."
         )
-    if name.startswith("principal point"):
+    if name == "principal point":
         return (
-            f"the residuals look like a {name} {estimate[0]:+.2g} +- {sigma[0]:.1g} px off: see "
-            "that the picture is not cut, and that the lens is this camera's."
+            f"the residuals look like a principal point ({estimate[0]:+.2g}, {estimate[1]:+.2g}) "
+            f"+- ({sigma[0]:.1g}, {sigma[1]:.1g}) px off: see that the picture is not cut, and "
+            "that the lens is this camera's."
         )
     return (
         f"the residuals look like radial distortion k1 = {estimate[0]:+.3f} +- {sigma[0]:.3f} "

@@ -30,8 +30,7 @@ class Alternative(NamedTuple):
 
     Fields
     ------
-    name : "aim", "focal length", "aspect", "principal point along u", "principal point along v"
-        or "radial distortion".
+    name : "aim", "focal length", "aspect", "principal point" or "radial distortion".
     chi_square_drop : likelihood ratio against the model as it is.
     p_value : probability of such a drop by noise alone.
     estimate : of the change, in mm of aim, share of the focal length, that along v against that
@@ -39,7 +38,7 @@ class Alternative(NamedTuple):
     sigma : of the estimate.
     sentence : what it means.
     strain : by how many of its sigmas the change would move the camera (Mahalanobis distance).
-    unseen : the largest change that the residuals may well not show.
+    unseen : of changes that the residuals may well not show, the one that moves the camera most.
     unseen_strain : by how many of its sigmas that would move the camera.
     """
 
