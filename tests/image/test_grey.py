@@ -101,7 +101,7 @@ def test_a_raw_mosaic_is_named_whatever_its_levels_and_first_colour(kind, red, b
         picture.astype(np.uint16) * 16,
         picture / 255,
     ):
-        assert "--bayer" in (why_mosaic(grey_image(seen)) or "")
+        assert "bayer=" in (why_mosaic(grey_image(seen)) or "")
         assert why_mixed(grey_image(seen)) is not None
     colours = cv2.cvtColor(picture, cv2.COLOR_BayerRGGB2RGB)
     assert why_mosaic(grey_image(colours)) is None

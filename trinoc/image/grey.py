@@ -139,7 +139,7 @@ def why_mosaic(image: GreyImage) -> str | None:
         return None
     return (
         "Its pixels are of several colours by turns (a raw mosaic): turn it into colour or grey, "
-        'or name the colours where `calibrate` is given it (--bayer RGGB, bayer="RGGB").'
+        'or name the colours to `calibrate` (bayer="RGGB").'
     )
 
 
