@@ -143,7 +143,8 @@ def _camera_fit(
     reduced = float(of_circles.reduced_chi_square[view])
     gauge = tuple(PARAMETER_NAMES[k] for k in seen.gauge)
     refuted = (*notes_of_priors(fit.adjustment, view, choice, known), *of_sheet)
-    if not refuted and not is_suspect(tests, float(source.reduced_chi_square[view])):
+    suspect = bool(refuted) or is_suspect(tests, float(source.reduced_chi_square[view]))
+    if not suspect:
         refuted = notes_of_misfit(of_circles, view)
     notes = notes_of_camera(choice, known.pattern, used, tests, reduced, gauge)
     by_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
@@ -160,5 +161,4 @@ def _camera_fit(
         alternatives=tuple(tests),
         method=choice.method,
     )
-    scatter = float(source.reduced_chi_square[view])
-    return result, is_suspect(tests, scatter) or bool(refuted)
+    return result, suspect or bool(refuted)

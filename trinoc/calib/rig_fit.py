@@ -1,4 +1,4 @@
-"""From sheets that were found to cameras: by circles, then by grey levels where both agree."""
+"""From sheets that were found to cameras: by circles, then by grey levels that do not scatter."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple

@@ -6,10 +6,11 @@ jackknife estimate of variance", Annals of Statistics 9(3), 1981.
 
 Both circles and grey levels are fitted to one picture, the grey levels better. If the model of
 the grey levels is right, the circles' answer differs from theirs by no more than the circles' own
-noise; where they are farther apart, the grey levels are of another picture than the model's: J.
-A. Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978. His covariance is the
-difference of both, whichever is the larger, here with the sheet and the lens as the grey levels
-have them: the priors, which make both answers nearly as uncertain as each other, then drop out.
+noise; where they are farther apart, one of both models is wrong, and the scatter of the grey
+levels' own places says which (`rig_fit.choose_answer`): J. A. Hausman, "Specification tests in
+econometrics", Econometrica 46(6), 1978. His covariance is the difference of both, whichever is the
+larger, here with the sheet and the lens as the grey levels have them: the priors, which make both
+answers nearly as uncertain as each other, then drop out.
 """
 
 import numpy as np

@@ -197,8 +197,8 @@ class AnswerTuning:
     chance: float = 1e-4
     # The same of a score test that calls for more coefficients of a lens.
     chance_of_lens: float = 1e-3
-    # The same of two answers of a picture, by circles and by grey levels, that differ so much: one
-    # right picture in a hundred pays with a third of its sigmas.
+    # The same of two answers of a picture, by circles and by grey levels, that differ so much, and
+    # of circles far beyond their noise, whose neighbours err so much alike.
     chance_of_answers: float = 1e-2
     # An error that the test at `chance` finds less often goes unseen. Baarda's share, by hand.
     power: float = 0.8
