@@ -93,14 +93,18 @@ def squares(matches: Matches, truth: SegmentTruth) -> np.ndarray:
         edges = edges_of(matches, truth, track)
         if len(edges) > 1 or min(edges) < 0:
             continue
-        edge = truth.edges_mm[min(edges)]
-        along = (edge[1] - edge[0]) / np.linalg.norm(edge[1] - edge[0])
-        across = np.linalg.svd(along[None])[2][1:]
-        error = ((matches.lines_mm[track] - edge[0]) @ across.T).ravel()
-        both = np.kron(np.eye(2), across)
-        covariance = both @ matches.covariance_mm2[track] @ both.T
-        found[track] = error @ np.linalg.solve(covariance, error)
+        found[track] = square_of(matches, track, truth.edges_mm[min(edges)])
     return found
+
+
+def square_of(matches: Matches, track: int, edge: np.ndarray) -> float:
+    """Mahalanobis distance of a line's ends from an edge, across it: of 4 degrees of freedom."""
+    along = (edge[1] - edge[0]) / np.linalg.norm(edge[1] - edge[0])
+    across = np.linalg.svd(along[None])[2][1:]
+    error = ((matches.lines_mm[track] - edge[0]) @ across.T).ravel()
+    both = np.kron(np.eye(2), across)
+    covariance = both @ matches.covariance_mm2[track] @ both.T
+    return float(error @ np.linalg.solve(covariance, error))
 
 
 def angles_deg(matches: Matches, rig: Rig) -> np.ndarray:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from matching_truth import collinear_rig, edges_of, squares
+from matching_truth import collinear_rig, edges_of, square_of, squares
 from rigs_from_pixels import BARE
 from scipy.stats import chi2
 
@@ -139,7 +139,7 @@ class Case(NamedTuple):
     segments: dict[str, Segments]
     rig: Rig
     is_right: Callable[[Matches], np.ndarray]
-    squares: Callable[[Matches], np.ndarray] | None
+    squares: Callable[[Matches], np.ndarray]
 
 
 def columns_of(random: np.random.Generator) -> int:
@@ -226,7 +226,30 @@ def pictured(kind: str, rig_name: str, exposure: str, seed: int) -> Case:
         spread = np.nanmax(places, axis=1) - np.nanmin(places, axis=1)
         return np.linalg.norm(spread, axis=1) < figures.period_mm / 4
 
-    return Case(segments, rig, is_right, None)
+    edges = of_rectangles(figures._replace(middle=figures.middle + shift))
+
+    def squares_of_right(matches: Matches) -> np.ndarray:
+        found = np.full(len(matches), np.nan)
+        for track in np.flatnonzero(is_right(matches)).tolist():
+            edge = nearest_edge(edges, matches.lines_mm[track])
+            if edge is not None:
+                found[track] = square_of(matches, track, edge)
+        return found
+
+    return Case(segments, rig, is_right, squares_of_right)
+
+
+def nearest_edge(edges_mm: np.ndarray, line_mm: np.ndarray) -> np.ndarray | None:
+    """The edge whose line is nearest to both ends of another and that lies beside it; None where
+    none does within 2 mm."""
+    step = edges_mm[:, 1] - edges_mm[:, 0]
+    along = step / np.linalg.norm(step, axis=1, keepdims=True)
+    offset = line_mm - edges_mm[:, None, 0]
+    part = np.einsum("eki,ei->ek", offset, along)
+    off = np.linalg.norm(offset - part[..., None] * along[:, None], axis=2).max(axis=1)
+    beside = (part.min(axis=1) < np.linalg.norm(step, axis=1)) & (part.max(axis=1) > 0)
+    off[~beside] = np.inf
+    return edges_mm[off.argmin()] if off.min() < 2.0 else None
 
 
 class Row(NamedTuple):
@@ -244,7 +267,7 @@ def measure(case: Case) -> Row:
     begin = time.process_time()
     matches = match_segments(case.segments, case.rig)
     seconds = time.process_time() - begin
-    found = np.zeros(0) if case.squares is None else case.squares(matches)
+    found = case.squares(matches)
     held = found[np.isfinite(found)] < chi2.ppf(0.95, 4)
     three = (matches.index >= 0).sum(axis=1) > 2
     ambiguous = sum(

@@ -10,7 +10,7 @@ import pytest
 from tests.io.formats.bench import bench_matches
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.decoys import say_excluded_depths
+from trinoc.match.decoys import SureTracks, is_above_chance, say_excluded_depths
 from trinoc.match.explanations import (
     MIRRORED,
     TURNED,
@@ -155,6 +155,17 @@ def test_segments_that_are_chance_alone_are_suspect():
     matches = match_segments(found, RIG)
     assert matches.status is MatchStatus.SUSPECT
     assert (matches.posterior < 0.9).mean() > 0.99
+
+
+def test_a_few_tracks_that_are_next_to_certain_tell_where_chance_gives_none():
+    chance = [SureTracks(4, 30, 0), SureTracks(5, 30, 1), SureTracks(3, 30, 0)]
+    for certain, above in ((0, False), (2, False), (10, True)):
+        found = SureTracks(11, 30, certain)
+        assert is_above_chance(found, chance, 0.2, DEFAULT.decoys) is above
+    assert is_above_chance(SureTracks(60, 30, 0), chance, 0.6, DEFAULT.decoys)
+    # The same number is no more than chance where decoys have as many.
+    as_many = [each._replace(certain=10) for each in chance]
+    assert not is_above_chance(SureTracks(11, 30, 10), as_many, 0.2, DEFAULT.decoys)
 
 
 @pytest.mark.parametrize("change", [MIRRORED, UPSIDE_DOWN, TURNED])

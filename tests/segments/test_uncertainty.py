@@ -136,16 +136,18 @@ def test_what_disturbs_a_line_widens_it_and_is_named() -> None:
     disturbed = ErrorModel(pull, crowded, nothing, bow, scatter, np.zeros((5, 2)))
     calm = Shifts(nothing, nothing)
     noise_px2 = np.full(5, 1e-4)
-    variance, reasons = inflate_variance(disturbed, noise_px2, calm, calm)
+    variance, common, reasons = inflate_variance(disturbed, noise_px2, calm, calm)
     errors = DEFAULT.errors
     sizes = [0.0, 1.0, errors.crowd_px, errors.bow_share, errors.scatter_share]
-    np.testing.assert_allclose(variance - noise_px2, np.square(sizes))
+    # A neighbour all along a line moves it as a whole, and turns it by less.
+    turning = [1, 1, errors.turn_share, 1, 1]
+    np.testing.assert_allclose(variance - noise_px2, turning * np.square(sizes))
+    np.testing.assert_allclose(common, [0, 0, errors.crowd_px**2, 0, 0])
     assert reasons.tolist() == ["", "neighbour", "neighbour", "bent", "bent"]
     shifted = Shifts(one, one)
     alone = ErrorModel(*(part[:1] for part in disturbed))
     for saturated, shaded, name in ((shifted, calm, "saturated"), (calm, shifted, "shaded")):
         first, second = (Shifts(*(part[:1] for part in each)) for each in (saturated, shaded))
-        variance, reasons = inflate_variance(alone, noise_px2[:1], first, second)
-        # What moves a line as a whole is the business of `end_covariances`.
-        assert variance == noise_px2[0]
+        variance, common, reasons = inflate_variance(alone, noise_px2[:1], first, second)
+        assert (variance, common) == (noise_px2[0], 1.0)
         assert reasons.tolist() == [name]

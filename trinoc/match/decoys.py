@@ -42,10 +42,12 @@ MatchFrame = Callable[..., Matches]
 
 
 class SureTracks(NamedTuple):
-    """Number of sure tracks through three views or more, and through two."""
+    """Number of sure tracks through three views or more, through two, and of those through three
+    that are next to certain."""
 
     in_three: int
     in_two: int
+    certain: int
 
 
 def check_set(
@@ -74,7 +76,7 @@ def check_set(
     if is_clear and found.noise_scale <= tuning.noisy_above:
         return found
     chance = [] if is_clear else count_by_chance(frame, sure, share, match, tuning)
-    by_chance = bool(chance and sure.in_three < least_above_chance(chance, share, tuning))
+    by_chance = bool(chance) and not is_above_chance(sure, chance, share, tuning)
     every = by_chance or bool(share < tuning.few_share)
     cause = say_excluded_depths(found) if every else None
     if cause is None and (every or found.noise_scale > tuning.shifted_above):
@@ -130,15 +132,30 @@ def _note_of_set(sure: SureTracks, chance: Sequence[SureTracks], cause: str | No
 def count_sure(found: Matches, tuning: DecoyTuning) -> SureTracks:
     """Sure tracks by the number of their views."""
     sure, in_three = found.posterior > tuning.sure, found.stage == TRINOCULAR
-    return SureTracks(int((sure & in_three).sum()), int((sure & ~in_three).sum()))
+    certain = in_three & (found.posterior > tuning.certain)
+    return SureTracks(*(int(each.sum()) for each in (sure & in_three, sure & ~in_three, certain)))
+
+
+def is_above_chance(
+    sure: SureTracks, chance: Sequence[SureTracks], share: float, tuning: DecoyTuning
+) -> bool:
+    """Whether the rig gives more sure tracks than decoys, or more that are next to certain, of
+    which chance gives hardly any: a few of these tell where views share little."""
+    few = _more_than([each.certain for each in chance], tuning.of_certain)
+    return sure.in_three >= least_above_chance(chance, share, tuning) or sure.certain >= few
 
 
 def least_above_chance(chance: Sequence[SureTracks], share: float, tuning: DecoyTuning) -> float:
-    """How many sure tracks through three views are more than decoys give: a multiple of their mean,
-    and so many standard deviations of a count of it."""
-    mean = float(np.mean([each.in_three for each in chance]))
-    times, deviations, more = tuning.few if share < tuning.few_share else tuning.some
-    return times * mean + deviations * np.sqrt(mean) + more
+    """How many sure tracks through three views are more than decoys give."""
+    rule = tuning.few if share < tuning.few_share else tuning.some
+    return _more_than([each.in_three for each in chance], rule)
+
+
+def _more_than(counts: Sequence[int], rule: tuple[float, float, float]) -> float:
+    """A multiple of the mean, so many standard deviations of a count of it, and so many more."""
+    times, deviations, more = rule
+    mean = float(np.mean(counts))
+    return times * mean + deviations * float(np.sqrt(mean)) + more
 
 
 def decoys(frame: FrameInput) -> Iterator[FrameInput]:
@@ -166,7 +183,7 @@ def find_cause(
 
     own, noise = count(sample)
     # One of the decoys may be what undoes the mistake, and tells nothing of chance then.
-    chance = sorted(SureTracks(count(decoy)[0], 0) for decoy in decoys(sample))[:-1]
+    chance = sorted(SureTracks(count(decoy)[0], 0, 0) for decoy in decoys(sample))[:-1]
     # Of a set that shows next to nothing more is asked for than of one that shows a part.
     least = max(own, least_above_chance(chance, 0.0 if every else 1.0, tuning))
     times, more = tuning.explained
@@ -186,8 +203,8 @@ def find_cause(
 def _doubt(found: Matches, sure: SureTracks, chance: Sequence[SureTracks], note: str) -> Matches:
     """The matches as SUSPECT, with probabilities times the share that chance does not give, half
     at most."""
-    mean = np.mean(chance, axis=0) if chance else (0.0, 0.0)
-    shares = [1 - by_chance / max(own, 1) for own, by_chance in zip(sure, mean, strict=True)]
+    mean = np.mean(chance, axis=0)[:2] if chance else (0.0, 0.0)
+    shares = [1 - by_chance / max(own, 1) for own, by_chance in zip(sure[:2], mean, strict=True)]
     # A share of none would leave log odds that nothing can compare.
     factor = np.where(found.stage == TRINOCULAR, *np.clip(shares, 1e-3, EVEN))
     return replace(

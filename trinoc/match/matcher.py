@@ -160,7 +160,9 @@ def match_frames(
         # The steps of the paper: 1 candidates, 2 selection by neighbours, 3 occluded segments.
         triples = find_triples(seen, clutter, depth_range_mm, tuning)
         selections, outside = _select_triples(seen, triples, tuning)
-        scale[left], again = learn_noise_scale(selections, scale[left], tuning.noise)
+        scale[left], again = learn_noise_scale(
+            selections, np.asarray(stated.lines.across_px2), scale[left], tuning.noise
+        )
         again &= passes_left > 0
         if not again.all():
             seen = with_noise_scale(stated, scale[left])

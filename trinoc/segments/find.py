@@ -247,8 +247,7 @@ def _covariances(
 ) -> tuple[Float[np.ndarray, "r 4 4"], Shaped[np.ndarray, "r"]]:
     """(covariances of the ends, what widened them beyond noise)."""
     noise_px2 = noise_variance(lines.variance_middle_px2, lines.pieces.length_px, tuning.errors)
-    variance_px2, reasons = inflate_variance(errors, noise_px2, *shifts, tuning.errors)
-    common_px2 = shifts[0].variance_px2 + shifts[1].variance_px2
+    variance_px2, common_px2, reasons = inflate_variance(errors, noise_px2, *shifts, tuning.errors)
     off_px2 = np.square(tuning.errors.off_share * errors.off_px)
     given = lines.direction, variance_px2, common_px2, off_px2, along_px
     return end_covariances(*given), reasons

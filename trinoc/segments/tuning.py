@@ -102,6 +102,9 @@ class ErrorTuning:
     reach_widths: float = 3.0
     # Error, px, of a line all of whose points have a neighbour; of others as the share squared.
     crowd_px: float = 0.2
+    # Of the variance from a neighbour all along a line, the share that turns it, too. On pictures
+    # of brick walls (benchmarks/repetition.py), seeds 43 and 44: .25 to .45 do alike.
+    turn_share: float = 0.33
     # How many sigmas of a bow, or of the distance of points from the line, noise explains.
     noise_sigmas: float = 2.0
     # Shares of a larger bow and scatter that stay an error; number of last points, and share of

@@ -17,5 +17,6 @@ def test_places_within_the_reach_are_those_that_a_full_table_of_distances_has():
 
 
 def test_without_triples_segments_err_as_they_state():
-    np.testing.assert_allclose(residual_scale([], frames=3), 1.0, atol=0.03)
-    assert residual_scale([]) == pytest.approx(1.0, abs=0.03)
+    none = np.zeros((3, 0, 2, 2))
+    np.testing.assert_allclose(residual_scale([], none, frames=3), 1.0, atol=0.03)
+    assert residual_scale([], none) == pytest.approx(1.0, abs=0.03)

@@ -305,30 +305,52 @@ def _as_segments(given: Segments | ArrayLike, sigma_px: float | None) -> Segment
 def with_noise_scale(seen: MatchInput, scale: Float[np.ndarray, "f"]) -> MatchInput:
     """Covariances with standard deviations across the segments times their frame's `scale`.
 
-    Along a segment nothing changes: where a detector stops is no matter of noise.
+    Along a segment nothing changes: where a detector stops is no matter of noise. Nor does a scale
+    below 1 narrow what is common to both ends (`common_variance`): misfits do not show it.
     """
     if (scale == 1.0).all():
         return seen
     counts = np.diff(seen.starts, axis=0)
     each = [np.repeat(scale, counts[:, view]) for view in range(len(seen.ends_px))]
-    covariance = [
-        _scale_covariance_across(ends, own, factor)
-        for ends, own, factor in zip(seen.ends_px, seen.covariance_px2, each, strict=True)
-    ]
     across = np.array(seen.lines.across_px2)
-    for view, factor in enumerate(each):
+    covariance = []
+    for view, (ends, own, factor) in enumerate(
+        zip(seen.ends_px, seen.covariance_px2, each, strict=True)
+    ):
+        kept = common_variance(across[view, : len(factor)])
+        kept = kept * np.maximum(1 - factor**2, 0.0)
+        covariance.append(_scale_covariance_across(ends, own, factor, kept))
         across[view, : len(factor)] *= factor[:, None, None] ** 2
+        across[view, : len(factor)] += kept[:, None, None]
     return seen._replace(covariance_px2=covariance, lines=seen.lines._replace(across_px2=across))
 
 
+def common_variance(across_px2: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
+    """Variance of what moves each segment as a whole, where that is more than what noise does.
+
+    A neighbour or saturation moves an edge toward the same side in all pictures of it: they agree
+    on a place that is wrong. Noise of variance v moves the middle of a line and turns it, so that
+    its ends vary by 4 v and their errors have covariance -2 v; with c from what moves it as a
+    whole these are 4 v + c and c - 2 v. Ends that err independently leave none.
+    """
+    between = across_px2[:, 0, 1]
+    least = np.minimum(across_px2[:, 0, 0], across_px2[:, 1, 1])
+    return np.where(between > 0, (least + 2 * between) / 3, 0.0)
+
+
 def _scale_covariance_across(
-    ends_px: np.ndarray, covariance_px2: np.ndarray, scale: Float[np.ndarray, "n"]
+    ends_px: np.ndarray,
+    covariance_px2: np.ndarray,
+    scale: Float[np.ndarray, "n"],
+    added_px2: Float[np.ndarray, "n"],
 ) -> np.ndarray:
     along = ends_px[:, 1] - ends_px[:, 0]
     along = along / np.linalg.norm(along, axis=1)[:, None]
     parallel = along[:, :, None] * along[:, None, :]
+    across = np.eye(2) - parallel
     stretch = np.zeros((len(ends_px), 2, 2, 2, 2))
     for end in range(2):
-        stretch[:, end, :, end] = parallel + scale[:, None, None] * (np.eye(2) - parallel)
+        stretch[:, end, :, end] = parallel + scale[:, None, None] * across
     stretch = stretch.reshape(-1, 4, 4)
-    return stretch @ covariance_px2 @ stretch.mT
+    added = np.tile(added_px2[:, None, None] * across, (1, 2, 2))
+    return stretch @ covariance_px2 @ stretch.mT + added

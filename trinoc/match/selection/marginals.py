@@ -20,6 +20,7 @@ from trinoc.match.evidence.mixture import (
     prior_parameters,
     probability,
 )
+from trinoc.match.observations.match_input import common_variance
 from trinoc.match.selection.junction_support import (
     JunctionParameters,
     endpoint_pairs,
@@ -181,17 +182,27 @@ def _with_junctions(
 
 
 def residual_scale(
-    selections: Sequence[Selection], frames: int = 1, tuning: NoiseTuning = DEFAULT.noise
+    selections: Sequence[Selection],
+    across_px2: Float[np.ndarray, "v n 2 2"],
+    frames: int = 1,
+    tuning: NoiseTuning = DEFAULT.noise,
 ) -> Float[np.ndarray, "f"]:
     """Standard deviation of segments across themselves, over what they state, of each frame.
 
     Few triples say little: as many as `prior_observations` that fit as stated count with them.
+    Triples of segments `across_px2` whose errors are mostly common to the edge's pictures say
+    nothing.
     """
+    both = across_px2.sum(axis=(2, 3)) / 4
+    tells = np.stack([common_variance(own) for own in across_px2]) < tuning.common_share * both
     share = (np.arange(tuning.prior_observations) + 0.5) / tuning.prior_observations
     prior = -2 * np.log1p(-share)  # the quantiles of chi-square with two degrees of freedom
     chi_square, frame = [np.tile(prior, frames)], [np.repeat(np.arange(frames), len(prior))]
     for selection in selections:
         sure = selection.taken & (probability(selection.posterior_log_odds) > tuning.sure)
+        index = selection.candidates.index[sure]
+        of_views = np.take_along_axis(tells.T, np.maximum(index, 0), axis=0)
+        sure[sure] = (of_views | (index < 0)).all(axis=1)
         chi_square.append(selection.candidates.chi_square[sure])
         own = selection.candidates.frame
         every = np.zeros(len(sure), int) if own is None else own
@@ -202,11 +213,14 @@ def residual_scale(
 
 
 def learn_noise_scale(
-    selections: Sequence[Selection], before: Float[np.ndarray, "f"], tuning: NoiseTuning
+    selections: Sequence[Selection],
+    across_px2: Float[np.ndarray, "v n 2 2"],
+    before: Float[np.ndarray, "f"],
+    tuning: NoiseTuning,
 ) -> tuple[Float[np.ndarray, "f"], Bool[np.ndarray, "f"]]:
     """(scale of each frame's errors over what is stated, whether that is so far from the scale
     `before`, under which candidates were found, that they are to be found again)."""
-    larger = residual_scale(selections, len(before), tuning) if selections else 1.0
+    larger = residual_scale(selections, across_px2, len(before), tuning) if selections else 1.0
     scale = np.clip(before * larger, 1 / tuning.most, tuning.most)
     change = scale / before
     return scale, (change >= tuning.again_above) | (change <= tuning.again_below)

@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.projection import homogeneous_pixel, project_by_matrix
 from trinoc.geometry.triangulation import Segment3D, triangulate_segment
-from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.observations.match_input import MatchInput, common_variance
 from trinoc.match.observations.table import SegmentTable, look_up_frames, take_matrices
 from trinoc.match.tracks.unequal_errors import misfit_limit
 from trinoc.numerics.buckets import in_blocks
@@ -248,7 +248,8 @@ def lines_in_space(
     common_mm: Float[np.ndarray, "t 2 3"],
     reach: Float[np.ndarray, "t v 2"] | None = None,
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 6"], Float[np.ndarray, "t"]]:
-    """Maximum-likelihood ends of what two views show, with covariance and chi-square.
+    """Maximum-likelihood ends of what two views show, with covariance, and the chi-square by which
+    the views disagree.
 
     `common_mm` are the ends of the part that all views of a track show, `reach` what `reach_of`
     says of them, if at hand.
@@ -272,7 +273,34 @@ def lines_in_space(
     frames = () if frame is None else (frame,)
     found = in_blocks(triangulate, block, *shown, index >= 0, *frames)
     misfit = np.where((index >= 0).sum(axis=1) > 2, found.chi_square, 0.0)
-    return np.asarray(found.ends_mm), np.asarray(found.covariance_mm2), misfit
+    ends_mm, covariance_mm2 = (np.array(each) for each in (found.ends_mm, found.covariance_mm2))
+    more = common_covariance(seen, index)
+    some = np.flatnonzero((more != 0).any(axis=(1, 2, 3)))
+    if len(some):
+        columns = (shown[0], shown[1] + more, index >= 0, *frames)
+        again = in_blocks(triangulate, block, *(column[some] for column in columns))
+        ends_mm[some], covariance_mm2[some] = again.ends_mm, again.covariance_mm2
+    return ends_mm, covariance_mm2, misfit
+
+
+def common_covariance(
+    seen: MatchInput, index: Int[np.ndarray, "t v"]
+) -> Float[np.ndarray, "t v 4 4"]:
+    """What is added to the covariances of a track's fragments for errors common to its n views.
+
+    Views that are taken for independent average an error away: one that is common to them stays
+    as large as it is where each has n times its variance. Misfits do not hold it.
+    """
+    more = np.zeros((*index.shape, 4, 4))
+    views = (index >= 0).sum(axis=1)
+    for view in range(index.shape[1]):
+        on = np.flatnonzero(index[:, view] >= 0)
+        segment = index[on, view]
+        normal = np.asarray(seen.lines.line)[view, segment, :2]
+        common = common_variance(np.asarray(seen.lines.across_px2)[view, segment])
+        added = ((views[on] - 1) * common)[:, None, None] * normal[:, :, None] * normal[:, None]
+        more[on, view] = np.tile(added, (1, 2, 2))
+    return more
 
 
 class FittedTracks(NamedTuple):

@@ -83,6 +83,8 @@ class NoiseTuning:
     # Triples as likely as this tell, with so many that fit as stated beside them. By hand.
     sure: float = 0.9
     prior_observations: int = 10
+    # Segments tell where less than this share of their variance is common to all pictures. By hand.
+    common_share: float = 0.5
     # Where errors are larger by more than this, candidates are found anew under the larger ones,
     # so often at most: the gate of the first has cut off what lies further out. And so where they
     # are much smaller. By hand; photographs, with their heavy tails, keep the wider gate.

@@ -244,12 +244,13 @@ def inflate_variance(
     saturated: Shifts,
     shaded: Shifts,
     tuning: ErrorTuning = DEFAULT.errors,
-) -> tuple[Float[np.ndarray, "r"], Shaped[np.ndarray, "r"]]:
-    """(variance, reason): of each line's place across it, and what added most to it.
+) -> tuple[Float[np.ndarray, "r"], Float[np.ndarray, "r"], Shaped[np.ndarray, "r"]]:
+    """(variance of each line's middle across it, variance of what moves it as a whole, what added
+    most to them).
 
-    `noise_px2` is the variance from noise alone. The reason is "neighbour", "bent",
-    "saturated" or "shaded" where that adds more than noise does, and "" elsewhere. The variance
-    leaves out what moves a line as a whole.
+    `noise_px2` is the variance from noise alone. Saturation, shading and a neighbour all along move
+    a line as a whole. The last is "neighbour", "bent", "saturated" or "shaded" where that adds more
+    than noise does, and "" elsewhere.
     """
     crowd_px = tuning.crowd_px * np.square(disturbed.crowded)
     neighbour = np.square(disturbed.pull_px) + np.square(crowd_px)
@@ -258,7 +259,11 @@ def inflate_variance(
     parts = np.stack([neighbour, bent, saturated.variance_px2, shaded.variance_px2])
     names = np.array(["neighbour", "bent", "saturated", "shaded"])
     reasons = np.where(parts.max(axis=0) > noise_px2, names[parts.argmax(axis=0)], "")
-    return noise_px2 + neighbour + bent, reasons
+    # Where a line has its neighbour all along, that moves it more than it turns it.
+    beside = disturbed.crowded * neighbour
+    turning = neighbour - (1 - tuning.turn_share) * beside
+    common = beside + saturated.variance_px2 + shaded.variance_px2
+    return noise_px2 + bent + turning, common, reasons
 
 
 def noise_variance(
