@@ -88,6 +88,6 @@ def test_what_is_left_out_unseen_is_as_good_as_zero(nearest: float, turn_deg: fl
     density = cast_density(*every, turn, SIZE_MM, TUNING).reshape(len(lamps.nearness), -1)
     seen = np.zeros(density.shape, dtype=bool)
     seen[likely_casts(pairs, lamps, turn, SIZE_MM, TUNING)] = True
-    assert (density > 1e-9 * density.max(axis=0)).sum() > 300
-    assert density[~seen].max() < 1e-9 * density.max()
+    assert (density > 1e-5 * density.max(axis=0)).sum() > 200
+    assert density[~seen].max() < 1e-5 * density.max()
     assert seen.mean() < 0.3

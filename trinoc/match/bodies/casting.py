@@ -169,8 +169,8 @@ def _members(plane: Plane) -> int:
     return int(plane.members.sum())
 
 
-# numerical: beyond so many sigmas a density is less than 1e-10 of its peak.
-FAR_SIGMAS = 7.0
+# numerical: beyond so many sigmas a density is less than 4e-6 of its peak.
+FAR_SIGMAS = 5.0
 # numerical: share of `ShadowTuning.room` by which a shadow may begin before its edge.
 BEFORE = 0.3
 
@@ -255,7 +255,7 @@ def likely_casts(
     lamp = np.column_stack([lamps.direction, lamps.nearness]).astype(np.float32)
     toward = np.concatenate([pairs.axes, pairs.middle_mm[:, :, None]], axis=2)
     first, second = toward[:, 1], toward[:, 2]
-    reach = np.hypot(lamp @ _single(first).T, lamp @ _single(second).T)
+    reach = np.sqrt(np.square(lamp @ _single(first).T) + np.square(lamp @ _single(second).T))
     from_middle = np.stack([np.zeros_like(pairs.ends_mm), pairs.ends_mm]) - pairs.middle_mm[:, None]
     farthest = 1 + lamps.nearness.max() * np.linalg.norm(from_middle, axis=-1).max()
     of_first, of_second, of_both = pairs.edge_mm2.T
@@ -289,7 +289,7 @@ def cast_density(
     # From a point of the edge's axes to the lamp: this less `near` times the point.
     toward = np.einsum("pai,pi->ap", pairs.axes, lamps.direction) + near * pairs.middle_mm.T
     along, first, second = toward
-    reach = np.hypot(first, second)
+    reach = np.sqrt(first**2 + second**2)
     square, variances, at, gaps, cut = 0.0, 1.0, [], [], []
     for end in (0, 1):
         place = pairs.ends_mm[:, end]
@@ -297,7 +297,7 @@ def cast_density(
         beyond = -(first * place[:, 1] + second * place[:, 2]) / reach
         rise, run = reach + near * beyond, along - near * place[:, 0]
         part = beyond / np.where(np.abs(rise) < 1e-9, 1e-9, rise)
-        gap = part * np.hypot(rise, run)
+        gap = part * np.sqrt(rise**2 + run**2)
         where = place[:, 0] + part * run
         share = np.clip(where / pairs.length_mm, -1.0, 2.0)
         of_first, of_second, of_both = pairs.edge_mm2.T
