@@ -6,10 +6,12 @@ from hypothesis import given, strategies as st
 from scipy.stats import chi2
 
 from tests.match.made import loose_lines, pictures, rig_of
+from trinoc.errors import InputError
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tracks.unequal_errors import (
     degrees_of_misfit,
+    ellipsoid_limit,
     fit_tail,
     misfit_limit,
     scale_covariance_of_lines,
@@ -17,6 +19,7 @@ from trinoc.match.tracks.unequal_errors import (
 )
 
 LIMIT = chi2.ppf(0.95, 4)
+RIG = rig_of("upper", "left", "right")
 SIGMA_PX = 0.4
 
 
@@ -44,6 +47,19 @@ def test_ellipsoids_of_unequal_errors_hold(freedom: float, views: int) -> None:
     misfit, square = drawn(factor, degrees, rng)
     share = held(misfit, degrees, square, 1 / freedom)
     assert abs(share - 0.95) < 4 * np.sqrt(0.95 * 0.05 / count)
+    square = square / variance_factor(misfit, degrees, 1 / freedom)
+    for probability in (0.25, 0.5, 0.8, 0.99):
+        share = np.mean(square < ellipsoid_limit(probability, degrees, 1 / freedom))
+        assert abs(share - probability) < 4 * np.sqrt(probability * (1 - probability) / count)
+
+
+def test_of_equal_errors_and_at_95_percent_ellipsoids_are_those_of_a_normal_distribution() -> None:
+    degrees = np.array([0, 2, 6])
+    for tail in (0.0, 0.2):
+        np.testing.assert_allclose(ellipsoid_limit(0.95, degrees, tail), LIMIT)
+    np.testing.assert_allclose(ellipsoid_limit(0.5, degrees, 0.0), chi2.ppf(0.5, 4))
+    with pytest.raises(InputError, match="between 0 and 1"):
+        match_segments(pictures(RIG, loose_lines(8, seed=1), 0.3), RIG).ellipsoid_limit(95)
 
 
 @pytest.mark.parametrize("freedom", [4.0, 8.0, np.inf])

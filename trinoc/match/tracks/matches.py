@@ -13,6 +13,7 @@ from trinoc.errors import InputError
 from trinoc.geometry.features import Wires
 from trinoc.geometry.line_lengths import line_sigmas
 from trinoc.geometry.segments import LineObservations
+from trinoc.match.tracks.unequal_errors import degrees_of_misfit, ellipsoid_limit
 from trinoc.match.tuning.tracks import DecoyTuning
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.tables import (
@@ -110,7 +111,8 @@ class Matches(Displayable, Table):
         all there is.
     noise_tail : how unequal the tracks' errors are, as three views show it: one over the degrees of
         freedom of their Student distribution, 0 where they are normal. The 95 % ellipsoids of
-        `covariance_mm2` hold in 95 % of cases, each with the misfit of its own track in mind.
+        `covariance_mm2` hold in 95 % of cases, each with the misfit of its own track in mind;
+        `ellipsoid_limit` has others.
     notes : sentences on what a user should know of the whole: noise far from what is stated,
         cameras in one line.
     """
@@ -238,6 +240,18 @@ class Matches(Displayable, Table):
     def across_sigma_mm(self) -> Float[np.ndarray, "t"]:
         """(t,) standard deviation of each midpoint in the worst direction across the segment."""
         return line_sigmas(self.lines_mm, self.covariance_mm2).across_sigma_mm
+
+    def ellipsoid_limit(self, probability: float) -> Float[np.ndarray, "t"]:
+        """(t,) square of the Mahalanobis distance within which a line lies with this probability.
+
+        Distances are those of both ends from the true line, across it, by `covariance_mm2`: of four
+        degrees of freedom. At .95 it is that of a normal distribution; errors that are unequal
+        (`noise_tail`) are nearer at lower probabilities, and farther at higher ones.
+        Raises InputError for what is no probability between 0 and 1.
+        """
+        if not 0 < probability < 1:
+            raise InputError(f"probability is {probability}: give one between 0 and 1.")
+        return ellipsoid_limit(probability, degrees_of_misfit(self.index), self.noise_tail)
 
     def wires(self) -> Wires:
         """Each segment as a line of its own."""

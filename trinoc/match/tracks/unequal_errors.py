@@ -97,10 +97,26 @@ def variance_factor(
     before = 1 / np.maximum(tail, _LEAST_TAIL)
     freedom = before + degrees
     posterior = (before + np.where(degrees > 0, misfit, 0.0)) / freedom
-    kinds, kind = np.unique(freedom, return_inverse=True)
-    largest = _PARAMETERS * fdtri(_PARAMETERS, kinds, _HELD)[kind]
-    factor = posterior * largest / chi_square_quantile(_HELD, _PARAMETERS)
+    factor = posterior * _student_limit(_HELD, freedom) / chi_square_quantile(_HELD, _PARAMETERS)
     return np.where(np.less(tail, _LEAST_TAIL), 1.0, factor)
+
+
+def ellipsoid_limit(
+    probability: float, degrees: Int[np.ndarray, "t"], tail: float
+) -> Float[np.ndarray, "t"]:
+    """Square of the Mahalanobis distance within which a line lies with this probability, under
+    covariances that `variance_factor` has made right at 95 %."""
+    held = chi_square_quantile(_HELD, _PARAMETERS)
+    if tail < _LEAST_TAIL:
+        return np.full(len(degrees), chi_square_quantile(probability, _PARAMETERS))
+    freedom = 1 / tail + degrees
+    return held * _student_limit(probability, freedom) / _student_limit(_HELD, freedom)
+
+
+def _student_limit(probability: float, freedom: Float[np.ndarray, "t"]) -> Float[np.ndarray, "t"]:
+    """Within which square of its distance a line of Student's distribution lies."""
+    kinds, kind = np.unique(freedom, return_inverse=True)
+    return _PARAMETERS * fdtri(_PARAMETERS, kinds, probability)[kind]
 
 
 def scale_covariance_of_lines(
