@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from trinoc.calib import Detection, RigFromShots, Status
-from trinoc.calib.advice.field_difference import FieldDifference
-from trinoc.calib.advice.halves import CrossValidation, HalvesCheck
 from trinoc.calib.problem.views import View
+from trinoc.calib.result.halves import CrossValidation, FieldDifference, HalvesCheck
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.geometry.rig import Rig
 from trinoc.report import write_report

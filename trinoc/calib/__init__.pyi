@@ -29,8 +29,10 @@ from .rig_check.knocked import (
     RigCheck as RigCheck,
 )
 from .rig_from_shots import (
-    RigFromShots as RigFromShots,
     next_shot as next_shot,
+)
+from .shots_result import (
+    RigFromShots as RigFromShots,
 )
 from .systematic_errors import (
     with_systematics as with_systematics,

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.advice.next_shot import NextImage
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.result.calibration import Status
-from trinoc.calib.shot_messages import value_words
+from trinoc.calib.shots_result import value_words
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS

@@ -29,8 +29,9 @@ from trinoc.calib.problem.problem import Freedom, Problem, with_lens_prior
 from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
 from trinoc.calib.problem.robust_fit import RobustFit, fit_robustly
 from trinoc.calib.problem.starting_problem import start_problem
-from trinoc.calib.rig_from_shots import RigFromShots, result_from_fit
+from trinoc.calib.rig_from_shots import result_from_fit
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
+from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.starts.camera_start import FEWEST_PLACES, CameraStart, start_camera
 from trinoc.calib.starts.pictures import FoundBoards, Pictures, find_boards
 from trinoc.calib.starts.placing import PlacedRig, ShotBoard, place_rig

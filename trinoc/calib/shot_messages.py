@@ -18,14 +18,6 @@ from trinoc.geometry.pose import Pose
 Where = Callable[[int, int], str]
 
 
-def value_words(value: float, sigma: float) -> str:
-    """A value with as many decimals as its sigma warrants; one without sigma was held."""
-    if not (np.isfinite(value) and np.isfinite(sigma)):
-        return "not determined"
-    decimals = max(0, 1 - int(np.floor(np.log10(sigma)))) if sigma > 0 else 3
-    return f"{value:.{decimals}f} +- {sigma:.{decimals}f}"
-
-
 def undetermined_sentence(problem: Problem, names: Sequence[str]) -> str:
     """Which parameters the shots do not determine, and why where that is plain."""
     few = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -13,9 +13,9 @@ from trinoc.cli.settings import Settings, read_settings
 from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
-    from trinoc.calib.advice.field_difference import FieldDifference
     from trinoc.calib.advice.next_shot import NextShot
-    from trinoc.calib.rig_from_shots import RigFromShots
+    from trinoc.calib.result.halves import FieldDifference
+    from trinoc.calib.shots_result import RigFromShots
     from trinoc.calib.targets.abstract_target import AbstractTarget
 
 

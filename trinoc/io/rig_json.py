@@ -26,7 +26,7 @@ from trinoc.numerics.tables import is_covariance
 
 if TYPE_CHECKING:
     from trinoc.calib.result.calibration import CalibrationResult
-    from trinoc.calib.rig_from_shots import RigFromShots
+    from trinoc.calib.shots_result import RigFromShots
 
 
 CONVERGED = "converged"

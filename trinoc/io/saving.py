@@ -231,7 +231,7 @@ def _content_of_result(
     # Here, because these bring the calibrations with them, and a match wants none.
     from trinoc.calib.intrinsics_result import IntrinsicsResult
     from trinoc.calib.result.calibration import CalibrationResult
-    from trinoc.calib.rig_from_shots import RigFromShots
+    from trinoc.calib.shots_result import RigFromShots
 
     match value:
         case CalibrationResult():

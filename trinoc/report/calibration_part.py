@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.result.calibration import CalibrationResult, CameraFit, ImageQuality, Status
-from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.shots_result import RigFromShots
 from trinoc.geometry.rig import Rig
 from trinoc.report.coverage import Coverage
 from trinoc.report.numbers import with_decimals, with_sign

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.shots_result import RigFromShots
 from trinoc.match.tracks.matches import Matches
 from trinoc.report.coverage import Coverage, MeanResiduals
 from trinoc.report.epipolar_part import EpipolarPart

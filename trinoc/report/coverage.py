@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.shots_result import RigFromShots
 from trinoc.report.numbers import percent, with_decimals, with_sign
 from trinoc.report.pictures import Arrows, PagePicture
 

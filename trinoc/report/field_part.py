@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.targets.board_set import list_boards
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING

@@ -12,7 +12,7 @@ from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.shots_result import RigFromShots
 from trinoc.errors import InputError
 from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig

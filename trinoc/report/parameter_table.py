@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.targets.board_set import board_names
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig

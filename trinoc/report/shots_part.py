@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.targets.board_set import board_names, list_boards
 from trinoc.geometry.rig import Rig
 from trinoc.report.numbers import with_decimals

@@ -12,7 +12,7 @@ from trinoc.calib import Detection
 from trinoc.calib.problem.rao_test import unseen_sigmas
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import calibrate_rig
-from trinoc.calib.rig_from_shots import RigFromShots
+from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.starts.camera_start import start_poses
 from trinoc.calib.starts.placing import boards_are_parallel, find_exchanged_pair
 from trinoc.calib.starts.sightings import label_sighting

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract, step_motion
+from trinoc.calib.result.halves import FieldDifference
 from trinoc.calib.starts.sightings import IN_PLACE
 from trinoc.calib.targets.board_set import list_boards
 from trinoc.calib.tuning.every_group import TUNING
@@ -28,41 +29,6 @@ from trinoc.numerics.programs import kept_jit
 _ALIGNMENTS, _MOVES = 2, 5
 # numerical: a place that a lens does not give back after so much has no ray.
 _SAME_PX = 1e-3
-
-
-class FieldDifference(NamedTuple):
-    """By how much two halves of the shots have a camera image the same points elsewhere.
-
-    Fields
-    ------
-    camera : its name.
-    distance_mm : (2,) of the points: where the boards were, and `farther` times as far.
-    uv_px : (n, 2) places in the picture, along whose rays the points lie.
-    difference_px : (2, n, 2) first half less second at each distance, along u and v; NaN where the
-        lens has no ray.
-    sigma_px : (2, n) standard deviation claimed for it, per axis.
-    """
-
-    camera: str
-    distance_mm: Float[np.ndarray, "2"]
-    uv_px: Float[np.ndarray, "n 2"]
-    difference_px: Float[np.ndarray, "2 n 2"]
-    sigma_px: Float[np.ndarray, "2 n"]
-
-    @property
-    def over_sigma(self) -> Float[np.ndarray, "2 n"]:
-        """Length of the difference over that claimed: its mean square is 1 for a right model."""
-        return np.linalg.norm(self.difference_px, axis=-1) / (np.sqrt(2.0) * self.sigma_px)
-
-    @property
-    def rms_px(self) -> Float[np.ndarray, "2"]:
-        """Root mean square length of the difference over the field."""
-        return np.sqrt(np.nanmean(np.sum(self.difference_px**2, axis=-1), axis=-1))
-
-    @property
-    def rms_over_sigma(self) -> Float[np.ndarray, "2"]:
-        """Root mean square of `over_sigma` over the field."""
-        return np.sqrt(np.nanmean(self.over_sigma**2, axis=-1))
 
 
 def field_differences(

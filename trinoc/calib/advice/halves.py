@@ -8,11 +8,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.advice.field_difference import FieldDifference, field_differences
+from trinoc.calib.advice.field_difference import field_differences
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.outcome import enlarge_covariance
 from trinoc.calib.problem.problem import Problem, lens_number, with_head_held, with_sheet_held
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
+from trinoc.calib.result.halves import CrossValidation, HalvesCheck
 from trinoc.calib.targets.board_set import board_prefixes
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.precision import ArrayLike
@@ -22,36 +23,6 @@ from trinoc.numerics.programs import kept_jit
 FEWEST_SHOTS = 4
 # numerical: of the largest variance: below, a prior that both halves share has left no difference.
 _LEAST_SHARE = 1e-10
-
-
-class CrossValidation(NamedTuple):
-    """How far lenses and cameras from one half of the shots miss the places of the other half.
-
-    Of a shot that is held out only the board's pose is fitted, to what one camera saw of it.
-
-    Fields
-    ------
-    shots : how many were held out in turn.
-    own_px : for each camera root mean square length of its errors, the board placed by itself:
-        what its lens does not explain.
-    across_px : the same, the board placed by each other camera of the shot in turn, which errs by
-        that camera's noise, too: what the rig does not explain. Empty for one camera.
-    """
-
-    shots: int
-    own_px: Mapping[str, float]
-    across_px: Mapping[str, float]
-
-    @property
-    def sentence(self) -> str:
-        """The errors in words."""
-        sentence = (
-            f"shots held out are missed by {_list_errors(self.own_px)}, the board placed by the "
-            "camera itself"
-        )
-        if self.across_px:
-            sentence += f", and by {_list_errors(self.across_px)}, placed by another camera"
-        return sentence
 
 
 class HalfFit(NamedTuple):
@@ -125,31 +96,6 @@ def _rms_px(errors: Mapping[str, list[np.ndarray]]) -> dict[str, float]:
         for name, own in errors.items()
         if own
     }
-
-
-def _list_errors(errors_px: Mapping[str, float]) -> str:
-    return ", ".join(f"{value:.3f} px ({name})" for name, value in errors_px.items())
-
-
-class HalvesCheck(NamedTuple):
-    """The rig from one half of the shots against that from the other.
-
-    Fields
-    ------
-    ratio : difference over claimed sigma, root mean square over everything determined: 1 where
-        the model is right, more where something is not in it.
-    worst : name of the parameter with the largest difference in sigmas, as "camera 1" has them.
-    worst_ratio : that difference.
-    parameters : how many were compared.
-    over_field : for each camera how far apart both image the same points, in px and beside what
-        is claimed.
-    """
-
-    ratio: float
-    worst: str
-    worst_ratio: float
-    parameters: int
-    over_field: tuple[FieldDifference, ...] = ()
 
 
 def compare_halves(

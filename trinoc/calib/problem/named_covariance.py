@@ -11,14 +11,10 @@ from jaxtyping import Array, Float, Int
 from trinoc.calib.problem.information import Information
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract
-from trinoc.calib.targets.board_set import board_prefixes
+from trinoc.calib.targets.board_set import IN_SET_NAMES, board_prefixes
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
-
-# Of a board fixed to others: its turn about the axes of their frame from where it stands, and where
-# its origin lies there.
-IN_SET_NAMES = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm")
 
 
 class World(NamedTuple):

@@ -95,6 +95,11 @@ def list_boards(target: AbstractTarget) -> tuple[AbstractTarget, ...]:
     return target.boards if isinstance(target, BoardSet) else (target,)
 
 
+# Of a board fixed to others: its turn about the axes of their frame from where it stands, and where
+# its origin lies there.
+IN_SET_NAMES = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm")
+
+
 def board_names(target: AbstractTarget) -> tuple[str, ...]:
     """What the boards are called."""
     return target.names if isinstance(target, BoardSet) else (target.name,)

@@ -1,0 +1,191 @@
+"""A rig from many shots, which never travels without its status and its sigmas."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.problem.problem import EndedProblem
+from trinoc.calib.problem.views import View
+from trinoc.calib.result.calibration import Status
+from trinoc.calib.result.halves import CrossValidation, HalvesCheck
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.board_set import IN_SET_NAMES, board_names, list_boards
+from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
+
+
+class RigFromShots(eqx.Module):
+    """Lenses and cameras fitted together, with their covariance, and what each shot said.
+
+    Fields
+    ------
+    rig : the cameras in the world, with a covariance that holds their lenses, too; None unless
+        `status` is CONVERGED or SUSPECT.
+    status : how the fit ended; SUSPECT where the shots refute a lens that was given.
+    parameters : names such as "left.pan_deg", "left.fx_px", "board.warp_x_mm".
+    values : (p,) of `parameters`; NaN where not determined.
+    covariance : (p, p), degrees, mm and px; zero for what was held, NaN where not determined.
+    gauge : the parameters that the shots leave open.
+    world : the shot, or the camera, that is the world's frame.
+    target : the board.
+    shots : names of the shots that took part.
+    world_from_board : (s, 3, 4) the board in each shot, mm; of a set its first one.
+    reference_from_board : (b, 3, 4) how each board of a set is fixed to the first one, mm; of one
+        board no motion. Their sigmas are those of "board.NAME.turn_x_deg", about the axes of the
+        first one from where each stands, and of "board.NAME.x_mm", where its origin lies.
+    place_shifts_mm : (n, 3) by which each place of the board lies elsewhere than its drawing and
+        its warp have it, X, Y and Z; no rows where the shots do not show it.
+    views : what each camera saw in each shot, by their indices, and which places took part.
+    residuals_px : for each view (m, 2) predicted minus observed, of its places, or of what its
+        grey levels show: each circle and, across it, each piece of a line.
+    sigma_factor : for each camera by how much its places scatter more than their sigmas say.
+    reduced_chi_square : after the sigmas were multiplied by it.
+    halves : two halves of the shots compared, or None where there are too few.
+    failures : for "camera shot" in which the board was not found, why.
+    refused : sentences on shots and pictures that were left out.
+    systematics : the errors of the board that the covariance holds, in words.
+    notes : sentences on what a user should know.
+    cross_validation : errors of shots that the rig was not fitted to; None where there are too few.
+    ended : where the fit ended, in its own units, which `next_shot` goes on from; None where `rig`
+        is.
+    """
+
+    rig: Rig | None
+    status: Status
+    parameters: tuple[str, ...] = eqx.field(static=True)
+    values: Float[np.ndarray, "p"]
+    covariance: Float[np.ndarray, "p p"]
+    gauge: tuple[str, ...] = eqx.field(static=True)
+    world: str = eqx.field(static=True)
+    target: AbstractTarget
+    cameras: tuple[str, ...] = eqx.field(static=True)
+    shots: tuple[str, ...] = eqx.field(static=True)
+    world_from_board: Float[np.ndarray, "s 3 4"]
+    reference_from_board: Float[np.ndarray, "b 3 4"]
+    place_shifts_mm: Float[np.ndarray, "n 3"]
+    views: tuple[View, ...]
+    residuals_px: tuple[Float[np.ndarray, "_m 2"], ...]
+    sigma_factor: dict[str, float] = eqx.field(static=True)
+    reduced_chi_square: float = eqx.field(static=True)
+    halves: HalvesCheck | None
+    failures: dict[str, str] = eqx.field(static=True)
+    refused: tuple[str, ...] = eqx.field(static=True)
+    systematics: tuple[str, ...] = eqx.field(static=True)
+    notes: tuple[str, ...] = eqx.field(static=True)
+    cross_validation: CrossValidation | None = None
+    ended: EndedProblem | None = None
+
+    def sigma(self, parameter: str) -> float:
+        """Standard deviation of a parameter such as "left.fx_px"; 0 if held, NaN if not known."""
+        row = self.parameters.index(parameter)
+        return float(np.sqrt(self.covariance[row, row]))
+
+    def value(self, parameter: str) -> float:
+        """Value of a parameter such as "left.fx_px"."""
+        return float(self.values[self.parameters.index(parameter)])
+
+    @property
+    def fixed_boards(self) -> tuple[str, ...]:
+        """A sentence on where each board of a set is fixed to the first one, with sigmas."""
+        if self.rig is None:
+            return ()
+        reference, *others = board_names(self.target)
+        return tuple(
+            _board_sentence(self, name, reference, pose)
+            for name, pose in zip(others, self.reference_from_board[1:], strict=True)
+        )
+
+    def rms_px(self, camera: str | None = None) -> float:
+        """Root mean square length of the residuals of one camera, or of all."""
+        kept = [
+            errors[view.kept]
+            for view, errors in zip(self.views, self.residuals_px, strict=True)
+            if camera in (None, self.cameras[view.camera])
+        ]
+        every = np.concatenate([np.zeros((0, 2)), *kept])
+        return float(np.sqrt(np.mean(np.sum(every**2, axis=1)))) if len(every) else float("nan")
+
+    def summary(self) -> str:
+        """The lenses and cameras with their sigmas, and how good the fit is, as text."""
+        return summarise_shots(self)
+
+
+def summarise_shots(result: RigFromShots) -> str:
+    """A block for each camera, then the board and what a user should know."""
+    lines = [f"SUSPECT: {result.notes[0]}"] if result.status is Status.SUSPECT else []
+    for number, camera in enumerate(result.cameras):
+        own = [view for view in result.views if view.camera == number and view.used.any()]
+        places = sum(int(view.used.sum()) for view in own)
+        pictures = len({view.shot for view in own})
+        lines.append(
+            f"{camera}: {places} places in {pictures} pictures, rms {result.rms_px(camera):.3f} px,"
+            f" sigmas x {result.sigma_factor[camera]:.2f}"
+        )
+        prefix = f"{camera}."
+        lines += [
+            f"  {name.removeprefix(prefix):12} {_words(result, name)}"
+            for name in result.parameters
+            if name.startswith(prefix)
+            and result.sigma(name) != 0.0
+            and name.removeprefix(prefix) not in SPLINE_PARAMETERS
+        ]
+    lines += [
+        f"{name:14} {_words(result, name)}"
+        for name in result.parameters
+        if name.startswith("board.")
+        and name.rpartition(".")[2] not in IN_SET_NAMES
+        and result.sigma(name) != 0.0
+    ]
+    lines += result.fixed_boards
+    lines.append(f"world: {result.world}")
+    lines.append(
+        f"lengths: as long as the board's are; it was said to be {_extent(result.target)} mm from "
+        "first to last place, which no picture can check"
+    )
+    if result.halves is not None:
+        lines.append(
+            f"halves of the shots differ by {result.halves.ratio:.2f} claimed sigmas over "
+            f"{result.halves.parameters} parameters (most in {result.halves.worst}: "
+            f"{result.halves.worst_ratio:.1f})"
+        )
+    if result.cross_validation is not None:
+        lines.append(result.cross_validation.sentence)
+    lines.append(f"sigmas include {', '.join(('noise', *result.systematics))}.")
+    lines += list(result.notes) + list(result.refused)
+    lines += [f"{where}: {why}" for where, why in result.failures.items()]
+    return "\n".join(lines)
+
+
+def _extent(target: AbstractTarget) -> str:
+    sides = [np.ptp(board.centres_mm, axis=0) for board in list_boards(target)]
+    return ", ".join(" x ".join(f"{side:.6g}" for side in own) for own in sides)
+
+
+def _words(result: RigFromShots, name: str) -> str:
+    return value_words(result.value(name), result.sigma(name))
+
+
+def _board_sentence(
+    result: RigFromShots, name: str, reference: str, reference_from_board: Float[np.ndarray, "3 4"]
+) -> str:
+    """Where a board's origin lies in the frame of another, and by how much it is turned."""
+    pose = Pose(reference_from_board)
+    cosine = np.clip(0.5 * (np.trace(pose.rotation) - 1.0), -1.0, 1.0)
+    places = ", ".join(
+        f"{axis} {value_words(value, result.sigma(f'board.{name}.{axis}_mm'))}"
+        for axis, value in zip("xyz", pose.translation_mm, strict=True)
+    )
+    turns = ", ".join(f"{result.sigma(f'board.{name}.turn_{axis}_deg'):.2g}" for axis in "xyz")
+    return (
+        f'"{name}" lies at {places} mm in the frame of "{reference}", turned by '
+        f"{np.degrees(np.arccos(cosine)):.2f} degrees (+- {turns} about x, y, z)"
+    )
+
+
+def value_words(value: float, sigma: float) -> str:
+    """A value with as many decimals as its sigma warrants; one without sigma was held."""
+    if not (np.isfinite(value) and np.isfinite(sigma)):
+        return "not determined"
+    decimals = max(0, 1 - int(np.floor(np.log10(sigma)))) if sigma > 0 else 3
+    return f"{value:.{decimals}f} +- {sigma:.{decimals}f}"
