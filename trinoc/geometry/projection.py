@@ -87,7 +87,7 @@ def image_of_point(
 ) -> tuple[Vector2, Scalar]:
     """(undistorted pixel, depth) of points whose coordinates are arrays of their own.
 
-    Kernels over long arrays of points fuse in this form (`numerics.scalar_vectors`).
+    Kernels over long arrays of points fuse in this form.
     """
     u, v, depth = (
         dot3(vector3(matrix_px[..., k, :3]), point) + matrix_px[..., k, 3] for k in range(3)

@@ -73,7 +73,7 @@ def save_pattern(pattern: Pattern, path: str | os.PathLike[str]) -> None:
 
 
 def list_figures(pattern: Pattern) -> dict[str, Any]:
-    """Its circles and lines, as `pattern_of` reads them."""
+    """Its circles and lines, as `parse_pattern` reads them."""
     return {
         "circles": {
             "centres_mm": pattern.centres_mm.tolist(),

@@ -113,7 +113,7 @@ def count_by_chance(
     chance = []
     for decoy in decoys(frame):
         chance.append(count_sure(match(decoy), tuning))
-        if sure.in_three > 2 * least_above_chance([chance[-1]], share, tuning):
+        if sure.in_three > 2 * least_above_chance([chance[-1].in_three], share, tuning):
             break
     return chance
 
@@ -142,13 +142,13 @@ def is_above_chance(
     """Whether the rig gives more sure tracks than decoys, or more that are next to certain, of
     which chance gives hardly any: a few of these tell where views share little."""
     few = _more_than([each.certain for each in chance], tuning.of_certain)
-    return sure.in_three >= least_above_chance(chance, share, tuning) or sure.certain >= few
+    least = least_above_chance([each.in_three for each in chance], share, tuning)
+    return sure.in_three >= least or sure.certain >= few
 
 
-def least_above_chance(chance: Sequence[SureTracks], share: float, tuning: DecoyTuning) -> float:
-    """How many sure tracks through three views are more than decoys give."""
-    rule = tuning.few if share < tuning.few_share else tuning.some
-    return _more_than([each.in_three for each in chance], rule)
+def least_above_chance(counts: Sequence[int], share: float, tuning: DecoyTuning) -> float:
+    """How many sure tracks through three views are more than decoys, which have `counts`, give."""
+    return _more_than(counts, tuning.few if share < tuning.few_share else tuning.some)
 
 
 def _more_than(counts: Sequence[int], rule: tuple[float, float, float]) -> float:
@@ -183,7 +183,7 @@ def find_cause(
 
     own, noise = count(sample)
     # One of the decoys may be what undoes the mistake, and tells nothing of chance then.
-    chance = sorted(SureTracks(count(decoy)[0], 0, 0) for decoy in decoys(sample))[:-1]
+    chance = sorted(count(decoy)[0] for decoy in decoys(sample))[:-1]
     # Of a set that shows next to nothing more is asked for than of one that shows a part.
     least = max(own, least_above_chance(chance, 0.0 if every else 1.0, tuning))
     times, more = tuning.explained

@@ -1,7 +1,7 @@
 """How values show themselves, without knowing who draws them.
 
 Drawing stands on a floor above the values. The package's front door says who draws
-(`display_with`), and a value calls it when it is first shown.
+(`set_displays`), and a value calls it when it is first shown.
 """
 
 from collections.abc import Callable

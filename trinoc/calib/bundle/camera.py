@@ -23,7 +23,7 @@ class CameraState(eqx.Module):
     Fields
     ------
     pose : where it stands.
-    lens : of one model for all cameras that stack (`stacked_states`).
+    lens : of one model for all cameras that stack (`stack_states`).
     reach_mm : unit of length of a step: the distance at which the camera works.
     pose_model : which parameters of the pose a step changes.
     with_intrinsics : whether a step changes focal lengths and principal point too.

@@ -2,8 +2,8 @@
 
 Under a model, residuals have no mean anywhere: not by the share of ink (a response, another
 kernel), not by the direction of the edge (motion), not by the place on the sheet (uneven light).
-Nor do they have another variance by grey level, or neighbours in common. `refuted_part` looks at
-that without a Jacobian; `find_evidence` tests the score of each group of unknowns that is held.
+Nor do they have another variance by grey level, or neighbours in common. `find_refuted_part` looks
+at that without a Jacobian; `find_evidence` tests the score of each group of unknowns that is held.
 """
 
 from typing import Literal, NamedTuple

@@ -22,7 +22,7 @@ _LEAST_SHARE = 0.1
 
 class Members(NamedTuple):
     """The outlines of each cylinder. row : in the table, -1 beyond its last. side : of the axis,
-    1 or -1, see `tangency`."""
+    1 or -1, see `ray_axis_distances`."""
 
     row: Int[np.ndarray, "h k"]
     side: Float[np.ndarray, "h k"]

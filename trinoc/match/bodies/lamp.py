@@ -56,7 +56,7 @@ class Votes(NamedTuple):
 
 class Lamp(NamedTuple):
     """The best lamp. score : its log likelihood over none. covariance : of its turn about two axes
-    across (`axes_across`), rad, and of its nearness, per mm. ratios : of each line, see `Votes`."""
+    across (`complete_axes`), rad, and of its nearness, per mm. ratios : of lines, see `Votes`."""
 
     direction: Float[np.ndarray, "3"]
     nearness: float

@@ -27,7 +27,7 @@ _CELL_RADII = 2.0
 
 
 def supports(chords: Chords, circles: Circles, within_px: float, tuning: RimTuning) -> csr_array:
-    """(h, s) `support_of` all chords for all circles, of which few touch; neighbours are held
+    """(h, s) Support of all chords for all circles, of which few touch; neighbours are held
     against what is about them."""
     shape = len(circles.radius_mm), len(chords.view)
     entries = [(np.zeros(0), (np.zeros(0, np.int64), np.zeros(0, np.int64)))]

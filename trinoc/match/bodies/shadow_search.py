@@ -36,7 +36,7 @@ class Shadows(eqx.Module):
     toward_lamp : (3,) unit vector from there, in the world frame; zeros where nothing is known.
     nearness_per_mm : 1 over the distance of the lamp; 0 where its light is parallel.
     lamp_covariance : (3, 3) of the turn of `toward_lamp` about its two axes across
-        (`trinoc.numerics.axes_across`), rad, and of `nearness_per_mm`.
+        (`complete_axes`), rad, and of `nearness_per_mm`.
     counts : what each step produced, by name.
     """
 

@@ -143,7 +143,7 @@ def prepare_frame(
     tuning: SideTuning = DEFAULT.sides,
     cameras: CamerasInput | None = None,
 ) -> FrameInput:
-    """The same without tables; `cameras` are those of `cameras_of(rig, segments)`, if at hand."""
+    """The same without tables; `cameras` are those of `prepare_cameras`, if at hand."""
     _check_names(segments, rig)
     _check_counts(segments)
     cameras = prepare_cameras(rig, segments) if cameras is None else cameras
@@ -306,7 +306,7 @@ def with_noise_scale(seen: MatchInput, scale: Float[np.ndarray, "f"]) -> MatchIn
     """Covariances with standard deviations across the segments times their frame's `scale`.
 
     Along a segment nothing changes: where a detector stops is no matter of noise. Nor does a scale
-    below 1 narrow what is common to both ends (`common_variance`): misfits do not show it.
+    below 1 narrow what is common to both ends (`common_error_variance`): misfits do not show it.
     """
     if (scale == 1.0).all():
         return seen
@@ -317,7 +317,7 @@ def with_noise_scale(seen: MatchInput, scale: Float[np.ndarray, "f"]) -> MatchIn
     for view, (ends, own, factor) in enumerate(
         zip(seen.ends_px, seen.covariance_px2, each, strict=True)
     ):
-        kept = common_variance(across[view, : len(factor)])
+        kept = common_error_variance(across[view, : len(factor)])
         kept = kept * np.maximum(1 - factor**2, 0.0)
         covariance.append(_scale_covariance_across(ends, own, factor, kept))
         across[view, : len(factor)] *= factor[:, None, None] ** 2
@@ -325,7 +325,7 @@ def with_noise_scale(seen: MatchInput, scale: Float[np.ndarray, "f"]) -> MatchIn
     return seen._replace(covariance_px2=covariance, lines=seen.lines._replace(across_px2=across))
 
 
-def common_variance(across_px2: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
+def common_error_variance(across_px2: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
     """Variance of what moves each segment as a whole, where that is more than what noise does.
 
     A neighbour or saturation moves an edge toward the same side in all pictures of it: they agree

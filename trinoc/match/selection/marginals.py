@@ -20,7 +20,7 @@ from trinoc.match.evidence.mixture import (
     prior_parameters,
     probability,
 )
-from trinoc.match.observations.match_input import common_variance
+from trinoc.match.observations.match_input import common_error_variance
 from trinoc.match.selection.junction_support import (
     JunctionParameters,
     endpoint_pairs,
@@ -194,7 +194,8 @@ def residual_scale(
     nothing.
     """
     both = across_px2.sum(axis=(2, 3)) / 4
-    tells = np.stack([common_variance(own) for own in across_px2]) < tuning.common_share * both
+    common = np.stack([common_error_variance(own) for own in across_px2])
+    tells = common < tuning.common_share * both
     share = (np.arange(tuning.prior_observations) + 0.5) / tuning.prior_observations
     prior = -2 * np.log1p(-share)  # the quantiles of chi-square with two degrees of freedom
     chi_square, frame = [np.tile(prior, frames)], [np.repeat(np.arange(frames), len(prior))]

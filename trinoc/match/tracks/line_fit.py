@@ -1,17 +1,15 @@
 """The line in space of each track: maximum likelihood of all of its segments, tested as a whole.
 
-Triples that share segments two by two chain to tracks whose ends no longer agree. So the whole
-track is tested, and what does not fit is split off, the worst first.
-
-How far a line is shown by at least two of its views: further than by all of them.
-
-The parts of segments that a track shows, and what their ends are worth.
-
-A part ends where one view's segment ends, and there the other views' segments are cut by the
-epipolar plane of that end. A cut is no observation of its own: it moves along its segment by
-(error across) / sin(angle to the epipolar line), all of which the errors across say already. So
-only the view whose segment ends there knows the place along the line, and in the others it is
-free: views whose blocks are then taken for independent give the line's true covariance.
+1. Reach. A line is put out as far as two of its views show it, which is further than all of them
+   do. Where one view's segment ends, the epipolar plane of that end cuts the others'.
+2. What ends are worth. A cut is no observation of its own: it moves along its segment by (error
+   across) / sin(angle to the epipolar line), all of which the errors across say already. So only
+   the view whose segment ends there knows the place along the line, and in the others it is free:
+   views whose blocks are then taken for independent give the line's true covariance.
+3. The fit. What moves an edge alike in all views is no independent error: it stays as large as one
+   view states it.
+4. The test. Triples that share segments two by two chain to tracks whose ends no longer agree. So
+   the whole track is tested, and what does not fit is split off, the worst first.
 """
 
 from collections.abc import Iterator
@@ -24,7 +22,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.projection import homogeneous_pixel, project_by_matrix
 from trinoc.geometry.triangulation import Segment3D, triangulate_segment
-from trinoc.match.observations.match_input import MatchInput, common_variance
+from trinoc.match.observations.match_input import MatchInput, common_error_variance
 from trinoc.match.observations.table import SegmentTable, look_up_frames, take_matrices
 from trinoc.match.tracks.unequal_errors import misfit_limit
 from trinoc.numerics.buckets import in_blocks
@@ -251,8 +249,8 @@ def lines_in_space(
     """Maximum-likelihood ends of what two views show, with covariance, and the chi-square by which
     the views disagree.
 
-    `common_mm` are the ends of the part that all views of a track show, `reach` what `reach_of`
-    says of them, if at hand.
+    `common_mm` are the ends of the part that all views of a track show, `reach` what
+    `segment_reaches` says of them, if at hand.
     """
     reach = segment_reaches(seen, index, common_mm) if reach is None else reach
     span = two_view_span(reach)
@@ -274,7 +272,7 @@ def lines_in_space(
     found = in_blocks(triangulate, block, *shown, index >= 0, *frames)
     misfit = np.where((index >= 0).sum(axis=1) > 2, found.chi_square, 0.0)
     ends_mm, covariance_mm2 = (np.array(each) for each in (found.ends_mm, found.covariance_mm2))
-    more = common_covariance(seen, index)
+    more = common_error_covariance(seen, index)
     some = np.flatnonzero((more != 0).any(axis=(1, 2, 3)))
     if len(some):
         columns = (shown[0], shown[1] + more, index >= 0, *frames)
@@ -283,7 +281,7 @@ def lines_in_space(
     return ends_mm, covariance_mm2, misfit
 
 
-def common_covariance(
+def common_error_covariance(
     seen: MatchInput, index: Int[np.ndarray, "t v"]
 ) -> Float[np.ndarray, "t v 4 4"]:
     """What is added to the covariances of a track's fragments for errors common to its n views.
@@ -297,7 +295,7 @@ def common_covariance(
         on = np.flatnonzero(index[:, view] >= 0)
         segment = index[on, view]
         normal = np.asarray(seen.lines.line)[view, segment, :2]
-        common = common_variance(np.asarray(seen.lines.across_px2)[view, segment])
+        common = common_error_variance(np.asarray(seen.lines.across_px2)[view, segment])
         added = ((views[on] - 1) * common)[:, None, None] * normal[:, :, None] * normal[:, None]
         more[on, view] = np.tile(added, (1, 2, 2))
     return more

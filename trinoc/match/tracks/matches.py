@@ -246,7 +246,7 @@ class Matches(Displayable, Table):
 
         Distances are those of both ends from the true line, across it, by `covariance_mm2`: of four
         degrees of freedom. At .95 it is that of a normal distribution; errors that are unequal
-        (`noise_tail`) are nearer at lower probabilities, and farther at higher ones.
+        (`noise_tail`, of segments) are nearer at lower probabilities, and farther at higher ones.
         Raises InputError for what is no probability between 0 and 1.
         """
         if not 0 < probability < 1:

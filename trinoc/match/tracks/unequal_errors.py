@@ -54,7 +54,7 @@ def fit_tails(
     of_pictures: Bool[np.ndarray, "f"],
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> Float[np.ndarray, "f"]:
-    """`learned_tail` of the tracks of each frame."""
+    """`fit_tail` of the tracks of each frame."""
     known = np.where(of_pictures[:, None], tuning.tail_of_pictures, tuning.tail_otherwise)
     shape, mean = known[:, :1], known[:, 1:]
     tail = np.geomspace(_LEAST_TAIL, _MOST_TAIL, _TAILS)

@@ -60,7 +60,8 @@ class DecoyTuning:
     few: tuple[float, float, float] = (2.0, 5.0, 5.0)
     few_share: float = 0.25
     # Or so many as likely as this, by the same three numbers: on mixed sets of seeds 621 to 628 up
-    # to 3 are, but 8 and 6 of two that are shifted; on right ones of little overlap 1 to 17.
+    # to 3 are, of pictures shifted by a few px more; on right ones of little overlap 1 to 17 of few
+    # lines, from 70 on of many.
     certain: float = 0.999
     of_certain: tuple[float, float, float] = (2.0, 3.0, 4.0)
     # Where errors are so many times those stated, shifts are tried, of sets that are not clear from

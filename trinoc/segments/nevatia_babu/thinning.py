@@ -7,7 +7,8 @@ the neighbours' gradients are projected on the pixel's own direction before comp
 The six 5 x 5 edge masks of Nevatia and Babu, and their combination into one gradient.
 
 Each mask answers best to a step edge of one direction; its sign tells the side that is
-brighter, so that six masks tell twelve directions. `gradient_of` correlates a picture with it.
+brighter, so that six masks tell twelve directions. `correlate_gradient` correlates a picture with
+them all at once.
 """
 
 import functools

@@ -1,7 +1,8 @@
 """How a sheet of paper lies: surfaces that touch Z = 0 at the origin of the world.
 
 A place (X, Y) in mm on the paper, measured along it, goes to a point of the world. Paper bends
-and does not stretch, so that `Cylinder` and `Cone` keep the length of every curve drawn on it.
+and does not stretch, so that `RolledPaper` and `ConePaper` keep the length of every curve drawn on
+it.
 """
 
 from collections.abc import Callable
