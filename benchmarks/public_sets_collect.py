@@ -9,8 +9,8 @@ folder that already holds files is left as it is. Sets whose source is "shared d
 from --shared DIR, and skipped without it.
 
 The name of a shot is the text that stands for the `*` in the camera's pattern, so files of one
-moment have equal names in the folders of all cameras. No more than 30 shots of a set are written;
-they are chosen evenly.
+moment have equal names in the folders of all cameras. At most 30 shots are written, chosen evenly.
+Where two cameras share shots, only these are written.
 """
 
 import argparse
@@ -19,6 +19,7 @@ import re
 import subprocess
 import tempfile
 import tomllib
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,16 @@ def even_choice(names: list[str]) -> set[str]:
     return {names[(2 * k + 1) * len(names) // (2 * count)] for k in range(count)}
 
 
+def chosen_shots(cameras: dict[str, dict[str, str]]) -> dict[str, set[str]]:
+    """Shots to write, by camera: those that two cameras took, or each camera's own."""
+    counts = Counter(name for shots in cameras.values() for name in shots)
+    common = [name for name, count in counts.items() if count > 1]
+    if common:
+        chosen = even_choice(sorted(common, key=in_reading_order))
+        return dict.fromkeys(cameras, chosen)
+    return {camera: even_choice(list(shots)) for camera, shots in cameras.items()}
+
+
 def write_video_frames(video: Path, folder: Path, step: int) -> None:
     """Write each step-th frame of a video as a PNG file."""
     capture = cv2.VideoCapture(str(video))
@@ -79,10 +90,7 @@ def write_video_frames(video: Path, folder: Path, step: int) -> None:
 
 
 def board_document(values: dict[str, Any], name: str) -> Any:
-    """The board that an entry describes, as an object of trinoc.
-
-    circles and asymmetric_circles have a radius that is measured in an image where it is unknown.
-    """
+    """The board that an entry describes, as an object of trinoc."""
     fields = dict(values)
     kind = fields.pop("kind")
     if kind == "circles":
@@ -113,8 +121,7 @@ def collect(entry: dict[str, Any], clones: Path, folder: Path, shared: Path | No
     cameras = {
         camera: shots_of_pattern(pattern, paths) for camera, pattern in entry["cameras"].items()
     }
-    names = {name for shots in cameras.values() for name in shots}
-    chosen = even_choice(sorted(names, key=in_reading_order))
+    chosen = chosen_shots(cameras)
     for camera, shots in cameras.items():
         target = own / camera
         if not shots:
@@ -129,7 +136,7 @@ def collect(entry: dict[str, Any], clones: Path, folder: Path, shared: Path | No
                     video = Path(temporary) / f"video{suffix}"
                     write(path, video)
                     write_video_frames(video, target, int(entry["frames"].removeprefix("every ")))
-            elif name in chosen:
+            elif name in chosen[camera]:
                 write(path, target / f"{name}{suffix}")
     counts = ", ".join(f"{camera} {len(list((own / camera).iterdir()))}" for camera in cameras)
     print(f"{entry['name']}: {counts}")
