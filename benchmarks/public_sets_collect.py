@@ -54,12 +54,8 @@ def shots_of_pattern(pattern: str, paths: list[str]) -> dict[str, str]:
 
 def in_reading_order(name: str) -> list[tuple[int, str]]:
     """Key by which 2 sorts before 10."""
-    return [(int(part or 0), "") if part.isdigit() else (0, part) for part in split(name)]
-
-
-def split(name: str) -> list[str]:
-    """Digits and other characters of a name, by turns."""
-    return re.split(r"(\d+)", name)
+    parts = re.split(r"(\d+)", name)
+    return [(int(part or 0), "") if part.isdigit() else (0, part) for part in parts]
 
 
 def even_choice(names: list[str]) -> set[str]:
@@ -68,11 +64,14 @@ def even_choice(names: list[str]) -> set[str]:
     return {names[(2 * k + 1) * len(names) // (2 * count)] for k in range(count)}
 
 
-def chosen_shots(cameras: dict[str, dict[str, str]]) -> dict[str, set[str]]:
-    """Shots to write, by camera: those that two cameras took, or each camera's own."""
+def chosen_shots(cameras: dict[str, dict[str, str]], *, one_moment: bool) -> dict[str, set[str]]:
+    """Shots to write, by camera: those that two cameras took, or each camera's own.
+
+    one_moment : false where shots of equal names are not of one moment.
+    """
     counts = Counter(name for shots in cameras.values() for name in shots)
     common = [name for name, count in counts.items() if count > 1]
-    if common:
+    if common and one_moment:
         chosen = even_choice(sorted(common, key=in_reading_order))
         return dict.fromkeys(cameras, chosen)
     return {camera: even_choice(list(shots)) for camera, shots in cameras.items()}
@@ -121,7 +120,7 @@ def collect(entry: dict[str, Any], clones: Path, folder: Path, shared: Path | No
     cameras = {
         camera: shots_of_pattern(pattern, paths) for camera, pattern in entry["cameras"].items()
     }
-    chosen = chosen_shots(cameras)
+    chosen = chosen_shots(cameras, one_moment=entry.get("one_moment", True))
     for camera, shots in cameras.items():
         target = own / camera
         if not shots:
