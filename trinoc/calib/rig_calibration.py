@@ -24,17 +24,18 @@ from trinoc.calib.problem.lens_correction import (
     with_correction,
     with_own_correction_sigmas,
 )
+from trinoc.calib.problem.moments import find_other_moments, with_shots_of_their_own
 from trinoc.calib.problem.outcome import shot_scatter
 from trinoc.calib.problem.problem import Freedom, Problem, with_lens_prior
 from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
-from trinoc.calib.problem.robust_fit import RobustFit, fit_robustly
+from trinoc.calib.problem.robust_fit import RobustFit, anneal, fit_robustly
 from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.rig_from_shots import result_from_fit
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
 from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.starts.camera_start import FEWEST_PLACES, CameraStart, start_camera
 from trinoc.calib.starts.pictures import FoundBoards, Pictures, find_boards
-from trinoc.calib.starts.placing import PlacedRig, ShotBoard, place_rig
+from trinoc.calib.starts.placing import PlacedRig, ShotBoard, place_rig, take_out
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
@@ -48,6 +49,10 @@ from trinoc.geometry.lenses.registry import (
 )
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.numerics.precision import in_float64
+
+# numerical: rounds in which images of other moments are taken out of their shots: a round that finds
+# many shows the others better.
+_MOST_SPLITS = 4
 
 
 @in_float64
@@ -242,7 +247,14 @@ def _fit_points(seen: _SeenBoards, model: type[AbstractLens]) -> _PointFit:
         except CalibrationError as error:
             raise CalibrationError(f'Camera "{camera}": {error}') from error
     placed = place_rig(starts, seen.detections, seen.shots, seen.target, seen.known)
-    return _PointFit(placed, fit_robustly(_rig_problem(seen, placed, starts)))
+    problem = anneal(_rig_problem(seen, placed, starts))
+    for _ in range(_MOST_SPLITS):
+        others = find_other_moments(problem)
+        if not others:
+            break
+        placed = take_out(placed, problem, [other.view for other in others], tuple(starts))
+        problem = anneal(with_shots_of_their_own(problem, [other.view for other in others]))
+    return _PointFit(placed._replace(views=problem.views), fit_robustly(problem))
 
 
 def _rig_problem(

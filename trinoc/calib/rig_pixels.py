@@ -130,8 +130,9 @@ def _with_own_sigmas(problem: Problem) -> Problem:
     """The problem with the factors of its cameras' points in the covariances of these."""
     views = []
     for view in problem.views:
-        variance = problem.sigma_factor[view.camera] ** 2
-        views.append(view._replace(detection=_scale_detection(view.detection, variance)))
+        variance = (problem.sigma_factor[view.camera] * view.sigma_ratio) ** 2
+        detection = _scale_detection(view.detection, variance)
+        views.append(view._replace(detection=detection, sigma_ratio=1.0))
     ones = np.ones_like(problem.sigma_factor)
     return problem._replace(views=tuple(views), sigma_factor=ones)
 

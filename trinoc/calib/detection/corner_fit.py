@@ -18,7 +18,6 @@ from jaxtyping import Bool, Float
 from trinoc.calib.detection.ellipse_pixels import column_32 as _column, normal_cdf
 from trinoc.calib.detection.search_image import SearchImage
 from trinoc.calib.detection.window_noise import WindowPixels, sandwich_covariance
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton
 
 # numerical: parameters of a corner, in the order of the Jacobian's columns.
@@ -108,11 +107,9 @@ def fit_corners(
         state[:, _PLACE] + windows.side // 2,
         (model - windows.grey) / noise,
         jacobian / noise,
-        _looks(jacobian),
         independent,
         _ODD,
     )
-    covariance_px2 += TUNING.detection.corner_floor_px**2 * np.eye(2)
     covariance_px2[~shown] = radius_px[~shown, None, None] ** 2 * np.eye(2)
     return FittedCorners(np.where(shown[:, None], places_px, start_px), covariance_px2)
 
@@ -200,10 +197,3 @@ def _predict(
     jacobian[..., 8] = level * windows.x
     jacobian[..., 9] = level * windows.y
     return level * light, jacobian
-
-
-def _looks(jacobian: Float[np.ndarray, "n k p"]) -> Float[np.ndarray, "n k 2"]:
-    """What noise may vary with: everywhere alike, and more on edges, where the model is wrong."""
-    edges = np.sum(jacobian[..., _PLACE] ** 2, axis=-1)
-    edges = edges / (edges.max(axis=1, keepdims=True) + 1e-9)
-    return np.stack([np.ones_like(edges), edges], axis=-1)

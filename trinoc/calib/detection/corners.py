@@ -35,7 +35,9 @@ def refine_corners(
         (-1, -1),
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3),
     )
-    return fit_corners(image, places.reshape(-1, 2).astype(np.float64), half_px + 0.5)
+    fitted = fit_corners(image, places.reshape(-1, 2).astype(np.float64), half_px + 0.5)
+    floor_px2 = TUNING.detection.corner_floor_px**2 * np.eye(2)
+    return fitted._replace(covariance_px2=fitted.covariance_px2 + floor_px2)
 
 
 def distances_to_next(corners_px: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m"]:

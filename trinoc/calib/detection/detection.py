@@ -36,6 +36,7 @@ class Detection(Table):
     ambiguity : (k, m) the other labellings, in the order of `circle_index`, that the board's
         own symmetry leaves open (a plain grid of discs looks the same turned); None when
         `circle_index` is the only one.
+    remarks : sentences without a full stop on places that were found and left out.
     """
 
     KIND: ClassVar[str] = "detection"
@@ -49,6 +50,7 @@ class Detection(Table):
     lines_px: Float[np.ndarray, "2 3"]
     image_size_px: Annotated[tuple[int, int], Column(PICTURE_SIZE)] = eqx.field(static=True)
     ambiguity: Annotated[Int[np.ndarray, "k m"] | None, Column(NOT_NEGATIVE)] = None
+    remarks: tuple[str, ...] = eqx.field(static=True, default=())
 
     def with_larger_sigmas(self, factor: float) -> "Detection":
         """The same circles, their centres' standard deviations `factor` times as large."""
@@ -69,6 +71,7 @@ def build_detection(
     image_size_px: tuple[int, int],
     shape_px2: Float[np.ndarray, "m 2 2"] | None = None,
     lines_px: Float[np.ndarray, "2 3"] | None = None,
+    remarks: tuple[str, ...] = (),
 ) -> Detection:
     """A detection whose first labelling is the one to use; of corners unless shapes are given."""
     return Detection(
@@ -79,6 +82,7 @@ def build_detection(
         lines_px=np.full((2, 3), np.nan) if lines_px is None else lines_px,
         image_size_px=image_size_px,
         ambiguity=labellings[1:] if len(labellings) > 1 else None,
+        remarks=remarks,
     )
 
 
@@ -110,4 +114,5 @@ def _select_places(detection: Detection, mask: np.ndarray) -> Detection:
         detection.image_size_px,
         detection.shape_px2[mask],
         detection.lines_px,
+        detection.remarks,
     )

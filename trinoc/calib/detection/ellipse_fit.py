@@ -341,14 +341,11 @@ def with_window_noise(
         np.where(pixels.used, each, 0).astype(int) + half for each in (pixels.x, pixels.y)
     )
     rows = np.swapaxes(jacobian, 1, 2)
-    edges = np.sum(jacobian[:, _CENTRE] ** 2, axis=1)
-    edges = edges / (edges.max(axis=1, keepdims=True) + 1e-9)
     covariance = sandwich_covariance(
         WindowPixels(2 * half + 1, column, row, kept),
         fitted.centres_px - pixels.origin_px + half,
         residual,
         rows,
-        np.stack([np.ones_like(edges), edges], axis=-1),
         inverse,
         range(2),
     )

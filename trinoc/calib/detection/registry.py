@@ -10,6 +10,7 @@ from trinoc.calib.detection.chessboard import detect_chessboard
 from trinoc.calib.detection.circles import detect_circles
 from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.detection.marker_boards import detect_april_grid, detect_charuco
+from trinoc.calib.detection.usable_places import keep_usable
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import BoardSet, first_places
@@ -51,7 +52,9 @@ def _detect(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> Detecti
             f"Nothing detects a {type(target).__name__}: give a Pattern, a Chessboard, a Charuco, "
             "an AprilGrid or a BoardSet."
         )
-    return DETECTORS[type(target)](image, target)
+    # Numbers that overflow are found below, whatever they came from.
+    with np.errstate(all="ignore"):
+        return keep_usable(DETECTORS[type(target)](image, target), target)
 
 
 def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detection:
@@ -96,4 +99,5 @@ def _detect_board_set(image: Shaped[np.ndarray, "..."], boards: BoardSet) -> Det
         np.concatenate([part.covariance_px2 for part in parts]),
         parts[0].image_size_px,
         np.concatenate([part.shape_px2 for part in parts]),
+        remarks=tuple(remark for part in parts for remark in part.remarks),
     )

@@ -1,16 +1,21 @@
-"""How far noise moves what is fitted to windows of a picture, by the residuals that are left.
+"""Covariance of positions that were fitted to windows of an image, from the residuals of the fits.
 
-Noise varies over a window, with the light and where the model is wrong, and neighbours share it:
-cameras remove noise, interpolate a mosaic, compress. The covariance is then a sandwich (H. White,
-"A heteroskedasticity-consistent covariance matrix estimator", Econometrica 48(4), 1980), its middle
-from the residuals' variance as it changes over a window, and from their correlation in all.
+Image noise varies over a window, and neighbouring pixels share it: cameras remove noise,
+interpolate a colour mosaic, compress. The covariance therefore allows for both, as in T. G. Conley,
+"GMM estimation with cross sectional dependence", Journal of Econometrics 92 (1999). With r_i the
+residual of pixel i and a_i the change of the position by it, the position has the variance
 
-What is fitted is symmetric about its place but for what moves it, and so is what the model has not
-of blur, response and saturation: that moves nothing. The noise is therefore read off the half of
-the residuals that changes sign in the place, (r(x) - r(-x)) / sqrt(2), which has its variance.
+    S = sum over pixels i, j of k(j - i) r_i r_j a_i a_j^T,
 
-A fit follows noise, and smooth noise most: what residuals lack of it is H R + R H - H R H for noise
-of correlation R, where H projects on what is fitted. It is given back.
+where the kernel k is 1 for neighbours and 0 beyond a few pixels. A fit follows part of the noise, so
+that S is too small. For independent noise of variance 1 its expectation E is known exactly. One
+window holds too few pixels for a reliable S: the ratio S / E is therefore averaged over all windows
+of the image, and multiplies the covariance that independent noise of variance 1 would give. Nothing
+is iterated, so nothing can diverge.
+
+The fitted shapes are symmetric about their position, and so is what the model lacks of blur, response
+and saturation: this moves nothing. The noise is therefore estimated from the half of the residuals
+that changes sign in the position, (r(x) - r(-x)) / sqrt(2), which has the noise's variance.
 """
 
 from collections.abc import Sequence
@@ -22,22 +27,24 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.calib.tuning.every_group import TUNING
 
-# numerical: a residual says so little of itself where the fit follows it.
+# numerical: pixels of a pair that counts are at most so far apart in rows or columns.
+_REACH = 2
+# numerical: a window whose fit follows more of the noise than all but this share does not count.
 _LEAST_FREE = 0.1
-# numerical: rounds in which the correlation is found, and as many pixels as tell it.
-_ROUNDS, _ENOUGH_PIXELS = 5, 4500
-_SETTLED = 0.3  # numerical: a change by so much of what can be told from none
+# numerical: a window's ratio counts up to so many times the image's median; a ratio beyond that is
+# the window's own.
+_LARGEST_RATIO = 4.0
 _EMPTY = cv2.BORDER_CONSTANT  # nothing lies beyond a window
 
 
 class WindowPixels(NamedTuple):
-    """Pixels of windows, k each at most.
+    """Pixels of n windows, at most k each.
 
     Fields
     ------
-    side : of the windows, in pixels.
-    column, row : (n, k) of each from the window's first.
-    used : (n, k) which there are.
+    side : side of the square windows, px.
+    column, row : (n, k) position of each pixel from the window's first.
+    used : (n, k) which of the k pixels exist.
     """
 
     side: int
@@ -45,41 +52,23 @@ class WindowPixels(NamedTuple):
     row: Int[np.ndarray, "n k"]
     used: Bool[np.ndarray, "n k"]
 
-    def take(self, index: slice) -> "WindowPixels":
-        """Those of some windows."""
-        return WindowPixels(self.side, self.column[index], self.row[index], self.used[index])
-
     def lay_out(self, values: Shaped[np.ndarray, "n k *p"]) -> Shaped[np.ndarray, "n side side *p"]:
-        """What belongs to pixels, as they lie; 0 where there is none."""
+        """Values of pixels as images of the windows, 0 where no pixel is used."""
         tiles = np.zeros((len(values), self.side, self.side, *values.shape[2:]), values.dtype)
         window, pixel = np.nonzero(self.used)
-        at = window, self.row[window, pixel], self.column[window, pixel]
-        tiles[at] = values[window, pixel]
+        tiles[window, self.row[window, pixel], self.column[window, pixel]] = values[window, pixel]
         return tiles
 
-    def neighbours(self, reach: int) -> Int[np.ndarray, "l n k"]:
-        """The pixels so far to each side of each pixel, row by row, counted over all windows as if
-        each had one more, which stands for none."""
-        count = self.used.shape[1]
-        number = self.lay_out(np.broadcast_to(np.arange(count) - count, self.used.shape)) + count
-        number = np.pad(number, ((0, 0), (reach, reach), (reach, reach)), constant_values=count)
-        window, lags = np.arange(len(self.used))[:, None], np.arange(2 * reach + 1)
-        across = self.column + lags[:, None, None]
-        number += window[:, None] * (count + 1)
-        return number[window, (self.row + lags[:, None, None])[:, None], across].reshape(
-            -1, *self.used.shape
-        )
-
     def opposite(
-        self, places: Float[np.ndarray, "n 2"]
+        self, positions: Float[np.ndarray, "n 2"]
     ) -> tuple[Int[np.ndarray, "n k"], Bool[np.ndarray, "n k"]]:
-        """The pixel of each window that lies across its place, and whether there is one.
+        """For each pixel the one across its window's position, and whether it is used.
 
-        places : column and row from the window's first pixel. To the nearest half of a pixel.
+        positions : column and row from the window's first pixel; rounded to half a pixel.
         """
         count = self.used.shape[1]
         number = self.lay_out(np.broadcast_to(np.arange(1, count + 1), self.used.shape))
-        twice = np.rint(2.0 * places).astype(int)
+        twice = np.rint(2.0 * positions).astype(int)
         column, row = twice[:, :1] - self.column, twice[:, 1:] - self.row
         inside = (column >= 0) & (column < self.side) & (row >= 0) & (row < self.side)
         window = np.arange(len(self.used))[:, None]
@@ -90,122 +79,76 @@ class WindowPixels(NamedTuple):
 
 def sandwich_covariance(
     pixels: WindowPixels,
-    places: Float[np.ndarray, "n 2"],
+    positions: Float[np.ndarray, "n 2"],
     residual: Float[np.ndarray, "n k"],
-    rows: Float[np.ndarray, "n k p"],
-    looks: Float[np.ndarray, "n k f"],
+    jacobian: Float[np.ndarray, "n k p"],
     covariance: Float[np.ndarray, "n p p"],
     odd: Sequence[int],
 ) -> Float[np.ndarray, "n 2 2"]:
-    """Covariance of the place of each window.
+    """Covariance of the position of each window, px^2 for residuals in grey levels.
 
-    places : column and row from the window's first pixel.
-    residual, rows : at the end of a fit, and its derivatives by the parameters.
-    looks : functions over the window that the noise's variance is a sum of.
-    covariance : of the parameters, were the noise independent and of unit variance.
-    odd : parameters whose derivatives change sign in the place, its own two first.
+    Parameters
+    ----------
+    pixels : the windows.
+    positions : (n, 2) fitted column and row, from the window's first pixel.
+    residual, jacobian : (n, k), (n, k, p) at the end of the fit.
+    covariance : (n, p, p) of the parameters for independent noise of variance 1; positive definite.
+    odd : parameters whose derivatives change sign in the position; the position's own two first.
     """
-    place, odd = list(odd[:2]), list(odd)
-    across, has = pixels.opposite(places)
-    residual, rows = residual * pixels.used, rows * pixels.used[..., None]
-    seen = has.astype(np.float32)
-    root = 0.5 * np.linalg.cholesky(covariance[:, odd][:, :, odd]).astype(np.float32)
-    followed = seen[..., None] * (rows[..., odd] - _take(rows[..., odd], across)) @ root
-    free = np.maximum(1 - 2 * np.sum(followed**2, axis=-1), _LEAST_FREE)
-    opposed = seen * (residual - _take(residual, across)) * np.float32(np.sqrt(0.5))
-    spread = np.sqrt(_fit_variance(opposed**2 / free, looks, seen))
-    windows = max(_ENOUGH_PIXELS * len(seen) / max(seen.sum(), 1.0), 1.0)
-    some = slice(None, None, int(np.ceil(len(seen) / windows)))
-    shared = _shared_noise(pixels.take(some), (opposed / spread)[some], followed[some], seen[some])
-    by_pixel = rows @ covariance[:, :, place].astype(np.float32)
-    moved = spread[..., None] * by_pixel
-    white = (moved.mT @ moved).astype(float)
-    if np.count_nonzero(shared) == 1:
+    odd = list(odd)
+    across, has_opposite = pixels.opposite(positions)
+    residual, jacobian = residual * pixels.used, jacobian * pixels.used[..., None]
+    by_pixel = jacobian @ covariance[:, :, odd[:2]].astype(np.float32)
+    white = (by_pixel.mT @ by_pixel).astype(float)
+    by_pixel = has_opposite[..., None] * by_pixel
+    opposed = (residual - _take(residual, across)) * np.float32(np.sqrt(0.5))
+    squares, observed = _sum_pairs(pixels, opposed[..., None] * by_pixel)
+    # The part of the jacobian that changes sign, in standard deviations of its parameters: of such
+    # noise the fit follows twice the square of each column.
+    root = np.linalg.cholesky(covariance[:, odd][:, :, odd]).astype(np.float32)
+    followed = 0.5 * (jacobian[..., odd] - _take(jacobian[..., odd], across)) @ root
+    columns = np.moveaxis(followed, 2, 0)[..., None] * by_pixel
+    lost_squares, lost = 2.0 * np.sum([_sum_pairs(pixels, each) for each in columns], axis=0)
+    influence = np.sum(by_pixel**2, axis=2, dtype=float)
+    total = influence.sum(axis=1)
+    # A pixel and the one across it have the same noise but for the sign.
+    apart = 2.0 * (pixels.column - positions[:, :1]), 2.0 * (pixels.row - positions[:, 1:])
+    twins = np.sum(influence * _weight(apart[0]) * _weight(apart[1]), axis=1)
+    expected, expected_squares = total + twins - lost, total - lost_squares
+    counts = (total > 0) & (np.minimum(expected, expected_squares) > _LEAST_FREE * total)
+    if not counts.any():
         return white
-    moved = pixels.lay_out(moved)
-    summed = np.array([cv2.filter2D(tile, -1, shared, borderType=_EMPTY) for tile in moved])
-    moved, summed = (each.reshape(len(each), -1, 2).astype(float) for each in (moved, summed))
-    return _not_below(moved.mT @ summed, white)
+    ratio = np.divide(observed, expected, out=np.zeros_like(total), where=counts)
+    # Correlations make the sum of one window negative by chance, that of all windows seldom.
+    least = TUNING.photometric.least_spread * _mean(squares[counts] / expected_squares[counts])
+    scale = max(_mean(ratio[counts]), least, 1e-300)
+    return white * np.maximum(scale, ratio / _LARGEST_RATIO)[:, None, None]
+
+
+def _sum_pairs(pixels: WindowPixels, moved: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "s n"]:
+    """For each window the sum of squares, and the sum of products over pairs of near pixels."""
+    tiles = pixels.lay_out(moved)
+    kernel = _weight(np.arange(-_REACH, _REACH + 1.0)).astype(np.float32)
+    near = [cv2.sepFilter2D(tile, -1, kernel, kernel, borderType=_EMPTY) for tile in tiles]
+    return np.stack(
+        [np.sum(part, axis=(1, 2, 3), dtype=float) for part in (tiles**2, tiles * np.array(near))]
+    )
+
+
+def _weight(distance_px: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Weight of a pair of pixels by its distance in rows or columns: 1 for neighbours, then falling
+    linearly to 0."""
+    return np.clip(2.0 - 2.0 * np.abs(distance_px) / (_REACH + 1), 0.0, 1.0)
+
+
+def _mean(ratio: Float[np.ndarray, "n"]) -> float:
+    """Mean over windows, of which none counts with more than a few times the median."""
+    limit = _LARGEST_RATIO * max(float(np.median(ratio)), 0.0)
+    return float(np.mean(np.clip(ratio, -limit, limit)))
 
 
 def _take(
     values: Shaped[np.ndarray, "n k *p"], index: Int[np.ndarray, "n k"]
 ) -> Shaped[np.ndarray, "n k *p"]:
-    """Of each window the values of some of its pixels."""
+    """Values of one pixel of the same window for each pixel."""
     return values[np.arange(len(values))[:, None], index]
-
-
-def _fit_variance(
-    squared: Float[np.ndarray, "n k"],
-    looks: Float[np.ndarray, "n k f"],
-    used: Float[np.ndarray, "n k"],
-) -> Float[np.ndarray, "n k"]:
-    """Of each pixel, by a sum of functions whose squared misfit to the squares is least."""
-    columns = (looks * used[..., None]).astype(float)
-    information = columns.mT @ columns
-    size = np.einsum("nff->n", information)[:, None, None]
-    shares = np.linalg.solve(
-        information + 1e-9 * size * np.eye(looks.shape[-1]),
-        columns.mT @ (squared * used)[..., None],
-    )
-    count = np.maximum(used.sum(axis=1, keepdims=True), 1)
-    mean = (squared * used).sum(axis=1, keepdims=True) / count
-    variance = (looks @ shares)[..., 0]
-    return np.maximum(variance, _LEAST_FREE * mean + 1e-12).astype(np.float32)
-
-
-def _shared_noise(
-    pixels: WindowPixels,
-    standard: Float[np.ndarray, "n k"],
-    followed: Float[np.ndarray, "n k p"],
-    used: Float[np.ndarray, "n k"],
-) -> Float[np.ndarray, "l l"]:
-    """Covariance of all windows' noise by the distance of two pixels, 0 in the middle.
-
-    What cannot be told from none, of all distances together or of one, is 0: the sum over all would
-    else be noise.
-
-    followed : halves that change sign of columns q of which H is the sum of q q^T. Of noise that
-        changes sign H takes twice as much as of any.
-    """
-    reach = TUNING.photometric.shared_reach_px
-    near_by, size = pixels.neighbours(reach), (2 * reach + 1,) * 2
-
-    def take_neighbours(values: Float[np.ndarray, "n k *p"]) -> Float[np.ndarray, "l m"]:
-        ended = np.concatenate([values, np.zeros_like(values[:, :1])], axis=1)
-        ended = ended.reshape(-1, *values.shape[2:])
-        return np.take(ended, near_by, axis=0).reshape(len(near_by), -1)
-
-    counts = np.maximum(take_neighbours(used) @ used.ravel(), 1.0)
-    least = TUNING.photometric.significant_sigmas / np.sqrt(counts)
-    observed = take_neighbours(standard) @ standard.ravel() / counts
-    none = np.zeros_like(observed)
-    none[len(none) // 2] = 1.0
-    # Each distance counts twice, as its opposite.
-    lags, told = len(none) // 2, 0.5 * np.sum((observed**2 * counts)[none == 0])
-    if told < lags + TUNING.photometric.significant_sigmas * np.sqrt(2 * lags):
-        return none.reshape(size)
-    shared, near = none, take_neighbours(followed)
-    for _ in range(_ROUNDS):
-        spread = used[..., None] * (shared @ near).reshape(followed.shape)
-        lost = 2 * spread - followed @ (followed.mT @ spread)
-        lost = near @ lost.ravel()
-        expected = shared - (lost + lost[::-1]) / counts
-        shared = shared + observed - expected
-        if np.all(np.abs(observed - expected) < _SETTLED * least):
-            break
-    return np.where(np.abs(shared) < least, 0.0, shared).astype(np.float32).reshape(size)
-
-
-def _not_below(
-    total: Float[np.ndarray, "n q q"], white: Float[np.ndarray, "n q q"]
-) -> Float[np.ndarray, "n q q"]:
-    """A covariance, in no direction below the least share of that by independent noise:
-    correlations that were measured make it negative else."""
-    size = np.einsum("nqq->n", white)[:, None, None]
-    root = np.linalg.cholesky(white + 1e-12 * size * np.eye(white.shape[-1]))
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ total @ inverse.mT)
-    kept = np.maximum(values, TUNING.photometric.least_spread)
-    columns = root @ (vectors * np.sqrt(kept)[:, None])
-    return columns @ columns.mT

@@ -59,6 +59,7 @@ class Problem(NamedTuple):
         """The views as arrays."""
         table = view_table(self.views, self.target)
         by_view = self.sigma_factor[np.asarray(table.camera)]
+        by_view[: len(self.views)] *= [view.sigma_ratio for view in self.views]
         return table._replace(whitening=table.whitening / by_view[:, None, None, None])
 
 

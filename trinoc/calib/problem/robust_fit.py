@@ -21,6 +21,8 @@ _MEDIAN_LENGTH = 1.1774
 _LEAST_SHARE = 1e-3
 # numerical: rounds in which the spread of a prior is found, and its relative change at the end.
 MOST_ROUNDS, LEAST_CHANGE = 8, 0.05
+# numerical: fewer images of a camera do not show which of them is noisier.
+_FEWEST_IMAGES = 3
 _whitened = kept_jit(whitened_residuals)
 _residuals = kept_jit(residuals_px)
 
@@ -61,12 +63,17 @@ def fit_robustly(problem: Problem) -> RobustFit:
     The sigmas of corners, which users may give by guess, are those that each camera's residuals
     show; those of circles grow where the residuals refute them.
     """
+    problem, elsewhere = drop_wrong_places(anneal(problem))
+    problem, _ = fit_places(problem)
+    return finish_fit(problem, elsewhere)
+
+
+def anneal(problem: Problem) -> Problem:
+    """The problem after fits that bound the influence of places ever more tightly."""
     for factor in TUNING.problem.annealing:
         scale = factor * robust_scale(_take_used_rows(problem, place_errors_in_sigmas(problem)))
         problem, _ = fit_places(problem, scale)
-    problem, elsewhere = drop_wrong_places(problem)
-    problem, _ = fit_places(problem)
-    return finish_fit(problem, elsewhere)
+    return problem
 
 
 def finish_fit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
@@ -143,49 +150,84 @@ def use_all_places(problem: Problem, elsewhere: list[tuple[int, int, float]]) ->
 def drop_wrong_places(
     problem: Problem,
 ) -> tuple[Problem, list[tuple[int, int, float]]]:
-    """The problem without places, and without pictures, that noise does not explain."""
+    """The problem without places, and without images, that noise does not explain.
+
+    Places are judged by the scatter of their own image, which lies between that of its camera and a
+    few times as much: an image that is blurred or taken in motion is noisier, and says less, but is
+    not wrong.
+    """
     errors = place_errors_in_sigmas(problem)
     pixels = errors_px(problem)
-    right: dict[int, np.ndarray] = {}
+    views, elsewhere = list(problem.views), []
     for camera in range(problem.cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == camera]
-        if not rows:
+        # Places that take no part have residuals of zero, which say nothing.
+        own = {
+            k: errors[k][: len(problem.views[k].used)][problem.views[k].used]
+            for k in rows
+            if problem.views[k].used.any()
+        }
+        if not own:
             continue
-        own = [errors[k][: len(problem.views[k].detection)] for k in rows]
-        kept = inliers(np.concatenate(own))
-        ends = np.cumsum([len(each) for each in own])[:-1]
-        right |= dict(zip(rows, np.split(kept, ends), strict=True))
-    views, elsewhere = [], []
-    for k, view in enumerate(problem.views):
-        if right[k].mean() < TUNING.problem.fewest_agree:
-            miss = float(np.median(np.linalg.norm(pixels[k], axis=1)))
-            elsewhere.append((view.camera, view.shot, miss))
-            views.append(view._replace(used=np.zeros_like(right[k])))
-        else:
-            views.append(view._replace(used=right[k]))
+        of_camera = robust_scale(np.concatenate(list(own.values())))
+        for k, whitened in own.items():
+            most = TUNING.problem.noisiest_image * of_camera
+            scale = float(np.clip(robust_scale(whitened), of_camera, most))
+            right = np.linalg.norm(whitened, axis=1) <= TUNING.problem.gate * scale
+            view, used = problem.views[k], problem.views[k].used.copy()
+            used[used] = right
+            if right.mean() < TUNING.problem.fewest_agree:
+                miss_px = float(np.median(np.linalg.norm(pixels[k], axis=1)))
+                elsewhere.append((view.camera, view.shot, miss_px))
+                used[:] = False
+            views[k] = view._replace(used=used)
     return problem._replace(views=tuple(views)), elsewhere
 
 
 def with_sigma_factors(problem: Problem) -> Problem:
-    """The problem with the sigmas that each camera's residuals show."""
+    """The problem with the sigmas that the residuals of each camera, and of each of its images, show.
+
+    The variance of an image's places is its camera's and its own, weighted by their numbers of
+    degrees of freedom, where the camera's counts as `TUNING.problem.image_prior`: weights of groups
+    of observations by their residuals, as in variance component estimation.
+    """
     errors = place_errors_in_sigmas(problem)
     squared = np.sum(errors**2, axis=(1, 2))
     total = sum(view.numbers for view in problem.views)
     share = max(degrees_of_freedom(problem), 1) / max(total, 1)
     are_known = problem.chart.has_circles or any(v.shown is not None for v in problem.views)
-    factor = np.array(problem.sigma_factor)
+    factor, views = np.array(problem.sigma_factor), list(problem.views)
     for camera in range(problem.cameras):
-        rows = [k for k, view in enumerate(problem.views) if view.camera == camera]
-        own = share * sum(problem.views[k].numbers for k in rows)
-        if own <= 0:
+        rows = [k for k, view in enumerate(problem.views) if view.camera == camera and view.numbers]
+        freedom = share * np.array([views[k].numbers for k in rows])
+        if freedom.sum() <= 0:
             continue
-        reduced = float(squared[rows].sum()) / own * factor[camera] ** 2
-        refuted = reduced > 1.0 + TUNING.problem.refuted_sigmas * np.sqrt(2.0 / own)
+        # In sigmas as they were detected.
+        ratio = np.array([views[k].sigma_ratio for k in rows])
+        chi_square = squared[rows] * (factor[camera] * ratio) ** 2
+        if all(views[k].shown is None for k in rows) and len(rows) >= _FEWEST_IMAGES:
+            ratio = _image_ratios(chi_square, freedom)
+            for k, each in zip(rows, ratio.tolist()):
+                views[k] = views[k]._replace(sigma_ratio=each)
+        reduced = float(np.sum(chi_square / ratio**2) / freedom.sum())
+        refuted = reduced > 1.0 + TUNING.problem.refuted_sigmas * np.sqrt(2.0 / freedom.sum())
         if refuted or not are_known:
             factor[camera] = np.sqrt(max(reduced, 1e-12))
         else:
             factor[camera] = 1.0
-    return problem._replace(sigma_factor=factor)
+    return problem._replace(views=tuple(views), sigma_factor=factor)
+
+
+def _image_ratios(
+    chi_square: Float[np.ndarray, "v"], freedom: Float[np.ndarray, "v"]
+) -> Float[np.ndarray, "v"]:
+    """Scatter of each image over that of its camera, which lies within fixed bounds."""
+    prior = TUNING.problem.image_prior
+    typical = float(np.median(chi_square / np.maximum(freedom, 1e-9)))
+    variance = (chi_square / max(typical, 1e-300) + prior) / (freedom + prior)
+    return np.clip(
+        np.sqrt(variance), 1 / TUNING.problem.noisiest_image, TUNING.problem.noisiest_image
+    )
 
 
 def degrees_of_freedom(problem: Problem) -> int:

@@ -54,6 +54,8 @@ class View(NamedTuple):
         whole unless no place is used.
     board : which of several boards it shows.
     ink_spread_mm : by which ink reaches beyond the drawing of each circle.
+    sigma_ratio : scatter of the image's places over that of its camera, by which their sigmas are
+        multiplied.
     room : how many places more its grey levels may show, later: a table with room for them lets
         both be fitted by one program.
     """
@@ -66,6 +68,7 @@ class View(NamedTuple):
     board: int = 0
     ink_spread_mm: float = 0.0
     room: int = 0
+    sigma_ratio: float = 1.0
 
     @property
     def rows(self) -> int:

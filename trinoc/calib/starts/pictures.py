@@ -1,5 +1,6 @@
 """The board found in all pictures of all cameras, shot by shot."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -9,7 +10,7 @@ import numpy as np
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.registry import detect_target
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.errors import DetectionError, InputError
+from trinoc.errors import InputError, TrinocError
 
 # numerical: detectors of OpenCV and NumPy leave the interpreter free while they work.
 _THREADS = 4
@@ -42,7 +43,8 @@ def find_boards(
     """Detect the board in every picture, several at a time.
 
     Pictures of equal names, or of equal places in lists, are of one shot; None leaves one out.
-    Raises InputError where there is no picture, or a camera's differ in size.
+    An image that cannot be read, has another size than most of its camera, or shows no board is
+    named in `failures`. Raises InputError where there is no image at all.
     """
     named = name_pictures(pictures)
     if not named or not any(named.values()):
@@ -53,11 +55,16 @@ def find_boards(
     failures: dict[tuple[str, str], str] = {}
 
     def look(job: tuple[str, str]) -> Detection | str:
-        given = deliver(named[job[0]][job[1]])
         try:
+            given = deliver(named[job[0]][job[1]])
             return given if isinstance(given, Detection) else detect_target(given, target)
-        except DetectionError as error:
+        except TrinocError as error:
             return str(error)
+        except Exception as error:  # one image must not end a calibration
+            return (
+                f"The detection stopped at {type(error).__name__} ({error}); please report it with "
+                "this image."
+            )
 
     with ThreadPoolExecutor(_THREADS) as pool:
         for done, (job, found) in enumerate(zip(jobs, pool.map(look, jobs), strict=True), 1):
@@ -68,7 +75,9 @@ def find_boards(
             if progress is not None:
                 progress(done, len(jobs))
     for camera, own in detections.items():
-        _check_sizes(camera, own)
+        for shot, why in _list_other_sizes(own).items():
+            failures[camera, shot] = why
+            del own[shot]
     return FoundBoards(tuple(shots), detections, failures)
 
 
@@ -102,16 +111,18 @@ def _order_names(lists: list[list[str]]) -> list[str]:
     return longest if not rest else sorted([*longest, *rest])
 
 
-def _check_sizes(camera: str, detections: Mapping[str, Detection]) -> None:
+def _list_other_sizes(detections: Mapping[str, Detection]) -> dict[str, str]:
+    """For each shot of one camera whose image has another size than most, the reason to refuse it."""
     sizes = {shot: tuple(each.image_size_px) for shot, each in detections.items()}
-    first = next(iter(sizes.values()), ())
-    for shot, size in sizes.items():
-        if size != first:
-            raise InputError(
-                f'Camera "{camera}" has pictures of {_size(first)} and, in {shot}, of '
-                f"{_size(size)} pixels: give pictures of one camera at one resolution, turned one "
-                "way."
-            )
+    if not sizes:
+        return {}
+    usual, count = Counter(sizes.values()).most_common(1)[0]
+    return {
+        shot: f"The image has {_size(size)} pixels, but {count} of the camera's {len(sizes)} images "
+        f"have {_size(usual)}: use images of one resolution."
+        for shot, size in sizes.items()
+        if size != usual
+    }
 
 
 def _size(size: tuple[int, ...]) -> str:

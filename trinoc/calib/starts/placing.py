@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.views import View
 from trinoc.calib.starts.camera_start import CameraStart, start_poses
 from trinoc.calib.starts.connected import ConnectedShots, connect, in_set
@@ -129,6 +131,29 @@ def place_rig(
         tuple(views),
         tuple(refused),
     )
+
+
+def take_out(
+    placed: PlacedRig, problem: Problem, views: Sequence[int], cameras: Sequence[str]
+) -> PlacedRig:
+    """The placed rig with these views in shots of their own, and a sentence on each."""
+    names, refused = list(placed.shots), list(placed.refused)
+    misses = errors_px(problem)
+    for k in views:
+        view = problem.views[k]
+        camera, shot = cameras[view.camera], placed.shots[view.shot]
+        # The board lies between where two cameras show it, or where one of them does.
+        miss_px = max(
+            float(np.median(np.linalg.norm(errors, axis=1)))
+            for each, errors in zip(problem.views, misses, strict=True)
+            if each.shot == view.shot
+        )
+        names.append(f"{shot}{_ALONE.format(camera)}")
+        refused.append(
+            f'{shot}: "{camera}" shows the board {miss_px:.1f} px from where the other cameras of '
+            "the shot show it, so it was not taken at the same moment; it serves for its lens alone."
+        )
+    return placed._replace(shots=tuple(names), refused=tuple(refused))
 
 
 def of_one_moment(shot: str, camera: str) -> str:

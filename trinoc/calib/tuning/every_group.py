@@ -55,8 +55,17 @@ class ProblemTuning:
     # Scales, in robust standard deviations, at which the influence of a place is bounded from round
     # to round. By hand.
     annealing: tuple[float, ...] = (30.0, 10.0, 5.0)
+    # Places of one image scatter at most so many times as much as those of its camera, or as much
+    # less; the camera's scatter counts as so many numbers beside the image's own. On 13 public sets
+    # the logarithms of the images' scatter have a standard deviation of .17 to .55.
+    noisiest_image: float = 4.0
+    image_prior: float = 20.0
     # A picture of which a smaller share of places agrees shows the board elsewhere. By hand.
     fewest_agree: float = 0.5
+    # An image is of another moment than its shot where the pose of the board differs by more than
+    # so many times what is usual among the shots, in chi-square per degree of freedom: five times
+    # as far. Pairs of one public set (semeniuta) that are of one moment reach 6, others begin at 60.
+    other_moment: float = 25.0
     # A chi-square so many of its own standard deviations above its degrees of freedom is not noise:
     # sigmas grow, or a board's places are free. By hand.
     refuted_sigmas: float = 4.0

@@ -1,0 +1,58 @@
+"""The boundary of the room: what leaves it has a position in the image and a covariance that is
+finite, symmetric and positive, and corners lie where their neighbours put them."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from trinoc.calib.detection.detection import Detection, build_detection
+from trinoc.calib.detection.neighbour_check import are_in_place
+from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.errors import DetectionError
+
+
+def keep_usable(detection: Detection, target: AbstractTarget) -> Detection:
+    """The detection without places that no fit can use, their number in `Detection.remarks`.
+
+    Raises DetectionError where too few are left.
+    """
+    symmetric = 0.5 * (detection.covariance_px2 + detection.covariance_px2.mT)
+    usable = np.isfinite(detection.centres_px).all(axis=1) & are_positive(symmetric)
+    remarks = []
+    if not usable.all():
+        remarks.append(f"{_count(~usable)} no finite position and sigma")
+    rows = np.flatnonzero(usable)
+    index = detection.circle_index[rows]
+    if len(rows) and not np.any(target.radius_mm[index] > 0):
+        in_place = are_in_place(target.centres_mm[index], detection.centres_px[rows])
+        if not in_place.all():
+            remarks.append(f"{_count(~in_place)} a position that its neighbours contradict")
+        usable[rows[~in_place]] = False
+    fewest = TUNING.detection.fewest_places
+    if usable.sum() < fewest:
+        raise DetectionError(
+            f"Only {usable.sum()} of the {len(usable)} places found on the board {target.name!r} "
+            f"can be used, and {fewest} are needed; see that the image is sharp, not overexposed, "
+            "and shows this board."
+        )
+    return build_detection(
+        detection.labellings[:, usable],
+        detection.centres_px[usable],
+        symmetric[usable],
+        detection.image_size_px,
+        detection.shape_px2[usable],
+        detection.lines_px,
+        tuple(remarks),
+    )
+
+
+def are_positive(covariance: Float[np.ndarray, "n k k"]) -> Bool[np.ndarray, "n"]:
+    """Which matrices are finite and positive definite, beyond rounding."""
+    finite = np.isfinite(covariance).all(axis=(1, 2))
+    values = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, 0.0))
+    return finite & (values[:, 0] > 1e-12 * values[:, -1])
+
+
+def _count(which: Bool[np.ndarray, "n"]) -> str:
+    number = int(which.sum())
+    return f"{number} of {len(which)} places {'has' if number == 1 else 'have'}"
