@@ -50,8 +50,8 @@ from trinoc.geometry.lenses.registry import (
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.numerics.precision import in_float64
 
-# numerical: rounds in which images of other moments are taken out of their shots: a round that finds
-# many shows the others better.
+# numerical: rounds in which images of other moments are taken out of their shots: a round that
+# finds many shows the others better.
 _MOST_SPLITS = 4
 
 

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from trinoc.calib.advice.halves import compare_halves, cross_validate
 from trinoc.calib.advice.next_shot import NextShot, advise_next_shot
+from trinoc.calib.problem.misfit_causes import find_causes
 from trinoc.calib.problem.named_covariance import (
     World,
     named_covariance,
@@ -25,6 +26,7 @@ from trinoc.calib.shot_messages import (
 )
 from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.targets.board_set import board_names
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError, check_kind
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
@@ -94,7 +96,19 @@ def result_from_fit(
     def where(camera: int, shot: int) -> str:
         return f'{shots[shot]}: "{cameras[camera]}"'
 
-    notes = [*filter(None, [said]), *notes_of_fit(fit, outcome, gauge, cameras, held, remarks)]
+    causes = find_causes(problem) if good else []
+    worst = int(np.argmax(problem.sigma_factor))
+    if problem.sigma_factor[worst] > TUNING.answer.largest_sigma_factor and said is None and good:
+        status = Status.SUSPECT
+        said = (
+            f'The corners of "{cameras[worst]}" scatter {problem.sigma_factor[worst]:.1f} times as '
+            "much as their sigmas: "
+            + ("see the causes that follow." if causes else "no single cause stands out in them.")
+        )
+    notes = [
+        *filter(None, [said]),
+        *notes_of_fit(fit, outcome, gauge, cameras, held, remarks, causes, shots),
+    ]
     poses = [Pose(pose) for pose in np.asarray(poses_in_world(problem.state, place)[0])]
     world_from_rig = poses[0].inverse @ Pose(np.asarray(problem.state.cam_from_rig)[0])
     boards = np.asarray(problem.state.rig_from_board)[: problem.shots]

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from trinoc.calib.problem.lens_correction import correction_sentences
+from trinoc.calib.problem.misfit_causes import CauseKind, MisfitCause
 from trinoc.calib.problem.outcome import FitOutcome
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
@@ -87,11 +88,13 @@ def notes_of_fit(
     cameras: Sequence[str],
     held: Sequence[str],
     remarks: Sequence[str] = (),
+    causes: Sequence[MisfitCause] = (),
+    shots: Sequence[str] = (),
 ) -> tuple[str, ...]:
     """Sentences on what is not determined, and on lenses, board and shots.
 
     gauge : parameters that are open. held : coefficients that were given up. remarks : on the
-    lens, before all but the first.
+    lens, before all but the first. causes : of large residuals. shots : names.
     """
     problem, variance_factor = fit.problem, outcome.variance_factor
     notes = []
@@ -100,12 +103,7 @@ def notes_of_fit(
     elif outcome.status is Status.NOT_CONVERGED:
         notes.append(f"{outcome.status.value} See that all pictures show this board.")
     notes += [*remarks, *correction_sentences(problem, cameras)]
-    if variance_factor > 1.0:
-        notes.append(
-            f"The shots disagree {np.sqrt(variance_factor):.1f} times as much as their places "
-            "scatter, and all sigmas are enlarged by that: the board bends, or the cameras do not "
-            "look at the same moment, or the lens is of another model."
-        )
+    notes += cause_sentences(causes, np.sqrt(variance_factor), cameras, shots)
     if held:
         notes.append(f"The shots cannot determine {', '.join(held)}, held at 0.")
     if problem.chart.has_circles:
@@ -131,6 +129,48 @@ def notes_of_fit(
             "its plane (root mean square); this was found with the rig, and is taken into account."
         )
     return (*notes, *_surprises(problem))
+
+
+def cause_sentences(
+    causes: Sequence[MisfitCause], scatter: float, cameras: Sequence[str], shots: Sequence[str]
+) -> list[str]:
+    """A sentence on each cause of large residuals; without a cause, by how much the shots disagree.
+
+    scatter : standard deviation of the shots' pulls over what the residuals of their places give.
+    """
+    sentences = [_cause_sentence(cause, cameras, shots) for cause in causes]
+    if scatter > 1.0:
+        sentences.append(
+            f"All sigmas are enlarged {scatter:.1f} times, because shots differ from each other by "
+            "so much more than their residuals."
+            + ("" if causes else " No single cause stands out in the residuals.")
+        )
+    return sentences
+
+
+def _cause_sentence(cause: MisfitCause, cameras: Sequence[str], shots: Sequence[str]) -> str:
+    camera = f'"{cameras[cause.camera]}"'
+    size = f"{cause.amplitude_px:.2g} px (its residuals are {cause.noise_px:.2g} px rms)"
+    if cause.kind is CauseKind.LENS_MODEL:
+        return (
+            f"The lens model of {camera} leaves a pattern of {size} that all images share: choose "
+            "--lens-model auto or splined."
+        )
+    if cause.kind is CauseKind.BOARD_CHANGES:
+        return (
+            f"In {camera} the board is deformed differently in each image, by {size}: it bends, or "
+            "moves during the exposure. Fix it to something stiff, and hold it still."
+        )
+    if cause.kind is CauseKind.CAMERA_MOVED:
+        return (
+            f'{camera} moved before the shot "{shots[cause.shot]}": from there on it shows the '
+            f"board {cause.amplitude_px:.2g} px aside. Calibrate the shots before and after apart."
+        )
+    return (
+        f"{camera} shows the board {size} from where the other cameras of the shot show it, in the "
+        "median of all shots: the cameras do not look at one moment. Hold the board still in each "
+        "shot, or trigger the cameras together."
+    )
 
 
 def _surprises(problem: Problem) -> list[str]:

@@ -7,15 +7,16 @@ residual of pixel i and a_i the change of the position by it, the position has t
 
     S = sum over pixels i, j of k(j - i) r_i r_j a_i a_j^T,
 
-where the kernel k is 1 for neighbours and 0 beyond a few pixels. A fit follows part of the noise, so
-that S is too small. For independent noise of variance 1 its expectation E is known exactly. One
+where the kernel k is 1 for neighbours and 0 beyond a few pixels. A fit follows part of the noise,
+so that S is too small. For independent noise of variance 1 its expectation E is known exactly. One
 window holds too few pixels for a reliable S: the ratio S / E is therefore averaged over all windows
 of the image, and multiplies the covariance that independent noise of variance 1 would give. Nothing
 is iterated, so nothing can diverge.
 
-The fitted shapes are symmetric about their position, and so is what the model lacks of blur, response
-and saturation: this moves nothing. The noise is therefore estimated from the half of the residuals
-that changes sign in the position, (r(x) - r(-x)) / sqrt(2), which has the noise's variance.
+The fitted shapes are symmetric about their position, and so is what the model lacks of blur,
+response and saturation: this moves nothing. The noise is therefore estimated from the half of the
+residuals that changes sign in the position, (r(x) - r(-x)) / sqrt(2), which has the noise's
+variance.
 """
 
 from collections.abc import Sequence

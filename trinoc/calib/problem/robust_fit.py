@@ -185,7 +185,7 @@ def drop_wrong_places(
 
 
 def with_sigma_factors(problem: Problem) -> Problem:
-    """The problem with the sigmas that the residuals of each camera, and of each of its images, show.
+    """The problem with the sigmas that the residuals of each camera and of its images show.
 
     The variance of an image's places is its camera's and its own, weighted by their numbers of
     degrees of freedom, where the camera's counts as `TUNING.problem.image_prior`: weights of groups

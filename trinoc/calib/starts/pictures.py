@@ -112,14 +112,14 @@ def _order_names(lists: list[list[str]]) -> list[str]:
 
 
 def _list_other_sizes(detections: Mapping[str, Detection]) -> dict[str, str]:
-    """For each shot of one camera whose image has another size than most, the reason to refuse it."""
+    """The reason to refuse each shot whose image has another size than most of its camera."""
     sizes = {shot: tuple(each.image_size_px) for shot, each in detections.items()}
     if not sizes:
         return {}
     usual, count = Counter(sizes.values()).most_common(1)[0]
     return {
-        shot: f"The image has {_size(size)} pixels, but {count} of the camera's {len(sizes)} images "
-        f"have {_size(usual)}: use images of one resolution."
+        shot: f"The image has {_size(size)} pixels, but {count} of the camera's {len(sizes)} "
+        f"images have {_size(usual)}: use images of one resolution."
         for shot, size in sizes.items()
         if size != usual
     }

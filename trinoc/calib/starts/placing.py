@@ -151,7 +151,8 @@ def take_out(
         names.append(f"{shot}{_ALONE.format(camera)}")
         refused.append(
             f'{shot}: "{camera}" shows the board {miss_px:.1f} px from where the other cameras of '
-            "the shot show it, so it was not taken at the same moment; it serves for its lens alone."
+            "the shot show it, so it was not taken at the same moment; it serves for its lens "
+            "alone."
         )
     return placed._replace(shots=tuple(names), refused=tuple(refused))
 

@@ -77,7 +77,7 @@ class DetectionTuning:
     corner_floor_px: float = 0.025
     # A corner that its neighbours put elsewhere by this share of the distance to the next one, and
     # by so many times the image's median, is none: right ones of 13 public sets miss by .035 and 6
-    # at most where the other of both is small. Before corners are refined, they may be this far off.
+    # at most where the other of both is small. Before corners are refined, they may be farther off.
     out_of_place_share: float = 0.03
     out_of_place_medians: float = 8.0
     first_out_of_place_share: float = 0.15

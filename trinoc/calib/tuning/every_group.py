@@ -228,6 +228,13 @@ class AnswerTuning:
     misfit_share: float = 0.01
     misfit_share_of_lens: float = 0.003
     least_misfit_px: float = 1.0
+    # A pattern in the residuals is named where it is so many times what noise leaves of it, and this
+    # share of all residuals; a camera moved where its shifts jump by so many times their scatter.
+    named_ratio: float = 2.5
+    named_share: float = 0.4
+    moved_scatters: float = 8.0
+    # Sigmas that the residuals multiply by more than this make a rig SUSPECT.
+    largest_sigma_factor: float = 3.0
     # Beyond this, a reduced chi-square is told; and a share of pixels that were left out.
     large_chi_square: float = 2.0
     cut_share: float = 0.01

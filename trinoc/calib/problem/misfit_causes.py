@@ -1,0 +1,201 @@
+"""Which cause makes residuals larger than their sigmas, and by how many pixels.
+
+Four causes leave four patterns in the residuals of a rig from shots:
+
+- the lens is of another model: a pattern fixed in the image of a camera, the same in all shots;
+- the board changes its shape from shot to shot (paper in the hand), or moves while a rolling
+  shutter reads the image: a smooth pattern over the board that differs from image to image;
+- the cameras do not look at one moment: the board's pose differs between the cameras of a shot;
+- one camera moved during the recording: that difference changes once and stays.
+
+Each pattern is compared with what noise alone leaves of it, as in an analysis of variance; its
+amplitude is the root mean square length in pixels after the noise's share was subtracted.
+"""
+
+from collections.abc import Sequence
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.problem.moments import pose_differences_px
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.tuning.every_group import TUNING
+
+# numerical: cells of the image along each side in which a lens's pattern is averaged, and the
+# fewest images that show a cell.
+_CELLS, _FEWEST_IMAGES = 8, 3
+# numerical: fewer shots on one side of a change do not show that a camera moved.
+_FEWEST_SHOTS = 3
+# numerical: numbers of a smooth pattern of second degree that the pose of a board leaves.
+_SMOOTH, _ABSORBED = 12, 6
+
+
+class CauseKind(Enum):
+    """What makes residuals larger than their sigmas."""
+
+    LENS_MODEL = "lens model"
+    BOARD_CHANGES = "board changes"
+    MOMENTS_DIFFER = "moments differ"
+    CAMERA_MOVED = "camera moved"
+
+
+class MisfitCause(NamedTuple):
+    """A pattern in the residuals.
+
+    Fields
+    ------
+    kind : which.
+    camera : index of the camera that shows it; -1 for all of them.
+    amplitude_px : root mean square length of the pattern; of a camera that moved, how far.
+    noise_px : root mean square length of all residuals of the camera.
+    shot : of a camera that moved, the first shot after it.
+    """
+
+    kind: CauseKind
+    camera: int
+    amplitude_px: float
+    noise_px: float
+    shot: int = -1
+
+
+def find_causes(problem: Problem) -> list[MisfitCause]:
+    """The causes that explain a share of the residuals worth naming, the largest first."""
+    causes = []
+    every = errors_px(problem)
+    for camera in range(problem.cameras):
+        rows = [
+            k
+            for k, view in enumerate(problem.views)
+            if view.camera == camera and view.shown is None and view.used.any()
+        ]
+        if len(rows) < _FEWEST_IMAGES:
+            continue
+        residuals = [every[k][problem.views[k].used] for k in rows]
+        places = [problem.views[k].detection.centres_px[problem.views[k].used] for k in rows]
+        board = [
+            problem.target.centres_mm[problem.views[k].detection.circle_index][
+                problem.views[k].used
+            ]
+            for k in rows
+        ]
+        noise_px = float(np.sqrt(np.mean(np.sum(np.concatenate(residuals) ** 2, axis=1))))
+        size_px = problem.views[rows[0]].detection.image_size_px
+        patterns = {
+            CauseKind.LENS_MODEL: lens_pattern_px(residuals, places, size_px),
+            CauseKind.BOARD_CHANGES: smooth_pattern_px(residuals, board),
+        }
+        least_px = max(TUNING.answer.named_share * noise_px, TUNING.answer.least_shift_px)
+        causes += [
+            MisfitCause(kind, camera, amplitude_px, noise_px)
+            for kind, amplitude_px in patterns.items()
+            if amplitude_px > least_px
+        ]
+    causes += _of_moments(problem, every)
+    return sorted(causes, key=lambda cause: -cause.amplitude_px)
+
+
+def lens_pattern_px(
+    residuals: Sequence[Float[np.ndarray, "_m 2"]],
+    places_px: Sequence[Float[np.ndarray, "_m 2"]],
+    size_px: tuple[int, int],
+) -> float:
+    """Amplitude of the pattern that all images of one camera share; 0 where noise explains it.
+
+    The residuals are averaged over the cells of a grid, first in each image. The scatter between
+    the images is the noise of a cell's mean.
+    """
+    cell_of = [
+        np.minimum((each / size_px * _CELLS).astype(int).clip(0), _CELLS - 1) @ [1, _CELLS]
+        for each in places_px
+    ]
+    sums = np.zeros((len(residuals), _CELLS**2, 2))
+    counts = np.zeros((len(residuals), _CELLS**2))
+    for image, (cell, own) in enumerate(zip(cell_of, residuals, strict=True)):
+        np.add.at(sums[image], cell, own)
+        np.add.at(counts[image], cell, 1)
+    excess, weight, score, freedom = 0.0, 0.0, 0.0, 0
+    for cell in np.flatnonzero((counts > 0).sum(axis=0) >= _FEWEST_IMAGES):
+        seen = counts[:, cell] > 0
+        means = sums[seen, cell] / counts[seen, cell, None]
+        variance = means.var(axis=0, ddof=1).sum() / len(means)
+        square = float(np.sum(means.mean(axis=0) ** 2))
+        number = counts[:, cell].sum()
+        excess, weight = excess + number * (square - variance), weight + number
+        score, freedom = score + 2 * square / max(variance, 1e-300), freedom + 2
+    # Means of few images: a cell's ratio is an F statistic, whose mean is (n - 1) / (n - 3).
+    if freedom < 8 or score / freedom < TUNING.answer.named_ratio or excess <= 0:
+        return 0.0
+    return float(np.sqrt(excess / weight))
+
+
+def smooth_pattern_px(
+    residuals: Sequence[Float[np.ndarray, "_m 2"]], board_mm: Sequence[Float[np.ndarray, "_m 2"]]
+) -> float:
+    """Amplitude of polynomials of second degree over the board, one for each image; 0 where noise
+    explains them. Six of their twelve numbers are the pose's, which residuals do not show."""
+    explained, rest, freedom, count = 0.0, 0.0, 0, 0
+    for own, place in zip(residuals, board_mm, strict=True):
+        if 2 * len(own) <= 2 * _SMOOTH:
+            continue
+        x, y = ((place - place.mean(axis=0)) / np.maximum(np.ptp(place, axis=0), 1e-9)).T
+        basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+        orthonormal, _ = np.linalg.qr(basis)
+        square = float(np.sum((orthonormal.T @ own) ** 2))
+        explained, rest = explained + square, rest + float(np.sum(own**2)) - square
+        freedom, count = freedom + 2 * len(own) - _SMOOTH, count + 1
+    if not count or freedom <= 0:
+        return 0.0
+    variance = rest / freedom
+    expected = (_SMOOTH - _ABSORBED) * count * variance
+    if explained < TUNING.answer.named_ratio * expected:
+        return 0.0
+    return float(np.sqrt((explained - expected) / sum(map(len, residuals))))
+
+
+def _of_moments(problem: Problem, every: Sequence[Float[np.ndarray, "_m 2"]]) -> list[MisfitCause]:
+    causes = []
+    for camera, (shots, shifts_px) in pose_differences_px(problem).items():
+        rows = [k for k, v in enumerate(problem.views) if v.camera == camera and v.used.any()]
+        noise_px = float(
+            np.sqrt(
+                np.mean(
+                    np.sum(
+                        np.concatenate([every[k][problem.views[k].kept] for k in rows]) ** 2, axis=1
+                    )
+                )
+            )
+        )
+        moved = change_point(shifts_px)
+        if moved is not None:
+            index, distance_px = moved
+            causes.append(
+                MisfitCause(
+                    CauseKind.CAMERA_MOVED, camera, distance_px, noise_px, int(shots[index])
+                )
+            )
+            continue
+        typical_px = float(np.median(np.linalg.norm(shifts_px, axis=1)))
+        if typical_px > max(TUNING.answer.named_share * noise_px, TUNING.answer.least_shift_px):
+            causes.append(MisfitCause(CauseKind.MOMENTS_DIFFER, camera, typical_px, noise_px))
+    return causes
+
+
+def change_point(shifts_px: Float[np.ndarray, "s 2"]) -> tuple[int, float] | None:
+    """(index of the first shot after a change, its size in px), where the shifts of a camera jump
+    once by far more than they scatter on either side; else None."""
+    count, best = len(shifts_px), (0.0, 0, 0.0)
+    for index in range(_FEWEST_SHOTS, count - _FEWEST_SHOTS + 1):
+        before, after = shifts_px[:index], shifts_px[index:]
+        jump = float(np.linalg.norm(np.median(after, axis=0) - np.median(before, axis=0)))
+        inner = np.concatenate(
+            [before - np.median(before, axis=0), after - np.median(after, axis=0)]
+        )
+        scatter = float(np.median(np.linalg.norm(inner, axis=1)))
+        ratio = jump / max(scatter, 1e-9)
+        if ratio > best[0]:
+            best = ratio, index, jump
+    ratio, index, jump = best
+    return (index, jump) if ratio > TUNING.answer.moved_scatters else None
