@@ -115,6 +115,7 @@ def calibrate_rig(
     factors = _lens_factors(systematics, known, tuple(images))
     models, corrected = _models_to_try(lens_model, distortion, known)
     found = find_boards(images, board, progress)
+    board = found.target
     detections = {
         camera: {
             (shot, index): each
@@ -143,9 +144,9 @@ def calibrate_rig(
         {camera: own for camera, own in known.items() if camera not in factors},
         world=world,
         held=held,
-        remarks=remarks,
+        remarks=(*found.remarks, *remarks),
         silent=silent,
-        refused=placed.refused,
+        refused=(*placed.refused, *_remarks_on_places(found)),
         failures={f"{camera}, {shot}": why for (camera, shot), why in found.failures.items()},
         systematics=systematics.words,
     )
@@ -363,6 +364,16 @@ def _lens_factors(
             "`lens`: add it, or leave its covariance out."
         )
     return systematics.lens_factors({camera: known.get(camera) for camera in cameras})
+
+
+def _remarks_on_places(found: FoundBoards) -> list[str]:
+    """A sentence on each image of which some places were left out at the detection."""
+    return [
+        f'{shot}: "{camera}": {remark}; left out.'
+        for camera, own in found.detections.items()
+        for shot, detection in own.items()
+        for remark in detection.remarks
+    ]
 
 
 def _expect_boards(

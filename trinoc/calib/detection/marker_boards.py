@@ -45,9 +45,13 @@ def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detectio
         return np.ravel(index).astype(int), np.asarray(corners, dtype=np.float64).reshape(-1, 2)
 
     grey, wanted = levels_of_8_bit(picture.grey), f"corners of the board {board.name!r}"
-    index, corners_px = _find_enough(
-        find, grey, wanted, TUNING.detection.fewest_places, "dictionary"
-    )
+    fewest = TUNING.detection.fewest_places
+    index, corners_px = find(grey)
+    if len(index) < fewest:
+        # A board that is printed light on dark: corners are the same in the negative.
+        index, corners_px = find(255 - grey)
+    if len(index) < fewest:
+        index, corners_px = _find_enough(find, grey, wanted, fewest, _seen_markers(detector, grey))
     order = np.argsort(index)
     index, corners_px = index[order], corners_px[order]
     # OpenCV 4 puts them half a pixel aside: they are found again, in what markers leave of room.
@@ -69,6 +73,15 @@ def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Det
     fitted, is_sharp = _refine_tags(picture, grey, corners_px, board.spacing)
     places, covariance_px2 = fitted.places_px[is_sharp], fitted.covariance_px2[is_sharp]
     return build_detection(index[None, is_sharp], places, covariance_px2, picture.size_px)
+
+
+def _seen_markers(detector: cv2.aruco.CharucoDetector, grey: UInt8[np.ndarray, "h w"]) -> str:
+    """What the image shows of a board whose corners are not found, for the sentence on it."""
+    _, _, _, numbers = detector.detectBoard(grey)
+    count = 0 if numbers is None else len(numbers)
+    if not count:
+        return "dictionary (no marker of it is seen)"
+    return f"rows, columns and legacy ({count} markers are seen, but not as the layout has them)"
 
 
 def _find_enough(

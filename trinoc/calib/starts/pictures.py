@@ -9,11 +9,14 @@ import numpy as np
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.registry import detect_target
+from trinoc.calib.starts.board_readings import find_reading
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.errors import InputError, TrinocError
 
 # numerical: detectors of OpenCV and NumPy leave the interpreter free while they work.
 _THREADS = 4
+# numerical: where a larger share of the images shows no board, its layout may mean another one.
+_FEW_FOUND = 0.8
 
 # A picture, what was found in one, something that delivers one, or nothing.
 Picture = Any
@@ -28,11 +31,15 @@ class FoundBoards(NamedTuple):
     shots : names of all shots, in order.
     detections : for each camera, by shot.
     failures : for (camera, shot) of every other picture, why nothing was found.
+    target : the board as the images show it, which may be another reading of its layout.
+    remarks : sentences on how the layout was read.
     """
 
     shots: tuple[str, ...]
     detections: dict[str, dict[str, Detection]]
     failures: dict[tuple[str, str], str]
+    target: AbstractTarget
+    remarks: tuple[str, ...] = ()
 
 
 def find_boards(
@@ -54,10 +61,10 @@ def find_boards(
     detections: dict[str, dict[str, Detection]] = {camera: {} for camera in named}
     failures: dict[tuple[str, str], str] = {}
 
-    def look(job: tuple[str, str]) -> Detection | str:
+    def look(job: tuple[str, str], board: AbstractTarget) -> Detection | str:
         try:
             given = deliver(named[job[0]][job[1]])
-            return given if isinstance(given, Detection) else detect_target(given, target)
+            return given if isinstance(given, Detection) else detect_target(given, board)
         except TrinocError as error:
             return str(error)
         except Exception as error:  # one image must not end a calibration
@@ -66,19 +73,33 @@ def find_boards(
                 "this image."
             )
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        for done, (job, found) in enumerate(zip(jobs, pool.map(look, jobs), strict=True), 1):
-            if isinstance(found, str):
-                failures[job] = found
-            else:
-                detections[job[0]][job[1]] = found
-            if progress is not None:
-                progress(done, len(jobs))
+    def look_at_all(board: AbstractTarget) -> None:
+        with ThreadPoolExecutor(_THREADS) as pool:
+            answers = pool.map(lambda job: look(job, board), jobs)
+            for done, (job, answer) in enumerate(zip(jobs, answers, strict=True), 1):
+                if isinstance(answer, str):
+                    failures[job] = answer
+                else:
+                    detections[job[0]][job[1]] = answer
+                if progress is not None:
+                    progress(done, len(jobs))
+
+    look_at_all(target)
+    remarks: tuple[str, ...] = ()
+    if len(failures) > _FEW_FOUND * len(jobs):
+        reading = find_reading(
+            target, jobs, lambda job, board: isinstance(look(job, board), Detection)
+        )
+        if reading is not None:
+            target, remarks = reading.target, (reading.sentence,)
+            failures.clear()
+            detections.update({camera: {} for camera in named})
+            look_at_all(target)
     for camera, own in detections.items():
         for shot, why in _list_other_sizes(own).items():
             failures[camera, shot] = why
             del own[shot]
-    return FoundBoards(tuple(shots), detections, failures)
+    return FoundBoards(tuple(shots), detections, failures, target, remarks)
 
 
 def name_pictures(pictures: Mapping[str, Pictures]) -> dict[str, dict[str, Picture]]:

@@ -64,7 +64,7 @@ class ProblemTuning:
     fewest_agree: float = 0.5
     # An image is of another moment than its shot where the pose of the board differs by more than
     # so many times what is usual among the shots, in chi-square per degree of freedom: five times
-    # as far. Pairs of one public set (semeniuta) that are of one moment reach 6, others begin at 60.
+    # as far. Pairs of one public set (semeniuta) of one moment reach 8, others begin at 1,700.
     other_moment: float = 25.0
     # A chi-square so many of its own standard deviations above its degrees of freedom is not noise:
     # sigmas grow, or a board's places are free. By hand.
