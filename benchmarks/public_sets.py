@@ -61,6 +61,7 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
     from trinoc.errors import TrinocError
     from trinoc.io.compile_cache import enable_compile_cache
 
+    # As `trinoc.cli.program` does; `run_worker` sets OPENBLAS_NUM_THREADS, too.
     compile_quickly()
     enable_compile_cache()
     with tempfile.TemporaryDirectory() as scratch:
@@ -278,7 +279,7 @@ def _by_mrcal(
 
 def run_worker(project: Path, mode: str, folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
     """One set in a process of its own; with its processor time, memory and stderr."""
-    environment = {**os.environ, "PYTHONPATH": str(project)}
+    environment = {"OPENBLAS_NUM_THREADS": "1", **os.environ, "PYTHONPATH": str(project)}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(

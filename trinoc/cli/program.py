@@ -16,6 +16,9 @@ INTERRUPTED, READER_GONE = 130, 141
 def run() -> int:
     """Run the command line of this process and return the exit status."""
     _without_closed_streams()
+    # Matrices here have some hundred rows: threads of OpenBLAS wait for each other longer than they
+    # work, and on busy cores take a hundred times as long.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports and traces make what stays: looking through it so often takes a tenth of a command.
     gc.set_threshold(50_000, 20, 20)
     try:
