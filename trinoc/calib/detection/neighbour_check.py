@@ -53,7 +53,9 @@ def predict_from_neighbours(
     weights = np.linalg.pinv(basis * root[..., None], rcond=1e-6)[:, 0] * root
     weights = weights[:, None, :]
     predicted = (weights @ corners_px[near])[:, 0]
-    spacing = np.linalg.norm(corners_px[near[:, 0]] - corners_px, axis=1)
+    # Of the four nearest, each by its own distance: one of them may lie anywhere.
+    away_px = np.linalg.norm(corners_px[near[:, :4]] - predicted[:, None], axis=2)
+    spacing = np.median(away_px * (unit / distance[:, :4]), axis=1)
     return Prediction(predicted, spacing, np.sqrt(1.0 + np.sum(weights[:, 0] ** 2, axis=1)))
 
 
@@ -76,14 +78,15 @@ def are_in_place(
     while kept.sum() > _FEWEST + 1:
         rows = np.flatnonzero(kept)
         predicted = predict_from_neighbours(board_mm[rows], corners_px[rows])
-        miss = np.linalg.norm(predicted.px - corners_px[rows], axis=1) / predicted.gain
-        typical = float(np.median(miss))
+        miss_px = np.linalg.norm(predicted.px - corners_px[rows], axis=1)
+        typical = float(np.median(miss_px / predicted.gain))
         allowed = np.maximum(
             largest_share * predicted.spacing_px,
             TUNING.detection.out_of_place_medians * typical,
         )
-        worst = int(np.argmax(miss / np.maximum(allowed, 1e-9)))
-        if miss[worst] <= allowed[worst]:
+        is_off = miss_px > predicted.gain * allowed
+        if not is_off.any():
             break
-        kept[rows[worst]] = False
+        # At the edge of the board a neighbour may be spoilt by most of the error of a wrong corner.
+        kept[rows[np.argmax(is_off * miss_px / predicted.spacing_px)]] = False
     return kept

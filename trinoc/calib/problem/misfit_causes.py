@@ -186,16 +186,18 @@ def _of_moments(problem: Problem, every: Sequence[Float[np.ndarray, "_m 2"]]) ->
 def change_point(shifts_px: Float[np.ndarray, "s 2"]) -> tuple[int, float] | None:
     """(index of the first shot after a change, its size in px), where the shifts of a camera jump
     once by far more than they scatter on either side; else None."""
-    count, best = len(shifts_px), (0.0, 0, 0.0)
-    for index in range(_FEWEST_SHOTS, count - _FEWEST_SHOTS + 1):
-        before, after = shifts_px[:index], shifts_px[index:]
-        jump = float(np.linalg.norm(np.median(after, axis=0) - np.median(before, axis=0)))
-        inner = np.concatenate(
-            [before - np.median(before, axis=0), after - np.median(after, axis=0)]
-        )
-        scatter = float(np.median(np.linalg.norm(inner, axis=1)))
-        ratio = jump / max(scatter, 1e-9)
-        if ratio > best[0]:
-            best = ratio, index, jump
-    ratio, index, jump = best
-    return (index, jump) if ratio > TUNING.answer.moved_scatters else None
+    splits = range(_FEWEST_SHOTS, len(shifts_px) - _FEWEST_SHOTS + 1)
+    if not splits:
+        return None
+
+    def parts(index: int) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "s 2"]]:
+        """The jump of the medians, and what is left of the shifts on either side."""
+        sides = shifts_px[:index], shifts_px[index:]
+        middles = [np.median(side, axis=0) for side in sides]
+        return middles[1] - middles[0], np.concatenate([s - m for s, m in zip(sides, middles)])
+
+    index = min(splits, key=lambda index: float(np.sum(parts(index)[1] ** 2)))
+    jump, rest = parts(index)
+    size_px = float(np.linalg.norm(jump))
+    scatter_px = float(np.median(np.linalg.norm(rest, axis=1)))
+    return (index, size_px) if size_px > TUNING.answer.moved_scatters * scatter_px else None

@@ -63,9 +63,10 @@ class ProblemTuning:
     # A picture of which a smaller share of places agrees shows the board elsewhere. By hand.
     fewest_agree: float = 0.5
     # An image is of another moment than its shot where the pose of the board differs by more than
-    # so many times what is usual among the shots, in chi-square per degree of freedom: five times
-    # as far. Pairs of one public set (semeniuta) of one moment reach 8, others begin at 1,700.
-    other_moment: float = 25.0
+    # so many times what is usual among the shots, in chi-square per degree of freedom: three times
+    # as far. Pairs of one public set (semeniuta) of one moment reach 8, others begin at 1,700;
+    # where a third of few shots are others, they spoil the rig and what is usual, and begin at 7.
+    other_moment: float = 9.0
     # A chi-square so many of its own standard deviations above its degrees of freedom is not noise:
     # sigmas grow, or a board's places are free. By hand.
     refuted_sigmas: float = 4.0

@@ -1,0 +1,87 @@
+"""Images of another moment leave their shots; images of one moment do not."""
+
+import numpy as np
+import pytest
+
+from tests.calib.shots.made_shots import BOARD, board_poses, detection
+from trinoc.calib.problem.misfit_causes import change_point, lens_pattern_px, smooth_pattern_px
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.uncertainty.systematics import Systematics
+
+SHOTS = 10
+
+
+def seen(seed=0, moved=(), shift_mm=6.0, late=()):
+    """Both cameras' detections; in the shots `moved` the right camera sees the board aside."""
+    random = np.random.default_rng(seed)
+    images = {"left": {}, "right": {}}
+    for number, pose in enumerate(board_poses(SHOTS, seed)):
+        for name in images:
+            own = pose.copy()
+            if name == "right" and (number in moved or number in late):
+                own[0, 3] += shift_mm
+            images[name][f"shot {number}"] = detection(name, own, random)
+    return images
+
+
+@pytest.fixture(scope="module")
+def fair():
+    return calibrate_rig(seen(), BOARD, systematics=Systematics())
+
+
+def test_shots_of_one_moment_stay_together(fair):
+    assert fair.refused == ()
+    assert not any("moment" in note or "moved" in note for note in fair.notes)
+
+
+def test_shots_of_other_moments_are_named_and_move_no_camera(fair):
+    result = calibrate_rig(seen(moved=(2, 7)), BOARD, systematics=Systematics())
+    named = {sentence.partition(":")[0] for sentence in result.refused}
+    assert named == {"shot 2", "shot 7"}
+    for name in ("right.fx_px", "left.fx_px", "right.distance_mm"):
+        assert abs(result.value(name) - fair.value(name)) < 4 * result.sigma(name)
+    # Each image still serves for its camera's lens.
+    assert all(
+        len({v.shot for v in result.views if v.camera == c and v.used.any()}) == SHOTS
+        for c in (0, 1)
+    )
+
+
+def test_noise_alone_has_no_pattern():
+    random = np.random.default_rng(0)
+    places = [random.uniform(0, 640, (54, 2)) for _ in range(15)]
+    board = [np.asarray(BOARD.centres_mm) for _ in places]
+    noise = [random.normal(0, 0.1, (54, 2)) for _ in places]
+    assert lens_pattern_px(noise, places, (640, 640)) == 0.0
+    assert smooth_pattern_px([n[: len(b)] for n, b in zip(noise, board)], board) == 0.0
+
+
+def test_a_pattern_of_the_image_has_its_amplitude():
+    random = np.random.default_rng(1)
+    places = [random.uniform(0, 640, (54, 2)) for _ in range(25)]
+    pattern = [0.3 * np.sin(place / 100) for place in places]
+    residuals = [each + random.normal(0, 0.1, each.shape) for each in pattern]
+    true_px = np.sqrt(np.mean(np.sum(np.concatenate(pattern) ** 2, axis=1)))
+    assert abs(lens_pattern_px(residuals, places, (640, 640)) / true_px - 1) < 0.15
+
+
+def test_a_bend_that_differs_between_images_has_its_amplitude():
+    random = np.random.default_rng(2)
+    board = [np.asarray(BOARD.centres_mm) for _ in range(20)]
+    x = [2 * b[:, 0] / np.ptp(b[:, 0]) for b in board]
+    bends = [random.normal(0, 0.5) * np.stack([e**2, e * e], axis=1) for e in x]
+    # A pose has taken the mean and the slope away.
+    bends = [b - b.mean(axis=0) for b in bends]
+    residuals = [b + random.normal(0, 0.1, b.shape) for b in bends]
+    true_px = np.sqrt(np.mean(np.sum(np.concatenate(bends) ** 2, axis=1)))
+    assert abs(smooth_pattern_px(residuals, board) / true_px - 1) < 0.15
+
+
+def test_a_jump_is_found_where_it_is_and_scatter_is_none():
+    random = np.random.default_rng(3)
+    shifts = random.normal(0, 0.2, (20, 2))
+    assert change_point(shifts) is None
+    shifts[13:] += [4.0, 0.0]
+    index, size_px = change_point(shifts)
+    assert index == 13
+    assert abs(size_px - 4.0) < 0.4
