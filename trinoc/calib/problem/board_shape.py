@@ -97,10 +97,15 @@ def _residual_mm(problem: Problem) -> float:
 
 
 def with_free_places(
-    problem: Problem, shape_information: Float[np.ndarray, "m m"]
+    problem: Problem, shape_information: Float[np.ndarray, "m m"] | None = None
 ) -> Problem:
-    """The problem with free places, where they are drawn, under a prior of this information."""
+    """The problem with free places, where they are drawn.
+
+    shape_information : of the prior, in 1/mm^2; a standard deviation of 1 mm unless given.
+    """
     places = len(problem.target)
+    if shape_information is None:
+        shape_information = np.eye(3 * places)
     state = eqx.tree_at(lambda s: s.shape, problem.state, np.zeros((places, 3)))
     free = np.concatenate([np.asarray(problem.chart.free), np.ones(3 * places)])
     chart = eqx.tree_at(

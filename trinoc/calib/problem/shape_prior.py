@@ -104,7 +104,7 @@ def shape_prior(target: AbstractTarget, spread_mm: float) -> ShapePrior:
     """
     flatness, shear = TUNING.uncertainty.flatness_mm, TUNING.problem.shear
     boards = [
-        _smooth_parts(np.asarray(board.centres_mm)[:, :2], first, len(target))
+        _smooth_parts(np.asarray(board.centres_mm)[:, :2], int(first), len(target))
         for first, board in zip(first_places(target), list_boards(target), strict=True)
     ]
     parts, variance = [], []
