@@ -1,6 +1,5 @@
 """What shots say of lenses, cameras and board, against dense equations and random draws."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -90,9 +90,7 @@ def test_one_shot_left_out_changes_a_linear_fit_by_what_the_jackknife_says():
     change = np.array(without) - error
     expected = (SHOTS - 1) / SHOTS * change.T @ change
     found = jackknife_covariance(covariance, information, 1.0)
-    np.testing.assert_allclose(
-        np.sqrt(np.diag(found)), np.sqrt(np.diag(expected)), rtol=0.1
-    )
+    np.testing.assert_allclose(np.sqrt(np.diag(found)), np.sqrt(np.diag(expected)), rtol=0.1)
 
 
 def test_a_camera_that_one_shot_alone_shows_has_a_finite_covariance():

@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.information import compute_information
-from trinoc.calib.problem.places import whitened_residuals
 from trinoc.calib.problem.outcome import shot_scatter
+from trinoc.calib.problem.places import whitened_residuals
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import (
     LEAST_CHANGE,
