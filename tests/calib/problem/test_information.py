@@ -1,6 +1,5 @@
 """What shots say of lenses, cameras and board, against dense equations and random draws."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,8 +7,7 @@ import pytest
 
 from tests.calib.shots.made_shots import board_poses
 from tests.calib.shots.test_laws import problem
-from trinoc.calib.problem import board_shape
-from trinoc.calib.problem.board_shape import expected_spread, with_free_places
+from trinoc.calib.problem.board_shape import shape_covariance, with_free_places
 from trinoc.calib.problem.information import Information, compute_information, whiten_views
 from trinoc.calib.problem.outcome import ShotScatter, enlarge_covariance, shot_scatter
 from trinoc.calib.problem.places import whitened_residuals
@@ -20,6 +18,7 @@ from trinoc.calib.problem.robust_fit import (
     place_errors_in_sigmas,
     with_sigma_factors,
 )
+from trinoc.calib.problem.shape_prior import shape_prior
 from trinoc.calib.problem.variables import retract
 from trinoc.calib.problem.views import whitening_of_covariance
 from trinoc.calib.tuning.every_group import TUNING
@@ -189,23 +188,17 @@ def test_sigmas_of_corners_are_such_that_chi_square_is_as_large_as_it_should_be(
     assert mean == pytest.approx(chi_square / degrees_of_freedom(here))
 
 
-def test_places_that_lie_where_they_are_drawn_spread_as_far_as_they_are_unknown(here):
-    spread_mm = np.array([0.02, 0.02, 0.3])
-    free = with_free_places(here)
-    chart = eqx.tree_at(lambda c: c.shape_information, free.chart, spread_mm**-2.0)
-    free = free._replace(chart=chart)
+def test_the_shape_has_as_many_effective_parameters_as_the_shots_determine(here):
+    """The trace of the shots' share of the information times the covariance."""
+    prior = shape_prior(here.target, 0.05)
+    free = with_free_places(here, prior.information)
     information = compute_information(free)
     covariance = information.observability.covariance
-    found, told = expected_spread(free, spread_mm)
-    own = np.diag(covariance)[-3 * len(free.target) :].reshape(-1, 3) * float(chart.unit_mm) ** 2
-    assert found[2] == pytest.approx(np.sqrt(np.mean(own[:, 2])))
-    assert found[0] == found[1] == pytest.approx(np.sqrt(np.mean(own[:, :2])))
-    # What the shots tell is the trace of the shots' part of the information times the covariance.
+    factor, of_shape_mm2 = shape_covariance(free)
     whole = np.eye(len(covariance)) - covariance @ information.prior
-    assert told == pytest.approx(np.trace(whole[-own.size :, -own.size :]), rel=1e-6)
-    shifted = eqx.tree_at(lambda s: s.shape, free.state, np.full((len(free.target), 3), 0.1))
-    moved, _ = expected_spread(free._replace(state=shifted), spread_mm)
-    np.testing.assert_allclose(moved**2 - found**2, 0.01, rtol=0.05)
+    count = 3 * len(free.target)
+    expected = np.trace(whole[-count:, -count:])
+    assert prior.count_determined(of_shape_mm2 / factor) == pytest.approx(expected, rel=1e-5)
 
 
 def test_whitened_errors_are_independent():
@@ -217,13 +210,6 @@ def test_whitened_errors_are_independent():
         np.broadcast_to(np.eye(2), covariance.shape),
         atol=1e-9,
     )
-
-
-def test_the_prior_of_free_places_is_their_spread(here):
-    spread_mm = np.array([0.02, 0.02, 0.3])
-    spread = board_shape._with_spread(with_free_places(here), spread_mm)
-    np.testing.assert_allclose(spread.chart.shape_information, [2500.0, 2500.0, 1 / 0.09])
-    np.testing.assert_allclose(board_shape._coordinate_spread(spread), spread_mm)
 
 
 @pytest.mark.parametrize("noise", [1.0, 3.0])

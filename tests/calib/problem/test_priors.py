@@ -34,6 +34,7 @@ def with_every_prior(sheet_model):
     terms = len(sheet_model.names)
     sheet_root = random.normal(size=(terms, terms))
     before, after = chart.free[: chart.sheet_first], chart.free[chart.shape_first :]
+    shape_root = random.normal(size=(len(after), len(after)))
     chart = dataclasses.replace(
         chart,
         lens_basis=roots,
@@ -45,7 +46,7 @@ def with_every_prior(sheet_model):
         sheet_model=sheet_model,
         sheet_scale=random.uniform(0.5, 2.0, terms),
         sheet_information=sheet_root @ sheet_root.T,
-        shape_information=np.array([4.0, 3.0, 2.0]),
+        shape_information=shape_root @ shape_root.T / len(after),
         free=np.concatenate([np.ones_like(before), np.ones(terms), np.ones_like(after)]),
     )
     state = dataclasses.replace(
@@ -110,7 +111,7 @@ def test_the_cost_is_the_squared_mahalanobis_distance_from_what_was_known():
         aim_mm = (centre - centre[2] / axis[2] * axis)[:2]
         expected += information * aim_mm @ aim_mm
     expected += state.sheet @ chart.sheet_information @ state.sheet
-    expected += np.sum(state.shape**2 @ chart.shape_information)
+    expected += state.shape.ravel() @ chart.shape_information @ state.shape.ravel()
     assert float(jax.jit(evaluate_prior)(state, chart).cost) == pytest.approx(expected, rel=1e-9)
 
 

@@ -13,11 +13,11 @@ from jaxtyping import Float
 
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.information import compute_information
+from trinoc.calib.problem.outcome import shot_scatter
 from trinoc.calib.problem.places import whitened_residuals
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import (
     LEAST_CHANGE,
-    MOST_ROUNDS,
     RobustFit,
     degrees_of_freedom,
     drop_wrong_places,
@@ -27,6 +27,7 @@ from trinoc.calib.problem.robust_fit import (
     use_all_places,
     with_sigma_factors,
 )
+from trinoc.calib.problem.shape_prior import ShapePrior, shape_prior
 from trinoc.calib.problem.solver import gauss_newton_gain
 from trinoc.calib.problem.variables import Chart, RigState
 from trinoc.calib.problem.views import ViewTable
@@ -37,6 +38,8 @@ from trinoc.numerics.robust_loss import GemanMcClure
 
 # numerical: more places would make the equations of all shots too large.
 _MOST_PLACES = 300
+# numerical: updates of the prior's variances.
+_MOST_UPDATES = 12
 
 
 def with_board_shape(fit: RobustFit) -> RobustFit:
@@ -44,22 +47,25 @@ def with_board_shape(fit: RobustFit) -> RobustFit:
     problem = fit.problem
     if len(problem.state.shape) or not _may_lie_elsewhere(problem):
         return fit
-    spread_mm = np.full(3, TUNING.problem.first_spread * _residual_mm(problem))
-    opened = _with_spread(with_free_places(problem), spread_mm)
+    spread_mm = TUNING.problem.first_spread * _residual_mm(problem)
+    opened = with_free_places(problem, np.eye(3 * len(problem.target)) / spread_mm**2)
     if not _is_shown(opened):
         return fit
+    prior = shape_prior(problem.target, spread_mm)
+    opened = _with_information(opened, prior.information)
     by_pixels = any(view.shown is not None for view in opened.views)
     if not by_pixels:
         # Places that seemed to be located wrongly may only have lain elsewhere.
         opened = use_all_places(opened, fit.elsewhere)
     opened, _ = fit_places(opened)
-    opened = _with_own_spread(opened, spread_mm)
+    opened, prior = with_estimated_prior(opened, prior)
     if by_pixels:
         opened = drop_wrong_circles(opened)
     else:
         opened, _ = drop_wrong_places(opened)
     opened, _ = fit_places(opened)
-    return finish_fit(_with_own_spread(opened, _coordinate_spread(opened)), fit.elsewhere)
+    opened, _ = with_estimated_prior(opened, prior)
+    return finish_fit(opened, fit.elsewhere)
 
 
 def _is_shown(opened: Problem) -> bool:
@@ -90,22 +96,27 @@ def _residual_mm(problem: Problem) -> float:
     return float(np.sqrt(np.mean(errors**2)) * problem.chart.unit_mm / focal_px)
 
 
-def with_free_places(problem: Problem) -> Problem:
-    """The problem with free places, where they are drawn."""
+def with_free_places(
+    problem: Problem, shape_information: Float[np.ndarray, "m m"] | None = None
+) -> Problem:
+    """The problem with free places, where they are drawn.
+
+    shape_information : of the prior, in 1/mm^2; a standard deviation of 1 mm unless given.
+    """
     places = len(problem.target)
+    if shape_information is None:
+        shape_information = np.eye(3 * places)
     state = eqx.tree_at(lambda s: s.shape, problem.state, np.zeros((places, 3)))
     free = np.concatenate([np.asarray(problem.chart.free), np.ones(3 * places)])
-    chart = eqx.tree_at(lambda c: c.free, problem.chart, free)
+    chart = eqx.tree_at(
+        lambda c: (c.free, c.shape_information), problem.chart, (free, shape_information)
+    )
     return problem._replace(state=state, chart=chart)
 
 
-def _with_spread(problem: Problem, spread_mm: Float[np.ndarray, "3"]) -> Problem:
-    chart = eqx.tree_at(lambda c: c.shape_information, problem.chart, spread_mm**-2.0)
+def _with_information(problem: Problem, information: Float[np.ndarray, "m m"]) -> Problem:
+    chart = eqx.tree_at(lambda c: c.shape_information, problem.chart, information)
     return problem._replace(chart=chart)
-
-
-def _coordinate_spread(problem: Problem) -> Float[np.ndarray, "3"]:
-    return np.asarray(problem.chart.shape_information) ** -0.5
 
 
 @kept_jit
@@ -117,32 +128,30 @@ def _chi_square_gain(state: RigState, chart: Chart, table: ViewTable) -> tuple:
     return gain, jnp.sum(jnp.square(whitened_residuals(state, chart, table)))
 
 
-def _with_own_spread(problem: Problem, spread_mm: Float[np.ndarray, "3"]) -> Problem:
-    """The fit with the spread of the places over the board, and the sigmas, that it shows itself.
+def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, ShapePrior]:
+    """The fit with the prior of the shape, and the sigmas, that its residuals show.
 
-    The mean of squares of each axis, posterior variance added, is the next guess of its prior
-    (expectation and maximisation); along X and Y there is one.
+    Where shots disagree by a variance factor F, the noise by which the shape is judged is that of
+    whole shots: the information of the prior is multiplied by F against that of the residuals.
+    Otherwise what is common to the few shots by chance would be taken for the board's own shape.
     """
-    for _ in range(MOST_ROUNDS):
-        after, determined = expected_spread(problem, spread_mm)
-        problem = with_sigma_factors(problem._replace(spent=determined))
-        problem, _ = fit_places(_with_spread(problem, after))
-        still = np.all(np.abs(np.log(after / spread_mm)) < LEAST_CHANGE)
-        spread_mm = after
-        if still:
+    for _ in range(_MOST_UPDATES):
+        factor, covariance_mm2 = shape_covariance(problem)
+        after = prior.update(np.asarray(problem.state.shape), covariance_mm2)
+        spent = prior.count_determined(covariance_mm2)
+        problem = with_sigma_factors(problem._replace(spent=max(spent, 0.0)))
+        problem, _ = fit_places(_with_information(problem, factor * after.information))
+        change = np.abs(np.log(after.variance / prior.variance)).max()
+        prior = after
+        if change < 2 * LEAST_CHANGE:
             break
-    return problem
+    return problem, prior
 
 
-def expected_spread(
-    problem: Problem, spread_mm: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "3"], float]:
-    """(root mean square of the places' coordinates along each axis, their posterior variance
-    added; how many of these numbers the shots tell), at the end of a fit under `spread_mm`."""
-    places, unit_mm = len(problem.target), float(problem.chart.unit_mm)
-    covariance = np.nan_to_num(compute_information(problem).observability.covariance)
-    variance = unit_mm**2 * np.diag(covariance)[-3 * places :].reshape(-1, 3)
-    squares = np.mean(np.asarray(problem.state.shape) ** 2 + variance, axis=0)
-    across = np.mean(squares[:2])
-    determined = 3 * places - np.sum(variance / spread_mm**2)
-    return np.sqrt([across, across, squares[2]]), float(determined)
+def shape_covariance(problem: Problem) -> tuple[float, Float[np.ndarray, "m m"]]:
+    """(variance factor of the shots, posterior covariance of the shape in mm^2 with it)."""
+    count, unit_mm = 3 * len(problem.target), float(problem.chart.unit_mm)
+    information = compute_information(problem)
+    factor = shot_scatter(information).variance_factor
+    covariance = np.nan_to_num(information.observability.covariance)[-count:, -count:]
+    return factor, factor * unit_mm**2 * covariance

@@ -16,6 +16,9 @@ from trinoc.calib.problem.robust_fit import RobustFit
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.tuning.every_group import TUNING
 
+# numerical: share of the information that stays in a direction which one shot alone determines.
+_LEAST_LEFT = 0.02
+
 
 class FitOutcome(NamedTuple):
     """How well the end of a fit is known.
@@ -43,8 +46,74 @@ def assess_fit(fit: RobustFit) -> FitOutcome:
         return FitOutcome(Status.RANK_DEFICIENT, information, covariance, 1.0)
     factor = shot_scatter(information).variance_factor
     status = Status.CONVERGED if fit.converged else Status.NOT_CONVERGED
-    enlarged = enlarge_covariance(covariance, factor, information.prior)
+    known = known_information(information)
+    enlarged = enlarge_covariance(covariance, factor, known)
+    if factor > 1.0:
+        enlarged = blend_with_jackknife(enlarged, covariance, information, factor)
     return FitOutcome(status, information, enlarged, factor)
+
+
+def known_information(information: Information) -> Float[np.ndarray, "f f"]:
+    """The prior's information without that on the board's shape, whose prior was estimated from
+    residuals and is enlarged with them."""
+    is_known = information.free < information.shape_first
+    return information.prior * np.outer(is_known, is_known)
+
+
+def blend_with_jackknife(
+    enlarged: Float[np.ndarray, "f f"],
+    covariance: Float[np.ndarray, "f f"],
+    information: Information,
+    factor: float,
+) -> Float[np.ndarray, "f f"]:
+    """Covariance of a fit whose shots disagree, in each direction as much as they do there.
+
+    A factor F enlarges all sigmas alike, but a board that bends differently in every shot, say,
+    moves focal lengths more than poses. The jackknife over shots J shows each direction by itself,
+    from few shots and thus with noise; and it is singular where there are fewer shots S than
+    parameters p of lenses and cameras. As estimates of covariances are in Bayes' theorem for an
+    inverse Wishart prior, both are weighted by their degrees of freedom:
+
+        (p F C + (S - 1) J) / (p + S - 1)
+
+    enlarged : F C, apart from what was known. covariance : C.
+    """
+    parameters = int(np.sum(information.free < information.shape_first))
+    shots = int(np.sum(np.any(information.pulls != 0, axis=1)))
+    if shots < 2:
+        return enlarged
+    weight = (shots - 1) / (parameters + shots - 1)
+    scattered = jackknife_covariance(covariance, information, factor)
+    return (1.0 - weight) * enlarged + weight * scattered
+
+
+def jackknife_covariance(
+    covariance: Float[np.ndarray, "f f"], information: Information, factor: float
+) -> Float[np.ndarray, "f f"]:
+    """Covariance of a fit by the changes d_s that leaving out one shot s each makes.
+
+        (S - 1) / S sum_s d_s d_s^T + C P C,    d_s = (H - H_s)^-1 g_s
+
+    with the information H of everything, H_s and the gradient g_s of one shot, and the information
+    P of what was known, on the board's shape `factor` times as much noise.
+
+    Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with
+    multi-stage samples" (2002), estimator CR3.
+    """
+    free, prior = information.free, information.prior
+    used = np.flatnonzero(np.any(information.pulls != 0, axis=1))
+    of_shot = information.of_shot[used][:, free[:, None], free[None, :]]
+    pulls = information.pulls[used][:, free]
+    whole = of_shot.sum(axis=0) + prior
+    scale = np.sqrt(np.diag(whole))
+    whole, of_shot = whole / np.outer(scale, scale), of_shot / np.outer(scale, scale)
+    # A direction that one shot alone determines has no gradient; the share keeps it from 0 / 0.
+    without = (1.0 + _LEAST_LEFT) * whole - of_shot
+    steps = np.linalg.solve(without, (pulls / scale)[..., None])[..., 0] / scale
+    shots = len(used)
+    known = known_information(information)
+    noise = known + factor * (prior - known)
+    return (shots - 1) / shots * steps.T @ steps + covariance @ noise @ covariance
 
 
 class ShotScatter(NamedTuple):

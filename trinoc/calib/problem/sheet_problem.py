@@ -106,7 +106,7 @@ def sheet_problem(
         sheet_model=BentPaper(np.asarray(reach_mm)),
         sheet_scale=np.where(sigma > 0, sigma, 1.0),
         sheet_information=np.diag((sigma > 0) / np.where(sigma > 0, sigma, 1.0) ** 2),
-        shape_information=np.ones(3),
+        shape_information=np.zeros((0, 0)),
         aim_information=is_real / aim_sigma_mm**2 if aim_sigma_mm > 0 else np.zeros(len(padded)),
         lens_of_camera=lens_of_camera,
         free=np.concatenate([lens_free.ravel(), pose_free.ravel(), sigma > 0]).astype(float),

@@ -80,7 +80,7 @@ def start_problem(
         free=np.concatenate([part.astype(float).ravel() for part in free]),
         lens_information=np.zeros((*scale.shape, scale.shape[1])),
         sheet_information=information,
-        shape_information=np.ones(3),
+        shape_information=np.zeros((0, 0)),
         aim_information=np.zeros(len(cam_from_rig)),
         boards_free=np.ones(()),
         pose_model=PoseModel.RIGID,

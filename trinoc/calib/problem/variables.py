@@ -61,7 +61,8 @@ class Chart(eqx.Module):
     sheet_model : how a board is bent and stretched.
     sheet_scale : (w,) change of `sheet` for a step of one.
     sheet_information : (w, w) inverse covariance of the prior on `sheet`, whose mean is 0.
-    shape_information : (3,) inverse variance of the prior on each axis of `shape`.
+    shape_information : (3p, 3p) inverse covariance of the prior on `shape`, whose mean is 0; no
+        rows where `shape` has none.
     aim_information : (c,) inverse variance, in 1/mm^2, of the prior on each coordinate of the point
         of Z = 0 on each optical axis, whose mean is the origin.
     lens_of_camera : (c,) which of the lenses each camera has.
@@ -78,7 +79,7 @@ class Chart(eqx.Module):
     sheet_model: AbstractSheet
     sheet_scale: Float[ArrayLike, "w"]
     sheet_information: Float[ArrayLike, "w w"]
-    shape_information: Float[ArrayLike, "3"]
+    shape_information: Float[ArrayLike, "m m"]
     aim_information: Float[ArrayLike, "c"]
     lens_of_camera: Int[ArrayLike, "c"]
     free: Float[ArrayLike, "h"]
@@ -208,8 +209,8 @@ def evaluate_prior(state: RigState, chart: Chart) -> Prior:
     )
     in_set = chart.sheet_first - chart.boards_first
     sheet = _gaussian(state.sheet, chart.sheet_information, jnp.diag(chart.sheet_scale))
-    places = jnp.tile(chart.shape_information, state.shape.shape[0])
-    shape = _gaussian(state.shape.ravel(), jnp.diag(places), unit * jnp.eye(len(places)))
+    steps = unit * jnp.eye(3 * state.shape.shape[0])
+    shape = _gaussian(state.shape.ravel(), jnp.asarray(chart.shape_information), steps)
     free = chart.free
     gradient = jnp.concatenate(
         [

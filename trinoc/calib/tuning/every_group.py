@@ -74,6 +74,9 @@ class ProblemTuning:
     shots_sigmas: float = 3.0
     # The first guess of how far a board's places lie off, over what is left of the fit. By hand.
     first_spread: float = 3.0
+    # Standard deviation of the shear of a print: its sides are perpendicular to this angle, rad. As
+    # twice the stretch of one side; by hand.
+    shear: float = 1e-3
     # Heights of second, third and fourth degree of a sheet against its flatness: paper that was
     # rolled changes its curvature by a part of it. By hand.
     height_shares: tuple[float, float, float] = (1.0, 0.5, 0.25)
