@@ -21,8 +21,9 @@ class RigFromShots(eqx.Module):
     Fields
     ------
     rig : the cameras in the world, with a covariance that holds their lenses, too; None unless
-        `status` is CONVERGED or SUSPECT.
-    status : how the fit ended; SUSPECT where the shots refute a lens that was given.
+        `status` is CONVERGED or SUSPECT, and None if a fitted lens folds its image.
+    status : how the fit ended; SUSPECT where the shots refute a lens that was given, or if a fitted
+        lens folds its image.
     parameters : names such as "left.pan_deg", "left.fx_px", "board.warp_x_mm".
     values : (p,) of `parameters`; NaN where not determined.
     covariance : (p, p), degrees, mm and px; zero for what was held, NaN where not determined.
