@@ -14,6 +14,7 @@ from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
     from trinoc.calib.advice.next_shot import NextShot
+    from trinoc.calib.result.camera_pairs import CameraPair
     from trinoc.calib.result.halves import FieldDifference
     from trinoc.calib.shots_result import RigFromShots
     from trinoc.calib.targets.abstract_target import AbstractTarget
@@ -194,11 +195,30 @@ def field_record(field: "FieldDifference") -> dict[str, Any]:
     }
 
 
+def pair_record(pair: "CameraPair") -> dict[str, Any]:
+    """Baseline and relative rotation of two cameras, as JSON can hold it."""
+    return {
+        "cameras": [pair.first, pair.second],
+        "baseline_mm": {
+            "value": pair.baseline_mm,
+            "sigma": pair.baseline_sigma_mm,
+            "sigma_board_size": pair.size_sigma_mm,
+            "sigma_rest": pair.rest_sigma_mm,
+        },
+        "angle_deg": {"value": pair.angle_deg, "sigma": pair.angle_sigma_deg},
+        "turn_deg": {
+            axis: {"value": float(value), "sigma": float(sigma)}
+            for axis, value, sigma in zip("xyz", pair.turn_deg, pair.turn_sigma_deg, strict=True)
+        },
+        "second_from_first": pair.second_from_first.tolist(),
+    }
+
+
 def rig_record(result: "RigFromShots") -> dict[str, Any]:
     """What programs want to know of a rig from many shots, as JSON can hold it."""
     from trinoc.calib.targets.board_set import board_names
 
-    halves, held_out = result.halves, result.cross_validation
+    halves, held_out, known = result.halves, result.cross_validation, result.pixel_sigma
     return {
         "parameters": {
             name: {"value": float(value), "sigma": result.sigma(name)}
@@ -214,6 +234,10 @@ def rig_record(result: "RigFromShots") -> dict[str, Any]:
             }
             for k, name in enumerate(result.cameras)
         },
+        "pairs": [pair_record(pair) for pair in result.pairs],
+        "pixel_sigma": None
+        if known is None
+        else {"rest_px": known.rest_px, "board_size_px": known.size_px},
         "shots": list(result.shots),
         "world": result.world,
         "boards": {

@@ -191,7 +191,7 @@ def _held_out(subject: Subject) -> Answer | None:
     errors = found.across_px or found.own_px
     worst = max(errors, key=lambda name: errors[name])
     by = "placed by another camera" if found.across_px else "placed by itself"
-    words = f"rms of the places in {worst}, the board {by}; lenses and cameras from the others."
+    words = f"rms over {worst}, the board {by}; lenses and cameras from the other shots."
     return Answer(errors[worst], f"{with_decimals(errors[worst], 3)} px", words)
 
 
@@ -203,6 +203,11 @@ def _pixel(subject: Subject) -> Answer | None:
         "one sigma where it is largest, at the distance of the boards; "
         f"{with_decimals(known.worst_farther_px, 3)} px three times as far."
     )
+    if known.size_px > 0.0:
+        words += (
+            " The error of the board's size, a scale that no image shows, adds "
+            f"{with_decimals(known.size_px, 3)} px."
+        )
     figure = f"± {with_decimals(known.worst_at_boards_px, 3)} px"
     return Answer(known.worst_at_boards_px, figure, words)
 
@@ -354,7 +359,7 @@ CHECKS = (
         bad=FAR_APART,
     ),
     Limits(
-        "How far off are shots held out?", "shots", None,
+        "How large is the held-out residual?", "shots", None,
         "If that is much more than the residuals: more shots, at more places and tilts.",
         _held_out,
     ),

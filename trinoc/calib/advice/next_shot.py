@@ -44,9 +44,10 @@ class NextShot(NamedTuple):
     @property
     def sentence(self) -> str:
         """The advice for people."""
+        share = 100.0 * (1.0 - self.error_then_px / self.error_now_px)
         sentence = (
-            f"Next, {self.words}: where lenses and cameras are known worst, they would then err by "
-            f"{self.error_then_px:.2g} px instead of {self.error_now_px:.2g} px"
+            f"Next, {self.words}: the largest error of lenses and cameras would fall by "
+            f"{max(share, 0.0):.0f} %"
         )
         name = self.parameter
         if name is None:
