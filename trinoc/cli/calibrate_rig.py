@@ -138,7 +138,13 @@ class CalibrateRigCommand(ReportOption, Command):
         save(result, self.out, provenance=made_by)
         advice = next_shot(result)
         said = "" if advice is None else advice.sentence
-        self.write_report(made_by, shots=result, title="Rig from many shots", advice=said)
+        self.write_report(
+            made_by,
+            shots=result,
+            shot_pictures=pictures,
+            title="Rig from many shots",
+            advice=said,
+        )
         text = "\n".join(filter(None, [result.summary(), said]))
         record = {**rig_record(result), "next_shot": shot_record(advice)}
         refusal = None
@@ -237,7 +243,11 @@ def rig_record(result: "RigFromShots") -> dict[str, Any]:
         "pairs": [pair_record(pair) for pair in result.pairs],
         "pixel_sigma": None
         if known is None
-        else {"rest_px": known.rest_px, "board_size_px": known.size_px},
+        else {
+            "median_px": known.median_px,
+            "worst_px": known.worst_px,
+            "board_size_px": known.size_px,
+        },
         "shots": list(result.shots),
         "world": result.world,
         "boards": {

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.calib.uncertainty.pixel_sigma import rig_of_known_size
+from trinoc.calib.uncertainty.pixel_sigma import PixelSigma, rig_of_known_size
 from trinoc.calib.uncertainty.propagation import epipolar_sigma, point_covariance, projection_sigma
 from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import Matches
@@ -97,16 +97,13 @@ class FieldPart(NamedTuple):
 
 
 class Uncertainty(NamedTuple):
-    """Maps of the cameras from half the boards' distance on; the largest numbers of two, px.
-
-    All are for a board of exactly the stated size. `size_px` is what the error of its size adds at
-    the distance of the boards.
+    """Maps of the cameras from half the boards' distance on, for a board of exactly the stated
+    size; the largest number of those that are farther; and the statement on the whole.
     """
 
     levels: tuple[FieldLevel, ...]
-    worst_at_boards_px: float
     worst_farther_px: float
-    size_px: float
+    at_boards: PixelSigma
 
 
 def _over_picture(
@@ -210,7 +207,8 @@ def _point_sigmas(
 def uncertainty_maps(result: RigFromShots) -> Uncertainty | None:
     """How well each camera knows where it images a point, for a board of exactly the stated size;
     None without a rig or a covariance."""
-    if result.rig is None or not len(result.rig.parameters):
+    known = result.pixel_sigma
+    if result.rig is None or known is None:
         return None
     levels, worst = [], {}
     rig = rig_of_known_size(result.rig, result.parameters, result.covariance)
@@ -218,13 +216,7 @@ def uncertainty_maps(result: RigFromShots) -> Uncertainty | None:
         maps, worst[times] = _draw_maps(result, rig, times)
         said = f"{times:g} times as far as the boards"
         levels.append(FieldLevel(said, maps, times in (1.0, TUNING.advice.farther)))
-    known = result.pixel_sigma
-    return Uncertainty(
-        tuple(levels),
-        worst[1.0],
-        worst[TUNING.advice.farther],
-        0.0 if known is None else known.size_px,
-    )
+    return Uncertainty(tuple(levels), worst[TUNING.advice.farther], known)
 
 
 def _draw_maps(result: RigFromShots, rig: Rig, times: float) -> tuple[tuple[FieldMap, ...], float]:

@@ -128,10 +128,10 @@ def parameter_rows_of_shots(result: RigFromShots) -> Rows:
 PAIR_HEAD = (
     "cameras",
     "baseline (mm)",
-    "by the board's size",
-    "by everything else",
+    "board's size",
+    "the rest",
     "rotation (deg)",
-    *(f"about {axis} (deg)" for axis in "xyz"),
+    *(f"{axis} (deg)" for axis in "xyz"),
 )
 
 

@@ -199,17 +199,18 @@ def _pixel(subject: Subject) -> Answer | None:
     known = subject.uncertainty
     if known is None:
         return None
+    there = known.at_boards
     words = (
-        "one sigma where it is largest, at the distance of the boards; "
-        f"{with_decimals(known.worst_farther_px, 3)} px three times as far."
+        "one sigma, the median over the images at the distance of the boards; "
+        f"{there.worst_px:.2g} px at the worst place, and {known.worst_farther_px:.2g} px three "
+        "times as far."
     )
-    if known.size_px > 0.0:
+    if there.size_px > 0.0:
         words += (
-            " The error of the board's size, a scale that no image shows, adds "
-            f"{with_decimals(known.size_px, 3)} px."
+            " The error of the board's size, a scale that no image shows, adds up to "
+            f"{there.size_px:.2g} px."
         )
-    figure = f"± {with_decimals(known.worst_at_boards_px, 3)} px"
-    return Answer(known.worst_at_boards_px, figure, words)
+    return Answer(there.worst_px, f"± {there.median_px:.2g} px", words)
 
 
 def _answer_on_set(subject: Subject) -> Answer | None:

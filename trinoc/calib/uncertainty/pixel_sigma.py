@@ -17,28 +17,30 @@ from trinoc.geometry.rig import Rig
 
 class PixelSigma(NamedTuple):
     """Standard deviation, per axis, of the pixel at which a camera images a point fixed in the
-    world, at the distance of the boards and where it is largest over all images.
+    world, at the distance of the boards, over the images of all cameras.
 
     Fields
     ------
-    rest_px : for a board whose size is exact: what the images leave uncertain.
-    size_px : what the error of the board's size adds in quadrature; 0 if the size is exact.
+    median_px, worst_px : for a board whose size is exact: what the images leave uncertain.
+    size_px : the most that the error of the board's size adds in quadrature; 0 if the size is
+        exact.
     """
 
-    rest_px: float
+    median_px: float
+    worst_px: float
     size_px: float
 
     @property
     def sentence(self) -> str:
         """The two parts in words."""
         sentence = (
-            f"a pixel is known to {self.rest_px:.2g} px (one sigma, at the worst place of the "
-            "images and the distance of the boards)"
+            f"a pixel is known to {self.median_px:.2g} px (one sigma, median over the images at "
+            f"the distance of the boards; {self.worst_px:.2g} px at the worst place)"
         )
         if self.size_px > 0.0:
             sentence += (
                 f"; the error of the board's size, a scale that no image shows, adds "
-                f"{self.size_px:.2g} px"
+                f"up to {self.size_px:.2g} px"
             )
         return sentence
 
@@ -69,13 +71,15 @@ def compute_pixel_sigma(
     by_size = _size_of(rig, parameters, covariance)
     parts = (np.asarray(rig.covariance) - by_size, by_size)
     rest_px, size_px = (
-        max(
-            float(np.max(projection_sigma(_with_covariance(rig, part), name, distance).sigma_px))
-            for name, distance in distances_mm.items()
+        np.concatenate(
+            [
+                projection_sigma(_with_covariance(rig, part), name, distance).sigma_px
+                for name, distance in distances_mm.items()
+            ]
         )
         for part in parts
     )
-    return PixelSigma(rest_px, size_px)
+    return PixelSigma(float(np.median(rest_px)), float(rest_px.max()), float(size_px.max()))
 
 
 def _size_of(
