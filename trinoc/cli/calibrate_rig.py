@@ -106,13 +106,12 @@ class CalibrateRigCommand(ReportOption, Command):
         from trinoc.cli.command import provenance
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
-        from trinoc.io.board_json import load_target
         from trinoc.io.images import load_shots
         from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out, self.report)
         expect_replaceable(self.out, Rig, force=self.force)
-        target = one_target([(board.stem, load_target(board)) for board in self.board])
+        target = load_boards(self.board)
         pictures = load_shots(places)
         known, stated = read_lenses(self.lens, pictures)
         beforehand = Systematics.typical({})._replace(
@@ -152,6 +151,13 @@ class CalibrateRigCommand(ReportOption, Command):
             why = result.notes[0].removesuffix(".")
             refusal = f"The rig is SUSPECT, and {self.out} says so: {why}."
         return result, Outcome(text, record, refusal, written=(self.out, self.report))
+
+
+def load_boards(files: tuple[Path, ...]) -> "AbstractTarget":
+    """The board of a layout, or the set of the boards of several; see `one_target`."""
+    from trinoc.io.board_json import load_target
+
+    return one_target([(file.stem, load_target(file)) for file in files])
 
 
 def board_files(files: tuple[Path, ...]) -> dict[str, Path]:

@@ -67,7 +67,7 @@ def test_baselines_and_rotations_scatter_as_is_said():
     runs = 12
     for seed in range(runs):
         result = calibrate_rig(
-            shots(seed=seed, count=4, cameras=("left", "right")),
+            shots(seed=seed, count=6, cameras=("left", "right")),
             BOARD,
             distortion=4,
             systematics=EXACT,
