@@ -99,8 +99,8 @@ def summarise_lens(result: IntrinsicsResult) -> str:
     sigma = result.field_sigma_px
     if np.isfinite(sigma).all():
         lines.append(
-            f"a pixel is known to {np.median(sigma):.2g} px (one sigma, median over the image; "
-            f"{sigma.max():.2g} px at the worst place)"
+            f"the lens images a ray to {np.median(sigma):.2g} px (one sigma, median over the "
+            f"image, a turn of the camera taken out; {sigma.max():.2g} px at the worst place)"
         )
     lines.append(f"sigmas include {', '.join(('noise', *result.systematics))}.")
     lines += [f"picture {index + 1}: {why}" for index, why in result.failures.items()]

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.advice.next_shot import advise_next_image
 from trinoc.calib.detection.detection import Detection, split_by_board
-from trinoc.calib.folded_lens import describe_folded_lens
+from trinoc.calib.folded_lens import describe_folded_lens, hold_folding
 from trinoc.calib.intrinsics_result import IntrinsicsResult
 from trinoc.calib.problem.board_shape import with_board_shape
 from trinoc.calib.problem.coefficients import fewest_coefficients, hold_undetermined
@@ -152,11 +152,12 @@ def calibrate_intrinsics(
     fit = fit_robustly(start.problem)
     misfit = misfit_sentence(fit)
     if misfit is not None:
-        raise CalibrationError(_in_words_of(pattern, misfit))
+        raise CalibrationError(_name_corners(pattern, misfit))
     fit = with_board_shape(fit)
-    held, silent = (), []
+    held, silent, remarks = (), [], ()
     if distortion is None:
         fit, held = hold_undetermined(fit)
+        fit, remarks = hold_folding(fit, (_CAMERA,))
     is_determined, core_fit = assess_fit(fit).status is Status.CONVERGED, fit
     if is_determined and is_splined:
         fit = with_correction(fit, [size_px])
@@ -166,7 +167,7 @@ def calibrate_intrinsics(
     advised = core_fit.problem if is_splined else fit.problem
     index = tuple(names.index(shot) for shot in start.shots)
     result = _result_from_fit(
-        fit, advised, held, silent, index, failures, pixel_pitch_mm, known_board
+        fit, advised, held, silent, index, failures, pixel_pitch_mm, known_board, remarks
     )
     if throw and result.status is not Status.CONVERGED:
         advice = "" if result.next_image is None else f" {result.next_image.sentence}"
@@ -181,7 +182,7 @@ class _LensStart(NamedTuple):
     shots: tuple[str, ...]
 
 
-def _in_words_of(board: AbstractTarget, sentence: str) -> str:
+def _name_corners(board: AbstractTarget, sentence: str) -> str:
     """A sentence on circles, for a board of corners."""
     if isinstance(board, Pattern):
         return sentence
@@ -270,6 +271,7 @@ def _result_from_fit(
     failures: dict[int, str],
     pixel_pitch_mm: tuple[float, float] | None,
     systematics: Systematics,
+    remarks: tuple[str, ...],
 ) -> IntrinsicsResult:
     """What the pictures determine of the lens, and what to do next.
 
@@ -295,7 +297,7 @@ def _result_from_fit(
 
     notes = [
         *filter(None, [folded]),
-        *notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held),
+        *notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held, remarks),
     ]
     free_names = tuple(names[k] for k in free)
     coefficients = [name for name in lens.coefficient_names if name in free_names]
@@ -306,7 +308,7 @@ def _result_from_fit(
         notes += [coefficients_sentence(count, all_names, extra, gain)] if extra else []
     notes += [*list_refusals(fit, where), *silent_sentences(silent, where)]
     reach = reach_sentence(problem) if coefficients else None
-    notes += [] if reach is None else [_in_words_of(problem.target, reach)]
+    notes += [] if reach is None else [_name_corners(problem.target, reach)]
     detected = problem._replace(views=tuple(v._replace(shown=None) for v in problem.views))
     reduced = float(problem.sigma_factor[0] ** 2 * fit.chi_square / max(fit.freedom, 1))
     return IntrinsicsResult(

@@ -63,7 +63,7 @@ class NextImage(NamedTuple):
 
     Fields
     ------
-    words : how to hold the sheet.
+    words : how to hold the board.
     cam_from_world : (3, 4) the pose that these words mean, mm.
     parameter : what it would teach most about.
     sigma_now : its standard deviation; infinite where it is not determined.
@@ -155,7 +155,7 @@ def advise_next_image(
     parameter = name.removeprefix(".")
     cam_from_rig = Pose(np.asarray(problem.state.cam_from_rig)[0])
     return NextImage(
-        words=f"hold the sheet {best.shot.candidate.words.replace('its picture', 'the picture')}",
+        words=f"hold the board {best.shot.candidate.words.replace('its picture', 'the picture')}",
         cam_from_world=np.asarray(
             (cam_from_rig @ best.shot.candidate.rig_from_board).cam_from_world
         ),

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from trinoc.calib.uncertainty.board_size import covariance_of_size
+from trinoc.calib.result.board_size import covariance_of_size
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.geometry.rig import Rig
 
@@ -89,7 +89,7 @@ def _camera_pair(
     )
 
     def place_and_turn(change: Float[np.ndarray, "12"]) -> Float[np.ndarray, "6"]:
-        return _place_and_turn(poses[0].moved(change[:6]), poses[1].moved(change[6:]))
+        return _place_and_turn(poses[0].move(change[:6]), poses[1].move(change[6:]))
 
     there = place_and_turn(np.zeros(len(names)))
     by = _central_differences(place_and_turn, np.concatenate([pose.steps for pose in poses]))
@@ -125,7 +125,7 @@ class _PoseByParameters:
         length = max(float(np.linalg.norm(self._pose.translation_mm)), 1.0)
         self.steps = _STEP * np.array([1.0, 1.0, 1.0, *np.full(3, length / 100.0)])
 
-    def moved(self, change: Float[np.ndarray, "6"]) -> Pose:
+    def move(self, change: Float[np.ndarray, "6"]) -> Pose:
         """The pose with its parameters changed."""
         if not self._is_rigid and self._has_aim:
             radians = np.concatenate([np.radians(change[:3]), change[3:]])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.uncertainty.board_size import covariance_of_size
+from trinoc.calib.result.board_size import covariance_of_size
 from trinoc.calib.uncertainty.propagation import projection_sigma
 from trinoc.geometry.rig import Rig
 
@@ -53,7 +53,9 @@ def rig_of_known_size(
     parameters, covariance : joint covariance of the cameras and the boards; see
     `covariance_of_size`.
     """
-    return _with_covariance(rig, np.asarray(rig.covariance) - _size_of(rig, parameters, covariance))
+    return _with_covariance(
+        rig, np.asarray(rig.covariance) - _size_part(rig, parameters, covariance)
+    )
 
 
 def compute_pixel_sigma(
@@ -68,7 +70,7 @@ def compute_pixel_sigma(
     """
     if not rig.parameters:
         return None
-    by_size = _size_of(rig, parameters, covariance)
+    by_size = _size_part(rig, parameters, covariance)
     parts = (np.asarray(rig.covariance) - by_size, by_size)
     rest_px, size_px = (
         np.concatenate(
@@ -82,7 +84,7 @@ def compute_pixel_sigma(
     return PixelSigma(float(np.median(rest_px)), float(rest_px.max()), float(size_px.max()))
 
 
-def _size_of(
+def _size_part(
     rig: Rig, parameters: tuple[str, ...], covariance: Float[np.ndarray, "p p"]
 ) -> Float[np.ndarray, "k k"]:
     """Part of the rig's own covariance that the error of the board's size makes."""
