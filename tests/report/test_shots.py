@@ -126,7 +126,7 @@ def test_equal_results_give_equal_files(result, tmp_path: Path) -> None:
 def test_names_cannot_break_the_page(result) -> None:
     shots = ("<script>alert(1)</script>", *SHOTS[1:])
     text = render_report(
-        shots=made_up(shots=shots, notes=("<b>bold</b>",), failures={'left "><i>': "no <board>"})
+        shots=made_up(shots=shots, notes=("<b>bold</b>",), failures={'left, "><i>': "no <board>"})
     )
     page = Page(text)
     assert "<script>alert(1)</script>" in page.text
@@ -161,7 +161,7 @@ def test_the_verdict_is_that_of_the_worst_check(changes, level, says) -> None:
 
 def test_pictures_are_counted_by_what_became_of_them(result) -> None:
     views = (result.views[0]._replace(used=np.zeros(len(BOARD), bool)), *result.views[1:])
-    table = shot_table(made_up(views=views, failures={"left 99": "too dark"}))
+    table = shot_table(made_up(views=views, failures={"left, 99": "too dark"}))
     assert [table.count(role) for role in ("used", "left-out", "missing", "none")] == [35, 1, 1, 2]
     assert judged(made_up(views=views, refused=("00: moved.",))).level is Level.CARE
 

@@ -46,7 +46,7 @@ class RigFromShots(eqx.Module):
     sigma_factor : for each camera by how much its places scatter more than their sigmas say.
     reduced_chi_square : after the sigmas were multiplied by it.
     halves : two halves of the shots compared, or None where there are too few.
-    failures : for "camera shot" in which the board was not found, why.
+    failures : for "camera, shot" in which the board was not found, why.
     refused : sentences on shots and pictures that were left out.
     systematics : the errors of the board that the covariance holds, in words.
     notes : sentences on what a user should know.
