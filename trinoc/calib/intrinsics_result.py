@@ -33,7 +33,8 @@ class IntrinsicsResult(eqx.Module):
     rank : of the column-scaled Jacobian, poses apart; len(free) where all is determined.
     reduced_chi_square : chi-square over degrees of freedom.
     field_sigma_px : (5, 5) standard deviation per axis of where the lens images a ray, from
-        corner to corner of the picture, a common turn of the camera apart.
+        corner to corner of the picture, a common turn of the camera apart; NaN where it images
+        none.
     cam_from_world : (k, 3, 4) pose of the board in each picture, mm; of each board in it, if there
         are several.
     detections, residuals_px, used : for each of these its circles or corners, (m, 2) predicted
@@ -97,7 +98,8 @@ def summarise_lens(result: IntrinsicsResult) -> str:
         f"chi2/dof {result.reduced_chi_square:.2f}"
     )
     sigma = result.field_sigma_px
-    if np.isfinite(sigma).all():
+    sigma = sigma[np.isfinite(sigma)]
+    if len(sigma):
         lines.append(
             f"the lens images a ray to {np.median(sigma):.2g} px (one sigma, median over the "
             f"image, a turn of the camera taken out; {sigma.max():.2g} px at the worst place)"

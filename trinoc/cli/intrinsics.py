@@ -119,6 +119,8 @@ class IntrinsicsCommand(Command):
 
 def intrinsics_record(result: "IntrinsicsResult") -> dict[str, Any]:
     """What programs want to know of a lens, as JSON can hold it."""
+    import numpy as np
+
     advice = result.next_image
     return {
         "parameters": {
@@ -130,7 +132,7 @@ def intrinsics_record(result: "IntrinsicsResult") -> dict[str, Any]:
         "circles": sum(int(used.sum()) for used in result.used),
         "rms_px": result.rms_px,
         "reduced_chi_square": result.reduced_chi_square,
-        "largest_sigma_px": float(result.field_sigma_px.max()),
+        "largest_sigma_px": float(np.nanmax(result.field_sigma_px)),
         "sigmas_include": ["noise", *result.systematics],
         "notes": list(result.notes),
         "next_picture": None if advice is None else advice.sentence,

@@ -229,7 +229,8 @@ def _draw_maps(result: RigFromShots, rig: Rig, times: float) -> tuple[tuple[Fiel
         picture = PagePicture(name, *rig[name].image_size_px, "")
         cells = [scale.cell(float(sigma)) for sigma in found.sigma_px]
         maps.append(_over_picture(name, caption, picture, cells))
-        worst = max(worst, float(found.sigma_px.max()))
+        known = found.sigma_px[np.isfinite(found.sigma_px)]
+        worst = max(worst, float(known.max(initial=0.0)))
     return tuple(maps), worst
 
 

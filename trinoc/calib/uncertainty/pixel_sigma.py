@@ -64,7 +64,8 @@ def compute_pixel_sigma(
     covariance: Float[np.ndarray, "p p"],
     distances_mm: Mapping[str, float],
 ) -> PixelSigma | None:
-    """The statement of a rig; None for a rig without a covariance.
+    """The statement of a rig; None for a rig without a covariance. Places at which a lens images no
+    ray do not count.
 
     distances_mm : of the boards from each camera.
     """
@@ -81,7 +82,11 @@ def compute_pixel_sigma(
         )
         for part in parts
     )
-    return PixelSigma(float(np.median(rest_px)), float(rest_px.max()), float(size_px.max()))
+    if not np.isfinite(rest_px).any():
+        return None
+    return PixelSigma(
+        float(np.nanmedian(rest_px)), float(np.nanmax(rest_px)), float(np.nanmax(size_px))
+    )
 
 
 def _size_part(
