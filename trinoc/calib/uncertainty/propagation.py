@@ -31,7 +31,6 @@ from trinoc.numerics.programs import kept_jit
 MAP_PLACES = 5
 # numerical: a place that a lens does not give back after so much has no ray.
 _SAME_PX = 1e-3
-_IN_PLACE = Pose(np.eye(3, 4))
 # Of one camera: its pose, then its lens without distortion.
 _NAMES = PARAMETER_NAMES + AFFINE_PARAMETERS
 # numerical: units.
@@ -180,7 +179,7 @@ def projection_sigma(rig: Rig, camera: str, distance_mm: float) -> FieldSigma:
     places = field_places_px(view.image_size_px).reshape(-1, 2)
     by = np.asarray(_by_parameters(view.pose, lens, places, np.asarray(distance_mm), model))
     variance = np.einsum("nip,pq,niq->n", by, rig.covariance_of(names), by) / 2
-    back_px = project_points(_IN_PLACE, lens, unproject_pixels(lens, places))
+    back_px = project_points(Pose(np.eye(3, 4)), lens, unproject_pixels(lens, places))
     has_ray = np.linalg.norm(back_px - places, axis=1) < _SAME_PX
     return FieldSigma(places, np.where(has_ray, np.sqrt(np.maximum(variance, 0.0)), np.nan))
 
