@@ -6,11 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.capture.made_boards import CHESSBOARD, board_picture, hold_board
 from tests.report.test_shots import made_up
 from trinoc.calib import Status, rig_calibration, rig_from_shots
 from trinoc.cli.main import main
 from trinoc.io import load_target
 from trinoc.io.rig_json import load_rig_status
+from trinoc.io.saving import save
 
 
 @pytest.mark.parametrize(
@@ -96,3 +98,38 @@ def test_a_set_from_pixels_is_refused_by_the_option_and_not_by_its_name_in_pytho
     assert main(["calibrate-rig", "left=pictures", *options]) == 1
     assert "give --method points." in capsys.readouterr().err
     assert not (tmp_path / "rig.json").exists()
+
+
+TURNS = [(35, 0, 5), (-35, 5, -8), (0, 35, 12), (3, -35, 0), (25, 25, -5), (-25, 25, 8)]
+
+
+def test_a_rig_of_two_cameras_states_their_baseline_and_draws_residuals_on_its_images(
+    tmp_path, monkeypatch, capsys
+):
+    """The cameras stand 150 mm apart, turned by .17 rad about y. One image shows no board."""
+    monkeypatch.chdir(tmp_path)
+    save(CHESSBOARD, "board.json")
+    for camera in ("left", "right"):
+        (tmp_path / camera).mkdir()
+        for k, turn in enumerate(TURNS):
+            pose = hold_board((75 + 12 * (k % 3 - 1), 8 * (k % 2), 430.0), turn, CHESSBOARD)
+            image = board_picture(camera, [pose], seed=k, board=CHESSBOARD)
+            cv2.imwrite(f"{camera}/{k}.png", image)
+    cv2.imwrite("left/7.png", np.full_like(image, 120))
+    options = ["--board", "board.json", "--distortion", "0", "--report", "r.html", "--quiet"]
+    assert main(["calibrate-rig", "left=left", "right=right", *options, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    (pair,) = record["pairs"]
+    assert pair["cameras"] == ["left", "right"]
+    baseline, angle = pair["baseline_mm"], pair["angle_deg"]
+    assert abs(baseline["value"] - 150.0) < 5 * baseline["sigma"]
+    assert baseline["sigma_board_size"] == pytest.approx(0.002 * 150.0, rel=0.2)
+    both = np.hypot(baseline["sigma_board_size"], baseline["sigma_rest"])
+    assert both == pytest.approx(baseline["sigma"], rel=1e-6)
+    assert abs(angle["value"] - np.degrees(0.17)) < 5 * angle["sigma"]
+    assert abs(pair["turn_deg"]["y"]["value"]) == pytest.approx(angle["value"], rel=0.05)
+    assert record["pixel_sigma"]["median_px"] < record["pixel_sigma"]["worst_px"]
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert page.count("data:image/jpeg") == 2 * len(TURNS)
+    assert "Residuals of each shot on its image" in page
+    assert "left, 7" in page

@@ -7,6 +7,12 @@ import numpy as np
 import pytest
 
 import trinoc
+from tests.capture.made_boards import (
+    FOCAL_PX,
+    SIZE_PX as BOARD_SIZE_PX,
+    board_picture,
+    hold_board,
+)
 from trinoc.cli.main import main
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
@@ -89,3 +95,32 @@ def test_a_picture_without_sheet_is_named_and_one_alone_fails(folder, capsys):
     assert main(["intrinsics", blank, *sheet]) == 1
     assert "found in no picture" in capsys.readouterr().err
     assert main(["intrinsics", *sheet]) == 2
+
+
+BOARDS = {
+    "chessboard": trinoc.Chessboard(rows=5, columns=7, square_mm=20.0),
+    "charuco": trinoc.Charuco(rows=6, columns=8, square_mm=20.0, marker_mm=15.0),
+    "aprilgrid": trinoc.AprilGrid(rows=3, columns=4, tag_mm=30.0),
+}
+TURNS = [(35, 0, 5), (-35, 5, -8), (0, 35, 12), (3, -35, 0), (25, 25, -5), (-25, 25, 8)]
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_every_board_becomes_a_lens(name, tmp_path, capsys):
+    board, out = BOARDS[name], tmp_path / "camera.json"
+    trinoc.save(board, tmp_path / "board.json")
+    files = []
+    for k, turn in enumerate(TURNS):
+        pose = hold_board((10 * (k % 3 - 1), 8 * (k % 2), 380.0), turn, board)
+        files.append(str(tmp_path / f"{k}.png"))
+        cv2.imwrite(files[-1], board_picture("left", [pose], seed=k, board=board))
+    options = ["--board", str(tmp_path / "board.json"), "--distortion", "1", "-o", str(out)]
+    assert main(["intrinsics", *files, *options, "--json", "--quiet"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["pictures"] == len(TURNS)
+    assert record["sigmas_include"][0] == "noise"
+    focal = record["parameters"]["fx_px"]
+    assert abs(focal["value"] - FOCAL_PX["left"]) < 5 * focal["sigma"] + 1.0
+    lens, covariance = load_intrinsics(out), load_lens_covariance(out)
+    assert lens.image_size_px == BOARD_SIZE_PX
+    assert covariance is not None

@@ -14,8 +14,9 @@ from trinoc.geometry.rig import Rig
 from trinoc.report import write_report
 from trinoc.report.checks import Level, Subject
 from trinoc.report.coverage import Coverage, coverage_by_boards, mean_residuals, places_seen
-from trinoc.report.field_part import halves_maps, uncertainty_maps
+from trinoc.report.field_part import FieldLevel, halves_maps, uncertainty_maps
 from trinoc.report.html import render_report
+from trinoc.report.numbers import with_sigma
 from trinoc.report.shots_part import shot_table
 from trinoc.report.verdict import Verdict, find_verdict
 
@@ -125,7 +126,7 @@ def test_equal_results_give_equal_files(result, tmp_path: Path) -> None:
 def test_names_cannot_break_the_page(result) -> None:
     shots = ("<script>alert(1)</script>", *SHOTS[1:])
     text = render_report(
-        shots=made_up(shots=shots, notes=("<b>bold</b>",), failures={'left "><i>': "no <board>"})
+        shots=made_up(shots=shots, notes=("<b>bold</b>",), failures={'left, "><i>': "no <board>"})
     )
     page = Page(text)
     assert "<script>alert(1)</script>" in page.text
@@ -160,7 +161,7 @@ def test_the_verdict_is_that_of_the_worst_check(changes, level, says) -> None:
 
 def test_pictures_are_counted_by_what_became_of_them(result) -> None:
     views = (result.views[0]._replace(used=np.zeros(len(BOARD), bool)), *result.views[1:])
-    table = shot_table(made_up(views=views, failures={"left 99": "too dark"}))
+    table = shot_table(made_up(views=views, failures={"left, 99": "too dark"}))
     assert [table.count(role) for role in ("used", "left-out", "missing", "none")] == [35, 1, 1, 2]
     assert judged(made_up(views=views, refused=("00: moved.",))).level is Level.CARE
 
@@ -232,5 +233,69 @@ def test_the_maps_grow_as_the_sigmas_of_the_rig(result) -> None:
     for wide, level in zip(doubled.levels, maps.levels, strict=True):
         assert (wide.said, wide.stands) == (level.said, level.stands)
     assert [level.said.split()[0] for level in maps.levels if level.stands] == ["1", "3"]
-    assert doubled.worst_at_boards_px == pytest.approx(2 * maps.worst_at_boards_px)
+    assert doubled.at_boards.median_px == pytest.approx(2 * maps.at_boards.median_px)
+    assert doubled.at_boards.worst_px == pytest.approx(2 * maps.at_boards.worst_px)
     assert doubled.worst_farther_px == pytest.approx(2 * maps.worst_farther_px)
+
+
+def test_one_statement_says_how_well_a_pixel_is_known(result) -> None:
+    """The board's size apart: the cameras' distances share its error, and the maps have none."""
+    parameters, share = result.parameters, 2e-3
+    response = np.array(
+        [1.0 if name == "board.scale_x" else 0.0 for name in parameters]
+        )  # fmt: skip
+    response += [
+        result.rig[name.partition(".")[0]].distance_mm if name.endswith("distance_mm") else 0.0
+        for name in parameters
+    ]
+    noise = np.diag(np.append(np.diag(result.rig.covariance), 0.0))
+    covariance = noise + share**2 * np.outer(response, response)
+    rig = Rig(
+        dict(result.rig.items()),
+        parameters=result.rig.parameters,
+        covariance=covariance[:-1, :-1],
+    )
+    sized, exact = made_up(rig=rig, covariance=covariance), made_up(covariance=noise)
+    now, before = sized.pixel_sigma, exact.pixel_sigma
+    assert now is not None
+    assert before is not None
+    assert before.size_px == 0.0
+    assert "board's size" not in before.sentence
+    assert now.median_px == pytest.approx(before.median_px, rel=1e-6)
+    assert now.worst_px == pytest.approx(before.worst_px, rel=1e-6)
+    # A point at some radius moves by the share of it: nowhere more than at the corner.
+    assert 0.2 * share * 350.0 < now.size_px < 2.0 * share * 350.0
+    maps, same = uncertainty_maps(sized), uncertainty_maps(exact)
+    assert maps is not None
+    assert same is not None
+    for one, other in zip(maps.levels, same.levels, strict=True):
+        assert texts_of(one) == texts_of(other)
+    text = Page(render_report(shots=sized)).text
+    assert text.count(f"adds up to {now.size_px:.2g} px") >= 2
+    assert f"± {now.median_px:.2g} px" in text
+    assert now.sentence in sized.summary()
+
+
+def test_pairs_of_cameras_stand_in_report_summary_and_record(result) -> None:
+    from trinoc.cli.calibrate_rig import rig_record
+
+    page, record = Page(render_report(shots=result)), rig_record(result)
+    assert "How the cameras stand to each other" in page.text
+    assert [pair["cameras"] for pair in record["pairs"]] == [
+        ["upper", "right"],
+        ["upper", "left"],
+        ["right", "left"],
+    ]
+    for pair in result.pairs:
+        assert f"{pair.first}, {pair.second}" in page.text
+        assert with_sigma(pair.baseline_mm, pair.baseline_sigma_mm) in page.text
+    lines = [line for line in result.summary().splitlines() if ": baseline " in line]
+    assert [line.partition(":")[0] for line in lines] == ["upper to right", "upper to left"]
+    alone = made_up(rig=None, status=Status.NOT_CONVERGED)
+    assert rig_record(alone)["pairs"] == []
+    assert "stand to each other" not in render_report(shots=alone)
+
+
+def texts_of(level: FieldLevel) -> list[list[str]]:
+    """The numbers of the maps of one distance."""
+    return [[cell.text for cell in field_map.cells] for field_map in level.maps]

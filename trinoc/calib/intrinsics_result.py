@@ -10,6 +10,7 @@ from trinoc.calib.advice.next_shot import NextImage
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.shots_result import value_words
+from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
@@ -22,7 +23,7 @@ class IntrinsicsResult(eqx.Module):
     ------
     lens : the intrinsics; None unless `status` is CONVERGED, so that nothing undetermined is
         ever read as a result.
-    status : how the fit ended.
+    status : how the fit ended; SUSPECT for a lens that folds the picture.
     parameters : the names of the lens's q parameters, the rows of `covariance`.
     values : (q,) of `parameters`; NaN where not determined.
     covariance : (q, q); zero for parameters that were held, NaN where not determined.
@@ -32,15 +33,18 @@ class IntrinsicsResult(eqx.Module):
     rank : of the column-scaled Jacobian, poses apart; len(free) where all is determined.
     reduced_chi_square : chi-square over degrees of freedom.
     field_sigma_px : (5, 5) standard deviation per axis of where the lens images a ray, from
-        corner to corner of the picture, a common turn of the camera apart.
-    cam_from_world : (k, 3, 4) pose of each picture, mm.
-    detections, residuals_px, used : for each picture its circles, (m, 2) predicted minus
-        observed centres, and (m,) which took part; the others were located wrongly.
+        corner to corner of the picture, a common turn of the camera apart; NaN where it images
+        none.
+    cam_from_world : (k, 3, 4) pose of the board in each picture, mm; of each board in it, if there
+        are several.
+    detections, residuals_px, used : for each of these its circles or corners, (m, 2) predicted
+        minus observed, and (m,) which took part; the others were located wrongly.
     image_index : which of the pictures given each of them is.
     failures : for each picture that was not used, by its index, a sentence that says why.
     notes : sentences on what a user should know.
     next_image : the picture that would teach most, or None.
-    pattern : the sheet.
+    pattern : the board.
+    systematics : the errors of the board that the covariance holds, in words.
     """
 
     lens: Intrinsics | None
@@ -61,7 +65,8 @@ class IntrinsicsResult(eqx.Module):
     failures: dict[int, str] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
     next_image: NextImage | None
-    pattern: Pattern
+    pattern: AbstractTarget
+    systematics: tuple[str, ...] = eqx.field(static=True, default=())
 
     def sigma(self, parameter: str) -> float:
         """Standard deviation of a parameter such as "fx_px"; 0 if held, NaN if not determined."""
@@ -70,7 +75,7 @@ class IntrinsicsResult(eqx.Module):
 
     @property
     def rms_px(self) -> float:
-        """Root mean square length of the residuals of the circles that took part."""
+        """Root mean square length of the residuals of the places that took part."""
         kept = [errors[used] for errors, used in zip(self.residuals_px, self.used, strict=True)]
         return float(np.sqrt(np.mean(np.sum(np.concatenate(kept) ** 2, axis=1))))
 
@@ -86,14 +91,20 @@ def summarise_lens(result: IntrinsicsResult) -> str:
         for name, value in zip(result.parameters, result.values, strict=True)
         if (name in result.free or value != 0.0) and name not in SPLINE_PARAMETERS
     ]
-    circles = sum(int(used.sum()) for used in result.used)
+    count = sum(int(used.sum()) for used in result.used)
+    places = "circles" if isinstance(result.pattern, Pattern) else "corners"
     lines.append(
-        f"{circles} circles in {len(result.detections)} pictures, rms {result.rms_px:.4f} px, "
+        f"{count} {places} in {len(set(result.image_index))} pictures, rms {result.rms_px:.4f} px, "
         f"chi2/dof {result.reduced_chi_square:.2f}"
     )
     sigma = result.field_sigma_px
-    if np.isfinite(sigma).all():
-        lines.append(f"sigma in the picture: {np.median(sigma):.4f} px, at most {sigma.max():.4f}")
+    sigma = sigma[np.isfinite(sigma)]
+    if len(sigma):
+        lines.append(
+            f"the lens images a ray to {np.median(sigma):.2g} px (one sigma, median over the "
+            f"image, a turn of the camera taken out; {sigma.max():.2g} px at the worst place)"
+        )
+    lines.append(f"sigmas include {', '.join(('noise', *result.systematics))}.")
     lines += [f"picture {index + 1}: {why}" for index, why in result.failures.items()]
     lines += list(result.notes)
     if result.next_image is not None:

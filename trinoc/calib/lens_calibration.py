@@ -1,26 +1,27 @@
 """The lens of one camera from several pictures of the sheet: the problem of a rig of one camera.
 
-Free are the lens, but for what is held of it, and the sheet before the camera in each picture; the
-sheet is taken to be as drawn.
+The lens is estimated, except for what is fixed of it, together with the pose of the board in each
+image and what is not exact of the board, as `calibrate_rig` does with one camera.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.advice.next_shot import advise_next_image
-from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection.detection import Detection, split_by_board
+from trinoc.calib.folded_lens import describe_folded_lens, hold_folding
 from trinoc.calib.intrinsics_result import IntrinsicsResult
+from trinoc.calib.problem.board_shape import with_board_shape
 from trinoc.calib.problem.coefficients import fewest_coefficients, hold_undetermined
 from trinoc.calib.problem.lens_correction import with_correction, with_own_correction_sigmas
 from trinoc.calib.problem.outcome import FitOutcome, assess_fit
 from trinoc.calib.problem.problem import Freedom, Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, fit_robustly
 from trinoc.calib.problem.starting_problem import start_problem
-from trinoc.calib.problem.views import View
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import expect_coefficients
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
@@ -34,8 +35,9 @@ from trinoc.calib.shot_messages import (
 )
 from trinoc.calib.starts.camera_start import FEWEST_PLACES, start_camera
 from trinoc.calib.starts.pictures import find_boards
-from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.pattern import A_PATTERN, Pattern
+from trinoc.calib.starts.placing import ShotBoard, of_one_moment, place_rig
+from trinoc.calib.targets.abstract_target import A_BOARD, AbstractTarget
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.propagation import field_places_px, field_sigma_px
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError, check_kind
@@ -55,7 +57,7 @@ _FX, _FY, *_PRINCIPAL_POINT = range(len(AFFINE_PARAMETERS))
 @in_float64
 def calibrate_intrinsics(
     images_or_detections: Sequence[ArrayLike | Detection],
-    pattern: Pattern,
+    pattern: AbstractTarget,
     *,
     image_size_px: tuple[int, int] | None = None,
     distortion: int | None = None,
@@ -64,12 +66,15 @@ def calibrate_intrinsics(
     pixel_pitch_mm: tuple[float, float] | None = None,
     aspect: str = "free",
     method: Literal["points", "pixels"] = "points",
+    systematics: Systematics | None = None,
     throw: bool = True,
 ) -> IntrinsicsResult:
     """Focal lengths, principal point and distortion of a lens, with their covariance.
 
-    images_or_detections : pictures by one camera at one zoom and focus, the sheet held
-        differently in each; or what `detect_pattern` found in them.
+    images_or_detections : pictures by one camera at one zoom and focus, the board held
+        differently in each; or what `detect_target` found in them.
+    pattern : the board: a Pattern, a Chessboard, a Charuco or an AprilGrid; or a BoardSet of
+        several that are fixed to each other.
     image_size_px : (width, height) that all pictures must have.
     distortion : number of coefficients, for Brown-Conrady 0, 1, 2, 4 or 5 of k1, k2, p1, p2, k3.
         As many as the pictures determine unless given; a note says how many they ask for.
@@ -80,36 +85,35 @@ def calibrate_intrinsics(
     pixel_pitch_mm : size of a pixel along u and v, where it is known: the lens then has a
         focal length in millimetres, too.
     aspect : "free", or "pitch" to hold fx / fy at what `pixel_pitch_mm` says (1 without it).
-    method : "points" fits the circles' centres; "pixels" goes on from there to the grey levels near
-        every edge, as `calibrate_rig` does with one camera. It needs pictures, not detections, and
-        frees both focal lengths.
+    method : "points" fits the circles' centres or corners; "pixels" goes on from there to the grey
+        levels near every edge, as `calibrate_rig` does with one camera. It needs pictures, not
+        detections, and frees both focal lengths.
+    systematics : what is known of the board: `print_scale_sigma` and `flatness_mm`, as
+        `Systematics.typical` has them unless given; `Systematics()` for a board that is exact. Its
+        size does not matter to a lens.
     throw : whether an undetermined lens raises; without it the result says so by its status.
 
-    Pictures in which no sheet is found are left out and named in `failures`. Starts from
-    Zhang's method in OpenCV, then least squares over the lens and six parameters of each
-    picture's pose with the exact centres of the circles' images.
+    Pictures in which no board is found are left out and named in `failures`. Starts from
+    Zhang's method in OpenCV, then least squares over the lens, six parameters of each picture's
+    pose and the board's scales and warp, with the exact centres of the circles' images.
 
     Raises
     ------
     InputError : no picture, pictures of different sizes, one picture given twice, or an
         option that is not one of those above.
-    CalibrationError : no sheet in any picture, no lens that explains the circles, or, with
-        `throw`, parameters that the pictures do not determine. The sentence names them and
-        the picture to take next; `result` of the error is the IntrinsicsResult.
+    CalibrationError : no board in any picture, no lens that explains what was found, or, with
+        `throw`, parameters that the pictures do not determine or a lens that folds the picture.
+        The sentence names them and the picture to take next; `result` of the error is the
+        IntrinsicsResult.
     """
-    many = "a list of pictures, or of what detect_pattern found in them"
+    many = "a list of pictures, or of what detect_target found in them"
     check_kind(images_or_detections, (Sequence, np.ndarray), "list of pictures", many)
-    check_kind(pattern, AbstractTarget, "pattern", A_PATTERN)
+    check_kind(pattern, AbstractTarget, "pattern", A_BOARD)
     names = [f"picture {k + 1}" for k in range(len(images_or_detections))]
     pictures = {_CAMERA: dict(zip(names, images_or_detections, strict=True))}
     model = registry.lens_model(_CALLED.get(lens_model, lens_model))
     is_splined = issubclass(model, AbstractSplinedLens) and distortion is None
     core = model.core_model if issubclass(model, AbstractSplinedLens) else model
-    if not isinstance(pattern, Pattern):
-        raise InputError(
-            f"The board {pattern.name!r} is no sheet of circles: give the pictures to "
-            "calibrate_rig, for which one camera alone is a rig, too."
-        )
     expect_method(method, pattern, pictures)
     expect_coefficients(core, distortion)
     if principal_point not in ("free", "centre"):
@@ -119,14 +123,18 @@ def calibrate_intrinsics(
     if aspect != "free" and (method == "pixels" or is_splined):
         what = 'method="pixels"' if method == "pixels" else "A splined lens"
         raise InputError(f"{what} frees both focal lengths: leave out aspect.")
+    known_board = Systematics.typical({}) if systematics is None else systematics
+    known_board.check()
+    known_board = known_board._replace(print_size_sigma=0.0, aim_sigma_mm=0.0)
     found = find_boards(pictures, pattern)
     failures = {names.index(shot): why for (_, shot), why in found.failures.items()}
     detections = _usable(
         {names.index(shot): each for shot, each in found.detections[_CAMERA].items()},
         failures,
         image_size_px,
+        "circles" if isinstance(pattern, Pattern) else "corners",
     )
-    index, size_px = tuple(detections), next(iter(detections.values())).image_size_px
+    size_px = next(iter(detections.values())).image_size_px
     ratio = None
     if aspect == "pitch":
         ratio = 1.0 if pixel_pitch_mm is None else pixel_pitch_mm[1] / pixel_pitch_mm[0]
@@ -134,36 +142,65 @@ def calibrate_intrinsics(
     free[_PRINCIPAL_POINT] = principal_point == "free"
     if distortion is not None:
         free[len(AFFINE_PARAMETERS) + distortion :] = False
-    fit = fit_robustly(_lens_problem(list(detections.values()), pattern, core, free, ratio))
+    seen = {
+        (names[k], board): own
+        for k, each in detections.items()
+        for board, own in split_by_board(each, pattern).items()
+        if len(own) >= FEWEST_PLACES
+    }
+    start = _lens_problem(seen, names, pattern, core, free, ratio, known_board)
+    fit = fit_robustly(start.problem)
     misfit = misfit_sentence(fit)
     if misfit is not None:
-        raise CalibrationError(misfit)
-    held, silent = (), []
+        raise CalibrationError(_name_corners(pattern, misfit))
+    fit = with_board_shape(fit)
+    held, silent, remarks = (), [], ()
     if distortion is None:
         fit, held = hold_undetermined(fit)
+        fit, remarks = hold_folding(fit, (_CAMERA,))
     is_determined, core_fit = assess_fit(fit).status is Status.CONVERGED, fit
     if is_determined and is_splined:
         fit = with_correction(fit, [size_px])
     if is_determined and method == "pixels":
-        shots = tuple(names[k] for k in index)
-        fit, silent = fit_pixels(fit, grey_levels(pictures, (_CAMERA,), shots))
-        fit = with_own_correction_sigmas(fit)
+        fit, silent = fit_pixels(fit, grey_levels(pictures, (_CAMERA,), start.shots))
+        fit = with_own_correction_sigmas(with_board_shape(fit))
     advised = core_fit.problem if is_splined else fit.problem
-    result = _result_from_fit(fit, advised, held, silent, index, failures, pixel_pitch_mm)
+    index = tuple(names.index(shot) for shot in start.shots)
+    result = _result_from_fit(
+        fit, advised, held, silent, index, failures, pixel_pitch_mm, known_board, remarks
+    )
     if throw and result.status is not Status.CONVERGED:
         advice = "" if result.next_image is None else f" {result.next_image.sentence}"
         raise CalibrationError(f"{result.notes[0]}{advice}", {}, result)
     return result
 
 
+class _LensStart(NamedTuple):
+    """problem : where the fit starts. shots : name of the picture of each shot of the problem."""
+
+    problem: Problem
+    shots: tuple[str, ...]
+
+
+def _name_corners(board: AbstractTarget, sentence: str) -> str:
+    """A sentence on circles, for a board of corners."""
+    if isinstance(board, Pattern):
+        return sentence
+    return sentence.replace("circle", "corner").replace("this pattern", "this board")
+
+
 def _usable(
     found: Mapping[int, Detection],
     failures: dict[int, str],
     image_size_px: tuple[int, int] | None,
+    places: str,
 ) -> dict[int, Detection]:
-    """Detections that can take part, by picture; those that cannot join `failures`."""
+    """Detections that can take part, by picture; those that cannot join `failures`.
+
+    places : "circles" or "corners".
+    """
     if not found:
-        raise CalibrationError(f"The sheet was found in no picture. In the first: {failures[0]}")
+        raise CalibrationError(f"The board was found in no picture. In the first: {failures[0]}")
     for index, detection in found.items():
         if image_size_px is not None and tuple(detection.image_size_px) != tuple(image_size_px):
             own, wanted = (
@@ -180,41 +217,49 @@ def _usable(
                 )
     for index, detection in found.items():
         if len(detection) < FEWEST_PLACES:
-            failures[index] = f"only {len(detection)} circles were found: show more of the sheet."
+            failures[index] = f"only {len(detection)} {places} were found: show more of the board."
     usable = {index: each for index, each in found.items() if len(each) >= FEWEST_PLACES}
     if not usable:
         raise CalibrationError(
-            f"No picture shows {FEWEST_PLACES} circles of the sheet: show more of it."
+            f"No picture shows {FEWEST_PLACES} {places} of the board: show more of it."
         )
     return usable
 
 
 def _lens_problem(
-    detections: Sequence[Detection],
-    pattern: Pattern,
+    detections: Mapping[ShotBoard, Detection],
+    names: Sequence[str],
+    board: AbstractTarget,
     model: type[AbstractLens],
     free: Bool[np.ndarray, "q"],
     ratio: float | None,
-) -> Problem:
-    """The rig of one camera. `ratio` : at which fx / fy is held; both change by one step then."""
-    start = start_camera(detections, pattern, model, aspect=ratio)
+    systematics: Systematics,
+) -> _LensStart:
+    """The rig of one camera. `names` : of all pictures, in order. `ratio` : at which fx / fy is
+    held; both change by one step then."""
+    every = list(detections.values())
+    start = start_camera(every, board, model, aspect=ratio)
+    placed = place_rig({_CAMERA: start}, {_CAMERA: detections}, names, board)
     if ratio is not None:
         free = free & (np.arange(len(free)) != _FY)
     problem = start_problem(
-        [View(0, k, each, np.ones(len(each), dtype=bool)) for k, each in enumerate(detections)],
-        pattern,
+        placed.views,
+        board,
         [start.lens],
-        np.eye(3, 4)[None],
-        np.stack([pose.cam_from_world for pose in start.cam_from_board]),
-        [detections[0].image_size_px],
+        placed.cam_from_rig,
+        placed.rig_from_board,
+        [every[0].image_size_px],
         Freedom(np.zeros(1, dtype=int), free[None]),
-        Systematics(),
+        systematics,
+        placed.set_from_board,
     )
+    shots = tuple(of_one_moment(shot, _CAMERA) for shot in placed.shots)
     if ratio is None:
-        return problem
+        return _LensStart(problem, shots)
     basis = np.array(problem.chart.lens_basis)
     basis[0, _FY, _FX] = basis[0, _FY, _FY]
-    return problem._replace(chart=eqx.tree_at(lambda c: c.lens_basis, problem.chart, basis))
+    chart = eqx.tree_at(lambda c: c.lens_basis, problem.chart, basis)
+    return _LensStart(problem._replace(chart=chart), shots)
 
 
 def _result_from_fit(
@@ -225,6 +270,8 @@ def _result_from_fit(
     index: tuple[int, ...],
     failures: dict[int, str],
     pixel_pitch_mm: tuple[float, float] | None,
+    systematics: Systematics,
+    remarks: tuple[str, ...],
 ) -> IntrinsicsResult:
     """What the pictures determine of the lens, and what to do next.
 
@@ -233,16 +280,25 @@ def _result_from_fit(
     problem, outcome = fit.problem, assess_fit(fit)
     status, information, *_ = outcome
     lens, size_px = lens_number(problem, 0), problem.image_sizes_px[0]
-    names, free = lens.parameter_names, information.free
+    names = lens.parameter_names
+    free = [k for k in information.free if k < problem.chart.lens_count]
     covariance, gauge = _lens_covariance(problem, outcome)
     values = np.array(lens.parameters)
     values[gauge] = np.nan
     gauge_names = tuple(names[k] for k in np.flatnonzero(gauge))
 
+    intrinsics, folded = Intrinsics.of_lens(simplify_lens(lens), size_px, pixel_pitch_mm), None
+    if status is Status.CONVERGED:
+        folded = describe_folded_lens({_CAMERA: intrinsics})
+        status = Status.CONVERGED if folded is None else Status.SUSPECT
+
     def where(_: int, shot: int) -> str:
         return f"Picture {index[shot] + 1}"
 
-    notes = [*notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held)]
+    notes = [
+        *filter(None, [folded]),
+        *notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held, remarks),
+    ]
     free_names = tuple(names[k] for k in free)
     coefficients = [name for name in lens.coefficient_names if name in free_names]
     if coefficients and status is Status.CONVERGED and not isinstance(lens, AbstractSplinedLens):
@@ -252,22 +308,22 @@ def _result_from_fit(
         notes += [coefficients_sentence(count, all_names, extra, gain)] if extra else []
     notes += [*list_refusals(fit, where), *silent_sentences(silent, where)]
     reach = reach_sentence(problem) if coefficients else None
-    notes += [] if reach is None else [reach]
+    notes += [] if reach is None else [_name_corners(problem.target, reach)]
     detected = problem._replace(views=tuple(v._replace(shown=None) for v in problem.views))
     reduced = float(problem.sigma_factor[0] ** 2 * fit.chi_square / max(fit.freedom, 1))
-    pattern = problem.target
-    assert isinstance(pattern, Pattern)
     return IntrinsicsResult(
-        lens=Intrinsics.of_lens(simplify_lens(lens), size_px, pixel_pitch_mm)
-        if status is Status.CONVERGED
-        else None,
+        lens=intrinsics if status is Status.CONVERGED else None,
         status=status,
         parameters=names,
         values=values if status is not Status.NOT_CONVERGED else np.full_like(values, np.nan),
         covariance=covariance,
         free=free_names,
         gauge=gauge_names,
-        rank=information.observability.rank,
+        rank=sum(
+            int(k < problem.chart.lens_count)
+            for row, k in enumerate(information.free)
+            if row not in information.observability.gauge
+        ),
         reduced_chi_square=reduced if fit.freedom > 0 else float("nan"),
         field_sigma_px=np.asarray(
             field_sigma_px(lens.with_parameters(values), covariance, field_places_px(size_px))
@@ -278,25 +334,34 @@ def _result_from_fit(
         detections=[view.detection for view in problem.views],
         residuals_px=errors_px(detected),
         used=[view.used for view in problem.views],
-        image_index=index,
+        image_index=tuple(index[view.shot] for view in problem.views),
         failures=failures,
         notes=tuple(notes),
         next_image=advise_next_image(
             advised,
-            _lens_information(advised, outcome),
+            _lens_information(advised, problem, outcome),
             outcome.variance_factor,
             gauge_names,
         ),
-        pattern=pattern,
+        pattern=problem.target,
+        systematics=systematics.words,
     )
 
 
-def _lens_information(core: Problem, outcome: FitOutcome) -> Float[np.ndarray, "f f"]:
-    """On the free steps of a lens, or of its core, whatever the splines are."""
+def _lens_information(
+    core: Problem, wide: Problem, outcome: FitOutcome
+) -> Float[np.ndarray, "f f"]:
+    """On the free steps of a lens, or of its core, whatever the splines are.
+
+    wide : the problem that was fitted, with the splines if there are any.
+    """
     information, free = outcome.information, np.flatnonzero(core.chart.free)
     if len(free) < len(information.free):
-        # The steps of the core come first.
-        return np.linalg.inv(outcome.covariance[: len(free), : len(free)])
+        # The steps of the core's lens come first, those of its board behind those of all lenses.
+        of_board = np.flatnonzero(information.free >= wide.chart.lens_count)
+        of_lens = int((free < core.chart.lens_count).sum())
+        rows = np.concatenate([np.arange(of_lens), of_board[: len(free) - of_lens]])
+        return np.linalg.inv(outcome.covariance[np.ix_(rows, rows)])
     whole = information.of_shot.sum(axis=0)[np.ix_(free, free)] / outcome.variance_factor
     return whole + information.prior
 
@@ -307,7 +372,9 @@ def _lens_covariance(
     """Of the lens's parameters, zero for those that are held, NaN for those that are open; and
     which these are."""
     information = outcome.information
-    by_free = np.asarray(problem.chart.lens_basis)[0][:, information.free]
+    by_lens = np.asarray(problem.chart.lens_basis)[0]
+    by_head = np.pad(by_lens, ((0, 0), (0, len(problem.chart.free) - by_lens.shape[1])))
+    by_free = by_head[:, information.free]
     covariance = by_free @ outcome.covariance @ by_free.T
     is_open = np.any(by_free[:, list(information.observability.gauge)] != 0, axis=1)
     covariance[is_open], covariance[:, is_open] = np.nan, np.nan

@@ -16,7 +16,7 @@ from trinoc.calib.rig_fit import CameraChoice, Knowledge
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
-from trinoc.geometry.intrinsics import Intrinsics, describe_fold
+from trinoc.geometry.intrinsics import FOLD_REMEDY, Intrinsics, describe_fold
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.tails import chi_square_tail, normal_limit
 
@@ -73,7 +73,9 @@ def failure_sentence(
 def _with_fold(failed: str, lens: Intrinsics, otherwise: str) -> str:
     """What failed, with the fold of the lens as its cause, or with what else to do."""
     fold = describe_fold(lens)
-    return f"{failed}: {otherwise}" if fold is None else f"{failed}, as the lens {fold}"
+    if fold is None:
+        return f"{failed}: {otherwise}"
+    return f"{failed}, as the lens {fold}: {FOLD_REMEDY}"
 
 
 def is_suspect(tests: Sequence[Alternative], reduced_chi_square: float) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection, split_by_board
+from trinoc.calib.folded_lens import hold_folding
 from trinoc.calib.lens_selection import (
     LENSES_TRIED,
     HeldOut,
@@ -135,8 +136,10 @@ def calibrate_rig(
     if method == "pixels":
         fit, silent = fit_pixels(fit, grey_levels(images, cameras, placed.shots))
         fit = with_own_correction_sigmas(with_board_shape(fit))
+    fixed: tuple[str, ...] = ()
     if distortion is None:
         fit, held = hold_undetermined(fit)
+        fit, fixed = hold_folding(fit, cameras)
     result = result_from_fit(
         fit,
         placed.shots,
@@ -144,7 +147,7 @@ def calibrate_rig(
         {camera: own for camera, own in known.items() if camera not in factors},
         world=world,
         held=held,
-        remarks=(*found.remarks, *remarks),
+        remarks=(*found.remarks, *remarks, *fixed),
         silent=silent,
         refused=(*placed.refused, *_remarks_on_places(found)),
         failures={f"{camera}, {shot}": why for (camera, shot), why in found.failures.items()},

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from trinoc.calib.advice.halves import compare_halves, cross_validate
 from trinoc.calib.advice.next_shot import NextShot, advise_next_shot
+from trinoc.calib.folded_lens import describe_folded_lens
 from trinoc.calib.problem.misfit_causes import find_causes
 from trinoc.calib.problem.named_covariance import (
     World,
@@ -81,6 +82,9 @@ def result_from_fit(
     place = _choose_world(world, shots, problem, cameras)
     status, information, enlarged, factor = outcome
     good, said = status is Status.CONVERGED, None
+    folded = describe_folded_lens(_lenses(problem, cameras, known)) if good else None
+    if folded is not None:
+        good, said, status = False, folded, Status.SUSPECT
     if good:
         lenses, said = HeldLenses.of(fit, cameras), say_strained_lens(problem, cameras)
         said = said or (lenses and lenses.say_what_is_refuted())
@@ -163,6 +167,18 @@ def _choose_world(
     )
 
 
+def _lenses(
+    problem: Problem, cameras: tuple[str, ...], known: Mapping[str, Intrinsics]
+) -> dict[str, Intrinsics]:
+    """Lens of each camera: the given one, or the fitted one."""
+    sizes, lenses = problem.image_sizes_px, {}
+    for number, camera in enumerate(cameras):
+        lens = lens_number(problem, int(problem.chart.lens_of_camera[number]))
+        own = Intrinsics.of_lens(simplify_lens(lens), sizes[number])
+        lenses[camera] = known.get(camera) or own
+    return lenses
+
+
 def _rig(
     problem: Problem,
     cameras: tuple[str, ...],
@@ -172,11 +188,11 @@ def _rig(
     covariance: Float[np.ndarray, "p p"],
 ) -> Rig:
     """The cameras, with the covariance of everything that is theirs and was fitted."""
-    sizes, members = problem.image_sizes_px, {}
-    for number, (camera, pose) in enumerate(zip(cameras, cam_from_world, strict=True)):
-        lens = lens_number(problem, int(problem.chart.lens_of_camera[number]))
-        intrinsics = known.get(camera) or Intrinsics.of_lens(simplify_lens(lens), sizes[number])
-        members[camera] = Camera(intrinsics, pose)
+    lenses = _lenses(problem, cameras, known)
+    members = {
+        camera: Camera(lens, pose)
+        for (camera, lens), pose in zip(lenses.items(), cam_from_world, strict=True)
+    }
     # What is held, and the pose of a camera that is the world, has the variance of rounding.
     sigma = np.sqrt(np.diag(covariance))
     kept = [

@@ -7,9 +7,12 @@ from jaxtyping import Float
 from trinoc.calib.problem.problem import EndedProblem
 from trinoc.calib.problem.views import View
 from trinoc.calib.result.calibration import Status
+from trinoc.calib.result.camera_pairs import CameraPair, camera_pairs
 from trinoc.calib.result.halves import CrossValidation, HalvesCheck
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import IN_SET_NAMES, board_names, list_boards
+from trinoc.calib.uncertainty.pixel_sigma import PixelSigma, compute_pixel_sigma
+from trinoc.errors import InputError
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
@@ -21,8 +24,9 @@ class RigFromShots(eqx.Module):
     Fields
     ------
     rig : the cameras in the world, with a covariance that holds their lenses, too; None unless
-        `status` is CONVERGED or SUSPECT.
-    status : how the fit ended; SUSPECT where the shots refute a lens that was given.
+        `status` is CONVERGED or SUSPECT, and None if a fitted lens folds its image.
+    status : how the fit ended; SUSPECT where the shots refute a lens that was given, or if a fitted
+        lens folds its image.
     parameters : names such as "left.pan_deg", "left.fx_px", "board.warp_x_mm".
     values : (p,) of `parameters`; NaN where not determined.
     covariance : (p, p), degrees, mm and px; zero for what was held, NaN where not determined.
@@ -42,7 +46,7 @@ class RigFromShots(eqx.Module):
     sigma_factor : for each camera by how much its places scatter more than their sigmas say.
     reduced_chi_square : after the sigmas were multiplied by it.
     halves : two halves of the shots compared, or None where there are too few.
-    failures : for "camera shot" in which the board was not found, why.
+    failures : for "camera, shot" in which the board was not found, why.
     refused : sentences on shots and pictures that were left out.
     systematics : the errors of the board that the covariance holds, in words.
     notes : sentences on what a user should know.
@@ -84,6 +88,43 @@ class RigFromShots(eqx.Module):
     def value(self, parameter: str) -> float:
         """Value of a parameter such as "left.fx_px"."""
         return float(self.values[self.parameters.index(parameter)])
+
+    @property
+    def pairs(self) -> tuple[CameraPair, ...]:
+        """Baseline and relative rotation of each pair of cameras, with sigmas; none without a rig.
+
+        The first camera with each other one comes first.
+        """
+        if self.rig is None:
+            return ()
+        return camera_pairs(self.rig, self.parameters, self.covariance)
+
+    @property
+    def pixel_sigma(self) -> PixelSigma | None:
+        """How well a pixel is known at the distance of the boards; None without a rig."""
+        if self.rig is None:
+            return None
+        distances_mm = {name: self.board_distance_mm(name) for name in self.cameras}
+        return compute_pixel_sigma(self.rig, self.parameters, self.covariance, distances_mm)
+
+    def board_distance_mm(self, camera: str) -> float:
+        """Median distance from a camera to the middle of the boards that it saw; of all boards if
+        it saw none. Raises InputError without a rig."""
+        if self.rig is None:
+            raise InputError(f"There is no rig, and so no distances: {self.status.value}")
+        number = self.cameras.index(camera)
+        used = [v for v in self.views if v.camera == number and v.used.any()]
+        seen = {(view.shot, view.board) for view in used}
+        seen = seen or {(shot, 0) for shot in range(len(self.world_from_board))}
+        shots, boards = np.array(sorted(seen)).T
+        poses = self.world_from_board[shots]
+        extents = [np.asarray(board.centres_mm) for board in list_boards(self.target)]
+        middles = np.stack([(own.min(axis=0) + own.max(axis=0)) / 2 for own in extents])
+        fixed = self.reference_from_board
+        middles = np.einsum("bij,bj->bi", fixed[:, :, :2], middles) + fixed[:, :, 3]
+        places = np.einsum("sij,sj->si", poses[:, :, :3], middles[boards]) + poses[:, :, 3]
+        centre = np.asarray(self.rig[camera].centre_world_mm)
+        return float(np.median(np.linalg.norm(places - centre, axis=1)))
 
     @property
     def fixed_boards(self) -> tuple[str, ...]:
@@ -139,10 +180,13 @@ def summarise_shots(result: RigFromShots) -> str:
     ]
     lines += result.fixed_boards
     lines.append(f"world: {result.world}")
+    lines += [_pair_sentence(pair) for pair in result.pairs[: len(result.cameras) - 1]]
     lines.append(
-        f"lengths: as long as the board's are; it was said to be {_extent(result.target)} mm from "
-        "first to last place, which no picture can check"
+        f"scale: taken from the board, {_extent(result.target)} mm from the first to the last "
+        "corner or circle centre; no image can check it"
     )
+    if result.pixel_sigma is not None:
+        lines.append(result.pixel_sigma.sentence)
     if result.halves is not None:
         lines.append(
             f"halves of the shots differ by {result.halves.ratio:.2f} claimed sigmas over "
@@ -155,6 +199,34 @@ def summarise_shots(result: RigFromShots) -> str:
     lines += list(result.notes) + list(result.refused)
     lines += [f"{where}: {why}" for where, why in result.failures.items()]
     return "\n".join(lines)
+
+
+def _pair_sentence(pair: CameraPair) -> str:
+    """Baseline and relative rotation of two cameras, with sigmas."""
+    baseline = value_words(pair.baseline_mm, pair.baseline_sigma_mm)
+    if pair.size_sigma_mm > pair.rest_sigma_mm:
+        baseline += (
+            f" mm ({_two_digits(pair.size_sigma_mm)} by the board's size, "
+            f"{_two_digits(pair.rest_sigma_mm)} by everything else)"
+        )
+    else:
+        baseline += " mm"
+    turns = ", ".join(
+        f"{axis} {value_words(value, sigma)}"
+        for axis, value, sigma in zip("xyz", pair.turn_deg, pair.turn_sigma_deg, strict=True)
+    )
+    return (
+        f"{pair.first} to {pair.second}: baseline {baseline}, rotation "
+        f"{value_words(pair.angle_deg, pair.angle_sigma_deg)} degrees ({turns} about the axes of "
+        f"{pair.first})"
+    )
+
+
+def _two_digits(value: float) -> str:
+    """A positive number with two significant digits, without an exponent."""
+    if not (np.isfinite(value) and value > 0.0):
+        return "0"
+    return f"{value:.{max(0, 1 - int(np.floor(np.log10(value))))}f}"
 
 
 def _extent(target: AbstractTarget) -> str:

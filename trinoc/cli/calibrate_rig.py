@@ -14,6 +14,7 @@ from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
     from trinoc.calib.advice.next_shot import NextShot
+    from trinoc.calib.result.camera_pairs import CameraPair
     from trinoc.calib.result.halves import FieldDifference
     from trinoc.calib.shots_result import RigFromShots
     from trinoc.calib.targets.abstract_target import AbstractTarget
@@ -105,13 +106,12 @@ class CalibrateRigCommand(ReportOption, Command):
         from trinoc.cli.command import provenance
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
-        from trinoc.io.board_json import load_target
         from trinoc.io.images import load_shots
         from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out, self.report)
         expect_replaceable(self.out, Rig, force=self.force)
-        target = one_target([(board.stem, load_target(board)) for board in self.board])
+        target = load_boards(self.board)
         pictures = load_shots(places)
         known, stated = read_lenses(self.lens, pictures)
         beforehand = Systematics.typical({})._replace(
@@ -137,7 +137,13 @@ class CalibrateRigCommand(ReportOption, Command):
         save(result, self.out, provenance=made_by)
         advice = next_shot(result)
         said = "" if advice is None else advice.sentence
-        self.write_report(made_by, shots=result, title="Rig from many shots", advice=said)
+        self.write_report(
+            made_by,
+            shots=result,
+            shot_pictures=pictures,
+            title="Rig from many shots",
+            advice=said,
+        )
         text = "\n".join(filter(None, [result.summary(), said]))
         record = {**rig_record(result), "next_shot": shot_record(advice)}
         refusal = None
@@ -145,6 +151,13 @@ class CalibrateRigCommand(ReportOption, Command):
             why = result.notes[0].removesuffix(".")
             refusal = f"The rig is SUSPECT, and {self.out} says so: {why}."
         return result, Outcome(text, record, refusal, written=(self.out, self.report))
+
+
+def load_boards(files: tuple[Path, ...]) -> "AbstractTarget":
+    """The board of a layout, or the set of the boards of several; see `one_target`."""
+    from trinoc.io.board_json import load_target
+
+    return one_target([(file.stem, load_target(file)) for file in files])
 
 
 def board_files(files: tuple[Path, ...]) -> dict[str, Path]:
@@ -194,11 +207,30 @@ def field_record(field: "FieldDifference") -> dict[str, Any]:
     }
 
 
+def pair_record(pair: "CameraPair") -> dict[str, Any]:
+    """Baseline and relative rotation of two cameras, as JSON can hold it."""
+    return {
+        "cameras": [pair.first, pair.second],
+        "baseline_mm": {
+            "value": pair.baseline_mm,
+            "sigma": pair.baseline_sigma_mm,
+            "sigma_board_size": pair.size_sigma_mm,
+            "sigma_rest": pair.rest_sigma_mm,
+        },
+        "angle_deg": {"value": pair.angle_deg, "sigma": pair.angle_sigma_deg},
+        "turn_deg": {
+            axis: {"value": float(value), "sigma": float(sigma)}
+            for axis, value, sigma in zip("xyz", pair.turn_deg, pair.turn_sigma_deg, strict=True)
+        },
+        "second_from_first": pair.second_from_first.tolist(),
+    }
+
+
 def rig_record(result: "RigFromShots") -> dict[str, Any]:
     """What programs want to know of a rig from many shots, as JSON can hold it."""
     from trinoc.calib.targets.board_set import board_names
 
-    halves, held_out = result.halves, result.cross_validation
+    halves, held_out, known = result.halves, result.cross_validation, result.pixel_sigma
     return {
         "parameters": {
             name: {"value": float(value), "sigma": result.sigma(name)}
@@ -213,6 +245,14 @@ def rig_record(result: "RigFromShots") -> dict[str, Any]:
                 "sigma_factor": result.sigma_factor[name],
             }
             for k, name in enumerate(result.cameras)
+        },
+        "pairs": [pair_record(pair) for pair in result.pairs],
+        "pixel_sigma": None
+        if known is None
+        else {
+            "median_px": known.median_px,
+            "worst_px": known.worst_px,
+            "board_size_px": known.size_px,
         },
         "shots": list(result.shots),
         "world": result.world,

@@ -1,4 +1,4 @@
-"""`trinoc intrinsics`, `undistort`: a lens from pictures of the sheet; pictures without a lens."""
+"""`trinoc intrinsics`, `undistort`: a lens from pictures of a board; pictures without a lens."""
 
 import dataclasses
 from collections.abc import Collection, Iterable, Mapping
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from trinoc.cli.command import LOGGER, BoardFile, Command, Out, Outcome, UsageError, each
+from trinoc.cli.command import LOGGER, Command, Out, Outcome, UsageError, each
 from trinoc.cli.lens_options import expect_pixel_pitch
 from trinoc.cli.views import expect_names, files_of_rig, make_folder, read_rig
 from trinoc.errors import InputError
@@ -24,16 +24,20 @@ NO_PITCH = (0.0, 0.0)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class IntrinsicsCommand(Command):
-    """Find focal length, principal point and distortion from several pictures of the sheet."""
+    """Find focal length, principal point and distortion from several pictures of a board."""
 
     images: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
         tyro.conf.arg(metavar="IMG", help_behavior_hint="(required)"),
     ]
-    """Pictures by one camera at one zoom and focus, the sheet held differently in each."""
+    """Pictures by one camera at one zoom and focus, the board held differently in each."""
 
-    board: BoardFile
-    """Layout of the sheet (JSON), as `trinoc pattern` writes it."""
+    board: Annotated[
+        tyro.conf.UseAppendAction[tuple[Path, ...]],
+        tyro.conf.arg(aliases=("--pattern",), metavar="FILE", help_behavior_hint="(required)"),
+    ]
+    """Layout of the board (JSON), as `trinoc pattern` writes it: sheet or board. Given several
+    times for boards that are fixed to each other."""
 
     lens_model: Literal[
         "brown_conrady",
@@ -68,7 +72,8 @@ class IntrinsicsCommand(Command):
     of both focal lengths) at that of the pixels."""
 
     method: Literal["points", "pixels"] = "points"
-    """Fit the circles' centres, or go on from there to the grey levels near every edge."""
+    """Fit the places that the detector found, or go on to the grey levels near every edge of a
+    sheet of circles or a chessboard."""
 
     out: Out = Path("camera.json")
     """Where the lens goes."""
@@ -76,21 +81,21 @@ class IntrinsicsCommand(Command):
     def run(self, command_line: str) -> Outcome:
         """Calibrate the lens and write it."""
         if not self.images:
-            raise UsageError("No picture is given: give several pictures of the sheet.")
+            raise UsageError("No picture is given: give several pictures of the board.")
         pitch_mm = None if self.pixel_pitch_mm == NO_PITCH else self.pixel_pitch_mm
         expect_pixel_pitch(pitch_mm, "--pixel-pitch-mm is")
 
         from trinoc.calib.lens_calibration import calibrate_intrinsics
+        from trinoc.cli.calibrate_rig import board_files, load_boards
         from trinoc.cli.command import provenance
         from trinoc.geometry.intrinsics import Intrinsics
         from trinoc.io.atomic import expect_place
-        from trinoc.io.board_json import load_pattern
         from trinoc.io.images import read_image
         from trinoc.io.saving import expect_replaceable, save
 
         expect_place(self.out)
         expect_replaceable(self.out, Intrinsics, force=self.force)
-        pattern = load_pattern(self.board)
+        pattern = load_boards(self.board)
         images = [read_image(path) for path in each(self.images, "reading", quiet=self.quiet)]
         LOGGER.info("calibrating the lens of %d pictures", len(images))
         result = calibrate_intrinsics(
@@ -107,25 +112,28 @@ class IntrinsicsCommand(Command):
         save(
             result,
             self.out,
-            provenance=provenance(command_line, {**inputs, "board": self.board}),
+            provenance=provenance(command_line, {**inputs, **board_files(self.board)}),
         )
         return Outcome(result.summary(), intrinsics_record(result), written=(self.out,))
 
 
 def intrinsics_record(result: "IntrinsicsResult") -> dict[str, Any]:
     """What programs want to know of a lens, as JSON can hold it."""
+    import numpy as np
+
     advice = result.next_image
     return {
         "parameters": {
             name: {"value": float(value), "sigma": result.sigma(name), "free": name in result.free}
             for name, value in zip(result.parameters, result.values, strict=True)
         },
-        "pictures": len(result.detections),
+        "pictures": len(set(result.image_index)),
         "failures": {str(index + 1): why for index, why in result.failures.items()},
         "circles": sum(int(used.sum()) for used in result.used),
         "rms_px": result.rms_px,
         "reduced_chi_square": result.reduced_chi_square,
-        "largest_sigma_px": float(result.field_sigma_px.max()),
+        "largest_sigma_px": float(np.nanmax(result.field_sigma_px)),
+        "sigmas_include": ["noise", *result.systematics],
         "notes": list(result.notes),
         "next_picture": None if advice is None else advice.sentence,
     }

@@ -1,13 +1,15 @@
 """The program `trinoc`: what holds from the first moment to the last byte of output.
 
 Imports take a second, in which Ctrl-C is an interruption like any other; whoever reads the output
-may stop reading it; a program that is told to end removes its scratch files.
+may stop reading it; a program that is told to end removes its scratch files. Python's own warnings
+are not shown, and an unexpected exception becomes one sentence and a file.
 """
 
 import gc
 import os
 import signal
 import sys
+import warnings
 from types import FrameType
 
 INTERRUPTED, READER_GONE = 130, 141
@@ -19,6 +21,7 @@ def run() -> int:
     # Matrices here have some hundred rows: threads of OpenBLAS wait for each other longer than they
     # work, and on busy cores take a hundred times as long.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    _hide_warnings()
     # Imports and traces make what stays: looking through it so often takes a tenth of a command.
     gc.set_threshold(50_000, 20, 20)
     try:
@@ -36,7 +39,21 @@ def run() -> int:
         # Python would complain again at exit, when it flushes what nobody reads.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return READER_GONE
+    except Exception as error:
+        from trinoc.cli.error_report import report_error
+
+        return report_error(error, sys.argv[1:])
     return status
+
+
+def _hide_warnings() -> None:
+    """Hide the warnings of Python and NumPy, here and in child processes.
+
+    They name lines of code, which do not help a user. `python -W` and PYTHONWARNINGS show them.
+    """
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+        os.environ["PYTHONWARNINGS"] = "ignore"
 
 
 def _end(number: int, _: FrameType | None) -> None:

@@ -80,7 +80,7 @@ class WatchCommand(ReportOption, Command):
         places = self._places()
         kind = self._kind(places)
         target = self._target()
-        self._expect_results("" in places, target)
+        self._expect_results("" in places)
         from trinoc.serving.sources import open_source
 
         # Before the page is shown: what is no source ends the command.
@@ -148,21 +148,20 @@ class WatchCommand(ReportOption, Command):
             )
         return target
 
-    def _expect_results(self, is_lens: bool, target: "AbstractTarget") -> None:
+    def _expect_results(self, is_lens: bool) -> None:
         """Before anything is watched, that what is to come of it can be written."""
         if self.out is None:
             return
 
-        from trinoc.calib.targets.pattern import Pattern
         from trinoc.geometry.intrinsics import Intrinsics
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
         from trinoc.io.saving import expect_replaceable
 
-        if is_lens and (self.report is not None or not isinstance(target, Pattern)):
+        if is_lens and self.report is not None:
             raise UsageError(
-                "Of a camera without a name comes a lens, which has no report and takes a sheet of "
-                f"circles: name it, such as camera={self.sources[0]}, and a rig of one comes."
+                "Of a camera without a name comes a lens, which has no report: name it, such as "
+                f"camera={self.sources[0]}, and a rig of one comes."
             )
         expect_place(self.out, self.report)
         expect_replaceable(self.out, Intrinsics if is_lens else Rig, force=self.force)
@@ -247,7 +246,8 @@ class WatchCommand(ReportOption, Command):
             else:
                 folder, names = Path(self.sources[0]), [s.name for s in session.shots if s.good]
             images = tuple(folder / name for name in names)
-            found = IntrinsicsCommand(images=images, board=self.board, **shared).run(command_line)
+            command = IntrinsicsCommand(images=images, board=(self.board,), **shared)
+            found = command.run(command_line)
             session.announce("The lens is calibrated.", [f"written: {self.out}"], is_last=is_last)
             return found
 

@@ -13,6 +13,7 @@ from trinoc.errors import InputError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.polynomial import Pinhole
 from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, lens_model
+from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.numerics.buckets import in_bucket
 from trinoc.numerics.precision import (
     ArrayLike,
@@ -27,6 +28,10 @@ from trinoc.numerics.programs import kept_jit
 
 # What to give where a lens is wanted.
 A_LENS = "trinoc.Intrinsics, such as load reads from a camera.json"
+# What to do about a given lens that folds the image.
+FOLD_REMEDY = (
+    "check the distortion's coefficients, their order, signs and unit, or fit fewer of them."
+)
 
 
 class Intrinsics(eqx.Module):
@@ -235,11 +240,17 @@ def _positive_pair(
 
 @in_float64
 def describe_fold(lens: Intrinsics) -> str | None:
-    """Words that end a sentence on a lens whose distortion folds the picture; None where it folds
-    beyond all corners, or nowhere.
+    """Return what a distortion does that folds the image, as the end of a sentence without a stop;
+    None if it folds beyond all corners, or nowhere.
 
-    Beyond the fold two rays meet one pixel, and none meets the pixels farther out.
+    Beyond the fold two rays meet one pixel, and none meets the pixels farther out. `FOLD_REMEDY`
+    says what the owner of a given lens can do.
     """
+    if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:
+        return (
+            "folds the picture: neighbouring control points of its correction differ by "
+            f"{lens.lens.steepness():.2g} times their distance"
+        )
     width, height = lens.image_size_px
     corners = np.array([(u, v) for u in (0, width - 1) for v in (0, height - 1)], dtype=float)
     away_px = np.linalg.norm(corners - np.asarray(lens.principal_point_px), axis=1).max()
@@ -248,8 +259,7 @@ def describe_fold(lens: Intrinsics) -> str | None:
         return None
     return (
         f"folds the picture {fold_px:.0f} px from the principal point, where corners lie "
-        f"{away_px:.0f} px away: check the distortion's coefficients, their order and signs, or "
-        "fit fewer of them."
+        f"{away_px:.0f} px away"
     )
 
 

@@ -10,10 +10,9 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics, describe_fold
+from trinoc.geometry.intrinsics import FOLD_REMEDY, Intrinsics, describe_fold
 from trinoc.geometry.lenses.registry import LENS_MODELS, promote_lens
-from trinoc.geometry.lenses.splined import AbstractSplinedLens
-from trinoc.geometry.rig import at_one_place
+from trinoc.geometry.rig import Rig, at_one_place
 from trinoc.io.json_document import Block, read_document, write_document
 from trinoc.numerics.tables import is_covariance
 
@@ -45,12 +44,7 @@ def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
         )
     fold = describe_fold(lens)
     if fold is not None:
-        raise InputError(f"{where} has a distortion that {fold}")
-    if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:
-        raise InputError(
-            f"{where} has a correction that folds the picture: neighbouring control points differ "
-            f"by {lens.lens.steepness():.2g} times their distance. Check their order and unit (px)."
-        )
+        raise InputError(f"{where} has a distortion that {fold}: {FOLD_REMEDY}")
     return lens
 
 
@@ -66,6 +60,20 @@ def expect_pitch(pitch_mm: tuple[float, float] | None, where: str) -> None:
             f"{said}, which looks like {unit}: write {in_mm[0]:g} {in_mm[1]:g} millimetres."
         )
     raise InputError(f"{said}, which no pixel has: give its width and height in millimetres.")
+
+
+def expect_readable(value: Rig | Intrinsics, where: str) -> None:
+    """Raise InputError for lenses and cameras that a reader of the file would refuse.
+
+    Readers and writers share this check, so that a file that is written can be read. `where` begins
+    the sentence.
+    """
+    if isinstance(value, Intrinsics):
+        expect_lens(value, f"{where}: the lens")
+        return
+    for name, camera in value.items():
+        expect_lens(camera.intrinsics, f'{where}: the camera "{name}"')
+    expect_apart(dict(value.items()), where)
 
 
 def expect_apart(cameras: Mapping[str, Camera], where: str) -> None:
@@ -138,8 +146,9 @@ def save_intrinsics(
     """Write a camera.json; `provenance` says how the lens came to be known.
 
     `covariance` (q, q) is of the parameters of the lens (of Brown-Conrady for an ideal one), zero
-    for those that were held.
+    for those that were held. Raises InputError for a lens that `load_intrinsics` would refuse.
     """
+    expect_readable(intrinsics, f"{path} was not written")
     document: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,

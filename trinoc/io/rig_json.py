@@ -16,6 +16,7 @@ from trinoc.io.atomic import read_text, write_text
 from trinoc.io.intrinsics_json import (
     CONVENTIONS,
     expect_apart,
+    expect_readable,
     intrinsics_from_block,
     intrinsics_to_block,
     load_intrinsics,
@@ -192,8 +193,10 @@ def save_rig(
 ) -> None:
     """Write a rig.json; `provenance` says how the rig came to be known, `status` how well.
 
-    Raises InputError for a covariance that is not finite: it is no statement about errors.
+    Raises InputError for a covariance that is not finite, and for lenses and cameras that
+    `load_rig` would refuse.
     """
+    expect_readable(rig, f"{path} was not written")
     if not np.isfinite(np.asarray(rig.covariance)).all():
         raise InputError(
             f"{path} was not written, because the covariance of the rig is not finite: calibrate "

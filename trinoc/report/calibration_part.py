@@ -12,7 +12,9 @@ from trinoc.geometry.rig import Rig
 from trinoc.report.coverage import Coverage
 from trinoc.report.numbers import with_decimals, with_sign
 from trinoc.report.parameter_table import (
+    PAIR_HEAD,
     Rows,
+    pair_rows,
     parameter_rows,
     parameter_rows_of_boards,
     parameter_rows_of_shots,
@@ -85,7 +87,8 @@ class CamerasPart(NamedTuple):
     """Parameters of cameras and boards, what the sigmas include, and how each fit ended.
 
     remarks : sentences on the numbers; `reference` is what they are compared with, or "".
-    fixed : sentences on how boards are fixed to each other.
+    fixed : sentences on how boards are fixed to each other. pairs : rows on how cameras stand to
+    each other, under `pair_head`.
     """
 
     names: tuple[str, ...]
@@ -96,6 +99,8 @@ class CamerasPart(NamedTuple):
     meanings: tuple[tuple[str, str], ...] = ()
     boards: Rows = ()
     fixed: tuple[str, ...] = ()
+    pairs: tuple[tuple[str, ...], ...] = ()
+    pair_head: tuple[str, ...] = PAIR_HEAD
 
 
 class SheetPart(NamedTuple):
@@ -133,6 +138,7 @@ def cameras_part_of_shots(result: RigFromShots) -> CamerasPart:
         (_DIGITS, _sigmas_sentence(result), f"The world is {result.world}.", *result.notes),
         boards=parameter_rows_of_boards(result),
         fixed=tuple(f"{said.replace('+-', '±')}." for said in result.fixed_boards),
+        pairs=pair_rows(result),
     )
 
 

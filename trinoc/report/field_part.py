@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.shots_result import RigFromShots
-from trinoc.calib.targets.board_set import list_boards
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.uncertainty.pixel_sigma import PixelSigma, rig_of_known_size
 from trinoc.calib.uncertainty.propagation import epipolar_sigma, point_covariance, projection_sigma
 from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import Matches
@@ -97,11 +97,13 @@ class FieldPart(NamedTuple):
 
 
 class Uncertainty(NamedTuple):
-    """Maps of the cameras from half the boards' distance on; the largest numbers of two, px."""
+    """Maps of the cameras from half the boards' distance on, for a board of exactly the stated
+    size; the largest number of those that are farther; and the statement on the whole.
+    """
 
     levels: tuple[FieldLevel, ...]
-    worst_at_boards_px: float
     worst_farther_px: float
+    at_boards: PixelSigma
 
 
 def _over_picture(
@@ -203,48 +205,33 @@ def _point_sigmas(
 
 
 def uncertainty_maps(result: RigFromShots) -> Uncertainty | None:
-    """How well each camera knows where it images a point; None without a rig or a covariance."""
-    if result.rig is None or not len(result.rig.parameters):
+    """How well each camera knows where it images a point, for a board of exactly the stated size;
+    None without a rig or a covariance."""
+    known = result.pixel_sigma
+    if result.rig is None or known is None:
         return None
     levels, worst = [], {}
+    rig = rig_of_known_size(result.rig, result.parameters, result.covariance)
     for times in DISTANCES:
-        maps, worst[times] = _draw_maps(result, result.rig, times)
+        maps, worst[times] = _draw_maps(result, rig, times)
         said = f"{times:g} times as far as the boards"
         levels.append(FieldLevel(said, maps, times in (1.0, TUNING.advice.farther)))
-    return Uncertainty(tuple(levels), worst[1.0], worst[TUNING.advice.farther])
+    return Uncertainty(tuple(levels), worst[TUNING.advice.farther], known)
 
 
 def _draw_maps(result: RigFromShots, rig: Rig, times: float) -> tuple[tuple[FieldMap, ...], float]:
     maps, worst = [], 0.0
     for name in result.cameras:
-        distance = times * _distance_mm(result, rig, name)
+        distance = times * result.board_distance_mm(name)
         found = projection_sigma(rig, name, distance)
         scale = Scale.of(found.sigma_px)
         caption = f"{with_decimals(distance, 0)} mm away, {scale.px}"
         picture = PagePicture(name, *rig[name].image_size_px, "")
         cells = [scale.cell(float(sigma)) for sigma in found.sigma_px]
         maps.append(_over_picture(name, caption, picture, cells))
-        worst = max(worst, float(found.sigma_px.max()))
+        known = found.sigma_px[np.isfinite(found.sigma_px)]
+        worst = max(worst, float(known.max(initial=0.0)))
     return tuple(maps), worst
-
-
-def _distance_mm(result: RigFromShots, rig: Rig, camera: str) -> float:
-    """The median from the camera to the middle of the boards that it saw."""
-    number, middles = result.cameras.index(camera), _middles_mm(result)
-    seen = {(v.shot, v.board) for v in result.views if v.camera == number and v.used.any()}
-    seen = seen or {(shot, 0) for shot in range(len(result.world_from_board))}
-    shots, which = np.array(sorted(seen)).T
-    boards = result.world_from_board[shots]
-    places = np.einsum("sij,sj->si", boards[:, :, :3], middles[which]) + boards[:, :, 3]
-    return float(np.median(np.linalg.norm(places - rig[camera].centre_world_mm, axis=1)))
-
-
-def _middles_mm(result: RigFromShots) -> np.ndarray:
-    """(b, 3) of the boards, in the frame of the first."""
-    extents = [np.asarray(board.centres_mm) for board in list_boards(result.target)]
-    middles = np.stack([(own.min(axis=0) + own.max(axis=0)) / 2 for own in extents])
-    fixed = result.reference_from_board
-    return np.einsum("bij,bj->bi", fixed[:, :, :2], middles) + fixed[:, :, 3]
 
 
 def halves_maps(result: RigFromShots) -> tuple[tuple[FieldMap, ...], ...]:

@@ -13,6 +13,7 @@ from markupsafe import Markup, escape
 
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.shots_result import RigFromShots
+from trinoc.calib.starts.pictures import Pictures
 from trinoc.errors import InputError
 from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
@@ -39,6 +40,7 @@ from trinoc.report.field_part import field_part, halves_maps, uncertainty_maps
 from trinoc.report.frames_part import FramesPart
 from trinoc.report.matches_part import matches_part
 from trinoc.report.pictures import PagePicture, page_pictures
+from trinoc.report.shot_images_part import shot_images_part
 from trinoc.report.shots_part import boards_in_space, shot_table
 from trinoc.report.space_part import SpaceFigure, draw_plans, space_figure
 from trinoc.report.verdict import Verdict, find_verdict
@@ -67,6 +69,7 @@ def write_report(
     *,
     result: CalibrationResult | None = None,
     shots: RigFromShots | None = None,
+    shot_pictures: Mapping[str, Pictures] | None = None,
     sheet_pictures: Mapping[str, np.ndarray] | None = None,
     rig: Rig | None = None,
     segments: Mapping[str, Segments] | None = None,
@@ -90,7 +93,9 @@ def write_report(
 
     Parameters
     ----------
-    shots : what `calibrate_rig` found, alone, with `advice`, a sentence on what to do next.
+    shots : what `calibrate_rig` found, alone, with `advice`, a sentence on what to do next, and
+        `shot_pictures`, the images that it was given, on which residuals are drawn. They may be
+        functions; those of at most 12 shots per camera are called.
     result : a calibration, with `sheet_pictures`, (rows, columns[, channels]) per camera.
     rig : the cameras that `matches` was made with; by default that of `result`.
     segments, matches : found in `scene_pictures`, each optional.
@@ -110,6 +115,7 @@ def write_report(
         render_report(
             result=result,
             shots=shots,
+            shot_pictures=shot_pictures,
             sheet_pictures=sheet_pictures,
             rig=rig,
             segments=segments,
@@ -132,6 +138,7 @@ def render_report(
     *,
     result: CalibrationResult | None = None,
     shots: RigFromShots | None = None,
+    shot_pictures: Mapping[str, Pictures] | None = None,
     sheet_pictures: Mapping[str, np.ndarray] | None = None,
     rig: Rig | None = None,
     segments: Mapping[str, Segments] | None = None,
@@ -152,7 +159,14 @@ def render_report(
         if result is not None or matches is not None or segments:
             raise InputError("A report on many shots stands alone: write another for the rest.")
         parts, subject = _parts_of_shots(shots, advice)
-        return _render(title, parts, subject, provenance)
+        images = shot_images_part(shots, shot_pictures)
+        if images is None:
+            return _render(title, parts, subject, provenance)
+        anchors = [part.anchor for part in parts]
+        title_of_images = "Residuals of each shot on its image"
+        place = anchors.index("shots") + 1
+        parts.insert(place, ReportPart("shot-images", title_of_images, "shot_images", images))
+        return _render(title, parts, subject, provenance, images.pictures)
     rig = rig if rig is not None else (result.rig if result is not None else None)
     if rig is None:
         raise InputError("A report needs a rig or a calibration: give at least one of them.")

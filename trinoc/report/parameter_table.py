@@ -8,7 +8,13 @@ from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.targets.board_set import board_names
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
-from trinoc.report.numbers import significant_decimals, with_decimals, with_sigma, with_sign
+from trinoc.report.numbers import (
+    millimetres,
+    significant_decimals,
+    with_decimals,
+    with_sigma,
+    with_sign,
+)
 
 LABELS = {
     "pan_deg": "pan (deg)",
@@ -116,6 +122,34 @@ def parameter_rows_of_shots(result: RigFromShots) -> Rows:
         )
         for name in names
         if name not in SPLINE_PARAMETERS
+    )
+
+
+PAIR_HEAD = (
+    "cameras",
+    "baseline (mm)",
+    "board's size",
+    "the rest",
+    "rotation (deg)",
+    *(f"{axis} (deg)" for axis in "xyz"),
+)
+
+
+def pair_rows(result: RigFromShots) -> tuple[tuple[str, ...], ...]:
+    """Baseline and relative rotation of each pair of cameras, the cells of `PAIR_HEAD`."""
+    return tuple(
+        (
+            f"{pair.first}, {pair.second}",
+            with_sigma(pair.baseline_mm, pair.baseline_sigma_mm),
+            f"± {millimetres(pair.size_sigma_mm)}",
+            f"± {millimetres(pair.rest_sigma_mm)}",
+            with_sigma(pair.angle_deg, pair.angle_sigma_deg),
+            *(
+                with_sigma(float(value), float(sigma))
+                for value, sigma in zip(pair.turn_deg, pair.turn_sigma_deg, strict=True)
+            ),
+        )
+        for pair in result.pairs
     )
 
 

@@ -87,7 +87,14 @@ class Arrows(NamedTuple):
         return float(at[0] + self.times * residual[0]), float(at[1] + self.times * residual[1])
 
 
-def page_picture(key: str, picture: np.ndarray | None, size_px: tuple[int, int]) -> PagePicture:
+def page_picture(
+    key: str,
+    picture: np.ndarray | None,
+    size_px: tuple[int, int],
+    *,
+    longest_side_px: int = LONGEST_SIDE_PX,
+    quality: int = JPEG_QUALITY,
+) -> PagePicture:
     """A (h, w) or (h, w, 3) picture of any depth as a JPEG data URI of bounded size.
 
     Eight-bit pictures keep their grey levels; others are stretched to the range they use.
@@ -105,13 +112,11 @@ def page_picture(key: str, picture: np.ndarray | None, size_px: tuple[int, int])
         array = _stretch_levels(array.astype(np.float64))
     if array.ndim == 3:
         array = array[..., 0] if array.shape[2] == 1 else array[..., 2::-1]
-    shrink = LONGEST_SIDE_PX / max(width, height)
+    shrink = longest_side_px / max(width, height)
     if shrink < 1:
         size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
         array = cv2.resize(array, size, interpolation=cv2.INTER_AREA)
-    _, data = cv2.imencode(
-        ".jpg", np.ascontiguousarray(array), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    )
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(array), [cv2.IMWRITE_JPEG_QUALITY, quality])
     text = base64.b64encode(data.tobytes()).decode("ascii")
     return PagePicture(key, width, height, f"data:image/jpeg;base64,{text}")
 

@@ -45,8 +45,8 @@ def shot_table(result: RigFromShots) -> ShotTable:
         rows.setdefault((result.cameras[view.camera], result.shots[view.shot]), []).append(k)
     cells = {place: _shot_cell(result, own) for place, own in rows.items()}
     for picture, why in result.failures.items():
-        camera = max((c for c in result.cameras if picture.startswith(f"{c} ")), key=len)
-        place = camera, picture.removeprefix(f"{camera} ")
+        camera = max((c for c in result.cameras if picture.startswith(f"{c}, ")), key=len)
+        place = camera, picture.removeprefix(f"{camera}, ")
         cells.setdefault(place, ShotCell("not found", why, "missing"))
     shots = dict.fromkeys([*result.shots, *sorted(shot for _, shot in cells)])
     none = ShotCell("\N{EN DASH}", "no picture", "none")

@@ -191,7 +191,7 @@ def _held_out(subject: Subject) -> Answer | None:
     errors = found.across_px or found.own_px
     worst = max(errors, key=lambda name: errors[name])
     by = "placed by another camera" if found.across_px else "placed by itself"
-    words = f"rms of the places in {worst}, the board {by}; lenses and cameras from the others."
+    words = f"rms over {worst}, the board {by}; lenses and cameras from the other shots."
     return Answer(errors[worst], f"{with_decimals(errors[worst], 3)} px", words)
 
 
@@ -199,12 +199,18 @@ def _pixel(subject: Subject) -> Answer | None:
     known = subject.uncertainty
     if known is None:
         return None
+    there = known.at_boards
     words = (
-        "one sigma where it is largest, at the distance of the boards; "
-        f"{with_decimals(known.worst_farther_px, 3)} px three times as far."
+        "one sigma, the median over the images at the distance of the boards; "
+        f"{there.worst_px:.2g} px at the worst place, and {known.worst_farther_px:.2g} px three "
+        "times as far."
     )
-    figure = f"± {with_decimals(known.worst_at_boards_px, 3)} px"
-    return Answer(known.worst_at_boards_px, figure, words)
+    if there.size_px > 0.0:
+        words += (
+            " The error of the board's size, a scale that no image shows, adds up to "
+            f"{there.size_px:.2g} px."
+        )
+    return Answer(there.worst_px, f"± {there.median_px:.2g} px", words)
 
 
 def _answer_on_set(subject: Subject) -> Answer | None:
@@ -354,7 +360,7 @@ CHECKS = (
         bad=FAR_APART,
     ),
     Limits(
-        "How far off are shots held out?", "shots", None,
+        "How large is the held-out residual?", "shots", None,
         "If that is much more than the residuals: more shots, at more places and tilts.",
         _held_out,
     ),

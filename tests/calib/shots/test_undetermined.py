@@ -50,7 +50,7 @@ def test_pictures_square_to_the_camera_leave_focal_length_and_distance_open(monk
     assert {"fx_px", "fy_px"} <= set(result.gauge)
     assert np.isnan(result.values[:2]).all()
     assert np.isnan(result.sigma("fx_px"))
-    assert re.search("Next picture: hold the sheet .* tilted", str(caught.value))
+    assert re.search("Next picture: hold the board .* tilted", str(caught.value))
     # Rounding may leave less than no information on what is open; it is none.
     (problem, information, *others) = asked[0]
     known, directions = np.linalg.eigh(information)

@@ -113,7 +113,10 @@ def test_a_wrong_size_of_the_squares_shows_in_no_residual_and_the_summary_says_s
         for mm in (25.0, 26.0)
     )
     assert wrong.rms_px() == pytest.approx(right.rms_px(), rel=1e-6)
-    assert "it was said to be 130 x 104 mm from first to last place" in wrong.summary()
+    assert (
+        "scale: taken from the board, 130 x 104 mm from the first to the last corner"
+        in wrong.summary()
+    )
     assert "print size" in wrong.summary()
 
 

@@ -10,6 +10,7 @@ from trinoc.calib import (
     point_covariance,
     projection_sigma,
 )
+from trinoc.calib.uncertainty.propagation import field_places_px, field_sigma_px
 from trinoc.calib.uncertainty.systematics import Systematics, data_sheet_covariance
 from trinoc.geometry import (
     epipolar_distance_px,
@@ -128,3 +129,23 @@ def test_an_error_of_the_principal_point_is_that_of_every_pixel() -> None:
     known = Rig(dict(rig.items()), parameters=names, covariance=np.diag(of_axis**2))
     sigmas = projection_sigma(known, "left", 500.0).sigma_px
     np.testing.assert_allclose(sigmas, 0.3, rtol=1e-9)
+
+
+def test_places_beyond_the_image_circle_of_a_fisheye_have_no_sigma():
+    """The corners lie 593 px from the middle of the picture, where this lens images no ray."""
+    lens = Intrinsics(
+        image_size_px=(848, 800),
+        focal_length_px=290.0,
+        distortion=(0.04, -0.028, 0.0, 0.0),
+        distortion_model="kannala_brandt",
+    )
+    camera = Camera.from_degrees(lens, pan_deg=10, tilt_deg=50, swing_deg=0, distance_mm=400)
+    known = Rig({"a": camera}, parameters=["a.fx_px", "a.k1"], covariance=np.diag([0.01, 1e-8]))
+    sigma = projection_sigma(known, "a", 400.0).sigma_px.reshape(5, 5)
+    assert np.isnan(sigma[[0, 0, -1, -1], [0, -1, 0, -1]]).all()
+    assert np.isfinite(sigma[1:-1, 1:-1]).all()
+    assert np.nanmax(sigma) < 10.0
+    covariance = np.diag([0.01, 0.01, 0.0, 0.0, 1e-8, 0.0, 0.0, 0.0])
+    of_lens = np.asarray(field_sigma_px(lens.lens, covariance, field_places_px((848, 800))))
+    np.testing.assert_array_equal(np.isnan(of_lens), np.isnan(sigma))
+    assert np.nanmax(of_lens) < 10.0

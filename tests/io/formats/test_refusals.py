@@ -40,7 +40,15 @@ def written(name, folder, value=RIG):
 
 
 def rig_of(lens, *names):
-    return Rig({name: Camera(lens, Pose(POSE)) for name in names or ("a", "b")})
+    """Cameras with one lens and one direction, 100 mm apart."""
+    aside = np.zeros((3, 4))
+    aside[0, 3] = 100.0
+    return Rig(
+        {
+            name: Camera(lens, Pose(POSE + number * aside))
+            for number, name in enumerate(names or ("a", "b"))
+        }
+    )
 
 
 def skewed():

@@ -44,9 +44,10 @@ class NextShot(NamedTuple):
     @property
     def sentence(self) -> str:
         """The advice for people."""
+        share = 100.0 * (1.0 - self.error_then_px / self.error_now_px)
         sentence = (
-            f"Next, {self.words}: where lenses and cameras are known worst, they would then err by "
-            f"{self.error_then_px:.2g} px instead of {self.error_now_px:.2g} px"
+            f"Next, {self.words}: the largest error of lenses and cameras would fall by "
+            f"{max(share, 0.0):.0f} %"
         )
         name = self.parameter
         if name is None:
@@ -62,7 +63,7 @@ class NextImage(NamedTuple):
 
     Fields
     ------
-    words : how to hold the sheet.
+    words : how to hold the board.
     cam_from_world : (3, 4) the pose that these words mean, mm.
     parameter : what it would teach most about.
     sigma_now : its standard deviation; infinite where it is not determined.
@@ -154,7 +155,7 @@ def advise_next_image(
     parameter = name.removeprefix(".")
     cam_from_rig = Pose(np.asarray(problem.state.cam_from_rig)[0])
     return NextImage(
-        words=f"hold the sheet {best.shot.candidate.words.replace('its picture', 'the picture')}",
+        words=f"hold the board {best.shot.candidate.words.replace('its picture', 'the picture')}",
         cam_from_world=np.asarray(
             (cam_from_rig @ best.shot.candidate.rig_from_board).cam_from_world
         ),

@@ -29,11 +29,11 @@ class CrossValidation(NamedTuple):
     def sentence(self) -> str:
         """The errors in words."""
         sentence = (
-            f"shots held out are missed by {_list_errors(self.own_px)}, the board placed by the "
-            "camera itself"
+            f"held-out residual (rms of shots that were not fitted): {_list_errors(self.own_px)} "
+            "with the board placed by the camera itself"
         )
         if self.across_px:
-            sentence += f", and by {_list_errors(self.across_px)}, placed by another camera"
+            sentence += f", {_list_errors(self.across_px)} with it placed by another camera"
         return sentence
 
 

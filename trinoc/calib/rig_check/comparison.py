@@ -120,8 +120,11 @@ def _change_over_field(now: Rig, before: Rig, name: str) -> tuple[float, float]:
     if not (now.parameters and before.parameters):
         return float(np.sqrt(np.mean(squared))), float("nan")
     variance = sum(projection_sigma(rig, name, distance_mm).sigma_px ** 2 for rig in (now, before))
-    known = np.where(variance > 0, variance, np.nan)
-    return float(np.sqrt(np.mean(squared))), float(np.sqrt(np.mean(squared / (2 * known))))
+    known = np.asarray(variance) > 0
+    if not known.any():
+        return float(np.sqrt(np.mean(squared))), float("nan")
+    over_variance = squared[known] / (2 * np.asarray(variance)[known])
+    return float(np.sqrt(np.mean(squared))), float(np.sqrt(np.mean(over_variance)))
 
 
 def _apart(first: Camera, second: Camera) -> tuple[float, float]:

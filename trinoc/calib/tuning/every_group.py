@@ -244,6 +244,10 @@ class AnswerTuning:
     cut_share: float = 0.01
     # Sheet, board or lens is another than was said beyond so many of the stated sigmas.
     strain_sigmas: float = 4.0
+    # Coefficients with which a distortion folds the picture are fixed at 0 where the rms residual
+    # grows by no more than this factor. It grows by 1.07 for a T265 fisheye, whose focal length
+    # then moves by .2 %, and by 4.6 for a made lens, whose principal point moves by 24 px.
+    most_rise_by_fixing: float = 1.2
     # A distortion is held by places that reach this share of the way to the corners.
     enough_reach: float = 0.8
     # Knowing lens or print so many times as well is worth saying where it narrows sigmas by this

@@ -15,7 +15,12 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.geometry.projection import project_by_matrix, project_point
+from trinoc.geometry.projection import (
+    project_by_matrix,
+    project_point,
+    project_points,
+    unproject_pixels,
+)
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.geometry.triangulation import triangulate_point
@@ -24,6 +29,8 @@ from trinoc.numerics.programs import kept_jit
 
 # numerical: places across the picture, along each side, of maps for people.
 MAP_PLACES = 5
+# numerical: a place that a lens does not give back after so much has no ray.
+_SAME_PX = 1e-3
 # Of one camera: its pose, then its lens without distortion.
 _NAMES = PARAMETER_NAMES + AFFINE_PARAMETERS
 # numerical: units.
@@ -156,8 +163,9 @@ def projection_sigma(rig: Rig, camera: str, distance_mm: float) -> FieldSigma:
 
     They are over its field, at a distance from it along each pixel's ray.
     Errors of lens and pose compensate each other where the board was, and no longer do so much
-    nearer or farther: that is what this tells. Raises InputError for a rig without a covariance,
-    or a distance that is not positive.
+    nearer or farther: that is what this tells. NaN where the lens images no ray, as beyond the
+    image circle of a fisheye. Raises InputError for a rig without a covariance, or a distance that
+    is not positive.
     """
     if not distance_mm > 0:
         raise InputError(f"distance_mm is {distance_mm}, but must be positive.")
@@ -171,7 +179,9 @@ def projection_sigma(rig: Rig, camera: str, distance_mm: float) -> FieldSigma:
     places = field_places_px(view.image_size_px).reshape(-1, 2)
     by = np.asarray(_by_parameters(view.pose, lens, places, np.asarray(distance_mm), model))
     variance = np.einsum("nip,pq,niq->n", by, rig.covariance_of(names), by) / 2
-    return FieldSigma(places, np.sqrt(np.maximum(variance, 0.0)))
+    back_px = project_points(Pose(np.eye(3, 4)), lens, unproject_pixels(lens, places))
+    has_ray = np.linalg.norm(back_px - places, axis=1) < _SAME_PX
+    return FieldSigma(places, np.where(has_ray, np.sqrt(np.maximum(variance, 0.0)), np.nan))
 
 
 def field_places_px(image_size_px: tuple[int, int]) -> Float[np.ndarray, "5 5 2"]:
@@ -214,9 +224,11 @@ def field_sigma_px(
     """Standard deviation, per axis, of where the lens images a given ray.
 
     A turn of the camera that all places share is taken out: whoever poses the camera finds
-    it again, and a principal point that is off looks like one.
+    it again, and a principal point that is off looks like one. NaN where the lens images no ray.
     """
     rays = jax.vmap(lens.unproject)(places_px.reshape(-1, 2))
+    misses_px = jax.vmap(lens.project_ray)(rays) - places_px.reshape(-1, 2)
+    has_ray = jnp.repeat(jnp.sum(misses_px * misses_px, axis=1) < _SAME_PX * _SAME_PX, 2)
 
     def pixel(
         values: Float[Array, "q"], turn: Float[Array, "3"], ray: Float[Array, "3"]
@@ -226,8 +238,11 @@ def field_sigma_px(
     values, still = jnp.asarray(lens.parameters), jnp.zeros(3, rays.dtype)
     by_both = jax.vmap(jax.jacfwd(pixel, argnums=(0, 1)), in_axes=(None, None, 0))
     by_lens, by_turn = by_both(values, still, rays)
-    by_lens, by_turn = by_lens.reshape(-1, len(values)), by_turn.reshape(-1, 3)
+    by_lens, by_turn = (
+        jnp.where(has_ray[:, None], by.reshape(2 * len(rays), -1), 0.0) for by in (by_lens, by_turn)
+    )
     turn_of_lens = jnp.linalg.solve(by_turn.T @ by_turn, by_turn.T @ by_lens)
     remaining = by_lens - by_turn @ turn_of_lens
     variance = jnp.einsum("iq,qr,ir->i", remaining, covariance, remaining)
+    variance = jnp.where(has_ray, variance, jnp.nan)
     return jnp.sqrt(jnp.mean(variance.reshape(MAP_PLACES, MAP_PLACES, 2), axis=2))

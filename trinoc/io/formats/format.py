@@ -17,7 +17,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import expect_place
-from trinoc.io.intrinsics_json import expect_apart, expect_lens
+from trinoc.io.intrinsics_json import expect_readable
 from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.tables import Table
@@ -141,7 +141,7 @@ class Format:
                     f"{target}: {self.title} is written as {' or '.join(self.endings)}: choose "
                     "such a name."
                 )
-        _expect_writable(value)
+        _expect_writable(value, target)
         self.write(value, target, self._unit(unit_mm))
 
     def load(
@@ -165,7 +165,8 @@ class Format:
         if not source.exists():
             raise InputError(f"{source} does not exist: check the name.")
         value = self.read(source, self._unit(unit_mm), lenses)
-        _expect_usable(value, source)
+        if isinstance(value, (Rig, Intrinsics)):
+            expect_readable(value, str(source))
         return value if names is None else _rename_cameras(value, tuple(names), source)
 
     def lost(self, value: object) -> tuple[str, ...]:
@@ -216,8 +217,9 @@ def _plain(value: object) -> object:
     return value
 
 
-def _expect_writable(value: object) -> None:
-    """Raise InputError for names that no text holds, and for numbers that are not finite."""
+def _expect_writable(value: object, target: Path) -> None:
+    """Raise InputError for names that no text holds, for numbers that are not finite, and for
+    lenses and cameras that a reader refuses."""
     match value:
         case Rig():
             names, lenses = value.names, [camera.intrinsics for camera in value.cameras]
@@ -239,17 +241,8 @@ def _expect_writable(value: object) -> None:
             f"The {type(value).__name__} has numbers that are not finite: calibrate or match again "
             "so that all are determined."
         )
-
-
-def _expect_usable(value: object, source: Path) -> None:
-    """Raise InputError for lenses that fold their picture and for cameras at one place."""
-    match value:
-        case Rig():
-            for name, camera in value.items():
-                expect_lens(camera.intrinsics, f'{source}: the camera "{name}"')
-            expect_apart(dict(value.items()), str(source))
-        case Intrinsics():
-            expect_lens(value, f"{source}: the lens")
+    if isinstance(value, (Rig, Intrinsics)):
+        expect_readable(value, f"{target} was not written")
 
 
 def _rename_cameras(value: object, names: tuple[str, ...], source: Path) -> Rig:

@@ -15,7 +15,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.errors import InputError, MatchError, check_kind
-from trinoc.geometry.intrinsics import Intrinsics, describe_fold, undistort_pixels
+from trinoc.geometry.intrinsics import (
+    FOLD_REMEDY,
+    Intrinsics,
+    describe_fold,
+    undistort_pixels,
+)
 from trinoc.geometry.rig import A_RIG, Rig, at_one_place
 from trinoc.geometry.segments import (
     DEFAULT_SIGMA_PX,
@@ -265,7 +270,7 @@ def _check_lenses(names: Iterable[str], rig: Rig) -> None:
     for name in names:
         fold = describe_fold(rig[name].intrinsics)
         if fold is not None:
-            raise MatchError(f'The lens of the camera "{name}" {fold}')
+            raise MatchError(f'The lens of the camera "{name}" {fold}: {FOLD_REMEDY}')
 
 
 def _check_different(views: Mapping[str, _PreparedView]) -> None:

@@ -1,0 +1,159 @@
+"""Baseline and relative rotation of a pair of cameras: as true as said, whatever the world is."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from tests.calib.shots.made_shots import BOARD, LENSES, cam_from_rig, chained, inverse, shots
+from trinoc.calib.result.camera_pairs import CameraPair, camera_pairs
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.geometry.rig import Rig
+
+EXACT = Systematics()
+LENS = Intrinsics(image_size_px=(640, 480), focal_length_px=800.0)
+
+
+def numbers_of(pair: CameraPair) -> np.ndarray:
+    return np.array([pair.baseline_mm, pair.angle_deg, *pair.turn_deg])
+
+
+def sigmas_of(pair: CameraPair) -> np.ndarray:
+    return np.array([pair.baseline_sigma_mm, pair.angle_sigma_deg, *pair.turn_sigma_deg])
+
+
+def true_pair(first: str, second: str) -> np.ndarray:
+    """Baseline and rotation of the made cameras, by matrices."""
+    step = chained(cam_from_rig(second), inverse(cam_from_rig(first)))
+    turn = Rotation.from_matrix(step[:, :3].T).as_rotvec(degrees=True)
+    return np.array([np.linalg.norm(step[:, 3]), np.linalg.norm(turn), *turn])
+
+
+@pytest.fixture(scope="module")
+def found():
+    return calibrate_rig(shots(), BOARD, systematics=EXACT)
+
+
+def test_every_pair_is_there_and_the_first_camera_comes_first(found):
+    names = [(pair.first, pair.second) for pair in found.pairs]
+    assert names == [("left", "middle"), ("left", "right"), ("middle", "right")]
+
+
+def test_pairs_are_what_was_made(found):
+    for pair in found.pairs:
+        error = numbers_of(pair) - true_pair(pair.first, pair.second)
+        assert np.all(np.abs(error) < 4.5 * sigmas_of(pair))
+        pose = Pose(pair.second_from_first)
+        assert np.linalg.norm(pose.translation_mm) == pytest.approx(pair.baseline_mm, rel=1e-12)
+        assert np.linalg.norm(pair.turn_deg) == pytest.approx(pair.angle_deg, rel=1e-12)
+
+
+@pytest.mark.parametrize("world", ["shot 6", "middle"])
+def test_the_world_does_not_matter(world, found):
+    """Neither a board under the cameras nor a camera, whose parameters are other ones."""
+    other = calibrate_rig(shots(), BOARD, systematics=EXACT, world=world)
+    for pair, same in zip(found.pairs, other.pairs, strict=True):
+        np.testing.assert_allclose(numbers_of(same), numbers_of(pair), rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(sigmas_of(same), sigmas_of(pair), rtol=2e-4)
+
+
+def test_baselines_and_rotations_scatter_as_is_said():
+    """Over noise drawn anew: the sum of squared errors over sigmas is a chi-square."""
+    squared = np.zeros(5)
+    runs = 12
+    for seed in range(runs):
+        result = calibrate_rig(
+            shots(seed=seed, count=6, cameras=("left", "right")),
+            BOARD,
+            distortion=4,
+            systematics=EXACT,
+        )
+        (pair,) = result.pairs
+        squared += ((numbers_of(pair) - true_pair("left", "right")) / sigmas_of(pair)) ** 2
+    low, high = chi2(runs).ppf([1e-4, 1 - 1e-4])
+    assert np.all((low < squared) & (squared < high))
+
+
+@pytest.mark.parametrize("model", [PoseModel.AIM_FREE, PoseModel.RIGID])
+def test_sigmas_are_those_of_cameras_drawn_from_the_covariance(model):
+    """Without the derivatives: by drawing parameters, beyond a quarter turn as well."""
+    random = np.random.default_rng(3)
+    cameras = {
+        "a": Camera.from_degrees(LENS, pan_deg=-70, tilt_deg=40, swing_deg=5, distance_mm=500),
+        "b": Camera.from_degrees(LENS, pan_deg=65, tilt_deg=35, swing_deg=-8, distance_mm=450),
+    }
+    parameters = tuple(f"{name}.{own}" for name in cameras for own in model.parameter_names)
+    scale = np.tile([0.01, 0.01, 0.01, 0.1, 0.1, 0.1], 2)
+    root = np.tril(random.uniform(-1, 1, (12, 12))) * scale[:, None]
+    covariance = root @ root.T
+    (pair,) = camera_pairs(Rig(cameras), parameters, covariance)
+    assert pair.angle_deg > 90.0
+    draws = random.normal(size=(20_000, 12)) @ root.T
+    numbers = np.array([_pair_numbers(cameras, model, draw) for draw in draws])
+    np.testing.assert_allclose(numbers.std(axis=0), sigmas_of(pair), rtol=0.03)
+
+
+def _pair_numbers(cameras: dict[str, Camera], model: PoseModel, draw: np.ndarray) -> np.ndarray:
+    poses = []
+    for camera, change in zip(cameras.values(), (draw[:6], draw[6:]), strict=True):
+        pose = np.asarray(camera.cam_from_world)
+        if model is PoseModel.RIGID:
+            turn = Rotation.from_rotvec(change[:3], degrees=True).as_matrix() @ pose[:, :3]
+            centre = -pose[:, :3].T @ pose[:, 3] + change[3:]
+            poses.append(np.column_stack([turn, -turn @ centre]))
+            continue
+        values = [camera.pan_deg, camera.tilt_deg, camera.swing_deg, camera.distance_mm]
+        moved = np.array([*values, *camera.aim_mm]) + change
+        radians = np.concatenate([np.radians(moved[:3]), moved[3:]])
+        poses.append(np.asarray(Pose.from_parameters(radians).cam_from_world))
+    step = chained(poses[1], inverse(poses[0]))
+    turn = Rotation.from_matrix(step[:, :3].T).as_rotvec(degrees=True)
+    return np.array([np.linalg.norm(step[:, 3]), np.linalg.norm(turn), *turn])
+
+
+def test_a_board_of_uncertain_size_moves_baselines_by_its_share_and_turns_by_nothing():
+    share = 2e-3
+    seen = shots(cameras=("left", "right"))
+    (exact,) = calibrate_rig(seen, BOARD, systematics=EXACT).pairs
+    (sized,) = calibrate_rig(seen, BOARD, systematics=Systematics(print_size_sigma=share)).pairs
+    assert exact.size_sigma_mm == 0.0
+    assert exact.rest_sigma_mm == exact.baseline_sigma_mm
+    assert sized.size_sigma_mm == pytest.approx(share * sized.baseline_mm, rel=1e-2)
+    assert sized.rest_sigma_mm == pytest.approx(exact.rest_sigma_mm, rel=2e-2)
+    whole = np.hypot(sized.size_sigma_mm, sized.rest_sigma_mm)
+    assert sized.baseline_sigma_mm == pytest.approx(whole, rel=1e-9)
+    np.testing.assert_allclose(sized.turn_sigma_deg, exact.turn_sigma_deg, rtol=1e-2)
+
+
+def test_cameras_that_share_their_error_have_no_error_between_them():
+    """Both turn and move as one rigid body: nothing between them changes."""
+    cameras = {
+        "a": Camera.from_degrees(LENS, pan_deg=-20, tilt_deg=40, swing_deg=5, distance_mm=500),
+        "b": Camera.from_degrees(LENS, pan_deg=30, tilt_deg=35, swing_deg=-8, distance_mm=450),
+    }
+    parameters = tuple(
+        f"{name}.{own}" for name in cameras for own in PoseModel.RIGID.parameter_names
+    )
+    about = np.array([0.01, -0.02, 0.015])
+    response = np.concatenate(
+        [
+            [*(camera.pose.rotation @ about), *np.cross(np.radians(about), camera.centre_world_mm)]
+            for camera in cameras.values()
+        ]
+    )
+    # A turn of the world about `about` turns a camera the other way about its own axes.
+    response[[0, 1, 2, 6, 7, 8]] *= -1.0
+    (pair,) = camera_pairs(Rig(cameras), parameters, np.outer(response, response))
+    assert np.all(sigmas_of(pair) < 1e-6)
+
+
+def test_a_failed_fit_has_no_pairs(found):
+    assert LENSES.keys() == set(found.cameras)
+    result = calibrate_rig(
+        {name: own[:1] for name, own in shots().items()}, BOARD, systematics=EXACT, throw=False
+    )
+    assert (result.rig, result.pairs) == (None, ())

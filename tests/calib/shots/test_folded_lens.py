@@ -1,0 +1,109 @@
+"""A fitted lens that folds the image where no corner was seen is refused, with what to do."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.calib.shots import made_shots
+from tests.calib.shots.made_shots import (
+    BOARD,
+    SIZE_PX,
+    board_poses,
+    detection,
+    lens_of,
+    shots,
+)
+from trinoc.calib import Detection
+from trinoc.calib.folded_lens import expect_unfolded
+from trinoc.calib.lens_calibration import calibrate_intrinsics
+from trinoc.calib.result.calibration import Status
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.errors import CalibrationError
+from trinoc.geometry.intrinsics import Intrinsics, describe_fold
+from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+
+
+def test_a_distortion_seen_in_the_middle_alone_is_not_a_result(monkeypatch):
+    folds = np.array([350.0, 350.0, 319.5, 239.5, -0.27, 0.0, 0.0, 0.0, 0.0])
+    monkeypatch.setitem(made_shots.LENSES, "left", folds)
+    seen = shots(count=8, cameras=("left",))
+    with pytest.raises(CalibrationError, match="fewer coefficients") as raised:
+        calibrate_rig(seen, BOARD, distortion=1)
+    assert str(raised.value).startswith('The fitted distortion of "left" folds the picture 2')
+    result = calibrate_rig(seen, BOARD, distortion=1, throw=False)
+    assert result.status is Status.SUSPECT
+    assert (result.rig, result.halves, result.ended) == (None, None, None)
+    assert str(raised.value) in result.summary()
+    assert calibrate_rig(seen, BOARD, distortion=0, throw=False).rig is not None
+
+
+def test_the_first_lens_that_folds_is_named():
+    good = Intrinsics.of_lens(lens_of("left"), SIZE_PX)
+    folds = Intrinsics(image_size_px=SIZE_PX, focal_length_px=350.0, distortion=(-0.27,))
+    expect_unfolded({"left": good})
+    with pytest.raises(CalibrationError, match='of "right" folds the picture 259 px'):
+        expect_unfolded({"left": good, "right": folds})
+
+
+def fisheye_shots(count: int = 30, sigma_px: float = 0.2) -> list[Detection]:
+    """A lens whose image circle ends before the corners, as estimated of a T265; seen to 350 px."""
+    lens = KannalaBrandt.from_parameters(
+        np.array([290.0, 290.0, 420.0, 388.0, 0.0144, 0.016, -0.019, 0.0])
+    )
+    random, found = np.random.default_rng(0), []
+    places = np.pad(BOARD.centres_mm, ((0, 0), (0, 1)))
+    for azimuth in 6 * np.pi * np.arange(count) / count:
+        off = np.radians(random.uniform(0, 58))
+        about = off * np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+        toward = Rotation.from_rotvec(about).as_matrix()
+        tilt = Rotation.from_rotvec(random.uniform(-0.6, 0.6, 3)).as_matrix()
+        rotation = toward @ tilt @ np.diag([1.0, -1.0, -1.0])
+        pose = np.column_stack([rotation, random.uniform(150, 260) * toward[:, 2]])
+        uv_px = np.asarray(made_shots._pixels(lens, np.eye(3, 4), pose, places))
+        index = np.flatnonzero(np.linalg.norm(uv_px - [420, 388], axis=1) < 350)
+        size = len(index)
+        found.append(
+            Detection(
+                circle_index=index,
+                centres_px=uv_px[index] + random.normal(0, sigma_px, (size, 2)),
+                covariance_px2=np.tile(sigma_px**2 * np.eye(2), (size, 1, 1)),
+                shape_px2=np.full((size, 2, 2), np.nan),
+                lines_px=np.full((2, 3), np.nan),
+                image_size_px=(848, 800),
+            )
+        )
+    return [each for each in found if len(each) >= 8]
+
+
+def test_a_coefficient_that_folds_the_image_is_fixed_where_the_residuals_allow_it():
+    given = fisheye_shots()
+    folded = calibrate_intrinsics(
+        given, BOARD, lens_model="kannala_brandt", distortion=3, throw=False
+    )
+    assert folded.status is Status.SUSPECT
+    assert folded.lens is None
+    assert folded.notes[0].startswith('The fitted distortion of "the camera" folds the picture 39')
+    result = calibrate_intrinsics(given, BOARD, lens_model="kannala_brandt")
+    assert result.lens is not None
+    assert describe_fold(result.lens) is None
+    (note,) = [note for note in result.notes if "so k3 is fixed at 0" in note]
+    assert f"the rms residual is {result.rms_px:.3f} px instead of" in note
+    assert {"k3", "k4"}.isdisjoint(result.free)
+    assert result.sigma("k3") == 0.0
+
+
+def test_a_coefficient_that_the_residuals_ask_for_is_not_fixed(monkeypatch):
+    """Without k2 the principal point moves by 24 px: no lens is better than that one."""
+    folds = np.array([500.0, 500.0, 319.5, 239.5, -0.15, -0.14, 0.0, 0.0, 0.0])
+    monkeypatch.setitem(made_shots.LENSES, "left", folds)
+    random = np.random.default_rng(0)
+    poses = board_poses(10) * [1.0, 1.0, 1.0, 0.5]
+    given = [detection("left", pose, random, sigma_px=0.01) for pose in poses]
+    with pytest.raises(CalibrationError, match="folds the picture 35"):
+        calibrate_intrinsics(given, BOARD)
+
+
+def test_a_lens_that_does_not_fold_keeps_its_coefficients():
+    given = shots(count=8, cameras=("left",))["left"]
+    result = calibrate_intrinsics(given, BOARD)
+    assert not any("fixed at 0" in note for note in result.notes)

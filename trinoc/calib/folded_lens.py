@@ -1,0 +1,113 @@
+"""Fitted lenses that fold the image: a distortion that is not determined out to the corners."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from trinoc.calib.problem.coefficients import free_of_lenses
+from trinoc.calib.problem.problem import Problem, lens_number, with_lens_free
+from trinoc.calib.problem.robust_fit import RobustFit, errors_px, refit
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.errors import CalibrationError
+from trinoc.geometry.intrinsics import Intrinsics, describe_fold
+from trinoc.geometry.lenses.registry import simplify_lens
+
+
+def describe_folded_lens(lenses: Mapping[str, Intrinsics]) -> str | None:
+    """Return a sentence on the first lens that folds its image, with the remedy; None without one.
+
+    `lenses` are fitted lenses by the name of their camera. A distortion that fits the corners
+    observed in the middle of the image may fold it farther out. Such a lens cannot be inverted
+    there, and no file of it can be read.
+    """
+    for camera, lens in lenses.items():
+        fold = describe_fold(lens)
+        if fold is not None:
+            return (
+                f'The fitted distortion of "{camera}" {fold}: show the board nearer to the corners '
+                "of the image, or fit fewer coefficients (distortion=1 or distortion=2)."
+            )
+    return None
+
+
+def expect_unfolded(lenses: Mapping[str, Intrinsics]) -> None:
+    """Raise CalibrationError if a fitted lens folds its image; see `describe_folded_lens`."""
+    sentence = describe_folded_lens(lenses)
+    if sentence is not None:
+        raise CalibrationError(sentence)
+
+
+def hold_folding(fit: RobustFit, cameras: Sequence[str]) -> tuple[RobustFit, tuple[str, ...]]:
+    """The fit with fewer coefficients of each lens that folds its image, and a sentence on each.
+
+    The coefficients that the lens model calls dispensable are fixed at 0 one after the other, of
+    the lenses that fold alone, until none does. If that does not help, or if the residuals ask for
+    these coefficients, the fit stays as it is.
+    Lenses that are given are not changed.
+
+    cameras : names, in the order of the problem.
+    """
+    problem, first = fit.problem, _folds(fit.problem)
+    if not first:
+        return fit, ()
+    changed, model = fit, problem.state.lenses
+    for name in model.dispensable:
+        column, free = model.parameter_names.index(name), free_of_lenses(changed.problem)
+        rows = [lens for lens in _folds(changed.problem) if free[lens, column]]
+        if not rows:
+            continue
+        free[rows, column] = False
+        changed = refit(with_lens_free(changed.problem, free), changed.elsewhere)
+        if not _folds(changed.problem):
+            every = range(len(cameras))
+            rise = _rms_px(changed.problem, every) / _rms_px(problem, every)
+            if not rise <= TUNING.answer.most_rise_by_fixing:
+                return fit, ()
+            return changed, _fixed_sentences(fit, changed, first, cameras)
+    return fit, ()
+
+
+def _folds(problem: Problem) -> dict[int, str]:
+    """What each fitted lens that folds its image does, by the number of the lens."""
+    sizes, free = problem.image_sizes_px, free_of_lenses(problem)
+    found = {}
+    for camera, lens in enumerate(np.asarray(problem.chart.lens_of_camera).tolist()):
+        if lens in found or not free[lens].any() or camera not in sizes:
+            continue
+        intrinsics = Intrinsics.of_lens(simplify_lens(lens_number(problem, lens)), sizes[camera])
+        fold = describe_fold(intrinsics)
+        if fold is not None:
+            found[lens] = fold
+    return found
+
+
+def _fixed_sentences(
+    before: RobustFit, after: RobustFit, folds: Mapping[int, str], cameras: Sequence[str]
+) -> tuple[str, ...]:
+    """Which coefficients were fixed and why, and what that costs, for each lens."""
+    names = before.problem.state.lenses.parameter_names
+    lens_of_camera = np.asarray(before.problem.chart.lens_of_camera).tolist()
+    was, is_free = free_of_lenses(before.problem), free_of_lenses(after.problem)
+    sentences = []
+    for lens, fold in folds.items():
+        own = [k for k, each in enumerate(lens_of_camera) if each == lens]
+        fixed = [name for name, gone in zip(names, was[lens] & ~is_free[lens]) if gone]
+        which, are = ", ".join(fixed), "is" if len(fixed) == 1 else "are"
+        sentences.append(
+            f'The distortion of "{cameras[own[0]]}" fitted with {which} {fold}, so {which} {are} '
+            f"fixed at 0; the rms residual is {_rms_px(after.problem, own):.3f} px instead of "
+            f"{_rms_px(before.problem, own):.3f} px. Show the board nearer to the corners of the "
+            "image."
+        )
+    return tuple(sentences)
+
+
+def _rms_px(problem: Problem, cameras: Sequence[int]) -> float:
+    """Root mean square length of the residuals of some cameras."""
+    kept = [
+        errors[view.kept]
+        for view, errors in zip(problem.views, errors_px(problem), strict=True)
+        if view.camera in cameras
+    ]
+    every = np.concatenate([np.zeros((0, 2)), *kept])
+    return float(np.sqrt(np.mean(np.sum(every**2, axis=1)))) if len(every) else float("nan")

@@ -1,0 +1,170 @@
+"""Baseline and relative rotation of each pair of cameras, with sigmas from their joint covariance.
+
+Both belong to the pair: they do not depend on where the world lies.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from trinoc.calib.result.board_size import covariance_of_size
+from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.geometry.rig import Rig
+
+# numerical: steps of central differences, in degrees and as a share of the distance in mm.
+_STEP = 1e-4
+# numerical: below this angle in degrees a rotation has no axis.
+_NO_AXIS_DEG = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraPair:
+    """Where the second camera stands and how it is turned, seen from the first.
+
+    Fields
+    ------
+    first, second : names of the cameras.
+    second_from_first : (3, 4) rigid motion x_second = [R | t] x_first, mm. OpenCV's
+        `stereoCalibrate` returns these as R and T.
+    baseline_mm : distance between the centres of projection.
+    baseline_sigma_mm : its standard deviation.
+    size_sigma_mm : the part of it that the error of the board's size makes, a scale that no image
+        shows; 0 if the size is exact.
+    rest_sigma_mm : the remaining part: baseline_sigma^2 = size_sigma^2 + rest_sigma^2.
+    angle_deg : angle of the rotation that turns the axes of the first camera into those of the
+        second.
+    angle_sigma_deg : its standard deviation.
+    turn_deg : (3,) rotation vector of that rotation, about the x, y and z axes of the first
+        camera; its length is `angle_deg`.
+    turn_sigma_deg : (3,) standard deviations of `turn_deg`.
+    """
+
+    first: str
+    second: str
+    second_from_first: Float[np.ndarray, "3 4"]
+    baseline_mm: float
+    baseline_sigma_mm: float
+    size_sigma_mm: float
+    rest_sigma_mm: float
+    angle_deg: float
+    angle_sigma_deg: float
+    turn_deg: Float[np.ndarray, "3"]
+    turn_sigma_deg: Float[np.ndarray, "3"]
+
+
+def camera_pairs(
+    rig: Rig, parameters: tuple[str, ...], covariance: Float[np.ndarray, "p p"]
+) -> tuple[CameraPair, ...]:
+    """Pairs of cameras in the order of the rig: the first camera with each other one comes first.
+
+    parameters, covariance : joint covariance of the cameras' poses, and of the boards' scales if
+        these are uncertain, in degrees and mm; `RigFromShots` has both. Poses that it does not
+        contain are exact.
+    """
+    size = covariance_of_size(parameters, covariance)
+    return tuple(
+        _camera_pair(rig, first, second, parameters, covariance, size)
+        for first, second in itertools.combinations(rig.names, 2)
+    )
+
+
+def _camera_pair(
+    rig: Rig,
+    first: str,
+    second: str,
+    parameters: tuple[str, ...],
+    covariance: Float[np.ndarray, "p p"],
+    size: Float[np.ndarray, "p p"],
+) -> CameraPair:
+    poses = [_PoseByParameters(rig[name].pose, name, parameters) for name in (first, second)]
+    names = [name for pose in poses for name in pose.names]
+    rows = np.array([parameters.index(name) if name in parameters else -1 for name in names])
+    is_known = np.outer(rows >= 0, rows >= 0)
+    own, own_size = (
+        np.where(is_known, each[np.ix_(rows, rows)], 0.0) for each in (covariance, size)
+    )
+
+    def place_and_turn(change: Float[np.ndarray, "12"]) -> Float[np.ndarray, "6"]:
+        return _place_and_turn(poses[0].move(change[:6]), poses[1].move(change[6:]))
+
+    there = place_and_turn(np.zeros(len(names)))
+    by = _central_differences(place_and_turn, np.concatenate([pose.steps for pose in poses]))
+    along, axis = _directions(there)
+    of_baseline, of_angle = along @ by[:3], axis @ by[3:]
+    variance = float(of_baseline @ own @ of_baseline)
+    by_size = float(of_baseline @ own_size @ of_baseline)
+    return CameraPair(
+        first=first,
+        second=second,
+        second_from_first=np.asarray((rig[second].pose @ rig[first].pose.inverse).cam_from_world),
+        baseline_mm=float(np.linalg.norm(there[:3])),
+        baseline_sigma_mm=_root(variance),
+        size_sigma_mm=_root(by_size),
+        rest_sigma_mm=_root(variance - by_size),
+        angle_deg=float(np.linalg.norm(there[3:])),
+        angle_sigma_deg=_root(float(of_angle @ own @ of_angle)),
+        turn_deg=there[3:],
+        turn_sigma_deg=np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", by[3:], own, by[3:]), 0.0)),
+    )
+
+
+class _PoseByParameters:
+    """A pose as a function of a change of its six named parameters, in degrees and mm."""
+
+    def __init__(self, pose: Pose, camera: str, parameters: tuple[str, ...]) -> None:
+        rigid = PoseModel.RIGID.parameter_names
+        self._is_rigid = f"{camera}.{rigid[0]}" in parameters
+        model = PoseModel.RIGID if self._is_rigid else PoseModel.AIM_FREE
+        self.names = tuple(f"{camera}.{name}" for name in model.parameter_names)
+        self._pose = Pose(np.asarray(pose.cam_from_world))
+        self._has_aim = bool(np.isfinite(np.asarray(self._pose.parameters)).all())
+        length = max(float(np.linalg.norm(self._pose.translation_mm)), 1.0)
+        self.steps = _STEP * np.array([1.0, 1.0, 1.0, *np.full(3, length / 100.0)])
+
+    def move(self, change: Float[np.ndarray, "6"]) -> Pose:
+        """The pose with its parameters changed."""
+        if not self._is_rigid and self._has_aim:
+            radians = np.concatenate([np.radians(change[:3]), change[3:]])
+            return Pose.from_parameters(np.asarray(self._pose.parameters) + radians)
+        turn = Rotation.from_rotvec(change[:3], degrees=True).as_matrix()
+        return Pose.from_centre(turn @ self._pose.rotation, self._pose.centre_world_mm + change[3:])
+
+
+def _place_and_turn(first: Pose, second: Pose) -> Float[np.ndarray, "6"]:
+    """Centre (mm) and rotation vector (degrees) of the second camera in the frame of the first."""
+    place = first.rotation @ (second.centre_world_mm - first.centre_world_mm)
+    turn = Rotation.from_matrix(first.rotation @ second.rotation.T).as_rotvec(degrees=True)
+    return np.concatenate([place, turn])
+
+
+def _central_differences(
+    function: Callable[[np.ndarray], np.ndarray], steps: Float[np.ndarray, "p"]
+) -> Float[np.ndarray, "q p"]:
+    """Derivatives of a function at zero, (q, p)."""
+    columns = [
+        (function(step) - function(-step)) / (2.0 * length)
+        for step, length in zip(np.diag(steps), steps, strict=True)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _directions(
+    there: Float[np.ndarray, "6"],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Unit vectors of the baseline and of the rotation's axis.
+
+    Without an axis, z stands for it: the angle of no rotation has no derivative.
+    """
+    baseline, angle = np.linalg.norm(there[:3]), np.linalg.norm(there[3:])
+    along = there[:3] / baseline if baseline > 0.0 else np.array([1.0, 0.0, 0.0])
+    axis = there[3:] / angle if angle > _NO_AXIS_DEG else np.array([0.0, 0.0, 1.0])
+    return along, axis
+
+
+def _root(variance: float) -> float:
+    """Square root of a variance, which rounding may leave below zero."""
+    return float(np.sqrt(np.maximum(variance, 0.0)))
