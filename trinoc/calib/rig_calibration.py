@@ -31,6 +31,7 @@ from trinoc.calib.problem.problem import Freedom, Problem, with_lens_prior
 from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
 from trinoc.calib.problem.robust_fit import RobustFit, anneal, fit_robustly
 from trinoc.calib.problem.starting_problem import start_problem
+from trinoc.calib.problem.unsynchronised import with_moments_apart
 from trinoc.calib.rig_from_shots import result_from_fit
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
 from trinoc.calib.shots_result import RigFromShots
@@ -136,6 +137,7 @@ def calibrate_rig(
     if method == "pixels":
         fit, silent = fit_pixels(fit, grey_levels(images, cameras, placed.shots))
         fit = with_own_correction_sigmas(with_board_shape(fit))
+    fit, own_factors = with_moments_apart(fit)
     fixed: tuple[str, ...] = ()
     if distortion is None:
         fit, held = hold_undetermined(fit)
@@ -152,6 +154,7 @@ def calibrate_rig(
         refused=(*placed.refused, *_remarks_on_places(found)),
         failures={f"{camera}, {shot}": why for (camera, shot), why in found.failures.items()},
         systematics=systematics.words,
+        own_factors=dict(zip(cameras, (own_factors[k] for k in sorted(own_factors)))),
     )
     if throw and result.rig is None:
         raise CalibrationError(result.notes[0], {}, result)

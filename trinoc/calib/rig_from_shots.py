@@ -23,6 +23,7 @@ from trinoc.calib.result.calibration import Status
 from trinoc.calib.shot_messages import (
     list_refusals,
     notes_of_fit,
+    scatter_sentence,
     silent_sentences,
 )
 from trinoc.calib.shots_result import RigFromShots
@@ -72,8 +73,12 @@ def result_from_fit(
     refused: tuple[str, ...],
     failures: dict[str, str],
     systematics: tuple[str, ...],
+    own_factors: Mapping[str, float],
 ) -> RigFromShots:
     """What the shots determine, in the world that is called for, and why where that is not all.
+
+    own_factors : of cameras that do not look at one moment, the factor of each one's sigmas by its
+    residuals about its own poses of the board.
 
     known : lenses that were given. held : coefficients that were given up. remarks, refused,
     failures, systematics : as `RigFromShots` has them. silent : pictures whose points count.
@@ -101,16 +106,13 @@ def result_from_fit(
         return f'{shots[shot]}: "{cameras[camera]}"'
 
     causes = find_causes(problem) if good else []
-    worst = int(np.argmax(problem.sigma_factor))
-    if problem.sigma_factor[worst] > TUNING.answer.largest_sigma_factor and said is None and good:
+    factors = {**dict(zip(cameras, problem.sigma_factor.tolist(), strict=True)), **own_factors}
+    worst, scatter = max(factors, key=lambda camera: factors[camera]), None
+    if good and factors[worst] > TUNING.answer.largest_sigma_factor:
         status = Status.SUSPECT
-        said = (
-            f'The corners of "{cameras[worst]}" scatter {problem.sigma_factor[worst]:.1f} times as '
-            "much as their sigmas: "
-            + ("see the causes that follow." if causes else "no single cause stands out in them.")
-        )
+        scatter = scatter_sentence(worst, factors[worst], bool(causes))
     notes = [
-        *filter(None, [said]),
+        *filter(None, [scatter, said]),
         *notes_of_fit(fit, outcome, gauge, cameras, held, remarks, causes, shots),
     ]
     poses = [Pose(pose) for pose in np.asarray(poses_in_world(problem.state, place)[0])]
@@ -136,7 +138,7 @@ def result_from_fit(
         place_shifts_mm=np.asarray(problem.state.shape),
         views=problem.views,
         residuals_px=tuple(errors_px(problem)),
-        sigma_factor=dict(zip(cameras, problem.sigma_factor.tolist(), strict=True)),
+        sigma_factor=factors,
         reduced_chi_square=fit.chi_square / fit.freedom if fit.freedom > 0 else float("nan"),
         halves=compare_halves(problem, cameras, factor) if good else None,
         cross_validation=cross_validate(problem, cameras) if good else None,

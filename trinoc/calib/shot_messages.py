@@ -148,6 +148,14 @@ def cause_sentences(
     return sentences
 
 
+def scatter_sentence(camera: str, factor: float, has_causes: bool) -> str:
+    """That the places of a camera scatter far more than their sigmas."""
+    return (
+        f'The residuals of "{camera}" are {factor:.1f} times their sigmas: '
+        + ("see the causes below." if has_causes else "no single cause stands out in them.")
+    )
+
+
 def _cause_sentence(cause: MisfitCause, cameras: Sequence[str], shots: Sequence[str]) -> str:
     camera = f'"{cameras[cause.camera]}"'
     size = f"{cause.amplitude_px:.2g} px (its residuals are {cause.noise_px:.2g} px rms)"

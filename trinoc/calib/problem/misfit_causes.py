@@ -19,7 +19,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.problem.moments import pose_differences_px
+from trinoc.calib.problem.moments import (
+    OwnPoses,
+    errors_with_own_poses_px,
+    own_poses,
+    pose_differences_px,
+)
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.tuning.every_group import TUNING
@@ -63,13 +68,14 @@ class MisfitCause(NamedTuple):
 
 def find_causes(problem: Problem) -> list[MisfitCause]:
     """The causes that explain a share of the residuals worth naming, the largest first."""
-    causes = []
-    every = errors_px(problem)
+    causes, own = [], own_poses(problem)
+    # Where the cameras of a shot see the board at other moments, each image has a pose of its own.
+    every = errors_with_own_poses_px(problem, own)
     for camera in range(problem.cameras):
         rows = [
             k
             for k, view in enumerate(problem.views)
-            if view.camera == camera and view.shown is None and view.used.any()
+            if view.camera == camera and view.rows == len(view.used) and view.used.any()
         ]
         if len(rows) < _FEWEST_IMAGES:
             continue
@@ -93,7 +99,7 @@ def find_causes(problem: Problem) -> list[MisfitCause]:
             for kind, amplitude_px in patterns.items()
             if amplitude_px > least_px
         ]
-    causes += _of_moments(problem, every)
+    causes += _of_moments(problem, own)
     return sorted(causes, key=lambda cause: -cause.amplitude_px)
 
 
@@ -155,9 +161,9 @@ def smooth_pattern_px(
     return float(np.sqrt((explained - expected) / sum(map(len, residuals))))
 
 
-def _of_moments(problem: Problem, every: Sequence[Float[np.ndarray, "_m 2"]]) -> list[MisfitCause]:
-    causes = []
-    for camera, (shots, shifts_px) in pose_differences_px(problem).items():
+def _of_moments(problem: Problem, own: OwnPoses) -> list[MisfitCause]:
+    causes, every = [], errors_px(problem)
+    for camera, (shots, shifts_px) in pose_differences_px(problem, own).items():
         rows = [k for k, v in enumerate(problem.views) if v.camera == camera and v.used.any()]
         noise_px = float(
             np.sqrt(

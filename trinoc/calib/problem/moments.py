@@ -7,6 +7,7 @@ images of one moment D has a chi-square law with 6 (n - 1) degrees of freedom, t
 which all residuals exceed their sigmas. A board that moved makes D far larger than in other shots.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,12 +17,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from trinoc.calib.problem.places import linearise
-from trinoc.calib.problem.problem import Problem, lens_number
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
 from trinoc.calib.problem.views import ViewTable, shot_capacity
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.geometry.projection import project_points
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
@@ -50,25 +50,7 @@ def find_other_moments(problem: Problem) -> list[OtherMoment]:
     From a flagged shot of three and more cameras, the image is taken whose removal makes the others
     agree best. A board of several, or a shot of one camera, is not tested.
     """
-    if len(problem.state.set_from_board):
-        return []
-    information, gradient = (
-        np.asarray(part)[: len(problem.views)]
-        for part in _by_view(problem.state, problem.chart, problem.table)
-    )
-    members: dict[int, list[int]] = {}
-    for k, view in enumerate(problem.views):
-        if view.used.any():
-            members.setdefault(view.shot, []).append(k)
-    shots = {shot: rows for shot, rows in members.items() if len(rows) > 1}
-
-    def excess(rows: list[int]) -> float:
-        if len(rows) < 2:
-            return 0.0
-        gains = [_gain(information[k], gradient[k]) for k in rows]
-        together = _gain(information[rows].sum(axis=0), gradient[rows].sum(axis=0))
-        return (sum(gains) - together) / (POSE_SIZE * (len(rows) - 1))
-
+    shots, excess = _excesses(problem)
     by_shot = {shot: excess(rows) for shot, rows in shots.items()}
     if len(by_shot) < _FEWEST_SHOTS:
         return []
@@ -84,6 +66,43 @@ def find_other_moments(problem: Problem) -> list[OtherMoment]:
             left.remove(worst)
             value = without[worst]
     return others
+
+
+def typical_excess(problem: Problem) -> float:
+    """D over its degrees of freedom, in the median of the shots, over that of noise alone: 1 where
+    the cameras look at one moment and the sigmas are right."""
+    shots, excess = _excesses(problem)
+    if len(shots) < _FEWEST_SHOTS:
+        return 1.0
+    return float(np.median([excess(rows) for rows in shots.values()])) / _MEDIAN
+
+
+def _excesses(
+    problem: Problem,
+) -> tuple[dict[int, list[int]], Callable[[list[int]], float]]:
+    """(the images of each shot of several cameras, D over its degrees of freedom for some images).
+
+    Of a board of several there are no shots to compare.
+    """
+    if len(problem.state.set_from_board):
+        return {}, lambda _: 0.0
+    information, gradient = (
+        np.asarray(part)[: len(problem.views)]
+        for part in _by_view(problem.state, problem.chart, problem.table)
+    )
+    members: dict[int, list[int]] = {}
+    for k, view in enumerate(problem.views):
+        if view.used.any():
+            members.setdefault(view.shot, []).append(k)
+
+    def excess(rows: list[int]) -> float:
+        if len(rows) < 2:
+            return 0.0
+        gains = [_gain(information[k], gradient[k]) for k in rows]
+        together = _gain(information[rows].sum(axis=0), gradient[rows].sum(axis=0))
+        return (sum(gains) - together) / (POSE_SIZE * (len(rows) - 1))
+
+    return {shot: rows for shot, rows in members.items() if len(rows) > 1}, excess
 
 
 def _gain(information: Float[np.ndarray, "6 6"], gradient: Float[np.ndarray, "6"]) -> float:
@@ -106,62 +125,84 @@ def _by_view(
     return jax.vmap(of_view)(table)
 
 
-def pose_differences_px(
-    problem: Problem,
-) -> dict[int, tuple[np.ndarray, Float[np.ndarray, "_s 2"]]]:
-    """For each camera but the first (shots, shifts in px of the middle of the board).
+class OwnPoses(NamedTuple):
+    """What each of v images says of the pose of its own board, to first order.
 
-    A shift is the motion of the board's image in this camera were its pose free in this image, less
-    the mean of the other cameras of the shot. It is small where they look at one moment.
+    Fields
+    ------
+    step : (v, 6) from the pose of the shot to that which fits the image alone.
+    information : (v, 6, 6) of the step, by the sigmas as they are.
+    jacobian_px : (v, n, 2, 6) change of the places' pixels by the step.
+    gain : (v,) what the step takes off the chi-square of the image.
+    """
+
+    step: Float[np.ndarray, "v 6"]
+    information: Float[np.ndarray, "v 6 6"]
+    jacobian_px: Float[np.ndarray, "v n 2 6"]
+    gain: Float[np.ndarray, "v"]
+
+
+def own_poses(problem: Problem) -> OwnPoses:
+    """The poses that the images would have apart."""
+    count = len(problem.views)
+    information, gradient = (
+        np.asarray(part)[:count] for part in _by_view(problem.state, problem.chart, problem.table)
+    )
+    table = problem.table
+    used = np.any(table.whitening != 0, axis=(-2, -1))
+    if table.whitening.shape[-1] == 2:
+        plain = used[..., None, None] * np.eye(2)
+    else:
+        plain = used[..., None, None] * np.eye(table.whitening.shape[-1])
+    jacobian_px = np.asarray(
+        _pose_jacobian(problem.state, problem.chart, table._replace(whitening=plain))
+    )[:count]
+    scale = 1 / np.sqrt(np.maximum(np.einsum("vii->vi", information), 1e-300))
+    scaled = information * scale[:, :, None] * scale[:, None] + 1e-9 * np.eye(POSE_SIZE)
+    step = -scale * np.linalg.solve(scaled, (gradient * scale)[..., None])[..., 0]
+    return OwnPoses(step, information, jacobian_px, -np.sum(gradient * step, axis=1))
+
+
+@kept_jit
+def _pose_jacobian(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v n 2 6"]:
+    return jax.vmap(lambda view: linearise(state, chart, view).jacobian[..., -POSE_SIZE:])(table)
+
+
+def errors_with_own_poses_px(problem: Problem, own: OwnPoses) -> list[Float[np.ndarray, "_m 2"]]:
+    """Residuals of each image were the pose of its board its own: without what moments differ by."""
+    return [
+        errors + jacobian[: len(errors)] @ step
+        for errors, jacobian, step in zip(errors_px(problem), own.jacobian_px, own.step, strict=True)
+    ]
+
+
+def pose_differences_px(
+    problem: Problem, own: OwnPoses
+) -> dict[int, tuple[np.ndarray, Float[np.ndarray, "_s 2"]]]:
+    """For each camera but the first (shots, shifts in px of the board's image).
+
+    A shift is the mean motion of the board's places in this camera, were its pose that which fits
+    the image alone, less the mean of the other cameras of the shot. It is small where they look at
+    one moment.
     """
     if len(problem.state.set_from_board):
         return {}
-    information, gradient = (
-        np.asarray(part)[: len(problem.views)]
-        for part in _by_view(problem.state, problem.chart, problem.table)
-    )
     shifts: dict[int, dict[int, np.ndarray]] = {}
     for k, view in enumerate(problem.views):
         if view.used.any():
-            shifts.setdefault(view.shot, {})[view.camera] = _image_shift_px(
-                problem, k, information[k], gradient[k]
-            )
+            moved = own.jacobian_px[k, : view.rows] @ own.step[k]
+            shifts.setdefault(view.shot, {})[view.camera] = moved[view.kept].mean(axis=0)
     answer = {}
     for camera in range(1, problem.cameras):
-        shots = sorted(shot for shot, own in shifts.items() if camera in own and len(own) > 1)
+        shots = sorted(shot for shot, each in shifts.items() if camera in each and len(each) > 1)
         if len(shots) >= _FEWEST_SHOTS:
-            own = [
+            differences = [
                 shifts[shot][camera]
                 - np.mean([each for c, each in shifts[shot].items() if c != camera], axis=0)
                 for shot in shots
             ]
-            answer[camera] = np.array(shots), np.array(own)
+            answer[camera] = np.array(shots), np.array(differences)
     return answer
-
-
-def _image_shift_px(
-    problem: Problem,
-    k: int,
-    information: Float[np.ndarray, "6 6"],
-    gradient: Float[np.ndarray, "6"],
-) -> Float[np.ndarray, "2"]:
-    """Motion of the image of the board's middle by the step that fits image k alone."""
-    view = problem.views[k]
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = information * np.outer(scale, scale) + 1e-9 * np.eye(POSE_SIZE)
-    step = -scale * np.linalg.solve(scaled, gradient * scale)
-    lens = lens_number(problem, int(problem.chart.lens_of_camera[view.camera]))
-    cam_from_rig = Pose(np.asarray(problem.state.cam_from_rig)[view.camera])
-    before = np.asarray(problem.state.rig_from_board)[view.shot]
-    after = np.asarray(
-        Pose(before).retract(step, PoseModel.RIGID, problem.chart.unit_mm).cam_from_world
-    )
-    places_mm = problem.target.centres_mm[view.detection.circle_index[view.used]]
-    middle = np.append(places_mm.mean(axis=0), 0.0)[None]
-    first, second = (
-        project_points(cam_from_rig @ Pose(each), lens, middle)[0] for each in (before, after)
-    )
-    return second - first
 
 
 def with_shots_of_their_own(problem: Problem, views: list[int]) -> Problem:

@@ -67,6 +67,9 @@ class ProblemTuning:
     # as far. Pairs of one public set (semeniuta) of one moment reach 8, others begin at 1,700;
     # where a third of few shots are others, they spoil the rig and what is usual, and begin at 7.
     other_moment: float = 9.0
+    # The cameras of a rig do not look at one moment where the same is so large in the median of all
+    # shots: twice as far as noise. Synchronous public sets have 1 to 3, webcams from 10 on.
+    moments_differ: float = 6.0
     # A chi-square so many of its own standard deviations above its degrees of freedom is not noise:
     # sigmas grow, or a board's places are free. By hand.
     refuted_sigmas: float = 4.0
@@ -232,8 +235,9 @@ class AnswerTuning:
     misfit_share: float = 0.01
     misfit_share_of_lens: float = 0.003
     least_misfit_px: float = 1.0
-    # A pattern in the residuals is named where it is so many times what noise leaves of it, and this
-    # share of all residuals; a camera moved where its shifts jump by so many times their scatter.
+    # A pattern in the residuals is named where it is so many times what noise leaves of it, and
+    # this share of all residuals; a camera moved where its shifts jump by so many times their
+    # scatter.
     named_ratio: float = 2.5
     named_share: float = 0.4
     moved_scatters: float = 8.0

@@ -1,0 +1,133 @@
+"""Cameras that do not look at one moment: the pose of the board differs within each shot.
+
+A board that moves while cameras without a common trigger look at it is seen in slightly different
+poses. Fitted as one pose, this bends the lenses of all cameras. The motion between the moments is
+therefore a random effect: a small step m of the board's pose in each image, of covariance M, which
+is the same for all images. Eliminated, it adds J M J^T to the covariance of an image's places, with J
+their derivative by the pose. The shape within an image then determines its lens as it does for one
+camera alone, and the pose of one camera from another is the mean over the shots, with a sigma by its
+scatter.
+
+M is estimated from the differences between the poses that the images of a shot have apart, less what
+their noise makes of them. Source: S. R. Searle, G. Casella, C. E. McCulloch, "Variance Components"
+(1992), chapter 4.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.problem.moments import OwnPoses, own_poses, typical_excess
+from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.robust_fit import RobustFit, place_errors_in_sigmas, refit
+from trinoc.calib.problem.variables import POSE_SIZE
+from trinoc.calib.problem.views import SheetPoints, View
+from trinoc.calib.tuning.every_group import TUNING
+
+# numerical: rounds in which residuals and the motion's covariance follow each other; the smallest
+# share of the largest variance of a motion; shots that count at most with so many times the median.
+_ROUNDS, _LEAST_SHARE, _LARGEST = 2, 1e-6, 9.0
+
+
+def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
+    """(the fit with motion between the moments of a shot as a random effect, the factor of each
+    camera's sigmas by its own residuals); the fit as it is where cameras look at one moment.
+    """
+    problem = fit.problem
+    if any(view.shown is not None for view in problem.views):
+        return fit, {}
+    if typical_excess(problem) < TUNING.problem.moments_differ:
+        return fit, {}
+    factors: dict[int, float] = {}
+    for _ in range(_ROUNDS):
+        own = own_poses(problem)
+        noise = _noise_of_images(problem, own)
+        factors = {
+            camera: float(
+                np.sqrt(
+                    np.mean(
+                        [
+                            noise[k] * (problem.sigma_factor[camera] * view.sigma_ratio) ** 2
+                            for k, view in enumerate(problem.views)
+                            if view.camera == camera and view.used.any()
+                        ]
+                    )
+                )
+            )
+            for camera in range(problem.cameras)
+        }
+        motion = _motion_covariance(problem, own, noise)
+        correlated = [
+            _with_motion(problem, k, own.jacobian_px[k], noise[k], motion)
+            for k in range(len(problem.views))
+        ]
+        ones = np.ones_like(problem.sigma_factor)
+        fitted = refit(
+            problem._replace(views=tuple(correlated), sigma_factor=ones), fit.elsewhere
+        )
+        # The next round starts with independent places at the new state.
+        problem = problem._replace(state=fitted.problem.state)
+    return fitted, factors
+
+
+def _noise_of_images(problem: Problem, own: OwnPoses) -> Float[np.ndarray, "v"]:
+    """Variance of each image's residuals about its own pose, in squared sigmas as they are."""
+    squared = np.sum(place_errors_in_sigmas(problem) ** 2, axis=(1, 2))[: len(problem.views)]
+    freedom = np.array([max(view.numbers - POSE_SIZE, 1) for view in problem.views])
+    return np.maximum(squared - own.gain, 1e-3 * np.maximum(squared, 1e-12)) / freedom
+
+
+def _motion_covariance(
+    problem: Problem, own: OwnPoses, noise: Float[np.ndarray, "v"]
+) -> Float[np.ndarray, "6 6"]:
+    """Covariance of the motion of the board in one image, in steps of its pose.
+
+    Half of that of the difference of two images of a shot, shots that differ most bounded.
+    """
+    members: dict[int, list[int]] = {}
+    for k, view in enumerate(problem.views):
+        if view.used.any():
+            members.setdefault(view.shot, []).append(k)
+    differences, noises = [], []
+    for rows in members.values():
+        for k in rows[1:]:
+            differences.append(own.step[k] - own.step[rows[0]])
+            noises.append(
+                sum(noise[j] * np.linalg.pinv(own.information[j], hermitian=True) for j in (k, rows[0]))
+            )
+    steps = np.array(differences)
+    scale = np.sqrt(np.median(steps**2, axis=0)) / 0.6745 + 1e-12
+    length = np.sum((steps / scale) ** 2, axis=1)
+    weight = np.minimum(1.0, _LARGEST * np.median(length) / np.maximum(length, 1e-12))
+    total = (steps * weight[:, None]).T @ steps / np.sum(weight)
+    values, vectors = np.linalg.eigh(0.5 * (total - np.mean(noises, axis=0)) / np.outer(scale, scale))
+    kept = np.maximum(values, _LEAST_SHARE * max(float(values[-1]), 1e-12))
+    return (vectors * kept) @ vectors.T * np.outer(scale, scale)
+
+
+def _with_motion(
+    problem: Problem,
+    k: int,
+    jacobian_px: Float[np.ndarray, "n 2 6"],
+    noise: float,
+    motion: Float[np.ndarray, "6 6"],
+) -> View:
+    """An image of which the errors of all places are correlated by the motion of its board."""
+    view = problem.views[k]
+    if not view.used.any():
+        return view._replace(sigma_ratio=1.0)
+    detection = view.detection
+    rows = np.flatnonzero(view.used)
+    factor = problem.sigma_factor[view.camera] * view.sigma_ratio
+    covariance = np.zeros((2 * len(rows), 2 * len(rows)))
+    for number, row in enumerate(rows):
+        own = slice(2 * number, 2 * number + 2)
+        covariance[own, own] = noise * factor**2 * detection.covariance_px2[row]
+    jacobian = jacobian_px[rows].reshape(-1, POSE_SIZE)
+    covariance += jacobian @ motion @ jacobian.T
+    whitening = np.zeros((2 * view.rows, 2 * view.rows))
+    numbers = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    whitening[np.ix_(numbers, numbers)] = root
+    places_mm = problem.target.centres_mm[detection.circle_index]
+    shown = SheetPoints(places_mm, detection.centres_px, whitening)
+    return view._replace(shown=shown, sigma_ratio=1.0)
