@@ -147,6 +147,11 @@ def notes_of_camera(
     notes += [test.sentence for test in telling[:1]]
     if picture is not None and picture.note is not None:
         notes.append(f"{picture.note} Its circles alone were used.")
+    elif picture is not None and choice.method == "points" and picture.is_processed:
+        notes.append(
+            "software has sharpened the picture, and its grey levels disagree with the circles' "
+            "centres or among themselves. Its circles alone were used."
+        )
     elif picture is not None and choice.method == "points":
         notes.append(
             "the grey levels disagree with the circles' centres more than noise can explain: the "

@@ -101,7 +101,11 @@ def sentence_of_pull(pull: PriorPull, adjustment: Adjustment, known: Knowledge, 
             f"{pull.sigmas:.1f} sigma, though no part of it does alone: check the pattern and the "
             "lens, and state larger sigmas of what was not measured."
         )
-    return f"the images contradict {_NAME[kind]} that was stated{_amount(pull)}: {_REMEDY[kind]}."
+    stated = _NAME[kind].removeprefix("the ")
+    return (
+        f"the images contradict the stated {stated}: the fit differs by {_amount(pull)}. "
+        f"{_capital(_REMEDY[kind])}."
+    )
 
 
 def _amount(pull: PriorPull) -> str:
@@ -109,10 +113,10 @@ def _amount(pull: PriorPull) -> str:
     sigmas = f"{pull.sigmas:.1f} sigma"
     kind, offset = pull.unknown.kind, pull.offset
     if kind in ("focal length", "aspect", "print size"):
-        return f" by {100 * float(offset[0]):+.2f} %, {sigmas}"
+        return f"{100 * float(offset[0]):+.2f} %, {sigmas}"
     if kind == "principal point":
-        return f" by ({offset[0]:+.1f}, {offset[1]:+.1f}) px, {sigmas}"
-    return f", by {sigmas}"
+        return f"({offset[0]:+.1f}, {offset[1]:+.1f}) px, {sigmas}"
+    return sigmas
 
 
 def _sentence_of_bend(adjustment: Adjustment, known: Knowledge) -> str:

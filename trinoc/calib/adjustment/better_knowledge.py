@@ -132,8 +132,8 @@ def say_what_goes_unseen(alternatives: Mapping[str, Sequence[Alternative]]) -> s
         errors = " or of ".join(f"{_error_of_lens(test)} ({_motion(test)})" for test in of_lens)
         sentences.append(
             "The sigmas rest on the lens being exact. One image of a plane cannot show an error "
-            f"of {errors}: calibrate the lens with several images (`trinoc intrinsics`) and pass it "
-            "with --lens."
+            f"of {errors}: calibrate the lens with several images (`trinoc intrinsics`) and pass "
+            "it with --lens."
         )
     if "aim" in worst:
         aim = worst["aim"]

@@ -236,6 +236,13 @@ def _of_sheet(adjustment: Adjustment) -> list[Unknown]:
 
 
 def kinds_of(pull: PriorPull) -> tuple[str, ...]:
-    """The kinds of an entry's unknown and of its partners, each once."""
+    """The kinds of an entry's unknown and of its partners, one for each lens, aim, and the sheet.
+
+    Partners of one lens share the statement that is wrong.
+    """
     unknowns: Sequence[Unknown] = (pull.unknown, *pull.partners)
-    return tuple(dict.fromkeys(unknown.kind for unknown in unknowns))
+    by_owner: dict[tuple[str, tuple[int, ...]], str] = {}
+    for unknown in unknowns:
+        of_lens = unknown.kind not in ("aim", "bend", "print size", "print aspect", "all")
+        by_owner.setdefault(("lens" if of_lens else unknown.kind, unknown.views), unknown.kind)
+    return tuple(dict.fromkeys(by_owner.values()))
