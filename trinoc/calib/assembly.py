@@ -149,8 +149,7 @@ def _camera_fit(
     notes = notes_of_camera(choice, known.pattern, used, tests, reduced, gauge)
     by_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
     picture = choice.picture if choice.method == "pixels" else None
-    is_aim_refuted = any("misses the origin" in note for note in refuted)
-    of_aim = () if is_aim_refuted else notes_of_aim(fit.adjustment, view, known)
+    of_aim = () if view in priors.wrong_aims else notes_of_aim(fit.adjustment, view, known)
     result = CameraFit(
         detection=choice.camera.detection,
         residuals_px=errors_px(by_answer)[view],

@@ -42,10 +42,12 @@ class RefutedPriors(NamedTuple):
     ------
     of_sheet : notes on the sheet, which make every camera SUSPECT.
     of_views : notes of each camera.
+    wrong_aims : the cameras whose stated aim is contradicted.
     """
 
     of_sheet: tuple[str, ...]
     of_views: tuple[tuple[str, ...], ...]
+    wrong_aims: frozenset[int]
 
 
 def notes_of_priors(adjustment: Adjustment, known: Knowledge) -> RefutedPriors:
@@ -55,17 +57,20 @@ def notes_of_priors(adjustment: Adjustment, known: Knowledge) -> RefutedPriors:
     """
     of_sheet: list[str] = []
     of_views: list[list[str]] = [[] for _ in adjustment.used]
+    wrong_aims: set[int] = set()
     for pull in refuted_priors(adjustment):
-        owners = {view for one in (pull.unknown, *pull.partners) for view in one.views}
-        concerns_sheet = any(not one.views for one in (pull.unknown, *pull.partners))
-        if concerns_sheet:
-            sentence = sentence_of_pull(pull, adjustment, known, 0)
-            of_sheet.append(sentence[0].upper() + sentence[1:])
+        unknowns = (pull.unknown, *pull.partners)
+        owners = {view for unknown in unknowns for view in unknown.views}
+        wrong_aims |= {view for one in unknowns if one.kind == "aim" for view in one.views}
+        if not all(unknown.views for unknown in unknowns):
+            of_sheet.append(_capital(sentence_of_pull(pull, adjustment, known, 0)))
             continue
         for view in owners:
             of_views[view].append(sentence_of_pull(pull, adjustment, known, view))
     return RefutedPriors(
-        tuple(dict.fromkeys(of_sheet)), tuple(tuple(dict.fromkeys(notes)) for notes in of_views)
+        tuple(dict.fromkeys(of_sheet)),
+        tuple(tuple(dict.fromkeys(notes)) for notes in of_views),
+        frozenset(wrong_aims),
     )
 
 
