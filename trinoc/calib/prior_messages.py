@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.adjustment.estimate import Adjustment
-from trinoc.calib.adjustment.prior_pulls import PriorPull, kinds_of, refuted_priors
+from trinoc.calib.adjustment.prior_pulls import PriorPull, list_kinds, refuted_priors
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.rig_fit import Knowledge
 
@@ -76,7 +76,7 @@ def notes_of_priors(adjustment: Adjustment, known: Knowledge) -> RefutedPriors:
 
 def sentence_of_pull(pull: PriorPull, adjustment: Adjustment, known: Knowledge, view: int) -> str:
     """Return the sentence of one contradicted unknown, or of those that cannot be separated."""
-    kind, *others = kinds = kinds_of(pull)
+    kind, *others = kinds = list_kinds(pull)
     if others:
         remedies = dict.fromkeys(_REMEDY[kind] for kind in kinds)
         return (

@@ -27,7 +27,7 @@ _LENS_ERRORS = {
     "radial distortion": "up to {:.2g} of the radial distortion k1",
 }
 _PERCENT = ("focal length", "aspect")
-# Sentences stay readable: of errors of the lens, those that move the camera most are listed.
+# numerical: for words only: of errors of the lens, those that move the camera most are listed.
 _MOST_LISTED = 2
 
 

@@ -235,7 +235,7 @@ def _of_sheet(adjustment: Adjustment) -> list[Unknown]:
     ]
 
 
-def kinds_of(pull: PriorPull) -> tuple[str, ...]:
+def list_kinds(pull: PriorPull) -> tuple[str, ...]:
     """The kinds of an entry's unknown and of its partners, one for each lens, aim, and the sheet.
 
     Partners of one lens share the statement that is wrong.
