@@ -14,9 +14,8 @@ from trinoc.calib.messages import (
     notes_of_aim,
     notes_of_camera,
     notes_of_misfit,
-    notes_of_priors,
-    notes_of_sheet,
 )
+from trinoc.calib.prior_messages import RefutedPriors, notes_of_priors
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.result.calibration import CalibrationResult, CameraFit, Status
 from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
@@ -46,9 +45,10 @@ def result_of_fits(
     cameras, judged, said = {}, dict(status), dict(others)
     keys, blocks, values, told = [], [], [], []
     reported = known.model.parameter_names
-    # Cameras that share nothing are asked about no sheet: it is exact for them.
-    of_sheet = notes_of_sheet(fits[0].adjustment, known.systematics) if len(fits) == 1 else ()
-    for fit in fits:
+    refutations = [notes_of_priors(fit.adjustment, known) for fit in fits]
+    # Cameras that are fitted apart share nothing: the sheet is exact for them.
+    of_sheet = tuple(dict.fromkeys(note for one in refutations for note in one.of_sheet))
+    for fit, refuted in zip(fits, refutations, strict=True):
         seen = [_observability(fit.adjustment, k) for k in range(len(fit.cameras))]
         own_keys, block = _named_covariance(fit, seen)
         keys += own_keys
@@ -56,7 +56,7 @@ def result_of_fits(
         for k, camera in enumerate(fit.cameras):
             name = camera.camera.name
             cameras[name] = _camera(fit, k)
-            said[name], suspect = _camera_fit(fit, k, known, seen[k], of_sheet)
+            said[name], suspect = _camera_fit(fit, k, known, seen[k], refuted)
             if suspect:
                 judged[name] = Status.SUSPECT
             values.append(values_of_parameters(fit.adjustment.parameters(k))[: len(reported)])
@@ -126,7 +126,7 @@ def _camera(fit: RigFit, view: int) -> Camera:
 
 
 def _camera_fit(
-    fit: RigFit, view: int, known: Knowledge, seen: Observability, of_sheet: tuple[str, ...]
+    fit: RigFit, view: int, known: Knowledge, seen: Observability, priors: RefutedPriors
 ) -> tuple[CameraFit, bool]:
     """What is said of one camera, and whether it is suspect: its residuals are not those of the
     model, or what was said of lens, aim or sheet is refuted."""
@@ -142,20 +142,21 @@ def _camera_fit(
     )
     reduced = float(of_circles.reduced_chi_square[view])
     gauge = tuple(PARAMETER_NAMES[k] for k in seen.gauge)
-    refuted = (*notes_of_priors(fit.adjustment, view, choice, known), *of_sheet)
+    refuted = (*priors.of_views[view], *priors.of_sheet)
     suspect = bool(refuted) or is_suspect(tests, float(source.reduced_chi_square[view]))
     if not suspect:
         refuted = notes_of_misfit(of_circles, view)
     notes = notes_of_camera(choice, known.pattern, used, tests, reduced, gauge)
     by_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
     picture = choice.picture if choice.method == "pixels" else None
+    of_aim = () if view in priors.wrong_aims else notes_of_aim(fit.adjustment, view, known)
     result = CameraFit(
         detection=choice.camera.detection,
         residuals_px=errors_px(by_answer)[view],
         rank=seen.rank,
         reduced_chi_square=reduced,
         gauge=gauge,
-        notes=(*refuted, *notes_of_aim(fit.adjustment, view, known), *notes),
+        notes=(*refuted, *of_aim, *notes),
         used=used,
         image=picture.quality if picture is not None else None,
         alternatives=tuple(tests),

@@ -10,12 +10,10 @@ from trinoc.calib.adjustment.each_camera import PoseEstimate
 from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.robust_fit import errors_px
-from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.result.calibration import Alternative, Status
 from trinoc.calib.rig_fit import CameraChoice, Knowledge
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.intrinsics import FOLD_REMEDY, Intrinsics, describe_fold
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.tails import chi_square_tail, normal_limit
@@ -79,30 +77,10 @@ def _with_fold(failed: str, lens: Intrinsics, otherwise: str) -> str:
 
 
 def is_suspect(tests: Sequence[Alternative], reduced_chi_square: float) -> bool:
-    """Whether something that the model leaves out shows, in residuals beyond their sigmas or so
-    that it moves the camera beyond its own."""
-    if not (tests and tests[0].found):
-        return False
+    """Whether the images contradict what is held fixed: the residuals exceed their sigmas, or the
+    likeliest change would move the camera by more than its own sigmas allow."""
     scatters = reduced_chi_square > TUNING.answer.large_chi_square
-    return scatters or tests[0].strain > TUNING.answer.strain_sigmas
-
-
-def notes_of_priors(
-    adjustment: Adjustment, view: int, choice: CameraChoice, known: Knowledge
-) -> tuple[str, ...]:
-    """What the pictures refute of what was said of the lens and the aim."""
-    notes, most = [], TUNING.answer.strain_sigmas
-    lens_is_free = choice.camera.lens_factor is not None
-    strain = float(np.abs(adjustment.lens_steps(view)).max()) if lens_is_free else 0.0
-    if strain > most:
-        notes.append(lens_strain_sentence(strain))
-    if _is_aim_refuted(adjustment, view, known):
-        aim = adjustment.parameters(view)[4:6]
-        notes.append(
-            f"the optical axis misses the origin of the sheet by ({aim[0]:.1f}, {aim[1]:.1f}) mm, "
-            f"where {known.aim_sigma_mm:.2g} mm was expected: aim at it, or state a larger sigma."
-        )
-    return tuple(notes)
+    return (scatters and bool(tests) and tests[0].found) or any(test.is_strained for test in tests)
 
 
 def notes_of_misfit(circles: Adjustment, view: int) -> tuple[str, ...]:
@@ -133,50 +111,23 @@ def lens_strain_sentence(strain: float) -> str:
     )
 
 
-def _is_aim_refuted(adjustment: Adjustment, view: int, known: Knowledge) -> bool:
-    if not known.aim_sigma_mm:
-        return False
-    aim = adjustment.parameters(view)[4:6]
-    return bool(np.abs(aim).max() > TUNING.answer.strain_sigmas * known.aim_sigma_mm)
-
-
 def notes_of_aim(adjustment: Adjustment, view: int, known: Knowledge) -> tuple[str, ...]:
-    """Where the camera is seen to aim beside the origin, as far as was allowed for."""
-    notes = []
-    if known.aim_sigma_mm and not _is_aim_refuted(adjustment, view, known):
-        step = adjustment.rows(view)
-        aim, unit_mm = adjustment.parameters(view)[4:6], float(adjustment.problem.chart.unit_mm)
-        covariance = adjustment.covariance[np.ix_(step, step)][4:6, 4:6] * unit_mm**2
-        squared = aim @ np.linalg.solve(covariance, aim)
-        if chi_square_tail(squared, len(aim)) < TUNING.answer.chance:
-            sigma = np.sqrt(np.diag(covariance))
-            notes.append(
-                f"the optical axis misses the origin of the sheet by ({aim[0]:.2f}, {aim[1]:.2f}) "
-                f"+- ({sigma[0]:.1g}, {sigma[1]:.1g}) mm, which the parameters allow for."
-            )
-    return tuple(notes)
-
-
-def notes_of_sheet(adjustment: Adjustment, systematics: Systematics) -> tuple[str, ...]:
-    """What the pictures refute of what was said of the sheet."""
-    notes = []
-    state, chart = adjustment.problem.state, adjustment.problem.chart
-    shape = dict(zip(BentPaper.names, np.asarray(state.sheet), strict=True))
-    strain = dict(zip(shape, np.abs(state.sheet) / chart.sheet_scale, strict=True))
-    heights, prints = BentPaper.height_terms, BentPaper.print_terms
-    height = max(float(abs(shape[term])) for term in heights)
-    if max(strain[term] for term in heights) > TUNING.answer.strain_sigmas:
-        notes.append(
-            f"The sheet bends by {height:.1f} mm, where {systematics.flatness_mm:.2g} mm was "
-            "expected: lay it flat, or say so with flatness_mm."
-        )
-    if max(strain[term] for term in prints[1:]) > TUNING.answer.strain_sigmas:
-        longer = 100 * float(shape[prints[1]] - shape[prints[2]])
-        notes.append(
-            f"The print is {abs(longer):.2f} % longer along {'X' if longer > 0 else 'Y'} than "
-            "along the other axis: measure its two bars, and give the print scale."
-        )
-    return tuple(notes)
+    """A note on an aim beside the origin, where it is significant and large enough to matter."""
+    if not known.aim_sigma_mm:
+        return ()
+    step = adjustment.rows(view)
+    aim_mm, unit_mm = adjustment.parameters(view)[4:6], float(adjustment.problem.chart.unit_mm)
+    if np.abs(aim_mm).max() < TUNING.answer.least_aim_mm:
+        return ()
+    covariance = adjustment.covariance[np.ix_(step, step)][4:6, 4:6] * unit_mm**2
+    squared = aim_mm @ np.linalg.solve(covariance, aim_mm)
+    if not chi_square_tail(squared, len(aim_mm)) < TUNING.answer.chance:
+        return ()
+    sigma_mm = np.sqrt(np.diag(covariance))
+    return (
+        f"the optical axis misses the origin of the sheet by ({aim_mm[0]:.2f}, {aim_mm[1]:.2f}) "
+        f"+- ({sigma_mm[0]:.1g}, {sigma_mm[1]:.1g}) mm, which the parameters allow for.",
+    )
 
 
 def notes_of_camera(
@@ -194,10 +145,15 @@ def notes_of_camera(
     """
     detection, picture = choice.camera.detection, choice.picture
     notes = []
-    if tests and tests[0].found:
-        notes.append(tests[0].sentence)
+    telling = [test for test in tests[:1] if test.found] or [t for t in tests if t.is_strained]
+    notes += [test.sentence for test in telling[:1]]
     if picture is not None and picture.note is not None:
         notes.append(f"{picture.note} Its circles alone were used.")
+    elif picture is not None and choice.method == "points" and picture.is_processed:
+        notes.append(
+            "software has sharpened the picture, and its grey levels disagree with the circles' "
+            "centres or among themselves. Its circles alone were used."
+        )
     elif picture is not None and choice.method == "points":
         notes.append(
             "the grey levels disagree with the circles' centres more than noise can explain: the "

@@ -6,9 +6,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.adjustment.agreement import probability_of_agreement, scatter_of_blocks
+from trinoc.calib.adjustment.agreement import (
+    autocorrelation_of_circles,
+    probability_of_agreement,
+    scatter_of_blocks,
+)
 from trinoc.calib.adjustment.each_camera import PoseEstimate, fit_camera
-from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
+from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras, prior_weights
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.photometric.encoding import Encoding
 from trinoc.calib.photometric.scene import ShiftOfPlaces
@@ -21,6 +25,7 @@ from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import PoseModel
+from trinoc.numerics.tails import normal_limit
 
 Method = Literal["pixels", "points"]
 
@@ -148,21 +153,43 @@ def choose_answer(
     of_circles: Adjustment,
     of_pictures: Adjustment,
 ) -> CameraChoice:
-    """The grey levels' answer of one camera, unless their own places speak against it."""
+    """Choose the answer of one camera: its grey levels, or its circles where those mislead."""
     is_shown = camera.shown is not None
     agreement = float("nan")
     if is_shown:
         agreement = probability_of_agreement(of_circles, of_pictures, view)
+    agrees = agreement >= TUNING.answer.chance_of_answers
+    is_consistent = is_shown and of_pictures.enlarged[view] == 1.0
     # Shadows, uneven light and blur move circles alike, so that these agree among themselves; what
-    # the grey levels do not model makes their places scatter.
-    if agreement >= TUNING.answer.chance_of_answers or (
-        is_shown and of_pictures.enlarged[view] == 1.0
-    ):
+    # the grey levels do not model makes their places scatter. Filters of phones move whole edges,
+    # which an open lens or sheet absorbs: there the circles count, unless neighbouring ones are
+    # displaced alike, as by glare.
+    may_mislead = picture is not None and picture.is_processed and has_open_model(of_circles)
+    if may_mislead and not are_circles_displaced(of_circles, view):
+        believes_pixels = agrees and is_consistent
+    else:
+        believes_pixels = agrees or is_consistent
+    if believes_pixels:
         return CameraChoice(camera, picture, "pixels", agreement, 1.0)
     scatter = scatter_of_blocks(of_circles, view)
     # By all that blocks say where the model is wrong.
     scatter = scatter if is_shown or scatter > TUNING.answer.largest_scatter else 1.0
     return CameraChoice(camera, picture, "points", agreement, scatter)
+
+
+def has_open_model(adjustment: Adjustment) -> bool:
+    """Whether lens or sheet are estimated along with the poses."""
+    chart, weights = adjustment.problem.chart, prior_weights(adjustment.problem)
+    return bool(weights[: chart.lens_count].any() or weights[chart.sheet_first :].any())
+
+
+def are_circles_displaced(of_circles: Adjustment, view: int) -> bool:
+    """Whether neighbouring circles share errors, as under glare: their blocks scatter, or their
+    residuals are correlated."""
+    if scatter_of_blocks(of_circles, view) > TUNING.answer.largest_scatter:
+        return True
+    limit = float(normal_limit(TUNING.answer.chance_of_answers))
+    return autocorrelation_of_circles(of_circles, view) > limit
 
 
 def _fit_pictures(

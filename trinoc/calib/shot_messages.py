@@ -150,9 +150,8 @@ def cause_sentences(
 
 def scatter_sentence(camera: str, factor: float, has_causes: bool) -> str:
     """That the places of a camera scatter far more than their sigmas."""
-    return (
-        f'The residuals of "{camera}" are {factor:.1f} times their sigmas: '
-        + ("see the causes below." if has_causes else "no single cause stands out in them.")
+    return f'The residuals of "{camera}" are {factor:.1f} times their sigmas: ' + (
+        "see the causes below." if has_causes else "no single cause stands out in them."
     )
 
 

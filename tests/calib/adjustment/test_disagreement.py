@@ -11,14 +11,16 @@ from trinoc.calib.adjustment.agreement import (
 )
 from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.adjustment.model_tests import information_left
+from trinoc.calib.photometric.views import PictureFit
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.rig_fit import choose_answer
+from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
 
 
-def adjusted(cameras) -> Adjustment:
-    return adjust_cameras(cameras, SHEET, TYPICAL, PoseModel.AIM_FREE, TYPICAL.aim_sigma_mm)
+def adjusted(cameras, known: Systematics = TYPICAL) -> Adjustment:
+    return adjust_cameras(cameras, SHEET, known, PoseModel.AIM_FREE, TYPICAL.aim_sigma_mm)
 
 
 def test_right_answers_agree_and_wrong_ones_do_not() -> None:
@@ -116,4 +118,34 @@ def test_grey_levels_that_differ_are_believed_where_their_places_agree_with_each
     shown = camera._replace(shown=SheetPoints(SHEET.centres_mm, places_px, root))
     choice = choose_answer(0, shown, None, circles, adjusted([shown]))
     assert choice.agreement < 1e-3
+    assert choice.method == method
+
+
+@pytest.mark.parametrize(
+    ("is_processed", "shared_px", "known", "method"),
+    [
+        (False, 0.0, TYPICAL, "pixels"),
+        (True, 0.0, TYPICAL, "points"),
+        (True, 3 * SIGMA_PX, TYPICAL, "pixels"),
+        (True, 0.0, Systematics(), "pixels"),
+    ],
+    ids=["camera", "phone", "phone under glare", "phone, all exact"],
+)
+def test_grey_levels_of_sharpened_pictures_that_differ_give_way_to_sound_circles(
+    is_processed: bool, shared_px: float, known: Systematics, method: str
+) -> None:
+    """Lens and sheet, where they are open, absorb what filters do to whole edges."""
+    (camera,) = made_views(0, known, cameras=("left",)).cameras
+    smooth = np.cos(SHEET.centres_mm[:, 1:] / 15.0) * np.ones(2)
+    circles, finer_px = adjusted([camera], known), SIGMA_PX / np.sqrt(1.75)
+    noise = np.random.default_rng(1).normal(size=(len(SHEET), 2))
+    places_px = _images_px(circles) + SIGMA_PX + finer_px * noise
+    camera.detection.centres_px[:] += shared_px * smooth
+    circles = adjusted([camera], known)
+    root = np.eye(2 * len(SHEET)) / finer_px
+    points = SheetPoints(SHEET.centres_mm, places_px, root)
+    picture = PictureFit(camera.pose, points, None, None, is_processed)
+    shown = camera._replace(shown=points)
+    choice = choose_answer(0, shown, picture, circles, adjusted([shown], known))
+    assert choice.agreement < 1e-2
     assert choice.method == method

@@ -34,11 +34,13 @@ CHANGES = {
 
 
 class Fitted(NamedTuple):
-    """What its residuals say of a camera, and how far it is off, in its sigmas."""
+    """What its residuals say of a camera, and how far it is off, in its sigmas and in degrees and
+    mm."""
 
     tests: dict[str, Alternative]
     distance: float
     scatter: float
+    off: np.ndarray
 
 
 def fitted(seed: int, change: np.ndarray) -> Fitted:
@@ -59,7 +61,8 @@ def fitted(seed: int, change: np.ndarray) -> Fitted:
     off[:3] = np.degrees(off[:3])
     step = np.linalg.solve(near.degrees_by_step(0), off)
     distance = float(np.linalg.norm(near.pose_root(0) @ step))
-    return Fitted({test.name: test for test in tests}, distance, float(near.reduced_chi_square[0]))
+    by_name = {test.name: test for test in tests}
+    return Fitted(by_name, distance, float(near.reduced_chi_square[0]), off)
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -88,12 +91,40 @@ def test_what_is_found_and_moves_the_camera_far_is_suspect_though_places_scatter
         assert not is_suspect([one.tests[name]._replace(strain=3.9)], one.scatter)
 
 
-def test_what_may_go_unseen_is_said_of_the_worst() -> None:
+@pytest.mark.parametrize("name", ["focal length", "principal point"])
+def test_what_goes_unseen_moves_the_camera_by_the_degrees_and_mm_that_are_stated(name) -> None:
+    """The same noise with the change and without."""
+    right = fitted(0, np.zeros(5))
+    test = right.tests[name]
+    wrong = fitted(0, test.unseen @ CHANGES[name])
+    moved = np.abs(wrong.off - right.off)
+    np.testing.assert_allclose(
+        moved, np.abs(test.unseen_motion), rtol=0.1, atol=0.02 * np.abs(test.unseen_motion).max()
+    )
+
+
+def test_rare_residuals_are_suspect_where_they_would_move_the_camera_far() -> None:
+    test = fitted(0, np.zeros(5)).tests["focal length"]
+    rare = test._replace(p_value=0.5 * TUNING.answer.chance_where_strained, strain=4.1)
+    assert not rare.found
+    assert is_suspect([test._replace(p_value=1e-8, strain=1.0), rare], 1.0)
+    assert not is_suspect([rare._replace(strain=3.9)], 1.0)
+    assert not is_suspect([rare._replace(p_value=2 * TUNING.answer.chance_where_strained)], 1.0)
+
+
+def test_what_may_go_unseen_is_said_once_in_the_units_of_the_answer() -> None:
     tests = list(fitted(0, np.zeros(5)).tests.values())
     worst = max(tests, key=lambda test: test.unseen_strain)
-    said = say_what_goes_unseen({"left": tests})
-    assert f"{worst.unseen_strain:.0f} of its sigmas" in said
-    assert f"{worst.name} {np.linalg.norm(worst.unseen):.2g} px off" in said
+    weaker = worst._replace(unseen=0.5 * worst.unseen, unseen_strain=0.5 * worst.unseen_strain)
+    said = say_what_goes_unseen({"left": tests, "right": [weaker]})
+    assert said.count("The sigmas rest on the lens being exact") == 1
+    assert worst.name == "principal point"
+    assert f"up to {np.linalg.norm(worst.unseen):.2g} px of the principal point" in said
+    assert said.count("px of the principal point") == 1
+    assert f"distance by {abs(worst.unseen_motion[3]):.2g} mm" in said
+    assert f"by {np.abs(worst.unseen_motion[:3]).max():.2g} deg" in said
+    assert "trinoc intrinsics" in said
+    assert "of its sigmas" not in said
 
 
 def test_what_would_move_no_camera_is_not_worth_saying() -> None:

@@ -35,6 +35,7 @@ from trinoc.errors import InputError
 from trinoc.geometry import Pose
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.projection import project_point
 from trinoc.synth.camera_picture.layers import Paint
 from trinoc.synth.camera_picture.render import render_sheet
 from trinoc.synth.camera_picture.shapes import Cells
@@ -116,9 +117,15 @@ def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
     warped = eqx.tree_at(lambda state: state.sheet, here.state, np.array([0.0, 0.0, 1.0, 0.0]))
     shift = apparent_shift(here._replace(state=warped), view, pose, lens)
     edge = np.array([[0.0, 0.0], [62.5, 10.0], [-62.5, 0.0]])
-    lengths = np.linalg.norm(shift(edge), axis=1)
-    assert lengths[0] > 0.1
-    np.testing.assert_allclose(lengths[1:], 0.0, atol=1e-9)
+    assert np.linalg.norm(shift(edge)[0]) > 0.1
+    # At the edge the board does not rise; a parabola of 1 mm is shorter there by 2 / (3 * 62.5) mm.
+    nearer = edge[1:] * [1 - 2 / 3 / 62.5**2, 1.0]
+    drawn, bent = (
+        np.array([project_point(pose, lens, np.append(xy, 0.0)) for xy in places])
+        for places in (edge[1:], nearer)
+    )
+    np.testing.assert_allclose(shift(edge)[1:], bent - drawn, atol=1e-6)
+    assert np.linalg.norm(bent - drawn, axis=1).max() > 0.005
 
 
 @pytest.mark.parametrize("quarters", [1, 2])

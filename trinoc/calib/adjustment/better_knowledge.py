@@ -12,22 +12,23 @@ from trinoc.calib.result.calibration import Alternative
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
+from trinoc.geometry.rig import PARAMETER_NAMES
 
 # What may be known better, and how. The bend of the paper is not among it: pictures show it.
 _HOW = {
     "lens": "calibrate the lens (`trinoc intrinsics`, ten pictures of the sheet)",
     "print": "measure the sheet's two bars (--print-scale)",
 }
-# What is taken to be exact and may be wrong, and how to say better.
-_UNSEEN = {
-    "aim": "an optical axis {:.2g} mm beside the origin of the sheet",
-    "focal length": "a focal length {:.2%} off",
-    "aspect": "a focal length along v {:.2%} off against that along u",
-    "principal point": "a principal point {:.2g} px off",
-    "radial distortion": "a radial distortion k1 {:.2g} off",
+# What is assumed exact and may be wrong, by the names of its tests, with the size of the error.
+_LENS_ERRORS = {
+    "focal length": "up to {:.2g} % of the focal length",
+    "aspect": "up to {:.2g} % of the ratio of its focal lengths",
+    "principal point": "up to {:.2g} px of the principal point",
+    "radial distortion": "up to {:.2g} of the radial distortion k1",
 }
-_SAY_LENS = "give a lens with its covariance, as `trinoc intrinsics` writes it"
-_SAY_AIM = "state its sigma"
+_PERCENT = ("focal length", "aspect")
+# numerical: for words only: of errors of the lens, those that move the camera most are listed.
+_MOST_LISTED = 2
 
 
 class BetterKnowledge(NamedTuple):
@@ -105,22 +106,57 @@ def advise_better_knowledge(
 
 
 def say_what_goes_unseen(alternatives: Mapping[str, Sequence[Alternative]]) -> str:
-    """The worst that may be wrong with what is taken to be exact, and does not show; empty where
-    nothing of it moves a camera by much.
+    """Return what the images cannot show of a lens or aim that is assumed exact, and the remedy.
 
-    alternatives : for each camera, what its residuals say of all that is held fixed.
+    Parameters
+    ----------
+    alternatives : for each camera, the tests of all that is held fixed.
+
+    Returns
+    -------
+    Errors that a test would miss, and by how much each would change the worst camera, in the units
+    of the answer; empty if none changes a camera by more than a few of its sigmas.
     """
-    tests = [(test, name) for name, own in alternatives.items() for test in own]
-    if not tests:
-        return ""
-    worst, name = max(tests, key=lambda item: item[0].unseen_strain)
-    if worst.unseen_strain <= TUNING.answer.strain_sigmas:
-        return ""
-    of, better = ("aim", _SAY_AIM) if worst.name == "aim" else ("lens", _SAY_LENS)
+    worst: dict[str, Alternative] = {}
+    for tests in alternatives.values():
+        for test in tests:
+            is_worse = test.name not in worst or (
+                test.unseen_strain > worst[test.name].unseen_strain
+            )
+            if is_worse and test.unseen_strain > TUNING.answer.strain_sigmas:
+                worst[test.name] = test
+    ranked = sorted(worst.values(), key=lambda test: test.unseen_strain, reverse=True)
+    of_lens = [test for test in ranked if test.name in _LENS_ERRORS][:_MOST_LISTED]
+    sentences = []
+    if of_lens:
+        errors = " or of ".join(f"{_error_of_lens(test)} ({_motion(test)})" for test in of_lens)
+        sentences.append(
+            "The sigmas rest on the lens being exact. One image of a plane cannot show an error "
+            f"of {errors}: calibrate the lens with several images (`trinoc intrinsics`) and pass "
+            "it with --lens."
+        )
+    if "aim" in worst:
+        aim = worst["aim"]
+        sentences.append(
+            "The sigmas rest on the optical axis meeting the origin of the sheet exactly. The "
+            f"image cannot show an error of up to {np.linalg.norm(aim.unseen):.2g} mm "
+            f"({_motion(aim)}): state the sigma of the aim (--sigma aim_mm=)."
+        )
+    return " ".join(sentences)
+
+
+def _error_of_lens(test: Alternative) -> str:
+    size = float(np.linalg.norm(test.unseen))
+    return _LENS_ERRORS[test.name].format(100 * size if test.name in _PERCENT else size)
+
+
+def _motion(test: Alternative) -> str:
+    """By how much the camera would be off, in its largest angle and in distance."""
+    angles = np.abs(test.unseen_motion[:3])
+    name = PARAMETER_NAMES[int(np.argmax(angles))].removesuffix("_deg")
     return (
-        f"The {of} is taken to be exact. The picture of {name} may well not show "
-        f"{_UNSEEN[worst.name].format(np.linalg.norm(worst.unseen))}, which moves the camera by "
-        f"{worst.unseen_strain:.0f} of its sigmas: {better}."
+        f"it would change {name} by {angles.max():.2g} deg and distance by "
+        f"{abs(float(test.unseen_motion[3])):.2g} mm"
     )
 
 

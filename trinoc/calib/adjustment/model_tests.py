@@ -68,12 +68,14 @@ def _score(
     # Places that scatter more than they claim scatter alike in every direction.
     test = test.with_noise(max(1.0, test.noise_variance(float(residual @ residual), freedom)))
     sigma = unit * np.sqrt(np.diag(test.covariance))
-    by_pose = pose_by_extra(extra, adjustment, view)
+    motion = motion_by_extra(extra, adjustment, view)
+    by_pose = adjustment.pose_root(view) @ motion
     root = np.linalg.cholesky(test.covariance)
     # Of all changes that are found equally often, the one that moves the camera most.
     strains, worst = np.linalg.svd(by_pose @ root)[1:]
     sigmas = unseen_sigmas(TUNING.answer.chance, test.freedom)
-    unseen = unit * sigmas * root @ worst[0]
+    unseen_step = sigmas * root @ worst[0]
+    unseen_step = unseen_step * np.sign(unseen_step[np.argmax(np.abs(unseen_step))])
     return Alternative(
         name=name,
         chi_square_drop=test.chi_square,
@@ -82,21 +84,23 @@ def _score(
         sigma=sigma,
         sentence=_sentence(name, unit * test.step, sigma),
         strain=float(np.linalg.norm(by_pose @ test.step)),
-        unseen=unseen * np.sign(unseen[np.argmax(np.abs(unseen))]),
+        unseen=unit * unseen_step,
         unseen_strain=sigmas * float(strains[0]),
+        unseen_motion=adjustment.degrees_by_step(view) @ motion @ unseen_step,
     )
 
 
-def pose_by_extra(
+def motion_by_extra(
     extra: Float[np.ndarray, "n k"], adjustment: Adjustment, view: int
 ) -> Float[np.ndarray, "p k"]:
-    """By how many sigmas a camera moves for a unit of what is held fixed.
+    """Steps of a camera's pose by a unit of each unknown that is held fixed.
 
-    Its square is the squared Mahalanobis distance of the pose.
+    R of `Adjustment.pose_root` times a step is its length in sigmas: the squared Mahalanobis
+    distance of the pose is |R step|^2.
     """
     base = adjustment.near.jacobian[view][:, adjustment.free]
     step = -adjustment.covariance @ (base.T @ extra)
-    return adjustment.pose_root(view) @ step[adjustment.rows(view)]
+    return step[adjustment.rows(view)]
 
 
 def information_left(

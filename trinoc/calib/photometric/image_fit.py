@@ -56,6 +56,7 @@ class ImageRefinement(NamedTuple):
     points : where the picture shows each circle and each piece of the crossed lines.
     found : what the picture shows of its camera and its light, in words; nothing where an ideal
         camera explains it.
+    overshoot : amplitude of the sharpening that the profiles of edges show; 0 where none is sure.
     """
 
     state: PictureState
@@ -67,6 +68,7 @@ class ImageRefinement(NamedTuple):
     converged: bool
     points: SheetPoints
     found: tuple[str, ...] = ()
+    overshoot: float = 0.0
 
 
 def refine_image(
@@ -110,6 +112,7 @@ def refine_image(
             not point.state.unknowns.is_ideal or point.length < _CONVERGED_SIGMAS,
             points,
             found,
+            _overshoot(scene, point),
         )
 
     residual = point.level - scene.grey
@@ -129,6 +132,16 @@ def refine_image(
                 found = describe_processing(wider, delivered, covariance)
                 return refinement(wider, delivered, covariance, found)
     return refinement(scene, point, pose_covariance(scene, point, correlated=False), ())
+
+
+def _overshoot(scene: PixelScene, point: Point) -> float:
+    """The lobe beside edges that sharpening makes, where it is surely there; else 0."""
+    look = point.state.unknowns.look
+    if "lobe" not in look:
+        return 0.0
+    row = look.index("lobe")
+    value, sigma = float(point.state.values[row]), float(spread_of_values(scene, point)[row])
+    return value if value > _SIGMAS * sigma > 0 else 0.0
 
 
 def _noise_in_the_middle(point: Point) -> float:

@@ -40,12 +40,14 @@ class PictureFit(NamedTuple):
     points : where the picture shows each circle and each piece of the crossed lines.
     quality : light, ink, blur and noise.
     note : why the picture says nothing; None where it does.
+    is_processed : whether software has sharpened the picture.
     """
 
     pose: Pose
     points: SheetPoints | None
     quality: ImageQuality | None
     note: str | None
+    is_processed: bool = False
 
 
 def refine_views(
@@ -122,7 +124,9 @@ def _refine(
     moved = float(np.abs(after - before).max())
     if not moved < TUNING.photometric.largest_move_px:
         return silent(f"the picture itself disagrees with its circles by {moved:.2f} px.")
-    return PictureFit(refined.state.pose, refined.points, _quality(refined, model), None)
+    quality = _quality(refined, model)
+    is_processed = refined.overshoot > TUNING.photometric.processed_overshoot
+    return PictureFit(refined.state.pose, refined.points, quality, None, is_processed)
 
 
 def _quality(refined: ImageRefinement, model: PoseModel) -> ImageQuality:

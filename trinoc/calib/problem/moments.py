@@ -169,10 +169,10 @@ def _pose_jacobian(state: RigState, chart: Chart, table: ViewTable) -> Float[Arr
 
 
 def errors_with_own_poses_px(problem: Problem, own: OwnPoses) -> list[Float[np.ndarray, "_m 2"]]:
-    """Residuals of each image were the pose of its board its own: without what moments differ by."""
+    """Residuals of each image about its own pose, without what moments differ by."""
     return [
         errors + jacobian[: len(errors)] @ step
-        for errors, jacobian, step in zip(errors_px(problem), own.jacobian_px, own.step, strict=True)
+        for errors, jacobian, step in zip(errors_px(problem), own.jacobian_px, own.step)
     ]
 
 

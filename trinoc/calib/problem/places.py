@@ -61,7 +61,7 @@ class BoardView(eqx.Module):
         board: ArrayLike | int,
     ) -> Float[ArrayLike, "2"]:
         """The pixel of a place of the drawing, which lies `aside_mm` of where the sheet has it."""
-        point = sheet.point(place_mm, self.shape, board) + aside_mm
+        point = sheet.point(place_mm, self.shape, board) + sheet.size(self.shape) * aside_mm
         if self.set_from_board is not None:
             point = Pose(self.set_from_board).transform(point)
         point = Pose(self.rig_from_board).transform(point)

@@ -1,13 +1,16 @@
-"""A sheet as it is: stretched against its drawing, and not quite flat.
+"""Shape of a printed sheet: print scale, height over its plane, and shortening by the bend.
 
-Two models say where a place of the drawing lies in the frame of the board. `WarpedBoard` is that of
-a stiff board, whose middle rises over its edges. `BentPaper` is that of paper on a table: the plane
-Z = 0 touches it at the origin. Paper bends and hardly stretches: its height is a polynomial of
-second degree (along X, along Y, twisted) with smaller parts of third and fourth degree, as a cornet
-has them, and what rises comes nearer to the origin.
+Two models map a position on the drawing to a point in the frame of the board. `WarpedBoard` is a
+stiff board whose middle rises over its edges. `BentPaper` is paper on a table that touches the
+plane Z = 0 at the origin. Its height is a polynomial of second degree (along X, along Y, twisted)
+with smaller parts of third and fourth degree.
+
+Paper and plates bend without stretching: lengths along the surface stay those of the drawing, so a
+bent sheet is shorter in the plane Z = 0. `bend_displacement_mm` is that shortening.
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -16,10 +19,45 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.precision import ArrayLike, ScalarLike
 
-# numerical: a place at arc length s on h = c s^2 lies nearer to the origin by 2 h^2 / (3 s).
-_SHORTENING = 2 / 3
+
+def bend_displacement_mm(
+    heights_mm: Sequence[ArrayLike], slopes: Sequence[Float[ArrayLike, "2"]], first_degree: int = 2
+) -> Float[ArrayLike, "2"]:
+    """Displacement in the plane of a position on a bent sheet that does not stretch.
+
+    Parameters
+    ----------
+    heights_mm : the homogeneous parts z_m of the height at the position, by ascending degree m.
+    slopes : the gradient of each part by the position.
+    first_degree : m of the first part.
+
+    Returns
+    -------
+    The displacement u = -sum_mn n (n - 1) / ((m + n - 1) (m + n - 2)) z_n grad z_m, mm.
+
+    Notes
+    -----
+    A surface of height z keeps all lengths to second order in its slopes g = grad z where the
+    symmetric part of grad u is -1/2 g g^T. For a developable surface, u is the path integral of
+    E. Cesaro and V. Volterra of this strain from the origin, here along the straight line and term
+    by term. Bent along X alone, it is u_x = -1/2 int (dz/dx)^2 dx and u_y = 0; a roll in any
+    direction is equally exact. A sheet that bends in two directions must stretch; this form then
+    keeps the lengths of the straight lines through the origin.
+
+    References
+    ----------
+    V. Volterra, "Sur l'equilibre des corps elastiques multiplement connexes", Annales
+    scientifiques de l'Ecole Normale Superieure 24, 1907.
+    """
+    degrees = range(first_degree, first_degree + len(heights_mm))
+    total = jnp.zeros(2)
+    for m, slope in zip(degrees, slopes, strict=True):
+        for n, height in zip(degrees, heights_mm, strict=True):
+            share = n * (n - 1) / ((m + n - 1) * (m + n - 2))
+            total = total - share * height * slope
+    return total
 
 
 class AbstractSheet(eqx.Module):
@@ -39,12 +77,18 @@ class AbstractSheet(eqx.Module):
     ) -> Float[ArrayLike, "3"]:
         """Where a place of the drawing of one of the boards lies, in mm."""
 
+    def size(self, shape: Float[ArrayLike, "w"]) -> ScalarLike:
+        """Size of the board over that of its drawing, by which its single displacements grow, too:
+        their prior must not pull at the size."""
+        return 1.0
+
 
 class WarpedBoard(AbstractSheet):
     """Scales along X and Y over nominal less one, and the rise of the middle along both in mm.
 
     The rise is w_x (1 - x^2) + w_y (1 - y^2), where x and y are shares of half the board.
-    Source: mrcal, "Board deformation" in its formulation.
+    Source: mrcal, "Board deformation" in its formulation. Glass and aluminium bend like paper:
+    lengths along the board stay (`bend_displacement_mm`).
 
     Fields
     ------
@@ -54,16 +98,23 @@ class WarpedBoard(AbstractSheet):
     names: ClassVar[tuple[str, ...]] = ("scale_x", "scale_y", "warp_x_mm", "warp_y_mm")
     half_mm: Float[ArrayLike, "b 2"]
 
+    def size(self, shape: Float[ArrayLike, "w"]) -> ScalarLike:
+        """Mean of the scales along X and Y."""
+        return 1.0 + 0.5 * (shape[0] + shape[1])
+
     def point(
         self,
         place_mm: Float[ArrayLike, "3"],
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """The place, scaled, and risen as far from the edges as it is."""
-        share = place_mm[:2] / jnp.asarray(self.half_mm)[board]
-        rise = shape[2:] @ (1 - share * share)
-        return jnp.append(place_mm[:2] * (1 + shape[:2]), place_mm[2] + rise)
+        """The position with its print scale, its rise and its displacement by the bend."""
+        half_mm = jnp.asarray(self.half_mm)[board]
+        share = place_mm[:2] / half_mm
+        height = -shape[2:] @ (share * share)
+        slope = -2 * shape[2:] * share / half_mm
+        moved = place_mm[:2] * (1 + shape[:2]) + bend_displacement_mm([height], [slope])
+        return jnp.append(moved, place_mm[2] + jnp.sum(shape[2:]) + height)
 
 
 class BentPaper(AbstractSheet):
@@ -89,17 +140,26 @@ class BentPaper(AbstractSheet):
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """The place, stretched, risen, and drawn towards the origin by what it rose."""
-        basis = {"X": place_mm[0] / self.reach_mm, "Y": place_mm[1] / self.reach_mm}
-        for term in self.height_terms:
-            basis[term] = basis[term[:-1]] * basis[term[-1]]
+        """The position with its print scale, its height and its displacement by the bend."""
+        scaled = place_mm[:2] / self.reach_mm
+        power = {"": jnp.ones_like(scaled[0])}
+        for term in ("X", "Y", *self.height_terms):
+            power[term] = power[term[:-1]] * scaled[0 if term[-1] == "X" else 1]
         count = len(self.print_terms)
-        height = jnp.stack([basis[term] for term in self.height_terms]) @ shape[count:]
-        squared = place_mm[:2] @ place_mm[:2]
-        smallest = 1e-6 * self.reach_mm * self.reach_mm
-        nearer = _SHORTENING * height * height / jnp.maximum(squared, smallest)
-        printed = place_mm[:2] * (1 + shape[0] + shape[1:count])
-        return jnp.append(printed * (1 - nearer), place_mm[2] + height)
+        heights, slopes = [], []
+        for degree in range(len(self.height_terms[0]), len(self.height_terms[-1]) + 1):
+            terms = [term for term in self.height_terms if len(term) == degree]
+            rows = [count + self.height_terms.index(term) for term in terms]
+            by_axis = [
+                jnp.stack([term.count(axis) * power[term.replace(axis, "", 1)] for term in terms])
+                for axis in "XY"
+            ]
+            weights = jnp.asarray(shape)[np.array(rows)]
+            heights.append(jnp.stack([power[term] for term in terms]) @ weights)
+            slopes.append(jnp.stack(by_axis) @ weights / self.reach_mm)
+        moved = place_mm[:2] * (1 + shape[0] + shape[1:count])
+        moved = moved + bend_displacement_mm(heights, slopes)
+        return jnp.append(moved, place_mm[2] + jnp.sum(jnp.stack(heights)))
 
     @classmethod
     def sigmas(

@@ -3,14 +3,14 @@
 A board that moves while cameras without a common trigger look at it is seen in slightly different
 poses. Fitted as one pose, this bends the lenses of all cameras. The motion between the moments is
 therefore a random effect: a small step m of the board's pose in each image, of covariance M, which
-is the same for all images. Eliminated, it adds J M J^T to the covariance of an image's places, with J
-their derivative by the pose. The shape within an image then determines its lens as it does for one
-camera alone, and the pose of one camera from another is the mean over the shots, with a sigma by its
-scatter.
+is the same for all images. Eliminated, it adds J M J^T to the covariance of an image's places, with
+J their derivative by the pose. The shape within an image then determines its lens as it does for
+one camera alone, and the pose of one camera from another is the mean over the shots, with a sigma
+by its scatter.
 
-M is estimated from the differences between the poses that the images of a shot have apart, less what
-their noise makes of them. Source: S. R. Searle, G. Casella, C. E. McCulloch, "Variance Components"
-(1992), chapter 4.
+M is estimated from the differences between the poses that the images of a shot have apart, less
+what their noise makes of them. Source: S. R. Searle, G. Casella, C. E. McCulloch, "Variance
+Components" (1992), chapter 4.
 """
 
 import numpy as np
@@ -61,9 +61,7 @@ def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
             for k in range(len(problem.views))
         ]
         ones = np.ones_like(problem.sigma_factor)
-        fitted = refit(
-            problem._replace(views=tuple(correlated), sigma_factor=ones), fit.elsewhere
-        )
+        fitted = refit(problem._replace(views=tuple(correlated), sigma_factor=ones), fit.elsewhere)
         # The next round starts with independent places at the new state.
         problem = problem._replace(state=fitted.problem.state)
     return fitted, factors
@@ -91,15 +89,16 @@ def _motion_covariance(
     for rows in members.values():
         for k in rows[1:]:
             differences.append(own.step[k] - own.step[rows[0]])
-            noises.append(
-                sum(noise[j] * np.linalg.pinv(own.information[j], hermitian=True) for j in (k, rows[0]))
-            )
+            pair = [k, rows[0]]
+            inverse = np.linalg.pinv(own.information[pair], hermitian=True)
+            noises.append(np.einsum("j,jpq->pq", noise[pair], inverse))
     steps = np.array(differences)
     scale = np.sqrt(np.median(steps**2, axis=0)) / 0.6745 + 1e-12
     length = np.sum((steps / scale) ** 2, axis=1)
     weight = np.minimum(1.0, _LARGEST * np.median(length) / np.maximum(length, 1e-12))
     total = (steps * weight[:, None]).T @ steps / np.sum(weight)
-    values, vectors = np.linalg.eigh(0.5 * (total - np.mean(noises, axis=0)) / np.outer(scale, scale))
+    excess = 0.5 * (total - np.mean(noises, axis=0))
+    values, vectors = np.linalg.eigh(excess / np.outer(scale, scale))
     kept = np.maximum(values, _LEAST_SHARE * max(float(values[-1]), 1e-12))
     return (vectors * kept) @ vectors.T * np.outer(scale, scale)
 

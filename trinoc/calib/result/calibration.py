@@ -40,6 +40,7 @@ class Alternative(NamedTuple):
     strain : by how many of its sigmas the change would move the camera (Mahalanobis distance).
     unseen : of changes that the residuals may well not show, the one that moves the camera most.
     unseen_strain : by how many of its sigmas that would move the camera.
+    unseen_motion : (p,) change of the camera's parameters by `unseen`, degrees and mm.
     """
 
     name: str
@@ -51,11 +52,18 @@ class Alternative(NamedTuple):
     strain: float
     unseen: Float[np.ndarray, "k"]
     unseen_strain: float
+    unseen_motion: Float[np.ndarray, "p"]
 
     @property
     def found(self) -> bool:
         """Whether noise alone would hardly make it."""
         return self.p_value < TUNING.answer.chance
+
+    @property
+    def is_strained(self) -> bool:
+        """Whether noise alone would rarely make it, and it would move the camera far."""
+        is_rare = self.p_value < TUNING.answer.chance_where_strained
+        return is_rare and self.strain > TUNING.answer.strain_sigmas
 
 
 class ImageQuality(eqx.Module):

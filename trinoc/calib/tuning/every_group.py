@@ -32,7 +32,9 @@ class UncertaintyTuning:
 
     # Of the whole print's size, and of each side beside that, as shares.
     print_size: float = 2e-3
-    print_stretch: float = 7e-4
+    # 1 % between X and Y then lies within four sigmas: one image hardly shows it, and with 7e-4 it
+    # moved the pan by 10 sigma without a word.
+    print_stretch: float = 2e-3
     # Of a sheet's height at its edge, and of the point that a camera is aimed at, mm.
     flatness_mm: float = 0.3
     aim_mm: float = 20.0
@@ -211,6 +213,9 @@ class AnswerTuning:
     # Where noise makes so much with less than this probability, pictures speak against what a model
     # holds fixed, and against an aim.
     chance: float = 1e-4
+    # The same where the change would move the camera by more than `strain_sigmas`: one fair image
+    # in 300 is SUSPECT; of eight images through a lens .05 % off, six and not four.
+    chance_where_strained: float = 1e-3
     # The same of a score test that calls for more coefficients of a lens.
     chance_of_lens: float = 1e-3
     # The same of two answers of a picture, by circles and by grey levels, that differ so much, and
@@ -252,6 +257,14 @@ class AnswerTuning:
     # grows by no more than this factor. It grows by 1.07 for a T265 fisheye, whose focal length
     # then moves by .2 %, and by 4.6 for a made lens, whose principal point moves by 24 px.
     most_rise_by_fixing: float = 1.2
+    # Of the variance of a prior, the least share that the images must remove in a direction for its
+    # distance from the prior to be tested: below, errors of the images count many times.
+    least_share_of_prior: float = 0.1
+    # Two unknowns with a larger correlation of their distances from their priors, and distances
+    # that differ by a smaller share, cannot be separated.
+    inseparable: float = 0.9
+    # An aim closer to the origin, mm, is not reported.
+    least_aim_mm: float = 0.01
     # A distortion is held by places that reach this share of the way to the corners.
     enough_reach: float = 0.8
     # Knowing lens or print so many times as well is worth saying where it narrows sigmas by this

@@ -54,7 +54,7 @@ class Systematics(NamedTuple):
         """What a printer, a sheet of paper, a person's aim and a data sheet leave open.
 
         The print is larger or smaller by .2 %, and longer along one side than along the other by
-        .1 %; paper lies flat to .3 mm; the optical axis meets the origin to 20 mm, which is no
+        .28 %; paper lies flat to .3 mm; the optical axis meets the origin to 20 mm, which is no
         more than that the camera looks at the sheet. A lens that is given in millimetres and
         without distortion comes from a data sheet: see `data_sheet_covariance`. One given in
         pixels comes from a calibration, and counts as exact unless its covariance is given.

@@ -1,0 +1,101 @@
+"""Distances from the priors are chi-square where these are right, and name what is wrong."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.calib.adjustment.made_views import (
+    LENS_FACTOR,
+    SHEET,
+    SIGMA_PX,
+    TYPICAL,
+    detection,
+    made_views,
+    seen_px,
+)
+from tests.calib.simulated import LENS, TABLE_1
+from trinoc.calib import CalibrationResult, Status
+from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
+from trinoc.calib.adjustment.prior_pulls import PriorSpace, refuted_priors, unknowns_with_priors
+from trinoc.calib.from_detections import calibrate_detections
+from trinoc.calib.problem.sheet import BentPaper
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry import Pose
+from trinoc.geometry.pose import PoseModel
+
+# As `made_views` draws it.
+KNOWN = TYPICAL._replace(aim_sigma_mm=2.0)
+DRAWS = 30
+FOCAL_PX = np.asarray(LENS.focal_length_px)
+# A lens of which the focal length along u alone is uncertain, by .2 %.
+ALONG_U = np.zeros((5, 1))
+ALONG_U[0] = 2e-3 * FOCAL_PX[0]
+# Before a camera that looks along Y, u is along X; before one from aside it is not.
+AHEAD, ASIDE = (0.0, 50.0, 0.0, 475.0), TABLE_1["left"]
+
+
+def adjusted(seed: int, known: Systematics = KNOWN) -> Adjustment:
+    made = made_views(seed, known, lens_factor=LENS_FACTOR, cameras=("left",))
+    return adjust_cameras(made.cameras, SHEET, known, PoseModel.AIM_FREE, known.aim_sigma_mm)
+
+
+def test_distances_from_right_priors_are_as_probable_as_they_claim() -> None:
+    """The mean of a probability that is uniform is a half, of each kind of unknown."""
+    chances: dict[str, list[float]] = {}
+    for seed in range(DRAWS):
+        near = adjusted(seed)
+        space = PriorSpace.of(near)
+        for pull in map(space.pull, unknowns_with_priors(near)):
+            if pull.freedom:
+                chances.setdefault(pull.unknown.kind, []).append(pull.chance)
+        assert refuted_priors(near) == []
+    assert {"all", "bend", "principal point", "print aspect"} <= set(chances)
+    # What no image shows is not tested.
+    assert "print size" not in chances
+    for kind, values in chances.items():
+        # Bends of one sheet are twelve tests that hardly depend on each other.
+        sigma = np.sqrt(1 / 12 / len(values))
+        assert np.mean(values) == pytest.approx(0.5, abs=4 * sigma), kind
+
+
+def calibrated(values: tuple[float, ...], change: np.ndarray, **sheet: float) -> CalibrationResult:
+    """One camera over a sheet with these shares and heights in mm, through a lens so changed."""
+    shape = np.array([sheet.get(name.replace(" ", "_"), 0.0) for name in BentPaper.names])
+    pose = Pose.from_parameters(jnp.array([*np.radians(values[:3]), values[3], 0.0, 0.0]))
+    noise = SIGMA_PX * np.random.default_rng(5).normal(size=(len(SHEET), 2))
+    seen = {"left": detection(seen_px(pose, change, shape) + noise, SIGMA_PX)}
+    known = TYPICAL._replace(
+        print_scale_sigma=(7e-4, 7e-4), lens_covariance={"left": ALONG_U @ ALONG_U.T}
+    )
+    return calibrate_detections(seen, SHEET, LENS, systematics=known, throw=False)
+
+
+@pytest.mark.parametrize("is_print", [True, False], ids=["print", "lens"])
+def test_two_unknowns_that_look_alike_are_named_together(is_print: bool) -> None:
+    """Both priors together, .22 %, are 5.4 sigma from 1.2 %."""
+    wrong = {"print_along_X": 0.012} if is_print else {}
+    change = np.zeros(5) if is_print else 6 * ALONG_U[:, 0]
+    result = calibrated(AHEAD, change, **wrong)
+    assert result.status["left"] is Status.SUSPECT
+    (note,) = result.notes
+    assert "The print's scale along X against Y" in note
+    assert "the focal length" in note
+    assert "one of them is" in note
+    assert "--print-scale" in note
+    assert "--lens" in note
+    assert result.fits["left"].notes[0] == note
+
+
+def test_what_is_within_the_priors_together_is_no_doubt() -> None:
+    result = calibrated(AHEAD, np.zeros(5), print_along_X=0.006)
+    assert result.status["left"] is Status.CONVERGED
+    assert result.notes == ()
+
+
+def test_a_lens_that_can_be_told_from_the_print_is_named_alone_with_its_amount() -> None:
+    result = calibrated(ASIDE, 8 * ALONG_U[:, 0])
+    assert result.status["left"] is Status.SUSPECT
+    first, *_ = result.fits["left"].notes
+    assert "the images contradict the stated focal length: the fit differs by +0." in first
+    assert "sigma. Calibrate the lens" in first
+    assert not any("one of them" in note for note in result.notes)

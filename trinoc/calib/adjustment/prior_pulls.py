@@ -1,0 +1,248 @@
+"""Distance of the fitted unknowns from their priors, normalised so that it is chi-square.
+
+Let theta be the unknowns with a prior of mean mu and covariance P_0, and P their covariance after
+the fit. If model and priors are right, theta - mu has the covariance P_0 - P: it is smaller than
+P_0, because the prior pulls the estimate to its mean. So
+
+    (theta - mu)^T (P_0 - P)^+ (theta - mu)
+
+has the chi-square distribution. Directions that the images do not determine have P = P_0 and are
+left out. Two unknowns of which the images show one combination alone have the correlation 1 in
+P_0 - P, and the same distance: an error of either looks like one of the other.
+
+Reference: J. A. Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978, whose
+statistic this is for an efficient estimate (the prior and the images) and a consistent one.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.adjustment.estimate import Adjustment, prior_weights
+from trinoc.calib.problem.sheet import BentPaper
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.numerics.tails import chi_square_tail, normal_limit
+
+# numerical: variances of a prior below this share of its largest are rounding.
+_ROUNDING = 1e-10
+
+
+class Unknown(NamedTuple):
+    """One unknown with a prior, or several of one kind, as combinations of the free steps.
+
+    Fields
+    ------
+    kind : "focal length", "aspect", "principal point", "distortion", "aim", "print size",
+        "print aspect", "bend", or "all".
+    views : the cameras that it belongs to; none for the sheet.
+    by_step : (k, f) its derivative by the free steps: shares, px, or mm.
+    """
+
+    kind: str
+    views: tuple[int, ...]
+    by_step: Float[np.ndarray, "k f"]
+
+
+class PriorPull(NamedTuple):
+    """Distance of one unknown from its prior.
+
+    Fields
+    ------
+    unknown : what was tested.
+    offset : (k,) fitted value less the prior mean, in the unit of the unknown.
+    prior_sigma : (k,) standard deviation of the prior.
+    freedom : number of directions that the images determine.
+    chance : probability of so large a distance where model and priors are right.
+    partners : unknowns that the images cannot separate from it and that lie as far off.
+    """
+
+    unknown: Unknown
+    offset: Float[np.ndarray, "k"]
+    prior_sigma: Float[np.ndarray, "k"]
+    freedom: int
+    chance: float
+    partners: tuple[Unknown, ...] = ()
+
+    @property
+    def sigmas(self) -> float:
+        """Distance at which a standard normal variable is as improbable."""
+        return float(normal_limit(max(0.5 * self.chance, 1e-300)))
+
+    @property
+    def is_refuted(self) -> bool:
+        """Whether the images contradict what was stated of the unknown."""
+        return self.sigmas > TUNING.answer.strain_sigmas
+
+
+def refuted_priors(adjustment: Adjustment) -> list[PriorPull]:
+    """What the images contradict of the priors, the farthest unknown first.
+
+    Unknowns that cannot be separated are one entry, the others being its `partners`.
+    """
+    space = PriorSpace.of(adjustment)
+    pulls = [space.pull(unknown) for unknown in unknowns_with_priors(adjustment)]
+    refuted = sorted(
+        (pull for pull in pulls if pull.is_refuted), key=lambda pull: pull.sigmas, reverse=True
+    )
+    if any(pull.unknown.kind != "all" for pull in refuted):
+        refuted = [pull for pull in refuted if pull.unknown.kind != "all"]
+    entries: list[PriorPull] = []
+    while refuted:
+        first, *others = refuted
+        partners = [pull for pull in others if space.are_inseparable(first, pull)]
+        entries.append(first._replace(partners=tuple(pull.unknown for pull in partners)))
+        refuted = [pull for pull in others if not any(pull is each for each in partners)]
+    return entries
+
+
+class PriorSpace(NamedTuple):
+    """Offsets of the free steps from their priors, and the covariance that they should have.
+
+    Fields
+    ------
+    weights : (f,) one over the prior sigma of each step; 0 for one without a prior.
+    offset : (f,) fitted steps less the prior means, in prior sigmas.
+    expected : (f, f) P_0 - P in prior sigmas: the covariance of `offset`.
+    """
+
+    weights: Float[np.ndarray, "f"]
+    offset: Float[np.ndarray, "f"]
+    expected: Float[np.ndarray, "f f"]
+
+    @classmethod
+    def of(cls, adjustment: Adjustment) -> "PriorSpace":
+        """Offsets and covariance at the end of an adjustment."""
+        weights = prior_weights(adjustment.problem)[adjustment.free]
+        posterior = weights[:, None] * adjustment.covariance * weights
+        expected = np.diag((weights > 0).astype(float)) - posterior
+        return cls(weights, weights * _offsets(adjustment), expected)
+
+    def pull(self, unknown: Unknown) -> PriorPull:
+        """The distance of one unknown from its prior."""
+        whitened, scale = self._whiten(unknown)
+        expected = whitened @ self.expected @ whitened.T
+        shares, axes = np.linalg.eigh(expected)
+        seen = shares > TUNING.answer.least_share_of_prior
+        along = axes[:, seen].T @ (whitened @ self.offset)
+        squared, freedom = float(np.sum(along**2 / shares[seen])), int(seen.sum())
+        chance = float(chi_square_tail(squared, freedom)) if freedom else 1.0
+        # An offset of the steps in prior sigmas, back in units of the unknown.
+        by_sigma = self._by_sigma(unknown)
+        return PriorPull(unknown, by_sigma @ self.offset, scale, freedom, chance)
+
+    def are_inseparable(self, first: PriorPull, second: PriorPull) -> bool:
+        """Whether the images show one combination of two unknowns alone, and both lie as far off.
+
+        By the largest canonical correlation of both in P_0 - P (H. Hotelling, "Relations between
+        two sets of variates", Biometrika 28, 1936).
+        """
+        largest = TUNING.answer.inseparable
+        if second.sigmas < largest * first.sigmas:
+            return False
+        roots = []
+        for pull in (first, second):
+            whitened, _ = self._whiten(pull.unknown)
+            shares, axes = np.linalg.eigh(whitened @ self.expected @ whitened.T)
+            seen = shares > TUNING.answer.least_share_of_prior
+            roots.append((axes[:, seen] / np.sqrt(shares[seen])).T @ whitened)
+        across = roots[0] @ self.expected @ roots[1].T
+        return bool(np.linalg.norm(across, 2) > largest)
+
+    def _by_sigma(self, unknown: Unknown) -> Float[np.ndarray, "k f"]:
+        """Derivative of an unknown by the steps with a prior, in prior sigmas of these."""
+        known = self.weights > 0
+        return np.where(known, unknown.by_step / np.where(known, self.weights, 1.0), 0.0)
+
+    def _whiten(self, unknown: Unknown) -> tuple[Float[np.ndarray, "r f"], Float[np.ndarray, "k"]]:
+        """Combinations of an unknown that have unit prior covariance, and its prior sigmas."""
+        by_sigma = self._by_sigma(unknown)
+        scale = np.linalg.norm(by_sigma, axis=1)
+        unit = by_sigma[scale > 0] / scale[scale > 0, None]
+        _, values, right = np.linalg.svd(unit, full_matrices=False)
+        return right[values > _ROUNDING * values.max(initial=0.0)], scale
+
+
+def unknowns_with_priors(adjustment: Adjustment) -> list[Unknown]:
+    """Every unknown that is tested: of each lens, of the aims, of the sheet, and all together."""
+    size = len(adjustment.free)
+    weights = prior_weights(adjustment.problem)[adjustment.free]
+    unknowns = [*_of_lenses(adjustment), *_of_aims(adjustment), *_of_sheet(adjustment)]
+    unknowns.append(Unknown("all", (), np.eye(size)[weights > 0]))
+    return [one for one in unknowns if np.any(one.by_step[:, weights > 0])]
+
+
+def _offsets(adjustment: Adjustment) -> Float[np.ndarray, "f"]:
+    """The free steps less their prior means; 0 for steps without a prior."""
+    chart, state = adjustment.problem.chart, adjustment.problem.state
+    whole = np.zeros(len(chart.free))
+    whole[chart.sheet_first :][: len(BentPaper.names)] = np.asarray(state.sheet) / chart.sheet_scale
+    offset = whole[adjustment.free]
+    for view in range(len(adjustment.used)):
+        rows = adjustment.lens_rows(view)
+        if len(rows):
+            offset[rows] = adjustment.lens_steps(view)
+        aim = adjustment.rows(view)[4:6]
+        if len(aim):
+            offset[aim] = adjustment.parameters(view)[4:6] / float(chart.unit_mm)
+    return offset
+
+
+def _of_lenses(adjustment: Adjustment) -> list[Unknown]:
+    chart, unknowns = adjustment.problem.chart, []
+    count = len(adjustment.used)
+    lens_of_camera = np.asarray(chart.lens_of_camera)[:count]
+    for number in dict.fromkeys(lens_of_camera.tolist()):
+        views = tuple(np.flatnonzero(lens_of_camera == number).tolist())
+        rows = adjustment.lens_rows(views[0])
+        by_step = np.zeros((chart.lens_basis.shape[1], len(adjustment.free)))
+        by_step[:, rows] = np.asarray(chart.lens_basis)[number][:, : len(rows)]
+        focal_px = np.asarray(adjustment.lens(views[0]).focal_length_px)
+        relative = by_step[:2] / focal_px[:, None]
+        parts = {
+            "focal length": relative.mean(axis=0, keepdims=True),
+            "aspect": relative[:1] - relative[1:],
+            "principal point": by_step[2:4],
+            "distortion": by_step[4:],
+        }
+        unknowns += [Unknown(kind, views, part) for kind, part in parts.items()]
+    return unknowns
+
+
+def _of_aims(adjustment: Adjustment) -> list[Unknown]:
+    unknowns, unit_mm = [], float(adjustment.problem.chart.unit_mm)
+    for view in range(len(adjustment.used)):
+        rows = adjustment.rows(view)[4:6]
+        by_step = np.zeros((len(rows), len(adjustment.free)))
+        by_step[np.arange(len(rows)), rows] = unit_mm
+        unknowns.append(Unknown("aim", (view,), by_step))
+    return unknowns
+
+
+def _of_sheet(adjustment: Adjustment) -> list[Unknown]:
+    chart = adjustment.problem.chart
+    position = {int(step): k for k, step in enumerate(adjustment.free)}
+    by_name = np.zeros((len(BentPaper.names), len(adjustment.free)))
+    for k, _ in enumerate(BentPaper.names):
+        if chart.sheet_first + k in position:
+            by_name[k, position[chart.sheet_first + k]] = chart.sheet_scale[k]
+    size, along_x, along_y, *heights = by_name
+    return [
+        Unknown("print size", (), (size + 0.5 * (along_x + along_y))[None]),
+        Unknown("print aspect", (), (along_x - along_y)[None]),
+        *(Unknown("bend", (), height[None]) for height in heights),
+    ]
+
+
+def list_kinds(pull: PriorPull) -> tuple[str, ...]:
+    """The kinds of an entry's unknown and of its partners, one for each lens, aim, and the sheet.
+
+    Partners of one lens share the statement that is wrong.
+    """
+    unknowns: Sequence[Unknown] = (pull.unknown, *pull.partners)
+    by_owner: dict[tuple[str, tuple[int, ...]], str] = {}
+    for unknown in unknowns:
+        of_lens = unknown.kind not in ("aim", "bend", "print size", "print aspect", "all")
+        by_owner.setdefault(("lens" if of_lens else unknown.kind, unknown.views), unknown.kind)
+    return tuple(dict.fromkeys(by_owner.values()))
