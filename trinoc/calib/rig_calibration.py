@@ -106,7 +106,7 @@ def calibrate_rig(
 
     Raises
     ------
-    InputError : no picture, pictures of several sizes, or names that are not there; with
+    InputError : no picture, or names that are not there; with
         "pixels" a detection where a picture is needed.
     CalibrationError : a camera that never sees the board, cameras that no shot connects or whose
         shots are out of step, or, with `throw`, parameters that the shots do not determine.
@@ -138,6 +138,8 @@ def calibrate_rig(
         fit, silent = fit_pixels(fit, grey_levels(images, cameras, placed.shots))
         fit = with_own_correction_sigmas(with_board_shape(fit))
     fit, own_factors = with_moments_apart(fit)
+    if own_factors:
+        fit = with_board_shape(fit)
     fixed: tuple[str, ...] = ()
     if distortion is None:
         fit, held = hold_undetermined(fit)

@@ -83,12 +83,34 @@ OF_LIGHT = [(overexposed, {}), (sharpened, {})]
 @pytest.mark.parametrize(("deliver", "look"), [*OF_NOISE, *OF_LIGHT])
 def test_corners_are_off_by_what_they_claim(deliver, look):
     light, corners = picture(**look)
-    grey = deliver(light, np.random.default_rng(1))
     start = corners + np.random.default_rng(2).normal(0, 0.15, corners.shape)
-    found = fit_corners(search_image(grey), start, np.full(len(corners), RADIUS_PX))
-    off = found.places_px - corners
-    squared = np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance_px2), off)
-    assert 1 / QUARTER < np.sqrt(np.mean(squared) / 2) < QUARTER
+    squares = []
+    for seed in (1, 5):
+        grey = deliver(light, np.random.default_rng(seed))
+        found = fit_corners(search_image(grey), start, np.full(len(corners), RADIUS_PX))
+        off = found.places_px - corners
+        squares.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance_px2), off))
+    assert 1 / QUARTER < np.sqrt(np.mean(squares) / 2) < QUARTER
+
+
+def test_a_window_without_information_spoils_no_other():
+    """One window of a constant grey, or with a pixel that is off by far: the others stay as known
+    as they were, and every covariance is finite."""
+    light, corners = picture()
+    grey = white(light, np.random.default_rng(1))
+    radius_px = np.full(len(corners), RADIUS_PX)
+    before = fit_corners(search_image(grey), corners, radius_px)
+    x, y = np.rint(corners[5]).astype(int)
+    for spoil in (120.0, 1e6):
+        spoilt = grey.copy()
+        spoilt[y - 12 : y + 13, x - 12 : x + 13] = 120.0
+        spoilt[y, x] = spoil
+        after = fit_corners(search_image(spoilt), corners, radius_px)
+        assert np.isfinite(after.covariance_px2).all()
+        assert np.linalg.eigvalsh(after.covariance_px2).min() > 0
+        near = np.linalg.norm(corners - corners[5], axis=1) < 40
+        ratio = np.linalg.det(after.covariance_px2) / np.linalg.det(before.covariance_px2)
+        assert np.all(np.abs(np.log(ratio[~near])) < np.log(2.0))
 
 
 def test_where_there_is_no_corner_the_start_is_kept_and_says_little():

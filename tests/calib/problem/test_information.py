@@ -1,5 +1,6 @@
 """What shots say of lenses, cameras and board, against dense equations and random draws."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -178,14 +179,30 @@ def test_the_scatter_of_pulls_is_that_of_their_noise_whatever_was_held(off):
 
 
 def test_sigmas_of_corners_are_such_that_chi_square_is_as_large_as_it_should_be(here):
-    """The cameras' factors squared, weighted by their numbers, are chi-square over its degrees."""
-    after = with_sigma_factors(here)
-    chi_square = float(np.sum(place_errors_in_sigmas(here) ** 2))
-    numbers = [
-        sum(view.numbers for view in here.views if view.camera == k) for k in range(here.cameras)
+    """By the sigmas of cameras and images, chi-square is its degrees of freedom."""
+    chi_square = float(np.sum(place_errors_in_sigmas(with_sigma_factors(here)) ** 2))
+    assert chi_square == pytest.approx(degrees_of_freedom(here))
+
+
+def test_an_image_that_is_noisier_has_larger_sigmas(here):
+    """Residuals three times as large in one image make its sigmas as large, as bounds allow."""
+    errors = place_errors_in_sigmas(here)
+    k = next(k for k, view in enumerate(here.views) if view.used.any())
+    view = here.views[k]
+    count = len(view.used)
+    moved = view.detection.centres_px.copy()
+    random = np.random.default_rng(0)
+    typical = np.sqrt(np.mean(errors[k][:count] ** 2))
+    sigma = np.sqrt(np.trace(view.detection.covariance_px2, axis1=1, axis2=2) / 2)
+    moved += 3.0 * typical * sigma[:, None] * random.normal(size=moved.shape)
+    detection = eqx.tree_at(lambda d: d.centres_px, view.detection, moved)
+    views = list(here.views)
+    views[k] = view._replace(detection=detection)
+    after = with_sigma_factors(here._replace(views=tuple(views)))
+    others = [
+        v.sigma_ratio for j, v in enumerate(after.views) if j != k and v.camera == view.camera
     ]
-    mean = np.average(np.square(after.sigma_factor), weights=numbers)
-    assert mean == pytest.approx(chi_square / degrees_of_freedom(here))
+    assert 2.0 < after.views[k].sigma_ratio / np.median(others) < 4.5
 
 
 def test_the_shape_has_as_many_effective_parameters_as_the_shots_determine(here):

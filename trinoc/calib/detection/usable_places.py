@@ -29,7 +29,7 @@ def keep_usable(detection: Detection, target: AbstractTarget) -> Detection:
             remarks.append(f"{_count(~in_place)} a position that its neighbours contradict")
         usable[rows[~in_place]] = False
     fewest = TUNING.detection.fewest_places
-    if usable.sum() < fewest:
+    if not usable.all() and usable.sum() < fewest:
         raise DetectionError(
             f"Only {usable.sum()} of the {len(usable)} places found on the board {target.name!r} "
             f"can be used, and {fewest} are needed; see that the image is sharp, not overexposed, "

@@ -65,7 +65,18 @@ def with_board_shape(fit: RobustFit) -> RobustFit:
         opened, _ = drop_wrong_places(opened)
     opened, _ = fit_places(opened)
     opened, _ = with_estimated_prior(opened, prior)
-    return finish_fit(opened, fit.elsewhere)
+    shaped = finish_fit(opened, fit.elsewhere)
+    return shaped if shaped.converged and _lenses_stay(fit.problem, shaped.problem) else fit
+
+
+def _lenses_stay(before: Problem, after: Problem) -> bool:
+    """Whether the focal lengths are those of the drawn board, but for a factor that a bent board
+    explains: images that hardly determine them let a shape run away with them."""
+    ratio = np.asarray(after.state.lenses.focal_length_px) / np.asarray(
+        before.state.lenses.focal_length_px
+    )
+    largest = TUNING.problem.largest_focal_change
+    return bool(np.all(ratio < largest) and np.all(ratio > 1 / largest))
 
 
 def _is_shown(opened: Problem) -> bool:
@@ -135,12 +146,17 @@ def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, 
     whole shots: the information of the prior is multiplied by F against that of the residuals.
     Otherwise what is common to the few shots by chance would be taken for the board's own shape.
     """
+    factor = np.inf
     for _ in range(_MOST_UPDATES):
-        factor, covariance_mm2 = shape_covariance(problem)
+        scatter, covariance_mm2 = shape_covariance(problem)
+        # A tighter prior leaves larger residuals, which must not tighten it again.
+        factor = min(factor, scatter, TUNING.problem.largest_scatter)
         after = prior.update(np.asarray(problem.state.shape), covariance_mm2)
         spent = prior.count_determined(covariance_mm2)
         problem = with_sigma_factors(problem._replace(spent=max(spent, 0.0)))
-        problem, _ = fit_places(_with_information(problem, factor * after.information))
+        problem, converged = fit_places(_with_information(problem, factor * after.information))
+        if not converged:
+            break
         change = np.abs(np.log(after.variance / prior.variance)).max()
         prior = after
         if change < 2 * LEAST_CHANGE:

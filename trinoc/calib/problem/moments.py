@@ -12,13 +12,12 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.robust_fit import errors_px, place_errors_in_sigmas
 from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
 from trinoc.calib.problem.views import ViewTable, shot_capacity
 from trinoc.calib.tuning.every_group import TUNING
@@ -86,10 +85,7 @@ def _excesses(
     """
     if len(problem.state.set_from_board):
         return {}, lambda _: 0.0
-    information, gradient = (
-        np.asarray(part)[: len(problem.views)]
-        for part in _by_view(problem.state, problem.chart, problem.table)
-    )
+    information, gradient = _pose_equations(problem)
     members: dict[int, list[int]] = {}
     for k, view in enumerate(problem.views):
         if view.used.any():
@@ -111,18 +107,36 @@ def _gain(information: Float[np.ndarray, "6 6"], gradient: Float[np.ndarray, "6"
     return float(gradient * scale @ np.linalg.solve(scaled, gradient * scale))
 
 
+def _pose_equations(
+    problem: Problem,
+) -> tuple[Float[np.ndarray, "v 6 6"], Float[np.ndarray, "v 6"]]:
+    """Information and gradient of the pose of each image's board.
+
+    A place that lies far off where most of its own image lie was located wrongly, and is weighted
+    down: the image as a whole may lie anywhere.
+    """
+    count = len(problem.views)
+    whitened = place_errors_in_sigmas(problem)
+    scale = np.full(len(whitened), np.inf)
+    for k, view in enumerate(problem.views):
+        length = np.linalg.norm(whitened[k], axis=1)[: view.rows][view.kept]
+        if len(length):
+            scale[k] = TUNING.problem.gate * max(float(np.median(length)), 1e-9)
+    loss = GemanMcClure.from_scale(scale)
+    parts = _by_view(problem.state, problem.chart, problem.table, loss)
+    information, gradient = (np.asarray(part)[:count] for part in parts)
+    return information, gradient
+
+
 @kept_jit
 def _by_view(
-    state: RigState, chart: Chart, table: ViewTable
+    state: RigState, chart: Chart, table: ViewTable, loss: GemanMcClure
 ) -> tuple[Float[Array, "v 6 6"], Float[Array, "v 6"]]:
-    """Information and gradient of the pose of each view's board."""
-    plain = GemanMcClure.from_scale(jnp.asarray(jnp.inf))
-
-    def of_view(view: ViewTable) -> tuple[Array, Array]:
-        information, gradient = linearise(state, chart, view).weigh(chart, plain)
+    def of_view(view: ViewTable, own: GemanMcClure) -> tuple[Array, Array]:
+        information, gradient = linearise(state, chart, view).weigh(chart, own)
         return information[-POSE_SIZE:, -POSE_SIZE:], gradient[-POSE_SIZE:]
 
-    return jax.vmap(of_view)(table)
+    return jax.vmap(of_view)(table, loss)
 
 
 class OwnPoses(NamedTuple):
@@ -145,9 +159,7 @@ class OwnPoses(NamedTuple):
 def own_poses(problem: Problem) -> OwnPoses:
     """The poses that the images would have apart."""
     count = len(problem.views)
-    information, gradient = (
-        np.asarray(part)[:count] for part in _by_view(problem.state, problem.chart, problem.table)
-    )
+    information, gradient = _pose_equations(problem)
     table = problem.table
     used = np.any(table.whitening != 0, axis=(-2, -1))
     if table.whitening.shape[-1] == 2:

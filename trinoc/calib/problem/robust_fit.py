@@ -148,15 +148,18 @@ def use_all_places(problem: Problem, elsewhere: list[tuple[int, int, float]]) ->
 
 
 def drop_wrong_places(
-    problem: Problem,
+    problem: Problem, errors: Float[np.ndarray, "v n 2"] | None = None
 ) -> tuple[Problem, list[tuple[int, int, float]]]:
     """The problem without places, and without images, that noise does not explain.
 
     Places are judged by the scatter of their own image, which lies between that of its camera and a
     few times as much: an image that is blurred or taken in motion is noisier, and says less, but is
     not wrong.
+
+    errors : residuals in sigmas; those of the problem's state unless given.
     """
-    errors = place_errors_in_sigmas(problem)
+    if errors is None:
+        errors = place_errors_in_sigmas(problem)
     pixels = errors_px(problem)
     views, elsewhere = list(problem.views), []
     for camera in range(problem.cameras):

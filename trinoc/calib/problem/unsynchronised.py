@@ -16,9 +16,20 @@ Components" (1992), chapter 4.
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.problem.moments import OwnPoses, own_poses, typical_excess
+from trinoc.calib.problem.information import compute_information
+from trinoc.calib.problem.moments import (
+    OwnPoses,
+    errors_with_own_poses_px,
+    own_poses,
+    typical_excess,
+)
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.robust_fit import RobustFit, place_errors_in_sigmas, refit
+from trinoc.calib.problem.robust_fit import (
+    RobustFit,
+    drop_wrong_places,
+    place_errors_in_sigmas,
+    refit,
+)
 from trinoc.calib.problem.variables import POSE_SIZE
 from trinoc.calib.problem.views import SheetPoints, View
 from trinoc.calib.tuning.every_group import TUNING
@@ -37,7 +48,10 @@ def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
         return fit, {}
     if typical_excess(problem) < TUNING.problem.moments_differ:
         return fit, {}
-    factors: dict[int, float] = {}
+    # Places that were right for one pose of the shot may be wrong for that of their image.
+    problem, elsewhere = drop_wrong_places(problem, _own_errors_in_sigmas(problem))
+    elsewhere = [*fit.elsewhere, *elsewhere]
+    fitted, factors = fit, {}
     for _ in range(_ROUNDS):
         own = own_poses(problem)
         noise = _noise_of_images(problem, own)
@@ -61,10 +75,25 @@ def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
             for k in range(len(problem.views))
         ]
         ones = np.ones_like(problem.sigma_factor)
-        fitted = refit(problem._replace(views=tuple(correlated), sigma_factor=ones), fit.elsewhere)
+        fitted = refit(problem._replace(views=tuple(correlated), sigma_factor=ones), elsewhere)
         # The next round starts with independent places at the new state.
         problem = problem._replace(state=fitted.problem.state)
-    return fitted, factors
+    information = compute_information(fitted.problem)
+    is_full = information.observability.rank == len(information.free)
+    # Where the images alone hardly determine the lenses, what the cameras share is kept.
+    return (fitted, factors) if fitted.converged and is_full else (fit, {})
+
+
+def _own_errors_in_sigmas(problem: Problem) -> Float[np.ndarray, "v n 2"]:
+    """Residuals of each image about its own pose, in sigmas as they were detected."""
+    table = problem.table
+    errors = np.zeros(np.shape(table.uv_px))
+    for k, own in enumerate(errors_with_own_poses_px(problem, own_poses(problem))):
+        errors[k, : len(own)] = own
+    errors = np.einsum("vnij,vnj->vni", table.whitening, errors)
+    for k, view in enumerate(problem.views):
+        errors[k] *= problem.sigma_factor[view.camera] * view.sigma_ratio
+    return errors
 
 
 def _noise_of_images(problem: Problem, own: OwnPoses) -> Float[np.ndarray, "v"]:

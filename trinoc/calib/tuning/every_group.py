@@ -64,6 +64,11 @@ class ProblemTuning:
     image_prior: float = 20.0
     # A picture of which a smaller share of places agrees shows the board elsewhere. By hand.
     fewest_agree: float = 0.5
+    # A shape of the board changes focal lengths by at most this factor, and its prior is multiplied
+    # by no more than so large a scatter of the shots. Bounds by hand: a public set with cameras out
+    # of step (spenc) needs 1.4 of the first.
+    largest_focal_change: float = 2.0
+    largest_scatter: float = 25.0
     # An image is of another moment than its shot where the pose of the board differs by more than
     # so many times what is usual among the shots, in chi-square per degree of freedom: three times
     # as far. Pairs of one public set (semeniuta) of one moment reach 8, others begin at 1,700;
