@@ -1,4 +1,4 @@
-"""What leaves the room has finite, symmetric, positive covariances; the rest is named or refused."""
+"""Covariances that leave the room are finite, symmetric, positive; the rest is named or refused."""
 
 import os
 from pathlib import Path

@@ -48,7 +48,7 @@ def keep_usable(detection: Detection, target: AbstractTarget) -> Detection:
 
 def are_positive(covariance: Float[np.ndarray, "n k k"]) -> Bool[np.ndarray, "n"]:
     """Which matrices are finite and positive definite, beyond rounding."""
-    finite = np.isfinite(covariance).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     values = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, 0.0))
     return finite & (values[:, 0] > 1e-12 * values[:, -1])
 

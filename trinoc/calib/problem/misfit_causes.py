@@ -114,7 +114,8 @@ def lens_pattern_px(
     the images is the noise of a cell's mean.
     """
     cell_of = [
-        np.minimum((each / size_px * _CELLS).astype(int).clip(0), _CELLS - 1) @ [1, _CELLS]
+        np.minimum((each / size_px * _CELLS).clip(0), _CELLS - 1).astype(int)
+        @ np.array([1, _CELLS])
         for each in places_px
     ]
     sums = np.zeros((len(residuals), _CELLS**2, 2))

@@ -5,13 +5,14 @@ They are tried where hardly any image shows the board as its layout has it.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.checkers import Charuco, Chessboard
 
+_Image = TypeVar("_Image")
 # numerical: images in which other readings are tried, and the share that must show one.
 _TRIED, _SHARE = 6, 0.5
 
@@ -72,8 +73,8 @@ def other_readings(target: AbstractTarget) -> list[BoardReading]:
 
 def find_reading(
     target: AbstractTarget,
-    images: Sequence[object],
-    found: Callable[[object, AbstractTarget], bool],
+    images: Sequence[_Image],
+    found: Callable[[_Image, AbstractTarget], bool],
 ) -> BoardReading | None:
     """The reading that at least half of some of the images show; None where no reading does.
 

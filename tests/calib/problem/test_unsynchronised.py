@@ -1,0 +1,105 @@
+"""Cameras without a common trigger: lenses as of each camera alone, and sigmas that hold."""
+
+import numpy as np
+import pytest
+
+from tests.calib.shots.made_shots import BOARD, board_poses, detection
+from trinoc.calib.problem.board_shape import _lenses_stay
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.rotation import rotation_from_vector
+
+SHOTS, SIGMA_PX = 14, 0.05
+
+
+def moving(seed, motion_mm=0.6, motion_deg=0.1):
+    """The right camera sees the board a moment later, when it has moved and turned a little."""
+    random = np.random.default_rng(seed)
+    images = {"left": {}, "right": {}}
+    for number, pose in enumerate(board_poses(SHOTS, seed)):
+        later = pose.copy()
+        turn = np.radians(motion_deg) * random.normal(size=3)
+        later[:, :3] = np.asarray(rotation_from_vector(turn)) @ pose[:, :3]
+        later[:, 3] += motion_mm * random.normal(size=3)
+        for name, own in (("left", pose), ("right", later)):
+            images[name][f"shot {number}"] = detection(name, own, random, sigma_px=SIGMA_PX)
+    return images
+
+
+@pytest.fixture(scope="module")
+def fits():
+    return [calibrate_rig(moving(seed), BOARD, systematics=Systematics()) for seed in range(5)]
+
+
+def test_the_cause_is_named_with_its_size(fits):
+    for result in fits:
+        assert any("do not look at one moment" in note for note in result.notes)
+
+
+def test_sigmas_of_corners_are_those_of_each_camera_alone(fits):
+    """The motion is some ten times the corners' noise, and must not be taken for it."""
+    for result in fits:
+        assert all(0.8 < factor < 1.3 for factor in result.sigma_factor.values())
+
+
+def test_lenses_are_as_good_as_those_of_cameras_alone(fits):
+    """Errors of focal lengths have the stated sigma, which is no larger than alone."""
+    normalised = []
+    for seed, result in enumerate(fits):
+        alone = calibrate_rig({"left": moving(seed)["left"]}, BOARD, systematics=Systematics())
+        assert result.sigma("left.fx_px") < 1.2 * alone.sigma("left.fx_px")
+        true = {
+            "left.fx_px": 800.0,
+            "left.fy_px": 805.0,
+            "right.fx_px": 820.0,
+            "right.fy_px": 818.0,
+        }
+        normalised += [(result.value(n) - v) / result.sigma(n) for n, v in true.items()]
+    assert 0.4 < np.sqrt(np.mean(np.square(normalised))) < 1.6
+
+
+def test_the_baseline_has_the_stated_sigma(fits):
+    """The cameras stand 440 mm apart but for the turn of their frames."""
+    truth = _baseline_mm()
+    normalised = [
+        (result.pairs[0].baseline_mm - truth) / result.pairs[0].baseline_sigma_mm for result in fits
+    ]
+    assert np.sqrt(np.mean(np.square(normalised))) < 2.0
+
+
+def _baseline_mm():
+    from tests.calib.shots.made_shots import cam_from_rig, inverse
+
+    centres = [inverse(cam_from_rig(name))[:, 3] for name in ("left", "right")]
+    return float(np.linalg.norm(centres[1] - centres[0]))
+
+
+def test_the_prior_of_the_shape_does_not_pull_at_the_size():
+    """A board whose corners lie aside keeps the size that was stated: no image shows another."""
+    random = np.random.default_rng(1)
+    aside_mm = 0.2 * random.normal(size=(len(BOARD), 3))
+    images = {
+        name: {
+            f"shot {k}": detection(name, pose, random, sigma_px=0.02, aside_mm=aside_mm)
+            for k, pose in enumerate(board_poses(SHOTS, 3))
+        }
+        for name in ("left", "right")
+    }
+    known = Systematics(print_size_sigma=0.01, flatness_mm=0.3)
+    result = calibrate_rig(images, BOARD, systematics=known)
+    assert len(result.place_shifts_mm)
+    size = 0.5 * (result.value("board.scale_x") + result.value("board.scale_y"))
+    assert abs(size) < 1e-4
+
+
+def test_a_shape_that_runs_away_with_the_lens_is_refused(fits):
+    import equinox as eqx
+
+    problem = fits[0].ended.problem
+    assert _lenses_stay(problem, problem)
+    away = eqx.tree_at(
+        lambda s: s.lenses.focal_length_px,
+        problem.state,
+        0.3 * np.asarray(problem.state.lenses.focal_length_px),
+    )
+    assert not _lenses_stay(problem, problem._replace(state=away))
