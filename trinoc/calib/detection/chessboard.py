@@ -83,7 +83,7 @@ def _search(grey: UInt8[np.ndarray, "h w"], board: Chessboard) -> Float[np.ndarr
 
 def _searches(
     grey: UInt8[np.ndarray, "h w"], size: tuple[int, int]
-) -> Iterator[Float[np.ndarray, "n 2"]]:
+) -> Iterator[Float[np.ndarray, "_n 2"]]:
     """The corners by each search that finds any, in the order in which searches are right most
     often on public image sets, which is also that of their time.
 

@@ -18,7 +18,7 @@ from trinoc.numerics.joins import point_tree
 _NEIGHBOURS, _FEWEST_FOR_CURVATURE, _FEWEST = 12, 9, 5
 
 
-class Prediction(NamedTuple):
+class NeighbourPrediction(NamedTuple):
     """Pixels at which the neighbours of n corners put them.
 
     Fields
@@ -36,7 +36,7 @@ class Prediction(NamedTuple):
 
 def predict_from_neighbours(
     board_mm: Float[np.ndarray, "n 2"], corners_px: Float[np.ndarray, "n 2"]
-) -> Prediction:
+) -> NeighbourPrediction:
     """Predict each corner of at least 6 from those around it, without itself."""
     count = min(_NEIGHBOURS, len(board_mm) - 1)
     distance, near = point_tree(board_mm).query(board_mm, count + 1)
@@ -56,7 +56,9 @@ def predict_from_neighbours(
     # Of the four nearest, each by its own distance: one of them may lie anywhere.
     away_px = np.linalg.norm(corners_px[near[:, :4]] - predicted[:, None], axis=2)
     spacing = np.median(away_px * (unit / distance[:, :4]), axis=1)
-    return Prediction(predicted, spacing, np.sqrt(1.0 + np.sum(weights[:, 0] ** 2, axis=1)))
+    return NeighbourPrediction(
+        predicted, spacing, np.sqrt(1.0 + np.sum(weights[:, 0] ** 2, axis=1))
+    )
 
 
 def are_in_place(

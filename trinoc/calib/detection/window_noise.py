@@ -32,8 +32,8 @@ from trinoc.calib.tuning.every_group import TUNING
 _REACH = 2
 # numerical: a window whose fit follows more of the noise than all but this share does not count.
 _LEAST_FREE = 0.1
-# numerical: in the mean, a window's ratio counts up to so many times the median; a window beyond that
-# has a larger covariance of its own.
+# numerical: in the mean, a window's ratio counts up to so many times the median; a window beyond
+# that has a larger covariance of its own.
 _LARGEST_RATIO = 4.0
 _EMPTY = cv2.BORDER_CONSTANT  # nothing lies beyond a window
 

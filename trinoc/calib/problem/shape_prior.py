@@ -23,8 +23,8 @@ from trinoc.calib.tuning.every_group import TUNING
 _DEPENDENT = 1e-6
 # numerical: the smallest standard deviation of a part, mm.
 _SMALLEST_MM = 1e-4
-# Degrees of the smooth displacements across the plane, of second order and above (lower ones move
-# or tilt the board), and within the plane (first order: see `shear`).
+# numerical: degrees of the smooth displacements across the plane, of second order and above (lower
+# ones move or tilt the board), and within the plane (first order: see `shear`).
 _HEIGHT_DEGREE, _PLANE_DEGREE = 4, 3
 
 

@@ -27,16 +27,16 @@ from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import (
     RobustFit,
     drop_wrong_places,
-    place_errors_in_sigmas,
     refit,
 )
 from trinoc.calib.problem.variables import POSE_SIZE
 from trinoc.calib.problem.views import SheetPoints, View
 from trinoc.calib.tuning.every_group import TUNING
 
-# numerical: rounds in which residuals and the motion's covariance follow each other; the smallest
-# share of the largest variance of a motion; shots that count at most with so many times the median.
-_ROUNDS, _LEAST_SHARE, _LARGEST = 2, 1e-6, 9.0
+# numerical: rounds in which residuals and the motion's covariance follow each other, and the
+# relative change of the cameras' factors at the end; the smallest share of the largest variance of
+# a motion; shots that count at most with so many times the median.
+_MOST_ROUNDS, _SETTLED, _LEAST_SHARE, _LARGEST = 6, 0.03, 1e-6, 9.0
 
 
 def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
@@ -49,10 +49,13 @@ def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
     if typical_excess(problem) < TUNING.problem.moments_differ:
         return fit, {}
     # Places that were right for one pose of the shot may be wrong for that of their image.
-    problem, elsewhere = drop_wrong_places(problem, _own_errors_in_sigmas(problem))
+    problem, elsewhere = drop_wrong_places(
+        problem, _own_errors_in_sigmas(problem, own_poses(problem))
+    )
     elsewhere = [*fit.elsewhere, *elsewhere]
     fitted, factors = fit, {}
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
+        last = factors
         own = own_poses(problem)
         noise = _noise_of_images(problem, own)
         factors = {
@@ -78,18 +81,19 @@ def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
         fitted = refit(problem._replace(views=tuple(correlated), sigma_factor=ones), elsewhere)
         # The next round starts with independent places at the new state.
         problem = problem._replace(state=fitted.problem.state)
-    information = compute_information(fitted.problem)
-    is_full = information.observability.rank == len(information.free)
+        if last and all(abs(factors[c] / last[c] - 1) < _SETTLED for c in factors):
+            break
+    before, after = (compute_information(each.problem).observability.rank for each in (fit, fitted))
     # Where the images alone hardly determine the lenses, what the cameras share is kept.
-    return (fitted, factors) if fitted.converged and is_full else (fit, {})
+    return (fitted, factors) if fitted.converged and after >= before else (fit, {})
 
 
-def _own_errors_in_sigmas(problem: Problem) -> Float[np.ndarray, "v n 2"]:
+def _own_errors_in_sigmas(problem: Problem, own: OwnPoses) -> Float[np.ndarray, "v n 2"]:
     """Residuals of each image about its own pose, in sigmas as they were detected."""
     table = problem.table
     errors = np.zeros(np.shape(table.uv_px))
-    for k, own in enumerate(errors_with_own_poses_px(problem, own_poses(problem))):
-        errors[k, : len(own)] = own
+    for k, each in enumerate(errors_with_own_poses_px(problem, own)):
+        errors[k, : len(each)] = each
     errors = np.einsum("vnij,vnj->vni", table.whitening, errors)
     for k, view in enumerate(problem.views):
         errors[k] *= problem.sigma_factor[view.camera] * view.sigma_ratio
@@ -98,9 +102,14 @@ def _own_errors_in_sigmas(problem: Problem) -> Float[np.ndarray, "v n 2"]:
 
 def _noise_of_images(problem: Problem, own: OwnPoses) -> Float[np.ndarray, "v"]:
     """Variance of each image's residuals about its own pose, in squared sigmas as they are."""
-    squared = np.sum(place_errors_in_sigmas(problem) ** 2, axis=(1, 2))[: len(problem.views)]
-    freedom = np.array([max(view.numbers - POSE_SIZE, 1) for view in problem.views])
-    return np.maximum(squared - own.gain, 1e-3 * np.maximum(squared, 1e-12)) / freedom
+    squared = np.sum(_own_errors_in_sigmas(problem, own) ** 2, axis=(1, 2))
+    noise = np.ones(len(problem.views))
+    for k, view in enumerate(problem.views):
+        if view.used.any():
+            freedom = max(view.numbers - POSE_SIZE, 1)
+            factor = problem.sigma_factor[view.camera] * view.sigma_ratio
+            noise[k] = max(float(squared[k]), 1e-12) / freedom / factor**2
+    return noise
 
 
 def _motion_covariance(
