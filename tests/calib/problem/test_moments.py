@@ -82,6 +82,8 @@ def test_a_jump_is_found_where_it_is_and_scatter_is_none():
     shifts = random.normal(0, 0.2, (20, 2))
     assert change_point(shifts) is None
     shifts[13:] += [4.0, 0.0]
-    index, size_px = change_point(shifts)
+    found = change_point(shifts)
+    assert found is not None
+    index, size_px = found
     assert index == 13
     assert abs(size_px - 4.0) < 0.4

@@ -52,7 +52,9 @@ def cross_validate(problem: Problem, cameras: tuple[str, ...]) -> CrossValidatio
     for half in fit_halves(problem):
         if half.full_information() is None:
             return None
-        known = with_head_held(half.problem._replace(views=problem.views))
+        # An image that stands for itself has a pose of its own.
+        views = tuple(view.without_motion() for view in problem.views)
+        known = with_head_held(half.problem._replace(views=views))
         for source in range(len(cameras)):
             seen = {v.shot for v in problem.views if v.camera == source and v.used.any()}
             seen &= half.held_out

@@ -70,6 +70,15 @@ class View(NamedTuple):
     room: int = 0
     sigma_ratio: float = 1.0
 
+    def without_motion(self) -> "View":
+        """The view with independent errors of its detected places, where these are what counts.
+
+        The motion of the board between the moments of a shot correlates them.
+        """
+        if self.shown is None or self.shown.uv_px is not self.detection.centres_px:
+            return self
+        return self._replace(shown=None)
+
     @property
     def rows(self) -> int:
         """How many places stand for this view in the table."""
