@@ -368,12 +368,12 @@ def main() -> None:
     print("\t".join(COLUMNS), flush=True)
     for entry in entries:
         name = entry["name"]
-        if "board" not in entry:
-            print(f"{name}\tno layout of trinoc describes its board", flush=True)
-            continue
         chosen = name in options.only if options.only else entry["aside"] == options.aside
         folder = options.folder / name
         if not chosen:
+            continue
+        if "board" not in entry:
+            print(f"{name}\tno layout of trinoc describes its board", flush=True)
             continue
         if not (folder / "board.json").exists():
             print(f"{name}\tnot there", flush=True)
