@@ -75,7 +75,10 @@ def notes_of_priors(adjustment: Adjustment, known: Knowledge) -> RefutedPriors:
 
 
 def sentence_of_pull(pull: PriorPull, adjustment: Adjustment, known: Knowledge, view: int) -> str:
-    """Return the sentence of one contradicted unknown, or of those that cannot be separated."""
+    """Return the sentence that reports an unknown which the images contradict, and the remedy.
+
+    Unknowns that the images cannot tell apart share one sentence.
+    """
     kind, *others = kinds = list_kinds(pull)
     if others:
         remedies = dict.fromkeys(_REMEDY[kind] for kind in kinds)

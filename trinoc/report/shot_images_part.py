@@ -73,7 +73,7 @@ class _ShotResiduals(NamedTuple):
 
     @property
     def rms_px(self) -> float:
-        """Root mean square length over all places, those that were left out as well."""
+        """Root mean square residual, px, over all corners or circles, used or left out."""
         return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
 
 

@@ -72,12 +72,12 @@ class PriorPull(NamedTuple):
 
     @property
     def is_refuted(self) -> bool:
-        """Whether the images contradict what was stated of the unknown."""
+        """True if the images contradict the stated value of the unknown."""
         return self.sigmas > TUNING.answer.strain_sigmas
 
 
 def refuted_priors(adjustment: Adjustment) -> list[PriorPull]:
-    """What the images contradict of the priors, the farthest unknown first.
+    """Unknowns whose priors the images contradict, the farthest first.
 
     Unknowns that cannot be separated are one entry, the others being its `partners`.
     """
@@ -133,7 +133,7 @@ class PriorSpace(NamedTuple):
         return PriorPull(unknown, by_sigma @ self.offset, scale, freedom, chance)
 
     def are_inseparable(self, first: PriorPull, second: PriorPull) -> bool:
-        """Whether the images show one combination of two unknowns alone, and both lie as far off.
+        """True if the images determine only one combination of two unknowns, equally far off.
 
         By the largest canonical correlation of both in P_0 - P (H. Hotelling, "Relations between
         two sets of variates", Biometrika 28, 1936).

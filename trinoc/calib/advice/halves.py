@@ -26,7 +26,7 @@ _LEAST_SHARE = 1e-10
 
 
 class HalfFit(NamedTuple):
-    """Where the fit to one half of the shots ended, and the shots of the other half."""
+    """Fit to one half of the shots, and the shots of the other half."""
 
     problem: Problem
     converged: bool

@@ -1,4 +1,4 @@
-"""Which cause makes residuals larger than their sigmas, and by how many pixels.
+"""Causes of residuals that are larger than their sigmas, with their size in pixels.
 
 Four causes leave four patterns in the residuals of a rig from shots:
 
@@ -53,7 +53,7 @@ class MisfitCause(NamedTuple):
     Fields
     ------
     kind : which.
-    camera : index of the camera that shows it; -1 for all of them.
+    camera : index of the camera that shows it.
     amplitude_px : root mean square length of the pattern; of a camera that moved, how far.
     noise_px : root mean square length of all residuals of the camera.
     shot : of a camera that moved, the first shot after it.
@@ -166,15 +166,8 @@ def _of_moments(problem: Problem, own: OwnPoses) -> list[MisfitCause]:
     causes, every = [], errors_px(problem)
     for camera, (shots, shifts_px) in pose_differences_px(problem, own).items():
         rows = [k for k, v in enumerate(problem.views) if v.camera == camera and v.used.any()]
-        noise_px = float(
-            np.sqrt(
-                np.mean(
-                    np.sum(
-                        np.concatenate([every[k][problem.views[k].kept] for k in rows]) ** 2, axis=1
-                    )
-                )
-            )
-        )
+        residuals = np.concatenate([every[k][problem.views[k].kept] for k in rows])
+        noise_px = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
         moved = change_point(shifts_px)
         if moved is not None:
             index, distance_px = moved

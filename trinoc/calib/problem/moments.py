@@ -86,10 +86,6 @@ def _excesses(
     if len(problem.state.set_from_board):
         return {}, lambda _: 0.0
     information, gradient = _pose_equations(problem)
-    members: dict[int, list[int]] = {}
-    for k, view in enumerate(problem.views):
-        if view.used.any():
-            members.setdefault(view.shot, []).append(k)
 
     def excess(rows: list[int]) -> float:
         if len(rows) < 2:
@@ -98,13 +94,31 @@ def _excesses(
         together = _gain(information[rows].sum(axis=0), gradient[rows].sum(axis=0))
         return (sum(gains) - together) / (POSE_SIZE * (len(rows) - 1))
 
-    return {shot: rows for shot, rows in members.items() if len(rows) > 1}, excess
+    shots = images_of_shots(problem)
+    return {shot: rows for shot, rows in shots.items() if len(rows) > 1}, excess
+
+
+def images_of_shots(problem: Problem) -> dict[int, list[int]]:
+    """Indices of the images that take part, by shot."""
+    shots: dict[int, list[int]] = {}
+    for k, view in enumerate(problem.views):
+        if view.used.any():
+            shots.setdefault(view.shot, []).append(k)
+    return shots
+
+
+def _pose_step(
+    information: Float[np.ndarray, "*v 6 6"], gradient: Float[np.ndarray, "*v 6"]
+) -> Float[np.ndarray, "*v 6"]:
+    """Gauss-Newton step of a pose; directions that nothing determines stay nearly at rest."""
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
+    scaled = information * scale[..., :, None] * scale[..., None, :] + 1e-9 * np.eye(POSE_SIZE)
+    return -scale * np.linalg.solve(scaled, (gradient * scale)[..., None])[..., 0]
 
 
 def _gain(information: Float[np.ndarray, "6 6"], gradient: Float[np.ndarray, "6"]) -> float:
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = information * np.outer(scale, scale) + 1e-9 * np.eye(POSE_SIZE)
-    return float(gradient * scale @ np.linalg.solve(scaled, gradient * scale))
+    """Decrease of chi-square by the step of a pose."""
+    return -float(gradient @ _pose_step(information, gradient))
 
 
 def _pose_equations(
@@ -140,39 +154,31 @@ def _by_view(
 
 
 class OwnPoses(NamedTuple):
-    """What each of v images says of the pose of its own board, to first order.
+    """Poses of the board that fit each of v images alone, to first order.
 
     Fields
     ------
     step : (v, 6) from the pose of the shot to that which fits the image alone.
     information : (v, 6, 6) of the step, by the sigmas as they are.
     jacobian_px : (v, n, 2, 6) change of the places' pixels by the step.
-    gain : (v,) what the step takes off the chi-square of the image.
     """
 
     step: Float[np.ndarray, "v 6"]
     information: Float[np.ndarray, "v 6 6"]
     jacobian_px: Float[np.ndarray, "v n 2 6"]
-    gain: Float[np.ndarray, "v"]
 
 
 def own_poses(problem: Problem) -> OwnPoses:
-    """The poses that the images would have apart."""
+    """Fit the pose of the board to each image alone, by one Gauss-Newton step."""
     count = len(problem.views)
     information, gradient = _pose_equations(problem)
     table = problem.table
     used = np.any(table.whitening != 0, axis=(-2, -1))
-    if table.whitening.shape[-1] == 2:
-        plain = used[..., None, None] * np.eye(2)
-    else:
-        plain = used[..., None, None] * np.eye(table.whitening.shape[-1])
+    plain = used[..., None, None] * np.eye(table.whitening.shape[-1])
     jacobian_px = np.asarray(
         _pose_jacobian(problem.state, problem.chart, table._replace(whitening=plain))
     )[:count]
-    scale = 1 / np.sqrt(np.maximum(np.einsum("vii->vi", information), 1e-300))
-    scaled = information * scale[:, :, None] * scale[:, None] + 1e-9 * np.eye(POSE_SIZE)
-    step = -scale * np.linalg.solve(scaled, (gradient * scale)[..., None])[..., 0]
-    return OwnPoses(step, information, jacobian_px, -np.sum(gradient * step, axis=1))
+    return OwnPoses(_pose_step(information, gradient), information, jacobian_px)
 
 
 @kept_jit

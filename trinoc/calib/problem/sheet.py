@@ -61,9 +61,9 @@ def bend_displacement_mm(
 
 
 class AbstractSheet(eqx.Module):
-    """How numbers bend and stretch a board.
+    """Model of a board that is printed and bent differently from its drawing.
 
-    `names` : of the numbers of one board.
+    `names` : names of its parameters for one board, such as "scale_x".
     """
 
     names: eqx.AbstractClassVar[tuple[str, ...]]
@@ -140,7 +140,7 @@ class BentPaper(AbstractSheet):
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """The position with its print scale, its height and its displacement by the bend."""
+        """Return the point, mm, at which a position of the drawing lies on the bent paper."""
         scaled = place_mm[:2] / self.reach_mm
         power = {"": jnp.ones_like(scaled[0])}
         for term in ("X", "Y", *self.height_terms):

@@ -20,6 +20,7 @@ from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.moments import (
     OwnPoses,
     errors_with_own_poses_px,
+    images_of_shots,
     own_poses,
     typical_excess,
 )
@@ -40,8 +41,12 @@ _MOST_ROUNDS, _SETTLED, _LEAST_SHARE, _LARGEST = 6, 0.03, 1e-6, 9.0
 
 
 def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
-    """(the fit with motion between the moments of a shot as a random effect, the factor of each
-    camera's sigmas by its own residuals); the fit as it is where cameras look at one moment.
+    """Estimate the motion of the board between the moments of a shot, as a random effect.
+
+    Returns
+    -------
+    The fit, and by camera the factor of its corners' sigmas by the residuals about its own poses;
+    the fit as it was and no factors where the cameras look at one moment.
     """
     problem = fit.problem
     if any(view.shown is not None for view in problem.views):
@@ -60,20 +65,7 @@ def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
         last = factors
         own = own_poses(problem)
         noise = _noise_of_images(problem, own)
-        factors = {
-            camera: float(
-                np.sqrt(
-                    np.mean(
-                        [
-                            noise[k] * (problem.sigma_factor[camera] * view.sigma_ratio) ** 2
-                            for k, view in enumerate(problem.views)
-                            if view.camera == camera and view.used.any()
-                        ]
-                    )
-                )
-            )
-            for camera in range(problem.cameras)
-        }
+        factors = _camera_factors(problem, noise)
         motion = _motion_covariance(problem, own, noise)
         correlated = [
             _with_motion(problem, k, own.jacobian_px[k], noise[k], motion)
@@ -88,6 +80,16 @@ def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
     before, after = (compute_information(each.problem).observability.rank for each in (fit, fitted))
     # Where the images alone hardly determine the lenses, what the cameras share is kept.
     return (fitted, factors) if fitted.converged and after >= before else (fit, {})
+
+
+def _camera_factors(problem: Problem, noise: Float[np.ndarray, "v"]) -> dict[int, float]:
+    """Scatter of each camera's places about its own poses, in sigmas as they were detected."""
+    variances: dict[int, list[float]] = {}
+    for view, variance in zip(problem.views, noise.tolist(), strict=True):
+        if view.used.any():
+            factor = float(problem.sigma_factor[view.camera]) * view.sigma_ratio
+            variances.setdefault(view.camera, []).append(variance * factor**2)
+    return {camera: float(np.sqrt(np.mean(own))) for camera, own in variances.items()}
 
 
 def _own_errors_in_sigmas(problem: Problem, own: OwnPoses) -> Float[np.ndarray, "v n 2"]:
@@ -121,12 +123,8 @@ def _motion_covariance(
 
     Half of that of the difference of two images of a shot, shots that differ most bounded.
     """
-    members: dict[int, list[int]] = {}
-    for k, view in enumerate(problem.views):
-        if view.used.any():
-            members.setdefault(view.shot, []).append(k)
     differences, noises = [], []
-    for rows in members.values():
+    for rows in images_of_shots(problem).values():
         for k in rows[1:]:
             differences.append(own.step[k] - own.step[rows[0]])
             pair = [k, rows[0]]

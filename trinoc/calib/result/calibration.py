@@ -222,7 +222,7 @@ def _noise(fit: CameraFit) -> str:
 
 
 def _with_sigma(value: float, sigma: float) -> str:
-    """A value with two significant digits of its standard deviation."""
+    """Text "value +- sigma", rounded to two significant digits of the standard deviation."""
     if not np.isfinite(sigma) or sigma <= 0:
         return f"{value:.4f} +- ?"
     decimals = max(0, 1 - int(np.floor(np.log10(sigma))))

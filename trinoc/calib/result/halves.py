@@ -27,7 +27,7 @@ class CrossValidation(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The errors in words."""
+        """Sentence with the held-out residual of each camera."""
         sentence = (
             f"held-out residual (rms of shots that were not fitted): {_list_errors(self.own_px)} "
             "with the board placed by the camera itself"
