@@ -69,10 +69,10 @@ def find_other_moments(problem: Problem) -> list[OtherMoment]:
 
 def typical_excess(problem: Problem) -> float:
     """D over its degrees of freedom, in the median of the shots, over that of noise alone: 1 where
-    the cameras look at one moment and the sigmas are right."""
+    the cameras look at one moment and the sigmas are right; 0 where too few shots show it."""
     shots, excess = _excesses(problem)
     if len(shots) < _FEWEST_SHOTS:
-        return 1.0
+        return 0.0
     return float(np.median([excess(rows) for rows in shots.values()])) / _MEDIAN
 
 

@@ -51,9 +51,12 @@ def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
     problem = fit.problem
     if any(view.shown is not None for view in problem.views):
         return fit, {}
+    excess = typical_excess(problem)
+    if excess == 0.0:
+        return fit, {}
     used = [k for k, view in enumerate(problem.views) if view.used.any()]
     noise = float(np.median(_noise_of_images(problem, own_poses(problem))[used]))
-    if typical_excess(problem) < TUNING.problem.moments_differ * noise:
+    if excess < TUNING.problem.moments_differ * noise:
         return fit, {}
     # Places that were right for one pose of the shot may be wrong for that of their image.
     problem, elsewhere = drop_wrong_places(
