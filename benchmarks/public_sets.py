@@ -69,7 +69,7 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
         command = CalibrateRigCommand(
             shots=tuple(f"{camera}={folder / camera}" for camera in entry["cameras"]),
             board=(folder / "board.json",),
-            lens_model=entry.get("lens_model", "brown_conrady"),
+            lens_model=entry.get("lens_model", "default"),
             out=out,
             quiet=True,
         )

@@ -38,7 +38,7 @@ def lens() -> Values:
         "two coefficients": {"distortion": 2},
         "no distortion": {"distortion": 0},
         "held middle": {"principal_point": "centre", "aspect": "pitch", "distortion": 1},
-        "fisheye": {"distortion_model": "kannala_brandt", "distortion": 2},
+        "fisheye": {"lens_model": "kannala_brandt", "distortion": 2},
     }.items():
         call = partial(trinoc.calibrate_intrinsics, found, sheet, throw=False, **options)
         yield from attempt(label, call, records.lens_calibration)

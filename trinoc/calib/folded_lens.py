@@ -1,6 +1,7 @@
 """Fitted lenses that fold the image: a distortion that is not determined out to the corners."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -10,7 +11,25 @@ from trinoc.calib.problem.robust_fit import RobustFit, errors_px, refit
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.lenses.polynomial import Rational
 from trinoc.geometry.lenses.registry import simplify_lens
+
+# Models that follow a strong distortion without folding the image. The first one is OpenCV's own
+# with eight coefficients, which undistorts by the same functions as Brown-Conrady's.
+_WIDER_MODELS: tuple[type[AbstractLens], ...] = (Rational, KannalaBrandt)
+
+
+@runtime_checkable
+class _HasFit(Protocol):
+    """A value of which `fit` is the end of a fit."""
+
+    @property
+    def fit(self) -> RobustFit: ...
+
+
+FitT = TypeVar("FitT", bound=_HasFit)
 
 
 def describe_folded_lens(lenses: Mapping[str, Intrinsics]) -> str | None:
@@ -25,7 +44,8 @@ def describe_folded_lens(lenses: Mapping[str, Intrinsics]) -> str | None:
         if fold is not None:
             return (
                 f'The fitted distortion of "{camera}" {fold}: show the board nearer to the corners '
-                "of the image, or fit fewer coefficients (distortion=1 or distortion=2)."
+                "of the image, fit fewer coefficients (distortion=1 or distortion=2), or name "
+                "another lens model (rational, kannala_brandt)."
             )
     return None
 
@@ -65,6 +85,50 @@ def hold_folding(fit: RobustFit, cameras: Sequence[str]) -> tuple[RobustFit, tup
                 return fit, ()
             return changed, _fixed_sentences(fit, changed, first, cameras)
     return fit, ()
+
+
+def fit_wider_model(
+    folding: FitT, fit_model: Callable[[type[AbstractLens]], FitT], cameras: Sequence[str]
+) -> tuple[FitT, tuple[str, ...]]:
+    """Return a fit by another lens model if a lens of this one folds its image.
+
+    Cameras of wide lenses need it: the polynomial of Brown-Conrady, fitted where corners were
+    observed, turns back between there and the corners of the image.
+
+    Parameters
+    ----------
+    folding : the fit that may fold.
+    fit_model : fits a lens model to the same observations.
+    cameras : names, in the order of the problem.
+
+    Returns
+    -------
+    The fit of the first wider model that folds no image and explains the observations, and a
+    sentence that says so; the fit that was given, and no sentence, if there is none or none is
+    needed.
+    """
+    folds = _folds(folding.fit.problem)
+    if not folds:
+        return folding, ()
+    every = range(len(cameras))
+    folding_rms_px = _rms_px(folding.fit.problem, every)
+    for model in _WIDER_MODELS:
+        try:
+            other = fit_model(model)
+        except CalibrationError:
+            continue
+        rms_px = _rms_px(other.fit.problem, every)
+        explains = rms_px <= TUNING.answer.most_rise_by_fixing * folding_rms_px
+        if not explains or _folds(other.fit.problem):
+            continue
+        lens_of_camera = np.asarray(folding.fit.problem.chart.lens_of_camera).tolist()
+        lens, fold = next(iter(folds.items()))
+        return other, (
+            f"The {folding.fit.problem.state.lenses.model} distortion of "
+            f'"{cameras[lens_of_camera.index(lens)]}" {fold}, so the lens model is {model.model}: '
+            f"the rms residual is {rms_px:.3f} px instead of {folding_rms_px:.3f} px.",
+        )
+    return folding, ()
 
 
 def _folds(problem: Problem) -> dict[int, str]:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.advice.next_shot import advise_next_image
 from trinoc.calib.detection.detection import Detection, split_by_board
-from trinoc.calib.folded_lens import describe_folded_lens, hold_folding
+from trinoc.calib.folded_lens import describe_folded_lens, fit_wider_model, hold_folding
 from trinoc.calib.intrinsics_result import IntrinsicsResult
 from trinoc.calib.problem.board_shape import with_board_shape
 from trinoc.calib.problem.coefficients import fewest_coefficients, hold_undetermined
@@ -44,7 +44,7 @@ from trinoc.errors import CalibrationError, InputError, check_kind
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses import registry
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
-from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, simplify_lens
+from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, DEFAULT_LENS, simplify_lens
 from trinoc.geometry.lenses.splined import AbstractSplinedLens, SplinedBrownConrady
 from trinoc.numerics.precision import ArrayLike, in_float64
 
@@ -61,7 +61,7 @@ def calibrate_intrinsics(
     *,
     image_size_px: tuple[int, int] | None = None,
     distortion: int | None = None,
-    lens_model: str = DEFAULT_DISTORTION.model,
+    lens_model: str = DEFAULT_LENS,
     principal_point: str = "free",
     pixel_pitch_mm: tuple[float, float] | None = None,
     aspect: str = "free",
@@ -78,9 +78,10 @@ def calibrate_intrinsics(
     image_size_px : (width, height) that all pictures must have.
     distortion : number of coefficients, for Brown-Conrady 0, 1, 2, 4 or 5 of k1, k2, p1, p2, k3.
         As many as the pictures determine unless given; a note says how many they ask for.
-    lens_model : name of the lens model, of `lenses.registry.LENS_MODELS`. "splined_" before
-        the name of a polynomial model corrects it by B-splines; "splined" is Brown-Conrady's so
-        corrected. It frees both focal lengths.
+    lens_model : name of the lens model, of `lenses.registry.LENS_MODELS`. "default" is
+        "brown_conrady", or "rational" or "kannala_brandt" where that would fold the picture, and a
+        note says so. "splined_" before the name of a polynomial model corrects it by B-splines;
+        "splined" is Brown-Conrady's so corrected. It frees both focal lengths.
     principal_point : "free", or "centre" to hold it in the middle of the picture.
     pixel_pitch_mm : size of a pixel along u and v, where it is known: the lens then has a
         focal length in millimetres, too.
@@ -111,7 +112,9 @@ def calibrate_intrinsics(
     check_kind(pattern, AbstractTarget, "pattern", A_BOARD)
     names = [f"picture {k + 1}" for k in range(len(images_or_detections))]
     pictures = {_CAMERA: dict(zip(names, images_or_detections, strict=True))}
-    model = registry.lens_model(_CALLED.get(lens_model, lens_model))
+    model = DEFAULT_DISTORTION
+    if lens_model != DEFAULT_LENS:
+        model = registry.lens_model(_CALLED.get(lens_model, lens_model))
     is_splined = issubclass(model, AbstractSplinedLens) and distortion is None
     core = model.core_model if issubclass(model, AbstractSplinedLens) else model
     expect_method(method, pattern, pictures)
@@ -138,26 +141,26 @@ def calibrate_intrinsics(
     ratio = None
     if aspect == "pitch":
         ratio = 1.0 if pixel_pitch_mm is None else pixel_pitch_mm[1] / pixel_pitch_mm[0]
-    free = np.ones(len(core.parameter_names), dtype=bool)
-    free[_PRINCIPAL_POINT] = principal_point == "free"
-    if distortion is not None:
-        free[len(AFFINE_PARAMETERS) + distortion :] = False
     seen = {
         (names[k], board): own
         for k, each in detections.items()
         for board, own in split_by_board(each, pattern).items()
         if len(own) >= FEWEST_PLACES
     }
-    start = _lens_problem(seen, names, pattern, core, free, ratio, known_board)
-    fit = fit_robustly(start.problem)
-    misfit = misfit_sentence(fit)
-    if misfit is not None:
-        raise CalibrationError(_name_corners(pattern, misfit))
-    fit = with_board_shape(fit)
-    held, silent, remarks = (), [], ()
-    if distortion is None:
-        fit, held = hold_undetermined(fit)
-        fit, remarks = hold_folding(fit, (_CAMERA,))
+
+    def fit_model(model: type[AbstractLens]) -> _LensFit:
+        free = np.ones(len(model.parameter_names), dtype=bool)
+        free[_PRINCIPAL_POINT] = principal_point == "free"
+        if distortion is not None:
+            free[len(AFFINE_PARAMETERS) + distortion :] = False
+        start = _lens_problem(seen, names, pattern, model, free, ratio, known_board)
+        return _fit_start(start, pattern, may_hold=distortion is None)
+
+    lens_fit, wider = fit_model(core), ()
+    if lens_model == DEFAULT_LENS and distortion is None:
+        lens_fit, wider = fit_wider_model(lens_fit, fit_model, (_CAMERA,))
+    start, fit = lens_fit.start, lens_fit.fit
+    silent, remarks = [], (*wider, *lens_fit.remarks)
     is_determined, core_fit = assess_fit(fit).status is Status.CONVERGED, fit
     if is_determined and is_splined:
         fit = with_correction(fit, [size_px])
@@ -167,7 +170,7 @@ def calibrate_intrinsics(
     advised = core_fit.problem if is_splined else fit.problem
     index = tuple(names.index(shot) for shot in start.shots)
     result = _result_from_fit(
-        fit, advised, held, silent, index, failures, pixel_pitch_mm, known_board, remarks
+        fit, advised, lens_fit.held, silent, index, failures, pixel_pitch_mm, known_board, remarks
     )
     if throw and result.status is not Status.CONVERGED:
         advice = "" if result.next_image is None else f" {result.next_image.sentence}"
@@ -180,6 +183,37 @@ class _LensStart(NamedTuple):
 
     problem: Problem
     shots: tuple[str, ...]
+
+
+class _LensFit(NamedTuple):
+    """The end of the fit of the places that were detected.
+
+    Fields
+    ------
+    start : the problem and its shots.
+    fit : its end.
+    held : names of coefficients that the shots do not determine.
+    remarks : sentences on coefficients that were fixed.
+    """
+
+    start: _LensStart
+    fit: RobustFit
+    held: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+def _fit_start(start: _LensStart, pattern: AbstractTarget, *, may_hold: bool) -> _LensFit:
+    """Fit the places that were detected. `may_hold` : coefficients may be fixed at 0."""
+    fit = fit_robustly(start.problem)
+    misfit = misfit_sentence(fit)
+    if misfit is not None:
+        raise CalibrationError(_name_corners(pattern, misfit))
+    fit = with_board_shape(fit)
+    if not may_hold:
+        return _LensFit(start, fit, (), ())
+    fit, held = hold_undetermined(fit)
+    fit, remarks = hold_folding(fit, (_CAMERA,))
+    return _LensFit(start, fit, held, remarks)
 
 
 def _name_corners(board: AbstractTarget, sentence: str) -> str:

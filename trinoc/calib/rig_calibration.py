@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection, split_by_board
-from trinoc.calib.folded_lens import hold_folding
+from trinoc.calib.folded_lens import fit_wider_model, hold_folding
 from trinoc.calib.lens_selection import (
     LENSES_TRIED,
     HeldOut,
@@ -26,12 +26,13 @@ from trinoc.calib.problem.lens_correction import (
     with_own_correction_sigmas,
 )
 from trinoc.calib.problem.moments import find_other_moments, with_shots_of_their_own
-from trinoc.calib.problem.outcome import shot_scatter
+from trinoc.calib.problem.outcome import assess_fit, shot_scatter
 from trinoc.calib.problem.problem import Freedom, Problem, with_lens_prior
 from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
 from trinoc.calib.problem.robust_fit import RobustFit, anneal, fit_robustly
 from trinoc.calib.problem.starting_problem import start_problem
-from trinoc.calib.problem.unsynchronised import with_moments_apart
+from trinoc.calib.problem.unsynchronised import with_images_apart, with_motion_between_images
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_from_shots import result_from_fit
 from trinoc.calib.rig_pixels import expect_method, fit_pixels, grey_levels
 from trinoc.calib.shots_result import RigFromShots
@@ -46,6 +47,7 @@ from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.lenses.registry import (
     DEFAULT_DISTORTION,
+    DEFAULT_LENS,
     lens_model as lens_model_of,
     promote_lens,
 )
@@ -63,7 +65,7 @@ def calibrate_rig(
     board: AbstractTarget,
     *,
     lens: Intrinsics | Mapping[str, Intrinsics] | None = None,
-    lens_model: str = DEFAULT_DISTORTION.model,
+    lens_model: str = DEFAULT_LENS,
     distortion: int | None = None,
     same_lens: bool = False,
     world: str | None = None,
@@ -84,10 +86,11 @@ def calibrate_rig(
     lens : lenses that are known, of all cameras or by name; others are found. They are held as
         exact, or fitted under the covariance that `systematics` states of them. Where the shots
         refute one, the status is SUSPECT and the first note names it.
-    lens_model : model of the lenses that are found; "auto" takes that which, fitted to one half of
-        the shots, tells best of the other half, and a note says why. "splined" corrects the best
-        polynomial lens by B-splines, and "splined_" before the name of a model that one; "auto"
-        does so where the shots ask for it.
+    lens_model : model of the lenses that are found. "default" is "brown_conrady", or "rational" or
+        "kannala_brandt" where that would fold an image, and a note says so. "auto" takes that
+        which, fitted to one half of the shots, tells best of the other half, and a note says why.
+        "splined" corrects the best polynomial lens by B-splines, and "splined_" before the name of
+        a model that one; "auto" does so where the shots ask for it.
     distortion : how many of its coefficients are fitted; as many as the shots determine unless
         given.
     same_lens : whether all cameras have one lens, such as pictures of one camera moved about.
@@ -131,32 +134,28 @@ def calibrate_rig(
     seen = _SeenBoards(
         detections, found.shots, board, known, factors, distortion, same_lens, systematics
     )
-    placed, fit, remarks = _fit_best_lens(seen, models, corrected)
-    cameras, silent, held = tuple(detections), [], ()
-    fit = with_board_shape(fit)
-    if method == "pixels":
-        fit, silent = fit_pixels(fit, grey_levels(images, cameras, placed.shots))
-        fit = with_own_correction_sigmas(with_board_shape(fit))
-    fit, own_factors = with_moments_apart(fit)
-    if own_factors:
-        fit = with_board_shape(fit)
-    fixed: tuple[str, ...] = ()
-    if distortion is None:
-        fit, held = hold_undetermined(fit)
-        fit, fixed = hold_folding(fit, cameras)
+    cameras = tuple(detections)
+
+    def fit_models(models: Sequence[type[AbstractLens]], corrected: bool | None = False) -> _RigFit:
+        point_fit = _fit_best_lens(seen, models, corrected)
+        return _finish_fit(point_fit, cameras, images if method == "pixels" else None, distortion)
+
+    rig_fit, wider = fit_models(models, corrected), ()
+    if lens_model == DEFAULT_LENS and distortion is None and not known:
+        rig_fit, wider = fit_wider_model(rig_fit, lambda model: fit_models((model,)), cameras)
+    placed = rig_fit.placed
     result = result_from_fit(
-        fit,
+        rig_fit.fit,
         placed.shots,
         cameras,
         {camera: own for camera, own in known.items() if camera not in factors},
         world=world,
-        held=held,
-        remarks=(*found.remarks, *remarks, *fixed),
-        silent=silent,
+        held=rig_fit.held,
+        remarks=(*found.remarks, *wider, *rig_fit.remarks),
+        silent=rig_fit.silent,
         refused=(*placed.refused, *_remarks_on_places(found)),
         failures={f"{camera}, {shot}": why for (camera, shot), why in found.failures.items()},
         systematics=systematics.words,
-        own_factors=dict(zip(cameras, (own_factors[k] for k in sorted(own_factors)))),
     )
     if throw and result.rig is None:
         raise CalibrationError(result.notes[0], {}, result)
@@ -194,6 +193,78 @@ class _PointFit(NamedTuple):
         if isinstance(self.fit.problem.state.lenses, AbstractSplinedLens):
             return self
         return self._replace(fit=with_correction(self.fit, sizes_px))
+
+
+class _RigFit(NamedTuple):
+    """The rig and what is said of it.
+
+    Fields
+    ------
+    placed : where the fit of the places began.
+    fit : its end.
+    silent : images whose grey levels do not take part.
+    held : names of coefficients that the shots do not determine.
+    remarks : sentences on the lenses.
+    """
+
+    placed: PlacedRig
+    fit: RobustFit
+    silent: Sequence[tuple[int, int, str]]
+    held: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+def _finish_fit(
+    point_fit: "_PointFit",
+    cameras: Sequence[str],
+    images: Mapping[str, Pictures] | None,
+    distortion: int | None,
+) -> _RigFit:
+    """The fit with the board's shape, grey levels, motion within shots, and coefficients fixed.
+
+    images : whose grey levels take part; None for none.
+    """
+    fit, silent = with_board_shape(point_fit.fit), []
+    if images is not None:
+        fit, silent = fit_pixels(fit, grey_levels(images, tuple(cameras), point_fit.placed.shots))
+        fit = with_own_correction_sigmas(with_board_shape(fit))
+    end = _fit_images_apart(fit, cameras, distortion)
+    if end is None:
+        end = _fix_coefficients(fit, cameras, distortion)
+    remarks = (*point_fit.remarks, *end.remarks)
+    return _RigFit(point_fit.placed, end.fit, silent, end.held, remarks)
+
+
+class _FixedFit(NamedTuple):
+    """A fit, the names of coefficients that are not determined, and sentences on folded lenses."""
+
+    fit: RobustFit
+    held: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def _fit_images_apart(
+    fit: RobustFit, cameras: Sequence[str], distortion: int | None
+) -> _FixedFit | None:
+    """The fit of cameras that do not look at one moment; None where they do, or where the images
+    apart do not determine the lenses: then what the cameras share is kept."""
+    apart_fit = with_images_apart(fit)
+    if apart_fit is None:
+        return None
+    end = _fix_coefficients(with_board_shape(apart_fit), cameras, distortion)
+    if assess_fit(end.fit).status is not Status.CONVERGED:
+        return None
+    return end._replace(fit=with_motion_between_images(end.fit, fit))
+
+
+def _fix_coefficients(fit: RobustFit, cameras: Sequence[str], distortion: int | None) -> _FixedFit:
+    """The fit without coefficients that the shots do not determine, or that fold an image; as it
+    is where their number was asked for."""
+    if distortion is not None:
+        return _FixedFit(fit)
+    fit, held = hold_undetermined(fit)
+    fit, remarks = hold_folding(fit, cameras)
+    return _FixedFit(fit, held, remarks)
 
 
 def _fit_best_lens(
@@ -320,7 +391,7 @@ def _models_to_try(
                 "model, or leave out distortion and lens."
             )
         return tuple(lens_model_of(each) for each in LENSES_TRIED), name == "splined" or None
-    model = lens_model_of(name)
+    model = DEFAULT_DISTORTION if name == DEFAULT_LENS else lens_model_of(name)
     expect_coefficients(model, distortion)
     return (model,), False
 

@@ -73,12 +73,8 @@ def result_from_fit(
     refused: tuple[str, ...],
     failures: dict[str, str],
     systematics: tuple[str, ...],
-    own_factors: Mapping[str, float],
 ) -> RigFromShots:
     """What the shots determine, in the world that is called for, and why where that is not all.
-
-    own_factors : of cameras that do not look at one moment, the factor of each one's sigmas by its
-    residuals about its own poses of the board.
 
     known : lenses that were given. held : coefficients that were given up. remarks, refused,
     failures, systematics : as `RigFromShots` has them. silent : pictures whose points count.
@@ -106,7 +102,7 @@ def result_from_fit(
         return f'{shots[shot]}: "{cameras[camera]}"'
 
     causes = find_causes(problem) if good else []
-    factors = {**dict(zip(cameras, problem.sigma_factor.tolist(), strict=True)), **own_factors}
+    factors = dict(zip(cameras, problem.sigma_factor.tolist(), strict=True))
     worst, scatter = max(factors, key=lambda camera: factors[camera]), None
     if good and factors[worst] > TUNING.answer.largest_sigma_factor:
         status = Status.SUSPECT

@@ -41,6 +41,7 @@ class CalibrateRigCommand(ReportOption, Command):
     times for boards that are fixed to each other; how they are is found."""
 
     lens_model: Literal[
+        "default",
         "brown_conrady",
         "rational",
         "thin_prism",
@@ -51,9 +52,10 @@ class CalibrateRigCommand(ReportOption, Command):
         "splined_brown_conrady",
         "splined_rational",
         "splined_kannala_brandt",
-    ] = "brown_conrady"
-    """Model of the lenses; kannala_brandt for fisheyes, auto for the one that the shots call
-    for, splined for the best one corrected by B-splines."""
+    ] = "default"
+    """Model of the lenses. The default is brown_conrady, or rational or kannala_brandt where that
+    would fold a picture. kannala_brandt is for fisheyes; auto takes the one that the shots call
+    for, splined the best one corrected by B-splines."""
 
     distortion: Annotated[
         int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: all determined)")

@@ -40,6 +40,7 @@ class IntrinsicsCommand(Command):
     times for boards that are fixed to each other."""
 
     lens_model: Literal[
+        "default",
         "brown_conrady",
         "rational",
         "thin_prism",
@@ -48,8 +49,9 @@ class IntrinsicsCommand(Command):
         "splined_brown_conrady",
         "splined_rational",
         "splined_kannala_brandt",
-    ] = "brown_conrady"
-    """Model of the lens; splined is brown_conrady corrected by B-splines, for a lens that no
+    ] = "default"
+    """Model of the lens. The default is brown_conrady, or rational or kannala_brandt where that
+    would fold the picture. splined is brown_conrady corrected by B-splines, for a lens that no
     polynomial describes."""
 
     distortion: Annotated[

@@ -45,11 +45,15 @@ def test_the_first_lens_that_folds_is_named():
         expect_unfolded({"left": good, "right": folds})
 
 
-def fisheye_shots(count: int = 30, sigma_px: float = 0.2) -> list[Detection]:
-    """A lens whose image circle ends before the corners, as estimated of a T265; seen to 350 px."""
-    lens = KannalaBrandt.from_parameters(
-        np.array([290.0, 290.0, 420.0, 388.0, 0.0144, 0.016, -0.019, 0.0])
-    )
+# A lens whose image circle ends before the corners, as estimated of a T265.
+T265 = np.array([290.0, 290.0, 420.0, 388.0, 0.0144, 0.016, -0.019, 0.0])
+
+
+def fisheye_shots(
+    parameters: np.ndarray = T265, count: int = 30, sigma_px: float = 0.2
+) -> list[Detection]:
+    """Corners up to 350 px from the middle of a picture of 848 x 800 px."""
+    lens = KannalaBrandt.from_parameters(parameters)
     random, found = np.random.default_rng(0), []
     places = np.pad(BOARD.centres_mm, ((0, 0), (0, 1)))
     for azimuth in 6 * np.pi * np.arange(count) / count:
@@ -100,10 +104,31 @@ def test_a_coefficient_that_the_residuals_ask_for_is_not_fixed(monkeypatch):
     poses = board_poses(10) * [1.0, 1.0, 1.0, 0.5]
     given = [detection("left", pose, random, sigma_px=0.01) for pose in poses]
     with pytest.raises(CalibrationError, match="folds the picture 35"):
-        calibrate_intrinsics(given, BOARD)
+        calibrate_intrinsics(given, BOARD, lens_model="brown_conrady")
 
 
 def test_a_lens_that_does_not_fold_keeps_its_coefficients():
     given = shots(count=8, cameras=("left",))["left"]
     result = calibrate_intrinsics(given, BOARD)
     assert not any("fixed at 0" in note for note in result.notes)
+
+
+def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
+    """The corners lie 73 degrees off the axis and the board is seen to 45: the polynomial of
+    Brown-Conrady turns back between them."""
+    true = np.array([450.0, 450.0, 420.0, 388.0, 0.02, 0.005, 0.0, 0.0])
+    given = fisheye_shots(true, sigma_px=0.05)
+    result = calibrate_rig({"left": given}, BOARD)
+    assert result.rig is not None
+    lens = result.rig["left"].intrinsics
+    assert lens.distortion_model in ("rational", "kannala_brandt")
+    assert describe_fold(lens) is None
+    (note,) = [note for note in result.notes if "so the lens model is" in note]
+    assert note.startswith('The brown_conrady distortion of "left" folds the picture')
+    assert abs(result.value("left.fx_px") - 450.0) < 3 * result.sigma("left.fx_px")
+    with pytest.raises(CalibrationError, match="name another lens model"):
+        calibrate_rig({"left": given}, BOARD, lens_model="brown_conrady")
+    alone = calibrate_intrinsics(given, BOARD)
+    assert alone.lens is not None
+    assert alone.lens.distortion_model == lens.distortion_model
+    assert any("so the lens model is" in note for note in alone.notes)

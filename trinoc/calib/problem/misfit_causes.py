@@ -20,9 +20,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.problem.moments import (
-    OwnPoses,
-    errors_with_own_poses_px,
-    own_poses,
+    ImagePoses,
+    errors_about_image_poses_px,
+    fit_image_poses,
     pose_differences_px,
 )
 from trinoc.calib.problem.problem import Problem
@@ -68,9 +68,9 @@ class MisfitCause(NamedTuple):
 
 def find_causes(problem: Problem) -> list[MisfitCause]:
     """The causes that explain a share of the residuals worth naming, the largest first."""
-    causes, own = [], own_poses(problem)
+    causes, poses = [], fit_image_poses(problem)
     # Where the cameras of a shot see the board at other moments, each image has a pose of its own.
-    every = errors_with_own_poses_px(problem, own)
+    every = errors_about_image_poses_px(problem, poses)
     for camera in range(problem.cameras):
         rows = [
             k
@@ -99,7 +99,7 @@ def find_causes(problem: Problem) -> list[MisfitCause]:
             for kind, amplitude_px in patterns.items()
             if amplitude_px > least_px
         ]
-    causes += _of_moments(problem, own)
+    causes += _of_moments(problem, poses)
     return sorted(causes, key=lambda cause: -cause.amplitude_px)
 
 
@@ -162,9 +162,9 @@ def smooth_pattern_px(
     return float(np.sqrt((explained - expected) / sum(map(len, residuals))))
 
 
-def _of_moments(problem: Problem, own: OwnPoses) -> list[MisfitCause]:
+def _of_moments(problem: Problem, poses: ImagePoses) -> list[MisfitCause]:
     causes, every = [], errors_px(problem)
-    for camera, (shots, shifts_px) in pose_differences_px(problem, own).items():
+    for camera, (shots, shifts_px) in pose_differences_px(problem, poses).items():
         rows = [k for k, v in enumerate(problem.views) if v.camera == camera and v.used.any()]
         residuals = np.concatenate([every[k][problem.views[k].kept] for k in rows])
         noise_px = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))

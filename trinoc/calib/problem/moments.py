@@ -7,7 +7,7 @@ images of one moment D has a chi-square law with 6 (n - 1) degrees of freedom, t
 which all residuals exceed their sigmas. A board that moved makes D far larger than in other shots.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -24,8 +24,6 @@ from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
-# numerical: the median of a chi-square of 6 degrees of freedom over these.
-_MEDIAN = 0.891
 # numerical: fewer shots do not show what is usual.
 _FEWEST_SHOTS = 4
 
@@ -49,20 +47,24 @@ def find_other_moments(problem: Problem) -> list[OtherMoment]:
     From a flagged shot of three and more cameras, the image is taken whose removal makes the others
     agree best. A board of several, or a shot of one camera, is not tested.
     """
-    shots, excess = _excesses(problem)
-    by_shot = {shot: excess(rows) for shot, rows in shots.items()}
-    if len(by_shot) < _FEWEST_SHOTS:
+    images_by_shot, excess = _excesses(problem)
+    excess_by_shot = {shot: excess(images) for shot, images in images_by_shot.items()}
+    usual = max(_typical(images_by_shot, excess_by_shot), 1.0)
+    if len(images_by_shot) < _FEWEST_SHOTS:
         return []
-    usual = max(float(np.median(list(by_shot.values()))) / _MEDIAN, 1.0)
     others = []
-    for shot, rows in shots.items():
-        left, value = list(rows), by_shot[shot]
+    for shot, images in images_by_shot.items():
+        remaining, value = list(images), excess_by_shot[shot]
         while value > TUNING.problem.other_moment * usual:
-            without = {k: excess([j for j in left if j != k]) for k in left}
+            without = {k: excess([j for j in remaining if j != k]) for k in remaining}
             # Of two images either may be the other one: the first keeps the shot.
-            worst = left[-1] if len(left) == 2 else min(without, key=lambda k: without[k])
+            worst = (
+                remaining[-1]
+                if len(remaining) == 2
+                else min(without, key=lambda image: without[image])
+            )
             others.append(OtherMoment(worst, value / usual))
-            left.remove(worst)
+            remaining.remove(worst)
             value = without[worst]
     return others
 
@@ -70,10 +72,20 @@ def find_other_moments(problem: Problem) -> list[OtherMoment]:
 def typical_excess(problem: Problem) -> float:
     """D over its degrees of freedom, in the median of the shots, over that of noise alone: 1 where
     the cameras look at one moment and the sigmas are right; 0 where too few shots show it."""
-    shots, excess = _excesses(problem)
-    if len(shots) < _FEWEST_SHOTS:
+    images_by_shot, excess = _excesses(problem)
+    if len(images_by_shot) < _FEWEST_SHOTS:
         return 0.0
-    return float(np.median([excess(rows) for rows in shots.values()])) / _MEDIAN
+    return _typical(images_by_shot, {s: excess(images) for s, images in images_by_shot.items()})
+
+
+def _typical(images_by_shot: dict[int, list[int]], excess_by_shot: dict[int, float]) -> float:
+    """Median of the shots' excesses, each over the median that its law has under noise alone."""
+    ratios = []
+    for shot, images in images_by_shot.items():
+        freedom = POSE_SIZE * (len(images) - 1)
+        # Wilson and Hilferty's median of a chi-square over its degrees of freedom.
+        ratios.append(excess_by_shot[shot] / (1.0 - 2.0 / (9.0 * freedom)) ** 3)
+    return float(np.median(ratios)) if ratios else 0.0
 
 
 def _excesses(
@@ -153,7 +165,7 @@ def _by_view(
     return jax.vmap(of_view)(table, loss)
 
 
-class OwnPoses(NamedTuple):
+class ImagePoses(NamedTuple):
     """Poses of the board that fit each of v images alone, to first order.
 
     Fields
@@ -168,17 +180,26 @@ class OwnPoses(NamedTuple):
     jacobian_px: Float[np.ndarray, "v n 2 6"]
 
 
-def own_poses(problem: Problem) -> OwnPoses:
+def fit_image_poses(problem: Problem) -> ImagePoses:
     """Fit the pose of the board to each image alone, by one Gauss-Newton step."""
-    count = len(problem.views)
     information, gradient = _pose_equations(problem)
-    table = problem.table
+    drawn_mm = [np.asarray(rows) for rows in problem.table.place_mm[: len(problem.views)]]
+    jacobian_px = pose_jacobian_px(problem, drawn_mm)
+    return ImagePoses(_pose_step(information, gradient), information, jacobian_px)
+
+
+def pose_jacobian_px(
+    problem: Problem, place_mm: Sequence[Float[np.ndarray, "_n 3"]]
+) -> Float[np.ndarray, "v n 2 6"]:
+    """Change of the pixels of given places of the board by steps of its pose, of each image."""
+    count, table = len(problem.views), problem.table
     used = np.any(table.whitening != 0, axis=(-2, -1))
     plain = used[..., None, None] * np.eye(table.whitening.shape[-1])
-    jacobian_px = np.asarray(
-        _pose_jacobian(problem.state, problem.chart, table._replace(whitening=plain))
-    )[:count]
-    return OwnPoses(_pose_step(information, gradient), information, jacobian_px)
+    places = np.array(table.place_mm)
+    for k, rows in enumerate(place_mm):
+        places[k, : len(rows)] = rows
+    table = table._replace(whitening=plain, place_mm=places)
+    return np.asarray(_pose_jacobian(problem.state, problem.chart, table))[:count]
 
 
 @kept_jit
@@ -186,16 +207,18 @@ def _pose_jacobian(state: RigState, chart: Chart, table: ViewTable) -> Float[Arr
     return jax.vmap(lambda view: linearise(state, chart, view).jacobian[..., -POSE_SIZE:])(table)
 
 
-def errors_with_own_poses_px(problem: Problem, own: OwnPoses) -> list[Float[np.ndarray, "_m 2"]]:
+def errors_about_image_poses_px(
+    problem: Problem, poses: ImagePoses
+) -> list[Float[np.ndarray, "_m 2"]]:
     """Residuals of each image about its own pose, without what moments differ by."""
     return [
         errors + jacobian[: len(errors)] @ step
-        for errors, jacobian, step in zip(errors_px(problem), own.jacobian_px, own.step)
+        for errors, jacobian, step in zip(errors_px(problem), poses.jacobian_px, poses.step)
     ]
 
 
 def pose_differences_px(
-    problem: Problem, own: OwnPoses
+    problem: Problem, poses: ImagePoses
 ) -> dict[int, tuple[np.ndarray, Float[np.ndarray, "_s 2"]]]:
     """For each camera but the first (shots, shifts in px of the board's image).
 
@@ -208,7 +231,7 @@ def pose_differences_px(
     shifts: dict[int, dict[int, np.ndarray]] = {}
     for k, view in enumerate(problem.views):
         if view.used.any():
-            moved = own.jacobian_px[k, : view.rows] @ own.step[k]
+            moved = poses.jacobian_px[k, : view.rows] @ poses.step[k]
             shifts.setdefault(view.shot, {})[view.camera] = moved[view.kept].mean(axis=0)
     answer = {}
     for camera in range(1, problem.cameras):

@@ -40,6 +40,8 @@ class FitOutcome(NamedTuple):
 def assess_fit(fit: RobustFit) -> FitOutcome:
     """The outcome of a fit; its covariance is enlarged where the shots disagree."""
     information = compute_information(fit.problem)
+    if fit.is_held:
+        information = with_pulls_after_step(information)
     observed = information.observability
     covariance = np.nan_to_num(observed.covariance)
     if observed.rank < len(information.free):
@@ -51,6 +53,18 @@ def assess_fit(fit: RobustFit) -> FitOutcome:
     if factor > 1.0:
         enlarged = blend_with_jackknife(enlarged, covariance, information, factor)
     return FitOutcome(status, information, enlarged, factor)
+
+
+def with_pulls_after_step(information: Information) -> Information:
+    """The information with the pulls, to first order, at the end of a fit of all that is free.
+
+    Where something was held, the pulls do not cancel: what they have in common is no scatter.
+    """
+    free = information.free
+    covariance = np.nan_to_num(information.observability.covariance)
+    step = covariance @ information.pulls[:, free].sum(axis=0)
+    pulls = information.pulls - information.of_shot[:, :, free] @ step
+    return information._replace(pulls=pulls)
 
 
 def known_information(information: Information) -> Float[np.ndarray, "f f"]:

@@ -189,6 +189,11 @@ def with_head_held(problem: Problem) -> Problem:
     return problem._replace(chart=_with_free(problem.chart, np.zeros(len(problem.chart.free))))
 
 
+def with_head_free(problem: Problem, free: Float[np.ndarray, "h"]) -> Problem:
+    """The problem with other steps of the head free: 1 where they are, else 0."""
+    return problem._replace(chart=_with_free(problem.chart, free))
+
+
 def _with_free(chart: Chart, free: Float[np.ndarray, "h"]) -> Chart:
     return eqx.tree_at(lambda chart: chart.free, chart, free)
 

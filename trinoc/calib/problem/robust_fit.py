@@ -48,6 +48,7 @@ class RobustFit(NamedTuple):
     converged : whether the solver says so.
     elsewhere : views that show the board elsewhere: (camera, shot, median miss in px).
     chi_square, freedom : of the places that take part, by the sigmas as they were enlarged.
+    is_held : whether lenses and board are those of another fit, and were held in this one.
     """
 
     problem: Problem
@@ -55,6 +56,7 @@ class RobustFit(NamedTuple):
     elsewhere: list[tuple[int, int, float]]
     chi_square: float
     freedom: int
+    is_held: bool = False
 
 
 def fit_robustly(problem: Problem) -> RobustFit:
@@ -84,6 +86,13 @@ def finish_fit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> Rob
 def refit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
     """The end of a fit by the sigmas as they are."""
     problem, converged = fit_places(problem)
+    return end_of_fit(problem, converged, elsewhere)
+
+
+def end_of_fit(
+    problem: Problem, converged: bool, elsewhere: list[tuple[int, int, float]]
+) -> RobustFit:
+    """The end of a fit at the state of a problem."""
     chi_square = float(np.sum(np.square(place_errors_in_sigmas(problem))))
     return RobustFit(problem, converged, elsewhere, chi_square, degrees_of_freedom(problem))
 

@@ -1,173 +1,220 @@
 """Cameras that do not look at one moment: the pose of the board differs within each shot.
 
-A board that moves while cameras without a common trigger look at it is seen in slightly different
-poses. Fitted as one pose, this bends the lenses of all cameras. The motion between the moments is
-therefore a random effect: a small step m of the board's pose in each image, of covariance M, which
-is the same for all images. Eliminated, it adds J M J^T to the covariance of an image's places, with
-J their derivative by the pose. The shape within an image then determines its lens as it does for
-one camera alone, and the pose of one camera from another is the mean over the shots, with a sigma
-by its scatter.
+A board that moves while cameras without a common trigger look at it is observed in slightly
+different poses. One pose for all images of a shot would bend the lenses of all cameras. Therefore
 
-M is estimated from the differences between the poses that the images of a shot have apart, less
-what their noise makes of them. Source: S. R. Searle, G. Casella, C. E. McCulloch, "Variance
+1. lenses and board are fitted with a pose of the board for each image (`with_images_apart`), as
+   for each camera alone;
+2. the poses of the cameras follow from the shots, with the motion between the moments as a random
+   effect (`with_motion_between_images`): a small step m of the board's pose in each image, of
+   covariance M, the same for all images. Eliminated, it adds J M J^T to the covariance of an
+   image's places, with J their derivative by the pose. The pose of one camera from another is then
+   a mean over the shots, with a sigma by its scatter.
+
+M is half the covariance of the differences between the poses of two images of a shot, less what the
+noise of their places makes of them. Source: S. R. Searle, G. Casella, C. E. McCulloch, "Variance
 Components" (1992), chapter 4.
 """
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.moments import (
-    OwnPoses,
-    errors_with_own_poses_px,
+    ImagePoses,
+    errors_about_image_poses_px,
+    fit_image_poses,
     images_of_shots,
-    own_poses,
+    pose_jacobian_px,
     typical_excess,
+    with_shots_of_their_own,
 )
-from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.problem import Problem, with_head_free
 from trinoc.calib.problem.robust_fit import (
     RobustFit,
     drop_wrong_places,
-    refit,
+    end_of_fit,
+    finish_fit,
+    fit_places,
 )
-from trinoc.calib.problem.variables import POSE_SIZE
+from trinoc.calib.problem.variables import POSE_SIZE, step_motion
 from trinoc.calib.problem.views import SheetPoints, View
 from trinoc.calib.tuning.every_group import TUNING
 
-# numerical: rounds in which residuals and the motion's covariance follow each other, and the
-# relative change of the cameras' factors at the end; the smallest share of the largest variance of
-# a motion; shots that count at most with so many times the median.
-_MOST_ROUNDS, _SETTLED, _LEAST_SHARE, _LARGEST = 6, 0.03, 1e-6, 9.0
+# numerical: rounds in which the cameras' poses and the covariance of the motion follow each other.
+_ROUNDS = 3
+# numerical: the least variance of a motion, over the largest one.
+_LEAST_SHARE = 1e-6
+# numerical: a shot counts at most with so many times the median squared difference.
+_MOST_INFLUENCE = 9.0
 
 
-def with_moments_apart(fit: RobustFit) -> tuple[RobustFit, dict[int, float]]:
-    """Estimate the motion of the board between the moments of a shot, as a random effect.
+def with_images_apart(fit: RobustFit) -> RobustFit | None:
+    """Fit lenses and board with a pose of the board for each image, and the cameras held.
 
-    Returns
-    -------
-    The fit, and by camera the factor of its corners' sigmas by the residuals about its own poses;
-    the fit as it was and no factors where the cameras look at one moment.
+    Returns None where the cameras look at one moment.
     """
     problem = fit.problem
     if any(view.shown is not None for view in problem.views):
-        return fit, {}
+        return None
     excess = typical_excess(problem)
     if excess == 0.0:
-        return fit, {}
+        return None
+    poses = fit_image_poses(problem)
     used = [k for k, view in enumerate(problem.views) if view.used.any()]
-    noise = float(np.median(_noise_of_images(problem, own_poses(problem))[used]))
+    noise = float(np.median(_reduced_chi_square(problem, poses)[used]))
     if excess < TUNING.problem.moments_differ * noise:
-        return fit, {}
+        return None
     # Places that were right for one pose of the shot may be wrong for that of their image.
-    problem, elsewhere = drop_wrong_places(
-        problem, _own_errors_in_sigmas(problem, own_poses(problem))
+    problem, elsewhere = drop_wrong_places(problem, _errors_in_sigmas(problem, poses))
+    others = [k for images in images_of_shots(problem).values() for k in images[1:]]
+    apart = with_shots_of_their_own(problem, others)
+    free = np.array(apart.chart.free)
+    free[apart.chart.lens_count : apart.chart.boards_first] = 0.0
+    apart, _ = fit_places(with_head_free(apart, free))
+    return finish_fit(apart, [*fit.elsewhere, *elsewhere])
+
+
+def with_motion_between_images(apart_fit: RobustFit, shots_fit: RobustFit) -> RobustFit:
+    """Find the cameras from the shots, the motion between the images of a shot a random effect.
+
+    Parameters
+    ----------
+    apart_fit : with a pose of the board for each image; it gives lenses, board and sigmas.
+    shots_fit : with one pose for each shot; the cameras begin there.
+    """
+    apart, shots = apart_fit.problem, shots_fit.problem
+    state = eqx.tree_at(
+        lambda state: (state.cam_from_rig, state.rig_from_board),
+        apart.state,
+        (shots.state.cam_from_rig, shots.state.rig_from_board),
     )
-    elsewhere = [*fit.elsewhere, *elsewhere]
-    fitted, factors = fit, {}
-    for _ in range(_MOST_ROUNDS):
-        last = factors
-        own = own_poses(problem)
-        noise = _noise_of_images(problem, own)
-        factors = _camera_factors(problem, noise)
-        motion = _motion_covariance(problem, own, noise)
-        correlated = [
-            _with_motion(problem, k, own.jacobian_px[k], noise[k], motion)
-            for k in range(len(problem.views))
-        ]
-        ones = np.ones_like(problem.sigma_factor)
-        fitted = refit(problem._replace(views=tuple(correlated), sigma_factor=ones), elsewhere)
-        # The next round starts with independent places at the new state.
-        problem = problem._replace(state=fitted.problem.state)
-        if last and all(abs(factors[c] / last[c] - 1) < _SETTLED for c in factors):
-            break
-    before, after = (compute_information(each.problem).observability.rank for each in (fit, fitted))
-    # Where the images alone hardly determine the lenses, what the cameras share is kept.
-    return (fitted, factors) if fitted.converged and after >= before else (fit, {})
+    independent = tuple(
+        view._replace(shot=before.shot)
+        for view, before in zip(apart.views, shots.views, strict=True)
+    )
+    free = np.array(apart.chart.free)
+    cameras = slice(apart.chart.lens_count, apart.chart.boards_first)
+    free[cameras] = np.asarray(shots.chart.free)[cameras]
+    only_cameras = np.zeros_like(free)
+    only_cameras[cameras] = free[cameras]
+    joint = apart._replace(
+        state=state, views=independent, shots=shots.shots, sigma_factor=apart.sigma_factor
+    )
+    joint, _ = fit_places(with_head_free(joint, only_cameras))
+    for _ in range(_ROUNDS):
+        correlated = _with_motion(joint)
+        correlated, _ = fit_places(correlated)
+        joint = joint._replace(state=correlated.state)
+    # Lenses and board stay as the images alone have them: the correlations hold for these lenses,
+    # and a fit by them would be pulled towards the lenses for which they were computed.
+    joint = with_head_free(_with_motion(joint), free)
+    return end_of_fit(joint, apart_fit.converged, apart_fit.elsewhere)._replace(is_held=True)
 
 
-def _camera_factors(problem: Problem, noise: Float[np.ndarray, "v"]) -> dict[int, float]:
-    """Scatter of each camera's places about its own poses, in sigmas as they were detected."""
-    variances: dict[int, list[float]] = {}
-    for view, variance in zip(problem.views, noise.tolist(), strict=True):
-        if view.used.any():
-            factor = float(problem.sigma_factor[view.camera]) * view.sigma_ratio
-            variances.setdefault(view.camera, []).append(variance * factor**2)
-    return {camera: float(np.sqrt(np.mean(own))) for camera, own in variances.items()}
-
-
-def _own_errors_in_sigmas(problem: Problem, own: OwnPoses) -> Float[np.ndarray, "v n 2"]:
+def _errors_in_sigmas(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "v n 2"]:
     """Residuals of each image about its own pose, in sigmas as they were detected."""
     table = problem.table
     errors = np.zeros(np.shape(table.uv_px))
-    for k, each in enumerate(errors_with_own_poses_px(problem, own)):
-        errors[k, : len(each)] = each
-    errors = np.einsum("vnij,vnj->vni", table.whitening, errors)
-    for k, view in enumerate(problem.views):
-        errors[k] *= problem.sigma_factor[view.camera] * view.sigma_ratio
-    return errors
+    for k, about_pose in enumerate(errors_about_image_poses_px(problem, poses)):
+        errors[k, : len(about_pose)] = _factor(problem, problem.views[k]) * about_pose
+    return np.einsum("vnij,vnj->vni", table.whitening, errors)
 
 
-def _noise_of_images(problem: Problem, own: OwnPoses) -> Float[np.ndarray, "v"]:
-    """Variance of each image's residuals about its own pose, in squared sigmas as they are."""
-    squared = np.sum(_own_errors_in_sigmas(problem, own) ** 2, axis=(1, 2))
-    noise = np.ones(len(problem.views))
-    for k, view in enumerate(problem.views):
-        if view.used.any():
-            freedom = max(view.numbers - POSE_SIZE, 1)
-            factor = problem.sigma_factor[view.camera] * view.sigma_ratio
-            noise[k] = max(float(squared[k]), 1e-12) / freedom / factor**2
-    return noise
+def _factor(problem: Problem, view: View) -> float:
+    """By how much the sigmas of an image's places are multiplied."""
+    return float(problem.sigma_factor[view.camera]) * view.sigma_ratio
 
 
-def _motion_covariance(
-    problem: Problem, own: OwnPoses, noise: Float[np.ndarray, "v"]
-) -> Float[np.ndarray, "6 6"]:
-    """Covariance of the motion of the board in one image, in steps of its pose.
+def _reduced_chi_square(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "v"]:
+    """Chi-square of each image about its own pose, by the sigmas as they are, over its degrees of
+    freedom."""
+    squared = np.sum(_errors_in_sigmas(problem, poses) ** 2, axis=(1, 2))
+    return np.array(
+        [
+            chi_square / max(view.numbers - POSE_SIZE, 1) / _factor(problem, view) ** 2
+            for chi_square, view in zip(squared, problem.views)
+        ]
+    )
 
-    Half of that of the difference of two images of a shot, shots that differ most bounded.
+
+def _with_motion(problem: Problem) -> Problem:
+    """The problem with the errors of an image's places correlated by the motion of its board.
+
+    The places are taken where the pose of their image has them, and the motion is taken off again
+    to first order: so they stay right where lenses and cameras change.
     """
-    differences, noises = [], []
-    for rows in images_of_shots(problem).values():
-        for k in rows[1:]:
-            differences.append(own.step[k] - own.step[rows[0]])
-            pair = [k, rows[0]]
-            inverse = np.linalg.pinv(own.information[pair], hermitian=True)
-            noises.append(np.einsum("j,jpq->pq", noise[pair], inverse))
-    steps = np.array(differences)
-    scale = np.sqrt(np.median(steps**2, axis=0)) / 0.6745 + 1e-12
-    length = np.sum((steps / scale) ** 2, axis=1)
-    weight = np.minimum(1.0, _LARGEST * np.median(length) / np.maximum(length, 1e-12))
-    total = (steps * weight[:, None]).T @ steps / np.sum(weight)
-    excess = 0.5 * (total - np.mean(noises, axis=0))
-    values, vectors = np.linalg.eigh(excess / np.outer(scale, scale))
-    kept = np.maximum(values, _LEAST_SHARE * max(float(values[-1]), 1e-12))
-    return (vectors * kept) @ vectors.T * np.outer(scale, scale)
+    poses = fit_image_poses(problem)
+    motion = _motion_covariance(problem, poses)
+    moved = [
+        _moved_places_mm(problem, view, step)
+        for view, step in zip(problem.views, poses.step, strict=True)
+    ]
+    jacobian_px = pose_jacobian_px(problem, moved)
+    views = []
+    for view, place_mm, jacobian, step in zip(
+        problem.views, moved, jacobian_px, poses.step, strict=True
+    ):
+        if not view.used.any():
+            views.append(view)
+            continue
+        uv_px = view.detection.centres_px + jacobian[: view.rows] @ step
+        whitening = _correlated_whitening(view, _factor(problem, view), jacobian, motion)
+        # The table divides by the camera's factor.
+        shown = SheetPoints(place_mm, uv_px, whitening * problem.sigma_factor[view.camera])
+        views.append(view._replace(shown=shown, sigma_ratio=1.0, is_moved=True))
+    return problem._replace(views=tuple(views))
 
 
-def _with_motion(
-    problem: Problem,
-    k: int,
+def _moved_places_mm(
+    problem: Problem, view: View, step: Float[np.ndarray, "6"]
+) -> Float[np.ndarray, "m 3"]:
+    """Places of an image's board, moved within the frame of the shot's board as its pose is."""
+    from_board = np.asarray(problem.state.rig_from_board[view.shot])
+    after = np.asarray(step_motion(from_board, step, problem.chart.unit_mm))
+    drawn_mm = problem.target.centres_mm[view.detection.circle_index]
+    drawn_mm = np.pad(drawn_mm, ((0, 0), (0, 3 - drawn_mm.shape[1])))
+    return (drawn_mm @ after[:, :3].T + after[:, 3] - from_board[:, 3]) @ from_board[:, :3]
+
+
+def _correlated_whitening(
+    view: View,
+    factor: float,
     jacobian_px: Float[np.ndarray, "n 2 6"],
-    noise: float,
     motion: Float[np.ndarray, "6 6"],
-) -> View:
-    """An image of which the errors of all places are correlated by the motion of its board."""
-    view = problem.views[k]
-    if not view.used.any():
-        return view._replace(sigma_ratio=1.0)
-    detection = view.detection
+) -> Float[np.ndarray, "k k"]:
+    """W with W^T W the inverse of noise and motion together; 0 for places that take no part."""
     rows = np.flatnonzero(view.used)
-    factor = problem.sigma_factor[view.camera] * view.sigma_ratio
     covariance = np.zeros((2 * len(rows), 2 * len(rows)))
     for number, row in enumerate(rows):
-        own = slice(2 * number, 2 * number + 2)
-        covariance[own, own] = noise * factor**2 * detection.covariance_px2[row]
+        place = slice(2 * number, 2 * number + 2)
+        covariance[place, place] = factor**2 * view.detection.covariance_px2[row]
     jacobian = jacobian_px[rows].reshape(-1, POSE_SIZE)
     covariance += jacobian @ motion @ jacobian.T
     whitening = np.zeros((2 * view.rows, 2 * view.rows))
     numbers = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
-    whitening[np.ix_(numbers, numbers)] = root
-    places_mm = problem.target.centres_mm[detection.circle_index]
-    shown = SheetPoints(places_mm, detection.centres_px, whitening)
-    return view._replace(shown=shown, sigma_ratio=1.0)
+    whitening[np.ix_(numbers, numbers)] = np.linalg.inv(np.linalg.cholesky(covariance))
+    return whitening
+
+
+def _motion_covariance(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "6 6"]:
+    """Covariance M of the motion of the board in one image, in steps of its pose.
+
+    The influence of shots that differ most is bounded.
+    """
+    differences, noises = [], []
+    for first, *others in images_of_shots(problem).values():
+        for k in others:
+            differences.append(poses.step[k] - poses.step[first])
+            pair = [k, first]
+            noises.append(np.linalg.pinv(poses.information[pair], hermitian=True).sum(axis=0))
+    steps = np.array(differences)
+    scale = np.sqrt(np.median(steps**2, axis=0)) / 0.6745 + 1e-12
+    length = np.sum((steps / scale) ** 2, axis=1)
+    weight = np.minimum(1.0, _MOST_INFLUENCE * np.median(length) / np.maximum(length, 1e-12))
+    weight /= np.sum(weight)
+    total = (steps * weight[:, None]).T @ steps
+    excess = 0.5 * (total - np.einsum("j,jpq->pq", weight, np.array(noises)))
+    values, vectors = np.linalg.eigh(excess / np.outer(scale, scale))
+    kept = np.maximum(values, _LEAST_SHARE * max(float(values[-1]), 1e-12))
+    return (vectors * kept) @ vectors.T * np.outer(scale, scale)

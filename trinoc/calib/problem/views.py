@@ -31,13 +31,13 @@ class SheetPoints(NamedTuple):
 
     Fields
     ------
-    place_mm : (n, 2) on the drawing of the sheet.
+    place_mm : (n, 2) on the drawing of the sheet, or (n, 3) where the board has moved.
     uv_px : (n, 2) where the picture shows them.
     whitening : (2n, 2n) R, of all their errors as one vector: R^T R is their information, which
         may be singular. Rows of zeros say nothing.
     """
 
-    place_mm: Float[np.ndarray, "*v n 2"]
+    place_mm: Float[np.ndarray, "*v n _d"]
     uv_px: Float[np.ndarray, "*v n 2"]
     whitening: Float[np.ndarray, "*v k k"]
 
@@ -56,6 +56,8 @@ class View(NamedTuple):
     ink_spread_mm : by which ink reaches beyond the drawing of each circle.
     sigma_ratio : scatter of the image's places over that of its camera, by which their sigmas are
         multiplied.
+    is_moved : whether `shown` has the detected places with errors that the motion of the board
+        between the moments of a shot correlates.
     room : how many places more its grey levels may show, later: a table with room for them lets
         both be fitted by one program.
     """
@@ -69,15 +71,11 @@ class View(NamedTuple):
     ink_spread_mm: float = 0.0
     room: int = 0
     sigma_ratio: float = 1.0
+    is_moved: bool = False
 
     def without_motion(self) -> "View":
-        """The view with independent errors of its detected places, where these are what counts.
-
-        The motion of the board between the moments of a shot correlates them.
-        """
-        if self.shown is None or self.shown.uv_px is not self.detection.centres_px:
-            return self
-        return self._replace(shown=None)
+        """The view with independent errors of its detected places, for a pose of its own."""
+        return self._replace(shown=None, is_moved=False) if self.is_moved else self
 
     @property
     def rows(self) -> int:
@@ -162,11 +160,10 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
         table.camera[v], table.shot[v], table.board[v] = view.camera, view.shot, view.board
         seen = slice(view.rows)
         if view.shown is not None:
-            table.place[v, seen] = find_circles(view.shown.place_mm, target)
-            table.place_mm[v, seen, :2], table.uv_px[v, seen] = (
-                view.shown.place_mm,
-                view.shown.uv_px,
-            )
+            place_mm = view.shown.place_mm
+            table.place[v, seen] = find_circles(place_mm[:, :2], target)
+            table.place_mm[v, seen, : place_mm.shape[1]] = place_mm
+            table.uv_px[v, seen] = view.shown.uv_px
             numbers = slice(2 * view.rows)
             table.whitening[v, 0, numbers, numbers] = view.shown.whitening * view.used.any()
             continue

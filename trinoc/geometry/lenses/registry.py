@@ -19,6 +19,8 @@ LENS_MODELS: dict[str, type[AbstractLens]] = {
 # The model of coefficients that come without a name, and that an ideal lens is given where its
 # distortion is asked for.
 DEFAULT_DISTORTION = BrownConrady
+# What stands for the model where none is named: that one, or a wider one if it folds an image.
+DEFAULT_LENS = "default"
 
 
 def lens_model(name: str) -> type[AbstractLens]:
