@@ -176,9 +176,9 @@ def field_error(lens, covariance):
     return apart @ (uv_px - seen(rays).ravel()), by_lens @ covariance @ by_lens.T
 
 
-@pytest.mark.slow
-def test_a_bump_is_found_as_well_as_is_claimed():
-    core = RobustFit(core_problem(24), True, [], 0.0, 0)
+def corrected(seed):
+    """The problem at the end of a splined fit, its lens, and errors and covariance of the field."""
+    core = RobustFit(core_problem(24, seed), True, [], 0.0, 0)
     end = with_correction(core, [SIZE_PX]).problem
     information, scale = compute_information(end), np.asarray(end.chart.lens_scale)[0]
     rows = np.ix_(information.free[:249], information.free[:249])
@@ -186,8 +186,17 @@ def test_a_bump_is_found_as_well_as_is_claimed():
     covariance[rows] = information.observability.covariance[:249, :249]
     lens = lens_number(end, 0)
     assert isinstance(lens, AbstractSplinedLens)
-    error, claimed = field_error(lens, covariance * np.outer(scale, scale))
-    assert 0.8 < np.sqrt(np.mean(error**2) / np.mean(np.diag(claimed))) < 1.25
+    return end, lens, *field_error(lens, covariance * np.outer(scale, scale))
+
+
+@pytest.mark.slow
+def test_a_bump_is_found_as_well_as_is_claimed():
+    """The error of one fit is smooth over the field, so that one draw says little: six are .45 to
+    1.33 of what is claimed."""
+    fits = [corrected(seed) for seed in range(6)]
+    ratios = [np.mean(error**2) / np.mean(np.diag(claimed)) for _, _, error, claimed in fits]
+    assert 0.8 < np.sqrt(np.mean(ratios)) < 1.25
+    end, lens, error, _ = fits[0]
     near = np.linalg.norm(field_px() - WHERE_PX, axis=1) < 1.5 * WIDTH_PX
     assert np.sqrt(np.mean(error.reshape(-1, 2)[near] ** 2)) < SIGMA_PX
     moved_px = np.asarray(project(lens, unproject(lens.core, WHERE_PX[None]))) - WHERE_PX[None]
