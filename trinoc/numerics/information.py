@@ -41,7 +41,7 @@ def observability(
     parameter beyond its `largest_sigma`, such as the pan of a camera that looks straight down.
     """
     values, vectors = np.linalg.eigh(information)
-    is_real = values > 1e-14 * values[-1]
+    is_real = values > 1e-14 * values.max(initial=0.0)
     return _of_eigenvalues(values, vectors, is_real, parameters_by_chart, largest_sigma)
 
 
