@@ -1,4 +1,4 @@
-"""Matches, and what is made of them: guided, measured, straight lines, corners, frames, bodies."""
+"""Matches, and what is made of them: measured, straight lines, corners, frames, bodies."""
 
 import dataclasses
 import os
@@ -72,21 +72,6 @@ def made() -> Values:
     batch = match_many(list(frames.values()), rig)
     for label, found in zip(frames, batch.matches, strict=True):
         yield from records.matches(f"batch.{label}", found)
-
-
-def guided() -> Values:
-    """Guided detection in the demo's pictures, in three views and in two."""
-    rig, segments, images = calibrated_demo().rig, demo_segments(), demo_images("scene")
-    for label, views in {"three": VIEWS_OF_DEMO, "two": VIEWS_OF_DEMO[:2]}.items():
-        own = {view: segments[view] for view in views}
-        plain = trinoc.match_segments(own, rig)
-        found = trinoc.match.guide_matches(plain, own, rig, {view: images[view] for view in views})
-        yield from records.matches(label, found.matches)
-        for view, each in found.segments.items():
-            yield from records.segments(f"{label}.{view}", each)
-
-
-VIEWS_OF_DEMO = ("upper", "left", "right")
 
 
 def measured_lines() -> Values:

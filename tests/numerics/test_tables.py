@@ -81,9 +81,9 @@ def test_files_of_before_still_load() -> None:
     # A size that was not known was an empty array, and marks have always stood beside the columns.
     arrays = list_arrays(SEGMENTS) | {"image_size_px": np.array([], dtype=np.int64)}
     assert build_table(Segments, ArrayFields(arrays, "file")).image_size_px is None
-    arrays = list_arrays(MATCHES) | {"guided": MATCHES.index >= 0}
+    arrays = list_arrays(MATCHES) | {"measure": MATCHES.index >= 0}
     found = build_table(Matches, ArrayFields(arrays, "file"))
-    np.testing.assert_array_equal(found.marks["guided"], MATCHES.index >= 0)
+    np.testing.assert_array_equal(found.marks["measure"], MATCHES.index >= 0)
 
 
 @pytest.mark.parametrize(

@@ -34,13 +34,12 @@ class MatchOptions(DepthOption, FindOption):
     steps: Annotated[
         tuple[StepName, ...], tyro.conf.arg(metavar="STEP...", help_behavior_hint="(default: none)")
     ] = ()
-    """What to do after matching. guided: ask every picture again where matched lines must be, which
-    finds faint edges. pixels: place the lines by the grey levels of all their views, which are more
-    exact than segments. cylinders: find right circular cylinders by their outlines, and mark tracks
-    that hold one. rims: find the circular rims of round bodies among the chords of arcs, and add
-    pieces of them. shadows: say how likely each track is the boundary of a cast shadow. wireframe:
-    put corners, edges and planar faces together. Cylinders, rims and a wire frame are written
-    beside the matches."""
+    """What to do after matching. pixels: place the lines by the grey levels of all their views,
+    which are more exact than segments. cylinders: find right circular cylinders by their outlines,
+    and mark tracks that hold one. rims: find the circular rims of round bodies among the chords of
+    arcs, and add pieces of them. shadows: say how likely each track is the boundary of a cast
+    shadow. wireframe: put corners, edges and planar faces together. Cylinders, rims and a wire
+    frame are written beside the matches."""
 
 
 # Of the segments of the view that has fewest. The demo's scene reaches 0.66; 0.06 where two of its

@@ -81,7 +81,6 @@ OLD_OPTIONS: dict[str, dict[str, str]] = {
     "calibrate-rig": _OLD_SIGMA,
     "match": {
         **_OLD_FIND,
-        "guided": "--steps guided",
         "measure": "--steps pixels",
         "cylinders": "--steps cylinders",
         "rims": "--steps rims",

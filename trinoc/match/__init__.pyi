@@ -27,9 +27,6 @@ from .line_map.corners import (
     Corners as Corners,
     snap_corners as snap_corners,
 )
-from .pixels.guide import (
-    guide_matches as guide_matches,
-)
 from .pixels.measure import (
     measure_lines as measure_lines,
 )

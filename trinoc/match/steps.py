@@ -20,7 +20,6 @@ from trinoc.match.bodies.explained_tracks import add_rims
 from trinoc.match.bodies.rim_search import find_rims
 from trinoc.match.bodies.shadow_search import Shadows, find_shadows
 from trinoc.match.matcher import match_segments
-from trinoc.match.pixels.guide import guide_matches
 from trinoc.match.pixels.measure import measure_lines
 from trinoc.match.step_names import StepName
 from trinoc.match.tracks.matches import Matches
@@ -66,11 +65,6 @@ class Step(NamedTuple):
     take: Callable[[StepResult, StepInput], StepResult]
 
 
-def _guide(found: StepResult, given: StepInput) -> StepResult:
-    guided = guide_matches(found.matches, found.segments, given.rig, given.pictures)
-    return found._replace(matches=guided.matches, segments=guided.segments)
-
-
 def _measure(found: StepResult, given: StepInput) -> StepResult:
     measured = measure_lines(
         found.matches, found.segments, given.rig, given.pictures, response=given.response
@@ -107,7 +101,6 @@ def _wireframe(found: StepResult, given: StepInput) -> StepResult:
 
 
 STEPS: dict[StepName, Step] = {
-    "guided": Step("asking the pictures again along the lines", "pictures", _guide),
     "pixels": Step("measuring the lines in the pictures", "pictures", _measure),
     "cylinders": Step("looking for cylinders", "", _cylinders),
     "rims": Step("looking for rims", "arcs", _rims),
@@ -134,10 +127,9 @@ def improve(
     ----------
     matches, segments : of `match_segments`, and the segments that were matched.
     rig : the cameras.
-    steps : of STEPS: "guided" (`guide_matches`), "pixels" (`measure_lines`), "cylinders"
-        (`find_cylinders`), "rims" (`find_rims`, `add_rims`), "shadows" (`find_shadows`),
-        "wireframe" (`wireframe`).
-    pictures : of each view; "guided" and "pixels" need them.
+    steps : of STEPS: "pixels" (`measure_lines`), "cylinders" (`find_cylinders`), "rims"
+        (`find_rims`, `add_rims`), "shadows" (`find_shadows`), "wireframe" (`wireframe`).
+    pictures : of each view; "pixels" needs them.
     arcs : gives the segments with the chords of arcs (`find_segments(arcs=True)`), which "rims"
         needs.
     depth_range_mm : as the segments were matched.

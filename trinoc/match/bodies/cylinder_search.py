@@ -124,7 +124,7 @@ def find_cylinders(
 
     Parameters
     ----------
-    matches : of `match_segments` or `guide_matches`.
+    matches : of `match_segments`.
     segments : those that were matched.
     rig : the cameras that they were matched with, which count as exact.
     tuning : every tuned constant; `cylinders` are those of this function.

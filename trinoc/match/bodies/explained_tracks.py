@@ -186,7 +186,7 @@ def add_rims(
 
     Parameters
     ----------
-    matches : of `match_segments` or `guide_matches`, of segments without arcs.
+    matches : of `match_segments`, of segments without arcs.
     segments : those that were matched.
     rims : of `find_rims`, of segments with arcs.
     chords : the segments that the rims were found among.

@@ -68,7 +68,7 @@ def find_rims(
 
     Parameters
     ----------
-    matches : of `match_segments` or `guide_matches`.
+    matches : of `match_segments`.
     segments : those that were matched, found with `arcs=True`: else there are hardly any chords.
     rig : the cameras that they were matched with, which count as exact.
     tuning : every tuned constant; `rims` are those of this function.

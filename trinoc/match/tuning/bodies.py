@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RimTuning:
-    """From chords to circles. Shown by benchmarks/guided.py."""
+    """From chords to circles. Shown by benchmarks/bodies.py."""
 
     # Two matched lines suggest a circle where what touches both closes within this share of its
     # radius; others speak for it within half of that. By hand.

@@ -11,7 +11,6 @@ from trinoc.match.tuning.evidence import (
     ObservationTuning,
     SideTuning,
 )
-from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.match.tuning.line_map import (
     CollinearTuning,
     CornerTuning,
@@ -48,7 +47,6 @@ class MatchTuning:
     collinear: CollinearTuning = field(default_factory=CollinearTuning)
     corners: CornerTuning = field(default_factory=CornerTuning)
     wireframe: WireframeTuning = field(default_factory=WireframeTuning)
-    guided: GuidedTuning = field(default_factory=GuidedTuning)
     cylinders: CylinderTuning = field(default_factory=CylinderTuning)
     rims: RimTuning = field(default_factory=RimTuning)
     shadows: ShadowTuning = field(default_factory=ShadowTuning)
