@@ -3,9 +3,9 @@
     python benchmarks/bodies.py FOLDER ...
 
 FOLDER holds scenes of blocks that benchmarks/render_pictures.py rendered, a folder each; a third
-of their bodies are cylinders, and a lamp casts shadows. Recall is of the edges that two pictures
-show, precision of the length put out within 1 mm of an edge. Lines whose mark of a silhouette or
-of a shadow is above .5 are not put out; pieces of rims count as edges of the cylinders.
+of their bodies are cylinders. Recall is of the edges that two pictures show, precision of the
+length put out within 1 mm of an edge. Lines whose mark of a silhouette is above .5 are not put
+out; pieces of rims count as edges of the cylinders.
 """
 
 import argparse
@@ -27,16 +27,12 @@ WAYS = {
     "cylinders": ("cylinders",),
     "rims": ("rims",),
     "cylinders rims": ("cylinders", "rims"),
-    "shadows": ("shadows",),
-    "all": ("cylinders", "rims", "shadows"),
 }
 
 
 def put_out(matches: Matches) -> Matches:
-    """Without what is likely an outline or a shadow."""
-    marks = [matches.marks[name] for name in ("silhouette", "shadow") if name in matches.marks]
-    kept = np.all([mark <= 0.5 for mark in marks], axis=0) if marks else np.arange(len(matches))
-    return matches.take(kept)
+    """Without what is likely an outline."""
+    return matches.take(matches.marks.get("silhouette", np.zeros(len(matches))) <= 0.5)
 
 
 def figures(folder: Path, steps: tuple, *, arcs: bool) -> tuple[float, float, float]:

@@ -1,6 +1,5 @@
 """Matches, and what is made of them: measured, straight lines, corners, frames, bodies."""
 
-import dataclasses
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -132,7 +131,7 @@ FRAME = (
 
 
 def bodies() -> Values:
-    """Rims, cylinders and shadows: of the demo's pictures, and of a made table."""
+    """Rims and cylinders: of the demo's pictures, and of a made table."""
     rig, segments, images = calibrated_demo().rig, demo_segments(), demo_images("scene")
     chords = {view: trinoc.find_segments(image, arcs=True) for view, image in images.items()}
     rims = trinoc.match.find_rims(trinoc.match_segments(chords, rig), chords, rig)
@@ -142,13 +141,11 @@ def bodies() -> Values:
     yield "demo.with rims.kept", added.kept
     cylinders = trinoc.match.find_cylinders(demo_matches(), segments, rig)
     yield from records.fields("demo.cylinders", cylinders, CYLINDERS)
-    yield from _shadows("demo.shadows", trinoc.match.find_shadows(demo_matches(), segments, rig))
     made, _ = blocks(9_002)
     matches = trinoc.match_segments(made, table1_rig())
     found = trinoc.match.find_cylinders(matches, made, table1_rig())
     yield from records.fields("table.cylinders", found, CYLINDERS)
     yield from _rims("table.rims", trinoc.match.find_rims(matches, made, table1_rig()))
-    yield from _shadows("table.shadows", trinoc.match.find_shadows(matches, made, table1_rig()))
 
 
 CYLINDERS = (
@@ -161,11 +158,6 @@ def _rims(prefix: str, rims: trinoc.match.Rims) -> Values:
     names = ("centre_mm", "normal", "radius_mm", "radius_sigma_mm", "covariance_mm2", "covered")
     yield from records.fields(prefix, rims, (*names, "rim", "view", "segment", "kept", "counts"))
     yield from records.matches(f"{prefix}.matches", rims.matches)
-
-
-def _shadows(prefix: str, shadows: trinoc.match.Shadows) -> Values:
-    names = tuple(field.name for field in dataclasses.fields(shadows))
-    yield from records.fields(prefix, shadows, names)
 
 
 def _data_folder() -> Iterator[Path]:

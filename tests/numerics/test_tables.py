@@ -24,7 +24,7 @@ from trinoc.numerics.tables import Table, is_covariance, list_fields
 KINDS = [Segments, Junctions, Matches, LetGo, Frames, *FEATURES]
 SEGMENTS = Segments.from_endpoints(np.random.default_rng(5).uniform(0, 400, (6, 4)))
 MATCHES = bench_matches(5).with_marks(
-    shadow=np.linspace(0, 1, 5), word=np.array(["a", "bc", "", "d", "e"])
+    share=np.linspace(0, 1, 5), word=np.array(["a", "bc", "", "d", "e"])
 )
 TABLES: list[Table] = [SEGMENTS, MATCHES, made_cylinders(), made_rims(), made_wireframe()]
 
@@ -59,10 +59,10 @@ def test_rows_are_taken_and_appended(rows: list[int]) -> None:
     for name, column in part.named_columns().items():
         np.testing.assert_array_equal(column, MATCHES.named_columns()[name][chosen])
     given_rows = {name: v for name, v in part.rows().items() if name != "marks"}
-    longer = MATCHES.append(given_rows | {"shadow": part.marks["shadow"]})
+    longer = MATCHES.append(given_rows | {"share": part.marks["share"]})
     np.testing.assert_array_equal(longer.take(np.arange(5)).lines_mm, MATCHES.lines_mm)
     np.testing.assert_array_equal(longer.lines_mm[5:], part.lines_mm)
-    np.testing.assert_array_equal(longer.marks["shadow"][5:], part.marks["shadow"])
+    np.testing.assert_array_equal(longer.marks["share"][5:], part.marks["share"])
     assert longer.marks["word"][5:].tolist() == [""] * len(rows)
 
 

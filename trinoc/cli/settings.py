@@ -85,7 +85,6 @@ OLD_OPTIONS: dict[str, dict[str, str]] = {
         "cylinders": "--steps cylinders",
         "rims": "--steps rims",
         "rims-out": "--steps rims, which are written beside the matches",
-        "shadows": "--steps shadows",
     },
     "batch": {**_OLD_FIND, "threads": "--workers N", "scheduler": "--workers tcp://HOST:PORT"},
     "refine": {"intrinsics": "--free-lens"},

@@ -16,10 +16,6 @@ from .bodies.rim_search import (
 from .bodies.rims import (
     Rims as Rims,
 )
-from .bodies.shadow_search import (
-    Shadows as Shadows,
-    find_shadows as find_shadows,
-)
 from .line_map.collinear_merge import (
     join_collinear as join_collinear,
 )

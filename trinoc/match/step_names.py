@@ -2,4 +2,4 @@
 
 from typing import Literal
 
-StepName = Literal["pixels", "cylinders", "rims", "shadows", "wireframe"]
+StepName = Literal["pixels", "cylinders", "rims", "wireframe"]

@@ -18,7 +18,6 @@ from trinoc.image.response import ResponseLike
 from trinoc.match.bodies.cylinder_search import find_cylinders
 from trinoc.match.bodies.explained_tracks import add_rims
 from trinoc.match.bodies.rim_search import find_rims
-from trinoc.match.bodies.shadow_search import Shadows, find_shadows
 from trinoc.match.matcher import match_segments
 from trinoc.match.pixels.measure import measure_lines
 from trinoc.match.step_names import StepName
@@ -34,13 +33,11 @@ class StepResult(NamedTuple):
     matches : the tracks, with what the steps say of them.
     segments : of each view, those that the matches number.
     features : those that steps found, by their kind.
-    shadows : where the lamp is, where shadows were looked for.
     """
 
     matches: Matches
     segments: Mapping[str, Segments]
     features: Mapping[str, Feature] = {}
-    shadows: Shadows | None = None
 
     def with_features(self, own: Feature) -> "StepResult":
         """The same and features of another kind."""
@@ -86,14 +83,7 @@ def _rims(found: StepResult, given: StepInput) -> StepResult:
         kind: own.of_tracks(joined.kept, len(joined.matches))
         for kind, own in found.features.items()
     }
-    return StepResult(joined.matches, joined.segments, renumbered, found.shadows).with_features(
-        rims
-    )
-
-
-def _shadows(found: StepResult, given: StepInput) -> StepResult:
-    shadows = find_shadows(found.matches, found.segments, given.rig)
-    return found._replace(matches=shadows.mark(found.matches), shadows=shadows)
+    return StepResult(joined.matches, joined.segments, renumbered).with_features(rims)
 
 
 def _wireframe(found: StepResult, given: StepInput) -> StepResult:
@@ -104,7 +94,6 @@ STEPS: dict[StepName, Step] = {
     "pixels": Step("measuring the lines in the pictures", "pictures", _measure),
     "cylinders": Step("looking for cylinders", "", _cylinders),
     "rims": Step("looking for rims", "arcs", _rims),
-    "shadows": Step("looking for the lamp", "", _shadows),
     "wireframe": Step("putting corners, edges and faces together", "", _wireframe),
 }
 
@@ -128,7 +117,7 @@ def improve(
     matches, segments : of `match_segments`, and the segments that were matched.
     rig : the cameras.
     steps : of STEPS: "pixels" (`measure_lines`), "cylinders" (`find_cylinders`), "rims"
-        (`find_rims`, `add_rims`), "shadows" (`find_shadows`), "wireframe" (`wireframe`).
+        (`find_rims`, `add_rims`), "wireframe" (`wireframe`).
     pictures : of each view; "pixels" needs them.
     arcs : gives the segments with the chords of arcs (`find_segments(arcs=True)`), which "rims"
         needs.

@@ -1,4 +1,4 @@
-"""Tuned constants of rims, cylinders and shadows."""
+"""Tuned constants of rims and cylinders."""
 
 from dataclasses import dataclass
 
@@ -58,43 +58,3 @@ class CylinderTuning:
     # before any is seen.
     prior_lines: float = 100.0
     shown_share: float = 0.7
-
-
-@dataclass(frozen=True)
-class ShadowTuning:
-    """From tracks to shadow boundaries and their lamp. Shown by benchmarks/shadows.py."""
-
-    # Among more lines than these some agree on a lamp by chance, as on photographs of buildings: no
-    # lamp is looked for. Measured scenes have half as many. By hand.
-    most_lines: int = 150
-    # Lines of a plane, at least; a line lies in it within so many sigmas and this share of the
-    # median length of lines. Lines less turned than this sine suggest no plane, and leave none; nor
-    # are three of less volume the corner of a body. Pairs of lines are coplanar within as many
-    # sigmas. By hand.
-    fewest_in_plane: int = 4
-    plane_sigmas: float = 3.0
-    flatness: float = 0.015
-    least_sine: float = 0.2
-    # Levels beside lines are the same within this share; the usual log ratio of both sides.
-    level_sigma: float = 0.08
-    usual_ratio: float = 0.7
-    # Lamps are looked for as far as this from the plane and from its normal, deg: lower ones graze,
-    # and one straight above casts a body on its own foot. By hand: at 0 grazing ones win.
-    margin_deg: float = 10.0
-    # Steps of the coarse search, deg. By hand.
-    coarse_deg: float = 4.0
-    # Lamps are no nearer than this many sizes of the scene, as a reciprocal. By hand.
-    nearest: float = 0.1
-    # What is left of an edge that ends too early, as a share of the scene's size. By hand.
-    room: float = 0.06
-    # Share of shadows whose edge is not among the lines. By hand.
-    unexplained: float = 0.25
-    # Log odds of a shadow where there is a lamp, before it is known: a constant, then by what
-    # `evidence_of_surroundings` counts; and where there is none. Log odds that the lamp is the true
-    # one: a constant and by its score. Fitted to 36 rendered scenes of sharp shadows, 12 of soft
-    # ones and 6 of none; the last by hand.
-    log_odds: tuple[float, ...] = (-2.0, -1.9, -1.4, 1.4, 2.4)
-    log_odds_without: float = -2.4
-    log_odds_of_lamp: tuple[float, float] = (-10.0, 0.42)
-    # Added to grey levels before their logarithm is taken: a black level tells little. By hand.
-    dark_level: float = 4.0

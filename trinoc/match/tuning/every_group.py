@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from trinoc.match.tuning.bodies import CylinderTuning, RimTuning, ShadowTuning
+from trinoc.match.tuning.bodies import CylinderTuning, RimTuning
 from trinoc.match.tuning.candidates import CandidateTuning, ScoutTuning
 from trinoc.match.tuning.evidence import (
     ClutterTuning,
@@ -49,7 +49,6 @@ class MatchTuning:
     wireframe: WireframeTuning = field(default_factory=WireframeTuning)
     cylinders: CylinderTuning = field(default_factory=CylinderTuning)
     rims: RimTuning = field(default_factory=RimTuning)
-    shadows: ShadowTuning = field(default_factory=ShadowTuning)
 
 
 DEFAULT = MatchTuning()
