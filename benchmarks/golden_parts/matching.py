@@ -1,4 +1,4 @@
-"""Matches, and what is made of them: measured, straight lines, corners, frames, bodies."""
+"""Matches, and what is made of them: measured, straight lines, corners, frames, rims."""
 
 import os
 from collections.abc import Iterator
@@ -131,7 +131,7 @@ FRAME = (
 
 
 def bodies() -> Values:
-    """Rims and cylinders: of the demo's pictures, and of a made table."""
+    """Rims: of the demo's pictures, and of a made table."""
     rig, segments, images = calibrated_demo().rig, demo_segments(), demo_images("scene")
     chords = {view: trinoc.find_segments(image, arcs=True) for view, image in images.items()}
     rims = trinoc.match.find_rims(trinoc.match_segments(chords, rig), chords, rig)
@@ -139,19 +139,9 @@ def bodies() -> Values:
     added = trinoc.match.add_rims(demo_matches(), segments, rims, chords, rig)
     yield from records.matches("demo.with rims", added.matches)
     yield "demo.with rims.kept", added.kept
-    cylinders = trinoc.match.find_cylinders(demo_matches(), segments, rig)
-    yield from records.fields("demo.cylinders", cylinders, CYLINDERS)
     made, _ = blocks(9_002)
     matches = trinoc.match_segments(made, table1_rig())
-    found = trinoc.match.find_cylinders(matches, made, table1_rig())
-    yield from records.fields("table.cylinders", found, CYLINDERS)
     yield from _rims("table.rims", trinoc.match.find_rims(matches, made, table1_rig()))
-
-
-CYLINDERS = (
-    *("axis_mm", "radius_mm", "covariance_mm2", "posterior", "rival_posterior", "chi_square"),
-    *("degrees", "cylinder", "view", "segment", "side", "silhouette", "counts"),
-)
 
 
 def _rims(prefix: str, rims: trinoc.match.Rims) -> Values:

@@ -9,7 +9,6 @@ from hypothesis import given, strategies as st
 
 import trinoc
 from tests.io.formats.bench import bench_matches
-from tests.io.made_cylinders import made_cylinders
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from trinoc.geometry import Junctions
@@ -26,7 +25,7 @@ SEGMENTS = Segments.from_endpoints(np.random.default_rng(5).uniform(0, 400, (6, 
 MATCHES = bench_matches(5).with_marks(
     share=np.linspace(0, 1, 5), word=np.array(["a", "bc", "", "d", "e"])
 )
-TABLES: list[Table] = [SEGMENTS, MATCHES, made_cylinders(), made_rims(), made_wireframe()]
+TABLES: list[Table] = [SEGMENTS, MATCHES, made_rims(), made_wireframe()]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -35,10 +35,9 @@ class MatchOptions(DepthOption, FindOption):
         tuple[StepName, ...], tyro.conf.arg(metavar="STEP...", help_behavior_hint="(default: none)")
     ] = ()
     """What to do after matching. pixels: place the lines by the grey levels of all their views,
-    which are more exact than segments. cylinders: find right circular cylinders by their outlines,
-    and mark tracks that hold one. rims: find the circular rims of round bodies among the chords of
-    arcs, and add pieces of them. wireframe: put corners, edges and planar faces together.
-    Cylinders, rims and a wire frame are written beside the matches."""
+    which are more exact than segments. rims: find the circular rims of round bodies among the
+    chords of arcs, and add pieces of them. wireframe: put corners, edges and planar faces together.
+    Rims and a wire frame are written beside the matches."""
 
 
 # Of the segments of the view that has fewest. The demo's scene reaches 0.66; 0.06 where two of its

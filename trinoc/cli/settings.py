@@ -82,7 +82,6 @@ OLD_OPTIONS: dict[str, dict[str, str]] = {
     "match": {
         **_OLD_FIND,
         "measure": "--steps pixels",
-        "cylinders": "--steps cylinders",
         "rims": "--steps rims",
         "rims-out": "--steps rims, which are written beside the matches",
     },

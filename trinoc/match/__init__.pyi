@@ -1,21 +1,6 @@
 from .batch import (
     match_many as match_many,
 )
-from .bodies.cylinder_search import (
-    find_cylinders as find_cylinders,
-)
-from .bodies.cylinders import (
-    Cylinders as Cylinders,
-)
-from .bodies.explained_tracks import (
-    add_rims as add_rims,
-)
-from .bodies.rim_search import (
-    find_rims as find_rims,
-)
-from .bodies.rims import (
-    Rims as Rims,
-)
 from .line_map.collinear_merge import (
     join_collinear as join_collinear,
 )
@@ -28,6 +13,15 @@ from .pixels.measure import (
 )
 from .pixels.tuning import (
     PixelTuning as PixelTuning,
+)
+from .rims.explained_tracks import (
+    add_rims as add_rims,
+)
+from .rims.rim_search import (
+    find_rims as find_rims,
+)
+from .rims.rims import (
+    Rims as Rims,
 )
 from .steps import (
     improve as improve,

@@ -2,4 +2,4 @@
 
 from typing import Literal
 
-StepName = Literal["pixels", "cylinders", "rims", "wireframe"]
+StepName = Literal["pixels", "rims", "wireframe"]

@@ -15,11 +15,10 @@ from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.image.response import ResponseLike
-from trinoc.match.bodies.cylinder_search import find_cylinders
-from trinoc.match.bodies.explained_tracks import add_rims
-from trinoc.match.bodies.rim_search import find_rims
 from trinoc.match.matcher import match_segments
 from trinoc.match.pixels.measure import measure_lines
+from trinoc.match.rims.explained_tracks import add_rims
+from trinoc.match.rims.rim_search import find_rims
 from trinoc.match.step_names import StepName
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.wire_frame.build import wireframe
@@ -69,21 +68,12 @@ def _measure(found: StepResult, given: StepInput) -> StepResult:
     return found._replace(matches=measured)
 
 
-def _cylinders(found: StepResult, given: StepInput) -> StepResult:
-    cylinders = find_cylinders(found.matches, found.segments, given.rig)
-    return found._replace(matches=cylinders.mark(found.matches)).with_features(cylinders)
-
-
 def _rims(found: StepResult, given: StepInput) -> StepResult:
     chords = given.arcs() if given.arcs is not None else {}
     among = match_segments(chords, given.rig, depth_range_mm=given.depth_range_mm)
     rims = find_rims(among, chords, given.rig)
     joined = add_rims(found.matches, found.segments, rims, chords, given.rig)
-    renumbered = {
-        kind: own.of_tracks(joined.kept, len(joined.matches))
-        for kind, own in found.features.items()
-    }
-    return StepResult(joined.matches, joined.segments, renumbered).with_features(rims)
+    return found._replace(matches=joined.matches, segments=joined.segments).with_features(rims)
 
 
 def _wireframe(found: StepResult, given: StepInput) -> StepResult:
@@ -92,7 +82,6 @@ def _wireframe(found: StepResult, given: StepInput) -> StepResult:
 
 STEPS: dict[StepName, Step] = {
     "pixels": Step("measuring the lines in the pictures", "pictures", _measure),
-    "cylinders": Step("looking for cylinders", "", _cylinders),
     "rims": Step("looking for rims", "arcs", _rims),
     "wireframe": Step("putting corners, edges and faces together", "", _wireframe),
 }
@@ -116,8 +105,8 @@ def improve(
     ----------
     matches, segments : of `match_segments`, and the segments that were matched.
     rig : the cameras.
-    steps : of STEPS: "pixels" (`measure_lines`), "cylinders" (`find_cylinders`), "rims"
-        (`find_rims`, `add_rims`), "wireframe" (`wireframe`).
+    steps : of STEPS: "pixels" (`measure_lines`), "rims" (`find_rims`, `add_rims`), "wireframe"
+        (`wireframe`).
     pictures : of each view; "pixels" needs them.
     arcs : gives the segments with the chords of arcs (`find_segments(arcs=True)`), which "rims"
         needs.

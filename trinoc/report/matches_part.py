@@ -300,7 +300,7 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: LineSigmas) -> tup
                 colours[track],
                 str(matches.stage[track])
                 + (", moves" if viewpoint_dependent[track] else "")
-                + (", outline of a cylinder" if silhouette[track] > EVEN else ""),
+                + (", outline of a round body" if silhouette[track] > EVEN else ""),
                 members,
                 with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])),
                 with_decimals(float(sigmas.across_sigma_mm[track]), 3),

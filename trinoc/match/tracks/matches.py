@@ -104,7 +104,7 @@ class Matches(Displayable, Table):
         the place where the line should be, and none on it. None where not known.
     marks : what later steps say of tracks, (t,) or (t, v), by name: truth values, probabilities or
         words; False, 0 or "" where a view sees no line. Each step names its own: "measure"
-        (`measure_lines`), "silhouette" (`find_cylinders`, `find_rims`).
+        (`measure_lines`), "silhouette" (`find_rims`).
     noise_scale : standard deviation of the segments across themselves over what they state, as
         three views show it: all covariances here are of the errors found. 1 where two views are
         all there is.

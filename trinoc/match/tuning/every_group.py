@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field
 
-from trinoc.match.tuning.bodies import CylinderTuning, RimTuning
 from trinoc.match.tuning.candidates import CandidateTuning, ScoutTuning
 from trinoc.match.tuning.evidence import (
     ClutterTuning,
@@ -17,6 +16,7 @@ from trinoc.match.tuning.line_map import (
     WireframeTuning,
 )
 from trinoc.match.tuning.occlusion import OcclusionTuning
+from trinoc.match.tuning.rims import RimTuning
 from trinoc.match.tuning.selection import (
     JunctionTuning,
     NoiseTuning,
@@ -47,7 +47,6 @@ class MatchTuning:
     collinear: CollinearTuning = field(default_factory=CollinearTuning)
     corners: CornerTuning = field(default_factory=CornerTuning)
     wireframe: WireframeTuning = field(default_factory=WireframeTuning)
-    cylinders: CylinderTuning = field(default_factory=CylinderTuning)
     rims: RimTuning = field(default_factory=RimTuning)
 
 

@@ -65,7 +65,7 @@ class Wireframe(Feature):
     posterior : (e,) probability that the best match on it is right.
     views : (e,) number of views that see it; an edge of two is checked by no third.
     viewpoint_dependent : (e,) whether all of its tracks are likely to be no line in space, by the
-        matches' column of this name or as outlines of cylinders (the mark "silhouette").
+        matches' column of this name or as outlines of round bodies (the mark "silhouette").
     chi_square, degrees : (e,) how well its lines fit what else is known of its vertices; 0
         degrees where nothing else is.
     edge_of_track : (t,) the edge that each track of the matches is on, -1 where let go.

@@ -11,7 +11,9 @@ from scipy.spatial import KDTree
 
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.bodies.circles import (
+from trinoc.match.observations.match_input import prepare, with_noise_scale
+from trinoc.match.observations.pictures_of_views import segments_of_views
+from trinoc.match.rims.circles import (
     Chords,
     Circles,
     collect_chords,
@@ -21,7 +23,7 @@ from trinoc.match.bodies.circles import (
     touching,
     usual_mm_per_px,
 )
-from trinoc.match.bodies.rim_answer import (
+from trinoc.match.rims.rim_answer import (
     Arcs,
     FittedRim,
     RimChoice,
@@ -29,13 +31,11 @@ from trinoc.match.bodies.rim_answer import (
     cover_circle,
     share_of_two_views,
 )
-from trinoc.match.bodies.rim_support import about, has_rival, sum_support, supports
-from trinoc.match.bodies.rims import Rims
-from trinoc.match.observations.match_input import prepare, with_noise_scale
-from trinoc.match.observations.pictures_of_views import segments_of_views
+from trinoc.match.rims.rim_support import about, has_rival, sum_support, supports
+from trinoc.match.rims.rims import Rims
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tuning.bodies import RimTuning
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.tables import concatenate_rows, take_rows

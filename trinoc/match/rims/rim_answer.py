@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.intrinsics import distort_pixels
-from trinoc.match.bodies.circles import (
+from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.rims.circles import (
     ENDS,
     MIDDLE,
     ON_ARC,
@@ -16,12 +17,11 @@ from trinoc.match.bodies.circles import (
     off_circles,
     points_on_circles,
 )
-from trinoc.match.bodies.explained_tracks import count_tracks, tracks_beside_rims, with_rows
-from trinoc.match.bodies.rims import Rims
-from trinoc.match.observations.match_input import MatchInput
+from trinoc.match.rims.explained_tracks import count_tracks, tracks_beside_rims, with_rows
+from trinoc.match.rims.rims import Rims
 from trinoc.match.tracks.line_fit import cut_fragments, ending_view, track_intervals
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
-from trinoc.match.tuning.bodies import RimTuning
+from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import add_error_of_ends, complete_axes, cross_3d
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.geometry.projection import homogeneous_pixel, pixel_change, project_by_matrix
 from trinoc.geometry.rig import Rig
 from trinoc.match.observations.match_input import MatchInput
-from trinoc.match.tuning.bodies import RimTuning
+from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, misfit_factor
 from trinoc.numerics.vectors import complete_axes, cross_3d, vector3
 

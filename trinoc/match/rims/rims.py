@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.geometry.features import Feature, Wires, wires_of_lines
-from trinoc.match.bodies.circles import Circles, points_on_circles
+from trinoc.match.rims.circles import Circles, points_on_circles
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.tables import (
     COVARIANCE,

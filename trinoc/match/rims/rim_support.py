@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array
 
-from trinoc.match.bodies.circles import (
+from trinoc.match.rims.circles import (
     MIDDLE,
     ON_ARC,
     Chords,
@@ -16,7 +16,7 @@ from trinoc.match.bodies.circles import (
     off_circles,
     touching,
 )
-from trinoc.match.tuning.bodies import RimTuning
+from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import take_rows
 

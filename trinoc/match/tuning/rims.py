@@ -1,11 +1,11 @@
-"""Tuned constants of rims and cylinders."""
+"""Tuned constants of rims."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class RimTuning:
-    """From chords to circles. Shown by benchmarks/bodies.py."""
+    """From chords to circles. Shown by benchmarks/rims.py."""
 
     # Two matched lines suggest a circle where what touches both closes within this share of its
     # radius; others speak for it within half of that. By hand.
@@ -32,29 +32,3 @@ class RimTuning:
     # Standard deviation of a piece's ends along the rim, px: where detectors cut an arc; shorter
     # pieces are none. By hand.
     end_px: float = 1.0
-
-
-@dataclass(frozen=True)
-class CylinderTuning:
-    """From outlines to cylinders, with the errors and the significance of `CollinearTuning`. Shown
-    by benchmarks/cylinders.py."""
-
-    # Segments of a track in three views above this posterior, which does not move with the
-    # viewpoint, are no outlines; nor are shorter ones, px. By hand.
-    certain_posterior: float = 0.97
-    shortest_px: float = 8.0
-    # Standard deviation by which an outline's ends are off where it bends into a rim, px.
-    rim_px: float = 0.3
-    # Both outlines of a view are as parallel as this, deg, and so wide apart, px. Segments this
-    # nearly parallel to an axis, deg, are as likely to be there as its outlines. By hand: without
-    # the last two edges of boxes make a cylinder.
-    parallel_deg: float = 12.0
-    narrowest_px: float = 4.0
-    common_deg: float = 3.0
-    # A cylinder is determined where the standard deviations of its place and radius are below this
-    # share of the radius, and that of its direction below as much, rad. By hand.
-    largest_doubt: float = 0.5
-    # Lines of a scene for each cylinder, and the share of outlines that have a segment, as assumed
-    # before any is seen.
-    prior_lines: float = 100.0
-    shown_share: float = 0.7

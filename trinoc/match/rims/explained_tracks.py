@@ -12,7 +12,9 @@ from jaxtyping import Bool, Float, Int
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.bodies.circles import (
+from trinoc.match.observations.match_input import prepare
+from trinoc.match.observations.pictures_of_views import segments_of_views
+from trinoc.match.rims.circles import (
     ENDS,
     ON_ARC,
     Chords,
@@ -22,12 +24,10 @@ from trinoc.match.bodies.circles import (
     touching,
     usual_mm_per_px,
 )
-from trinoc.match.bodies.rims import Rims
-from trinoc.match.observations.match_input import prepare
-from trinoc.match.observations.pictures_of_views import segments_of_views
+from trinoc.match.rims.rims import Rims
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tuning.bodies import RimTuning
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.vectors import cross_3d
 
