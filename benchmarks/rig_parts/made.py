@@ -1,33 +1,29 @@
 """A rig and its lenses from many shots: errors over the bound and over the claimed sigmas.
 
-    python benchmarks/rigs_from_shots.py [--trials 10] [--shots 10] [--made] [--real] [--one]
-
-Made: three cameras with unknown lenses of four coefficients, and what a detector with the stated
+Three cameras with unknown lenses of four coefficients, and what a detector with the stated
 noise reports of a chessboard (corners) and of our sheet (circles, by the exact centres of their
 images). The bound is the covariance of the least squares at the stated noise. Beside trinoc, on the
 same observations: cv2.calibrateCamera for each camera and then cv2.stereoCalibrate with the first,
-lenses held and lenses free; and cv2.calibrateMultiview. They take the centre of a circle's image
-for the image of its centre. Real (TRINOC_DATA): two stereo rigs; halves of the shots compared in
-claimed sigmas. One: the lens of single cameras from six photographs of circle grids.
+lenses held and lenses free; cv2.calibrateMultiview; and, of the chessboard and where it is
+installed, mrcal, with its own outlier rejection and regularisation, for a flat board. OpenCV takes
+the centre of a circle's image for the image of its centre.
 """
 
-import argparse
-import os
+import shutil
 import time
 from functools import partial
-from pathlib import Path
 
 import cv2
 import jax
 import numpy as np
 
-from trinoc.calib import Detection, detect_target
+from rig_parts.mrcal import PROGRAM, calibrate_by_mrcal
+from trinoc.calib import Detection
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.systematics import Systematics
-from trinoc.errors import TrinocError
 from trinoc.geometry import Pose
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
@@ -218,7 +214,25 @@ def by_multiview(target, found) -> dict[str, float]:
     return values
 
 
-def made(trials: int, shots: int) -> None:
+def by_mrcal(target, found) -> dict[str, float]:
+    models, _ = calibrate_by_mrcal(target, found, SIZE_PX, 4, ["--skip-calobject-warp-solve"])
+    poses = {
+        name: np.column_stack([rotation(model["extrinsics"][:3]), model["extrinsics"][3:]])
+        for name, model in models.items()
+    }
+    values = {}
+    for name, model in models.items():
+        own = [*model["intrinsics"], 0.0][:9]
+        keys = [f"{name}.{key}" for key in BrownConrady.parameter_names]
+        values |= dict(zip(keys, own, strict=True))
+        values |= pose_numbers(name, relative(poses["left"], poses[name]))
+    return values
+
+
+def run(trials: int, shots: int) -> None:
+    """Print a table for each board."""
+    if shutil.which(PROGRAM) is None:
+        print(f"{PROGRAM} is not installed (Debian: apt-get install mrcal): it is left out.")
     true = truth()
     lens_keys = [k for k in true if k.split(".")[1] in BrownConrady.parameter_names[:8]]
     pose_keys = [k for k in true if k.split(".")[1] in POSE and not k.startswith("left.")]
@@ -239,6 +253,8 @@ def made(trials: int, shots: int) -> None:
                 "cv2 the same, lenses free in stereo": partial(by_opencv, free=True),
                 "cv2.calibrateMultiview": by_multiview,
             }
+            if shutil.which(PROGRAM) is not None and isinstance(target, Chessboard):
+                chains["mrcal"] = by_mrcal
             for chain, estimate in chains.items():
                 try:
                     own = estimate(target, found)
@@ -262,100 +278,3 @@ def made(trials: int, shots: int) -> None:
 
 def rms(values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def real(data: Path) -> None:
-    chess = data / "stereo_chessboard"
-    board = Chessboard(rows=6, columns=9, square_mm=1.0)
-    report("stereo_chessboard", board, {
-        name: sorted(chess.glob(f"{name}*.jpg")) for name in ("left", "right")})  # fmt: skip
-    plate = data / "stereo_circle_plate"
-    for radius in PLATE_RADII_MM:
-        grid = Pattern.circle_grid(rows=10, columns=10, pitch_mm=30.0, radius_mm=radius)
-        report(f"stereo_circle_plate, radius {radius:g} mm", grid, {
-            name: sorted(plate.glob(f"{name}_*.png")) for name in ("left", "right")})  # fmt: skip
-
-
-# The plate's circles are of a size that nobody states: in the pictures a sixth of their pitch.
-PLATE_RADII_MM = (5.0,)
-
-
-def report(title: str, target: AbstractTarget, files: dict[str, list[Path]]) -> None:
-    """trinoc's rig beside OpenCV's, on the same places."""
-    found: dict[str, list[Detection | None]] = {}
-    for name, own in files.items():
-        found[name] = []
-        for file in own:
-            try:
-                found[name].append(detect_target(cv2.imread(str(file), 0), target))
-            except TrinocError as error:
-                print(f"  {file.name}: {error}")
-                found[name].append(None)
-    start = time.perf_counter()
-    names = list(files)
-    result = calibrate_rig(found, target, world=names[0], throw=False)
-    print(f"\n{title}: {time.perf_counter() - start:.1f} s after detection")
-    print(result.summary())
-    sizes = {name: next(each for each in own if each).image_size_px for name, own in found.items()}
-    relabelled: dict[str, dict[str, Detection]] = {name: {} for name in names}
-    for view in result.views:
-        if " alone" not in result.shots[view.shot]:
-            relabelled[names[view.camera]][result.shots[view.shot]] = view.detection
-    lenses = {}
-    for name, own in relabelled.items():
-        pairs = [points(target, each) for each in own.values()]
-        error, matrix, distortion, _, _ = cv2.calibrateCamera(
-            [p for p, _ in pairs], [q for _, q in pairs], sizes[name], None, None
-        )
-        lenses[name] = matrix, distortion
-        print(f"  cv2 {name}: rms {error:.3f} px, fx {matrix[0, 0]:.2f}, fy {matrix[1, 1]:.2f}")
-    if len(names) == 2:
-        (a, one), (b, other) = relabelled.items()
-        both = [shot for shot in one if shot in other]
-        place, first, second = [], [], []
-        for shot in both:
-            shared = np.intersect1d(one[shot].circle_index, other[shot].circle_index)
-            place.append(np.pad(target.centres_mm[shared], ((0, 0), (0, 1))).astype(np.float32))
-            for seen_there, into in ((one[shot], first), (other[shot], second)):
-                order = {int(k): n for n, k in enumerate(seen_there.circle_index)}
-                rows = [order[int(k)] for k in shared]
-                into.append(seen_there.centres_px[rows].astype(np.float32))
-        out = cv2.stereoCalibrate(
-            place, first, second, *lenses[a], *lenses[b], sizes[a], flags=cv2.CALIB_FIX_INTRINSIC
-        )
-        print(f"  cv2 stereo: rms {out[0]:.3f} px, baseline {np.linalg.norm(out[6]):.4f}")
-        if result.rig is not None:
-            pose = np.asarray(result.rig[b].cam_from_world)
-            print(f"  trinoc: baseline {np.linalg.norm(pose[:, 3]):.4f}")
-
-
-def one(data: Path) -> None:
-    grids = data / "circle_grids"
-    boofcv = Pattern.circle_grid(rows=10, columns=8, pitch_mm=2.5, radius_mm=0.75)
-    report("BoofCV 10 x 8", boofcv, {"camera": sorted(grids.glob("boofcv_image*.jpg"))})
-    opencv = Pattern.circle_grid(rows=7, columns=7, pitch_mm=1.0, radius_mm=0.25)
-    report("OpenCV 7 x 7", opencv, {"camera": sorted(grids.glob("opencv_circles*.png"))})
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--trials", type=int, default=10)
-    parser.add_argument("--shots", type=int, default=10)
-    for part in ("made", "real", "one"):
-        parser.add_argument(f"--{part}", action="store_true")
-    options = parser.parse_args()
-    every = not (options.made or options.real or options.one)
-    if options.made or every:
-        made(options.trials, options.shots)
-    data = Path(os.environ.get("TRINOC_DATA", ""))
-    if not (data / "stereo_chessboard").is_dir():
-        print("TRINOC_DATA names no folder with the real sets: they are left out.")
-        return
-    if options.real or every:
-        real(data)
-    if options.one or every:
-        one(data)
-
-
-if __name__ == "__main__":
-    main()

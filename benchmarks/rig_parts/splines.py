@@ -1,18 +1,16 @@
 """A lens with a bump that no polynomial describes: polynomials, splines and mrcal's splines.
 
-    python benchmarks/splined_lenses.py [--trials 4] [--shots 20] [--bump 1.0] [--no-mrcal]
-
 Made cameras (1280 x 960 px), each with a lens of Brown and Conrady and a bump of Gauss, which moves
-pixels by up to `--bump` px somewhere in the picture, some way, with a standard deviation of 100 to
+pixels by up to `bump_px` somewhere in the picture, some way, with a standard deviation of 100 to
 180 px; a chessboard of 9 x 12 corners near it, noise of .1 px. Errors are of pixels over the field,
 root mean square per axis, a turn of the camera taken out; sigmas are those of the same pixels as
-they are claimed. Without a bump (`--bump 0`) it shows what a correction costs that is not needed.
+they are claimed. Without a bump (0 px) it shows what a correction costs that is not needed.
 mrcal (Debian: apt-get install mrcal) is run as a program, with the splines of `MRCAL_SPLINES`, or
 OpenCV's 8 coefficients.
 """
 
-import argparse
 import json
+import shutil
 import subprocess
 import tempfile
 import time
@@ -27,6 +25,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from rig_parts.mrcal import PROGRAM
 from trinoc.calib import Detection
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.targets.checkers import Chessboard
@@ -39,7 +38,7 @@ BOARD = Chessboard(rows=9, columns=12, square_mm=25.0)
 CORE = BrownConrady.from_parameters(
     np.array([1000.0, 1003.0, 642.0, 476.0, -0.25, 0.08, 0.001, -0.0005, -0.01])
 )
-PROGRAM, SYSTEM_PYTHON = "mrcal-calibrate-cameras", "/usr/bin/python3"
+SYSTEM_PYTHON = "/usr/bin/python3"
 MRCAL_SPLINES = "LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx=12_Ny=10_fov_x_deg=76"
 _PROJECT = """
 import json, sys, mrcal, numpy as np
@@ -208,25 +207,17 @@ def by_mrcal(made: Sequence[Detection], model: str, bump: Bump) -> tuple[Error, 
     return Error(rms, largest, float("nan"), float("nan")), seconds
 
 
-def main() -> None:
+def run(trials: int, shots_each: int, bump_px: float) -> None:
     """Print one row for each lens."""
-    parser = argparse.ArgumentParser(description="A lens with a bump.")
-    parser.add_argument("--trials", type=int, default=4)
-    parser.add_argument("--shots", type=int, default=20)
-    parser.add_argument("--bump", type=float, default=1.0, help="height in px")
-    parser.add_argument("--no-mrcal", action="store_true")
-    parser.add_argument("--only", default="", help="lenses whose names begin so")
-    options = parser.parse_args()
     ways: dict[str, Callable[[Sequence[Detection], str, Bump], tuple[Error, float]]] = {
         "brown_conrady": by_trinoc,
         "rational": by_trinoc,
         "splined_brown_conrady": by_trinoc,
     }
-    if not options.no_mrcal:
+    if shutil.which(PROGRAM) is not None:
         ways |= {"LENSMODEL_OPENCV8": by_mrcal, MRCAL_SPLINES: by_mrcal}
-    ways = {name: way for name, way in ways.items() if name.startswith(options.only)}
-    bumps = [bump_of(seed, options.bump) for seed in range(options.trials)]
-    draws = [shots(options.shots, seed, bump) for seed, bump in enumerate(bumps)]
+    bumps = [bump_of(seed, bump_px) for seed in range(trials)]
+    draws = [shots(shots_each, seed, bump) for seed, bump in enumerate(bumps)]
     print("lens: rms px, largest px, claimed sigma px, error over it; seconds of the last draw")
     for model, way in ways.items():
         told = []
@@ -242,7 +233,3 @@ def main() -> None:
             f"{told[-1][1]:.1f} s, {len(told)} draws",
             flush=True,
         )
-
-
-if __name__ == "__main__":
-    main()

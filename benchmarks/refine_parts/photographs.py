@@ -1,24 +1,20 @@
 """Photographs of the Merton College with disturbed cameras, refined by their line matches.
 
-    TRINOC_DATA=DIR python benchmarks/refine_photographs.py [--trials N] [--published-only]
-
-DIR holds vgg_merton1 (VGG, Oxford): matrices, segments, published matches of lines, and published
-points with their images, which no refinement sees. Every camera is turned about any axis and
-shifted any way; each degree goes with the centre's shift of as much of the distance between the
+The folder holds vgg_merton1 (VGG, Oxford): matrices, segments, published matches of lines, and
+published points with their images, which no refinement sees. Every camera is turned about any axis
+and shifted any way; each degree goes with the centre's shift of as much of the distance between the
 cameras as 5 mm are of those of the paper's rig. Points are triangulated by each rig: what is shown
 is the root mean square, and the median, of their distance from their images, and the error of
 the cameras after the best similarity.
 """
 
-import argparse
-import os
 from pathlib import Path
 
 import jax
 import numpy as np
-from refine_rigs import knocked, relative_error
 from shared_scenes import VIEWS
 
+from refine_parts.rigs import knocked, relative_error
 from trinoc.calib.bundle.refinement import refine
 from trinoc.calib.bundle.result import RefineStatus
 from trinoc.geometry import LineObservations, triangulate_segment
@@ -82,15 +78,9 @@ def published(segments: dict[str, np.ndarray], matches: np.ndarray, rig: Rig) ->
     return take_rows(lines, np.flatnonzero(good))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=3)
-    parser.add_argument("--published-only", action="store_true", help="no matching of our own")
-    options = parser.parse_args()
-    trials = options.trials
-    if "TRINOC_DATA" not in os.environ:
-        raise SystemExit("Set TRINOC_DATA to the folder that holds vgg_merton1.")
-    data = np.load(Path(os.environ["TRINOC_DATA"]) / "vgg_merton1" / "merton1.npz")
+def run(folder: Path, trials: int, *, published_only: bool) -> None:
+    """Print the tables; with `published_only` nothing is matched by trinoc."""
+    data = np.load(folder / "vgg_merton1" / "merton1.npz")
     segments = {view: data[f"segments_{v}"] for v, view in enumerate(VIEWS)}
     points = [data[f"corners_{v}"] for v in range(3)]
     true = Rig.from_matrices(dict(zip(VIEWS, data["projection"], strict=True)), (1024, 768))
@@ -116,7 +106,7 @@ def main() -> None:
             print(f"{degrees:4.2f} {millimetres:3.1f} disturbed             {shown(start)}")
             given = refine(start, published(segments, data["line_matches"], start))
             answers = [("published matches", given)]
-            if not options.published_only:
+            if not published_only:
                 again = [lambda rig: match(rig, TOLERANT_SIGMA_PX), match]
                 ours = refine(start, match(start), match_again=again)
                 answers.append(("our matches", ours))
@@ -125,7 +115,3 @@ def main() -> None:
                 note = answer.status.name.lower() if refused else ""
                 print(f"         {label:20s}  {shown(answer.rig)} noise "
                       f"{answer.segment_sigma_factor:.2f} {note}", flush=True)  # fmt: skip
-
-
-if __name__ == "__main__":
-    main()

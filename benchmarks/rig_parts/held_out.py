@@ -1,18 +1,14 @@
 """Errors of shots that a rig was not fitted to, on two real stereo sets, beside OpenCV.
 
-    python benchmarks/rigs_held_out.py [--pixels]
-
 Every second shot tells lenses and rig; of each other shot the board's pose alone is fitted, to what
 one camera saw of it. What remains in that camera is the lens's error, what the other camera then
 shows elsewhere the rig's. Then the other way round. All chains see the same places: trinoc's
 detections without what trinoc took for located wrongly. trinoc is fitted by its own rule, with the
 board as drawn (but for scale and warp) and with its places found along; OpenCV by calibrateCamera
 with five coefficients and stereoCalibrate, lenses held or free, and solvePnP with refinement.
-`--pixels` adds trinoc's fit of the grey levels, whose places are those that these show.
+With `pixels` also trinoc's fit of the grey levels, whose places are those that these show.
 """
 
-import argparse
-import os
 from pathlib import Path
 
 import cv2
@@ -145,14 +141,8 @@ def trinoc_row(title: str, result: RigFromShots) -> None:
     row(title, own, across, result.rms_px())
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--pixels", action="store_true")
-    options = parser.parse_args()
-    data = Path(os.environ.get("TRINOC_DATA", ""))
-    if not (data / "stereo_chessboard").is_dir():
-        print("TRINOC_DATA names no folder with the real sets.")
-        return
+def run(data: Path, *, pixels: bool) -> None:
+    """Print a table for each set."""
     for name, (target, files) in sets(data).items():
         images = {c: [np.asarray(cv2.imread(str(f), 0)) for f in own] for c, own in files.items()}
         found = {c: [detect_target(image, target) for image in own] for c, own in images.items()}
@@ -168,9 +158,5 @@ def main() -> None:
             "trinoc, an exact board", calibrate_rig(found, target, systematics=Systematics())
         )
         trinoc_row("trinoc", result)
-        if options.pixels:
+        if pixels:
             trinoc_row("trinoc, pixels", calibrate_rig(images, target, method="pixels"))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,10 +1,8 @@
 """A rig and its lenses from the grey levels of many shots: errors over the bound of the pixels.
 
-    python benchmarks/rigs_from_pixels.py [--trials 3] [--scenes 2] [--board sheet] [--fisheye]
-
-The rig of `rigs_from_shots.py`: three cameras with unknown lenses of four coefficients, ten shots
+The rig of `made.py`: three cameras with unknown lenses of four coefficients, ten shots
 of our sheet, or of a chessboard, a ChArUco board or an AprilGrid of about its size, rendered by
-rays (640 x 480 px, ink 25, paper 230, blur .7 px, noise 2 grey levels, rounded); with --fisheye
+rays (640 x 480 px, ink 25, paper 230, blur .7 px, noise 2 grey levels, rounded); or
 three fisheyes of 260 px, 60 mm apart, which see the board up to 60 degrees off their axes. The
 bound is Cramer and Rao's, of all pixels of the pictures in which the board is found, with light,
 ink and blur of each picture unknown: a picture's change by every parameter is its gradient along
@@ -14,7 +12,6 @@ cv2.stereoCalibrate with lenses free (of fisheyes cv2.fisheye.calibrate, then
 cv2.fisheye.stereoCalibrate with lenses held).
 """
 
-import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -26,7 +23,8 @@ import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rigs_from_shots import (
+
+from rig_parts.made import (
     LENSES,
     PLACES,
     POSE,
@@ -38,7 +36,6 @@ from rigs_from_shots import (
     rms,
     rotation,
 )
-
 from trinoc.calib import detect_target
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.targets.april_grid import AprilGrid
@@ -363,18 +360,8 @@ def measure(setup: Setup, title: str, scenes: int, trials: int) -> None:
         print(line, flush=True)
 
 
-def main() -> None:
+def run(board: str | None, scenes: int, trials: int, *, fisheye: bool) -> None:
+    """Print a table for each board."""
     jax.config.update("jax_enable_x64", True)
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--trials", type=int, default=3)
-    parser.add_argument("--scenes", type=int, default=2)
-    parser.add_argument("--board", choices=tuple(BOARDS))
-    parser.add_argument("--fisheye", action="store_true")
-    options = parser.parse_args()
-    for title in [options.board] if options.board else BOARDS:
-        setup = FISHEYE if options.fisheye else PERSPECTIVE
-        measure(setup, title, options.scenes, options.trials)
-
-
-if __name__ == "__main__":
-    main()
+    for title in [board] if board else BOARDS:
+        measure(FISHEYE if fisheye else PERSPECTIVE, title, scenes, trials)

@@ -1,26 +1,21 @@
-"""Time and memory of one refinement, beside scipy and Ceres on the same unknowns and residuals.
-
-    python benchmarks/refine_times.py [--scipy-seconds N] [--ceres]
+"""Time and memory of one refinement, beside scipy on the same unknowns and residuals.
 
 Six free numbers per camera, four per line, no sheet, from the same start. scipy.optimize's
-least_squares gets the sparsity of its Jacobian and is stopped after --scipy-seconds. pyceres has
-no residual of a line, so that its cost function is written in Python (Jacobians by finite
-differences, lines eliminated by its Schur complement): what is timed is Python as much as Ceres.
+least_squares gets the sparsity of its Jacobian and is stopped after a time.
 """
 
-import argparse
 import resource
 import signal
 import time
 from collections.abc import Callable
 
 import numpy as np
-from refine import made_lines, projected, started_from
-from refine_rigs import ANGLE, TRUTH, rig_at
 from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
+from refine_parts.made import made_lines, projected, started_from
+from refine_parts.rigs import ANGLE, TRUTH, rig_at
 from trinoc.calib.bundle.refinement import refine
 from trinoc.geometry import LineObservations
 from trinoc.geometry.rig import Rig
@@ -30,7 +25,7 @@ class Stopped(Exception):
     """A solver took longer than it was given."""
 
 
-def times(scipy_seconds: int, with_ceres: bool) -> None:
+def times(scipy_seconds: int) -> None:
     """Warm time and memory beside scipy with the same problem's sparsity."""
     print("\nTime of one refinement (six free numbers per camera, no sheet), and peak memory")
     for tracks in (100, 1000, 10_000):
@@ -44,18 +39,14 @@ def times(scipy_seconds: int, with_ceres: bool) -> None:
         row = f"  {tracks:6d} tracks: first {laps[0]:6.2f} s, warm {1e3 * ours:8.1f} ms"
         print(f"{row}, peak so far {peak_mib():5.0f} MiB", flush=True)
         problem = Residuals(start, lines)
-        others = {"scipy": problem.scipy}
-        if with_ceres and tracks <= 1000:
-            others["pyceres, cost in Python"] = problem.ceres
-        for label, solve in others.items():
-            signal.alarm(scipy_seconds)
-            try:
-                theirs = seconds(solve)
-                signal.alarm(0)
-                text = f"{theirs:7.2f} s ({theirs / ours:6.1f} x)"
-            except Stopped:
-                text = f"not done in {scipy_seconds} s"
-            print(f"         {label} {text}, peak so far {peak_mib():5.0f} MiB", flush=True)
+        signal.alarm(scipy_seconds)
+        try:
+            theirs = seconds(problem.scipy)
+            signal.alarm(0)
+            text = f"{theirs:7.2f} s ({theirs / ours:6.1f} x)"
+        except Stopped:
+            text = f"not done in {scipy_seconds} s"
+        print(f"         scipy {text}, peak so far {peak_mib():5.0f} MiB", flush=True)
 
 
 def seconds(call: Callable[[], object]) -> float:
@@ -118,61 +109,6 @@ class Residuals:
         found = least_squares(self.all, start, jac_sparsity=pattern, x_scale="jac", loss="soft_l1")
         print(f"         ({found.nfev} evaluations, final cost {found.cost:.6g}: {found.message})")
 
-    def ceres(self) -> None:
-        """Ceres with one cost function in Python for each fragment, and Schur elimination."""
-        import pyceres
-
-        residuals = self
-
-        class Fragment(pyceres.CostFunction):
-            def __init__(self, track: int, view: int) -> None:
-                super().__init__()
-                self.track, self.view = track, view
-                self.set_num_residuals(2)
-                self.set_parameter_block_sizes([6, 4])
-
-            def Evaluate(self, parameters, values, jacobians):
-                at = np.concatenate(parameters)
-                points = np.vstack([at, at + STEP * np.eye(10)]) if jacobians else at.reshape(1, -1)
-                found = residuals.one(self.track, self.view, points)
-                values[:] = found[0]
-                if jacobians:
-                    slopes = ((found[1:] - found[0]) / STEP).T
-                    for block, columns in ((0, slice(0, 6)), (1, slice(6, 10))):
-                        if jacobians[block] is not None:
-                            jacobians[block][:] = slopes[:, columns].reshape(-1)
-                return True
-
-        tracks, views = self.lines.seen.shape
-        cameras, offsets = np.zeros((views, 6)), np.zeros((tracks, 4))
-        problem, loss = pyceres.Problem(), pyceres.SoftLOneLoss(1.0)
-        kept = []
-        for track, view in np.argwhere(self.lines.seen).tolist():
-            kept.append(Fragment(track, view))
-            problem.add_residual_block(kept[-1], loss, [cameras[view], offsets[track]])
-        options = pyceres.SolverOptions()
-        options.linear_solver_type = pyceres.LinearSolverType.DENSE_SCHUR
-        options.max_num_iterations = 100
-        options.num_threads = 1
-        summary = pyceres.SolverSummary()
-        pyceres.solve(options, problem, summary)
-        print(f"         ({summary.BriefReport()})")
-
-    def one(self, track: int, view: int, points: np.ndarray) -> np.ndarray:
-        """(n, 2) residuals of one fragment for n steps of its camera and line."""
-        turned = Rotation.from_rotvec(points[:, :3]).as_matrix() @ self.rotation[view]
-        shifted = self.centre[view] + 470 * points[:, 3:6]
-        offset = points[:, 6:].reshape(-1, 2, 2)
-        moved = offset[..., :1] * self.first[track] + offset[..., 1:] * self.second[track]
-        rays = self.lines.lines_mm[track] + moved - shifted[:, None]
-        image = np.einsum("ij,njk,nek->nei", self.calibration[view], turned, rays)
-        image = image[..., :2] / image[..., 2:]
-        return across(image, self.lines.fragments_px[track, view]) / self.sigma[track, view]
-
-
-# Of the finite differences: steps are radians, shares of 470 mm, and mm.
-STEP = 1e-7
-
 
 def across(image: np.ndarray, fragments: np.ndarray) -> np.ndarray:
     """(..., 2) distances of fragments' ends from the lines through image points (..., 2, 2)."""
@@ -186,14 +122,7 @@ def stop(_signal: int, _frame: object) -> None:
     raise Stopped
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scipy-seconds", type=int, default=480)
-    parser.add_argument("--ceres", action="store_true", help="needs the package pyceres")
-    given = parser.parse_args()
+def run(scipy_seconds: int) -> None:
+    """Print the table."""
     signal.signal(signal.SIGALRM, stop)
-    times(given.scipy_seconds, given.ceres)
-
-
-if __name__ == "__main__":
-    main()
+    times(scipy_seconds)

@@ -1,7 +1,5 @@
 """Cameras that never see one board: errors over the bound and over the claimed sigmas.
 
-    python benchmarks/rigs_board_sets.py [--trials 10] [--shots 12]
-
 Two cameras with unknown lenses of four coefficients, and two boards that are fixed to each other in
 a way that nobody knows; each camera sees a board of its own, never the other's. "around": a block
 with a chessboard on its front and another one on its back is held between cameras that face each
@@ -11,14 +9,13 @@ same corners: cv2.calibrateCamera for each camera, and then the closed form for 
 the camera on it, which is what the joint fit starts from (OpenCV 5 has none).
 """
 
-import argparse
 import time
 
 import cv2
 import jax
 import numpy as np
-from rigs_from_shots import LENSES, SIZE_PX, points, rms, rotation, seen
 
+from rig_parts.made import LENSES, SIZE_PX, points, rms, rotation, seen
 from trinoc.calib import BoardSet, Detection, RigFromShots
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.starts.connected import solve_hand_eye
@@ -193,14 +190,7 @@ def made(name: str, trials: int, shots: int) -> None:
     print(f"  {np.median(seconds):.1f} s a rig (median)", flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=10)
-    parser.add_argument("--shots", type=int, default=12)
-    options = parser.parse_args()
+def run(trials: int, shots: int) -> None:
+    """Print a table for each scene."""
     for name in SCENES:
-        made(name, options.trials, options.shots)
-
-
-if __name__ == "__main__":
-    main()
+        made(name, trials, shots)

@@ -1,21 +1,18 @@
 """Knocked rigs corrected by segments that the matcher joins: matches recovered, errors, basin.
 
-    python benchmarks/refine_matched.py [--trials N] [--large]
-
 Made scenes (blocks on a table, see-through boxes, loose segments; ends with 0.5 px of noise, a
 fifth broken, a fifth nobody's). Cameras are turned about any axis and shifted any way after the
 sheet was seen; the segments are those of the knocked rig, matched with the old one. Seeds are not
 those on which the refinement's constants were chosen (200 to 203).
 """
 
-import argparse
 import time
 from collections.abc import Iterator
 
 import numpy as np
 from match_scores import score_matches
-from refine_rigs import SIZES, TRUE_RIG, calibrated_rig, camera_error, knocked, relative_error
 
+from refine_parts.rigs import SIZES, TRUE_RIG, calibrated_rig, camera_error, knocked, relative_error
 from trinoc.calib import RefineResult
 from trinoc.calib.bundle.refinement import refine
 from trinoc.calib.bundle.result import RefineStatus
@@ -38,10 +35,6 @@ SCENES = {
     "blocks": lambda seed: block_scene(seed, count=8),
     "10 boxes": lambda seed: see_through_boxes(seed, count=10),
     "100 loose": lambda seed: loose_segments(seed, count=100),
-}
-LARGE = {
-    "42 boxes": lambda seed: see_through_boxes(seed, count=42),
-    "500 loose": lambda seed: loose_segments(seed, count=500),
 }
 
 Trial = tuple[Rig, Rig, dict[str, Segments], SegmentTruth, str]
@@ -114,16 +107,7 @@ def row(label: str, make, size, trials: int, every: bool, way: str) -> None:
     print(f"{label} {size_text}: {shown}; {errors}; {counts}; {np.median(laps):.1f} s", flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=6)
-    parser.add_argument("--large", action="store_true", help="650 segments per view too")
-    given = parser.parse_args()
+def run(trials: int) -> None:
+    """Print the tables of one knocked camera and of all of them."""
     for every in (False, True):
-        table(SCENES, given.trials, every)
-        if given.large:
-            table(LARGE, max(given.trials // 3, 1), every)
-
-
-if __name__ == "__main__":
-    main()
+        table(SCENES, trials, every)
