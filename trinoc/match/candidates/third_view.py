@@ -1,16 +1,8 @@
-"""What finds candidates, in single precision: half the memory, and twice as fast.
-
-The gate in the third view only looks for what may fit; the evidence, in double precision, decides.
-So the gate has to pass all that double precision would: rounding errors are added to the errors of
-the segments, some ten thousandths of a pixel to some tenths.
-
-What a pair of segments predicts in a third view: epipolar transfer of their common part.
-"""
+"""What a pair of segments predicts in a third view: epipolar transfer of their common part."""
 
 from itertools import combinations
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -151,11 +143,11 @@ def _crosses_best(
 
 
 # numerical: rounding errors of a few operations, relative to their largest term.
-ROUNDING = 4 * float(np.finfo(np.float32).eps)
+ROUNDING = 4 * float(np.finfo(np.float64).eps)
 
 
-class SingleOrder(NamedTuple):
-    """Two views that predict and a third, in single precision.
+class PredictionInput(NamedTuple):
+    """Two views that predict and a third.
 
     first, second : the segments in the pencil of the first two views. view : the third.
     ends_px, line, across_px2 : of the third view's segments, a row each, in this order.
@@ -169,8 +161,10 @@ class SingleOrder(NamedTuple):
     frame: Int[ArrayLike, "n"] | None
 
 
-def prepare_order(lines: SegmentTable, order: Int[np.ndarray, "3"]) -> tuple[Pencil, SingleOrder]:
-    """(the pencil of the first two views of an order, what single precision needs of it)."""
+def prepare_order(
+    lines: SegmentTable, order: Int[np.ndarray, "3"]
+) -> tuple[Pencil, PredictionInput]:
+    """(the pencil of the first two views of an order, what predictions in the third need of it)."""
     first, second, third = order.tolist()
     planes = pencil(lines, first, second)
     rounding, count = rounding_px(np.asarray(lines.matrix_px), third) ** 2, lines.ends_px.shape[1]
@@ -183,20 +177,13 @@ def prepare_order(lines: SegmentTable, order: Int[np.ndarray, "3"]) -> tuple[Pen
     )
     of_third = (ends, line, across + own)
     segments = np.concatenate([column.reshape(count, -1) for column in of_third], axis=1)
-    single = SingleOrder(
+    return planes, PredictionInput(
         _with_rounding(planes.first),
         _with_rounding(planes.second),
         third_view(lines, planes, third),
         segments,
         None if frame is None else frame[first],
     )
-    return planes, jax.tree.map(in_single, single)
-
-
-def in_single(column: ArrayLike) -> np.ndarray:
-    """Numbers in single precision, and integers as they are."""
-    column = np.asarray(column)
-    return column.astype(np.float32) if np.issubdtype(column.dtype, np.floating) else column
 
 
 def _with_rounding(segments: PencilSegments) -> PencilSegments:
