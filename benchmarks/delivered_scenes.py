@@ -3,9 +3,9 @@
     python benchmarks/delivered_scenes.py FOLDER [--only WORD]
 
 FOLDER holds scenes of `benchmarks/render_pictures.py colours`. Each row delivers the same light in
-another way. Printed, over all scenes, of plain matching and of guided detection: precision (lines
-along shadows count as wrong) and recall of length at 1 mm (edges of 8 grey levels), of edges that
-three views show and two, tracks in three views of all, calibration error.
+another way. Printed, over all scenes: precision (lines along shadows count as wrong) and recall of
+length at 1 mm (edges of 8 grey levels), of edges that three views show and two, tracks in three
+views of all, calibration error.
 """
 
 import argparse
@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from guided import figures
 from matching import _calibration_error as calibration_error
-from matching_rendered import Place
+from matching_rendered import Place, score_place
 from shared_scenes import VIEWS
 
 import trinoc
@@ -94,8 +93,8 @@ def picture(light: np.ndarray, delivery: Delivery, view: int, *, seed: int) -> n
 
 
 def of_delivery(delivery: Delivery, folders: list[Path]) -> str:
-    """A row: the figures over all scenes, plain and guided."""
-    rows, views, outcomes, triples = [[], []], np.zeros((2, 4)), [[], []], np.zeros(2, dtype=int)
+    """A row: the figures over all scenes."""
+    scores, views, outcomes, triples = [], np.zeros(4), [], 0
     for number, folder in enumerate(folders):
         pictures = {
             name: picture(_light(folder, name), delivery, view, seed=10 * number + view)
@@ -108,20 +107,17 @@ def of_delivery(delivery: Delivery, folders: list[Path]) -> str:
             name: trinoc.find_segments(image, response=delivery.response)
             for name, image in pictures.items()
         }
-        plain = trinoc.match_segments(segments, rig)
-        guided = trinoc.match.guide_matches(plain, segments, rig, pictures).matches
-        for k, matches in enumerate((plain, guided)):
-            found, by, outcome = figures(place, matches)
-            rows[k].append(found)
-            views[k] += by
-            outcomes[k] += outcome
-            triples[k] += (matches.stage == "trinocular").sum()
-    return "; ".join(
-        f"{label} {np.mean(rows[k], axis=0)[0]:.3f}/{np.mean(rows[k], axis=0)[2]:.3f}, "
-        f"three views {views[k, 0] / views[k, 1]:.3f}, two {views[k, 2] / views[k, 3]:.3f}, "
-        f"{triples[k]} of {len(outcomes[k])} in three, calibration error "
-        f"{calibration_error([(p, right) for p, right, _ in outcomes[k]]):.3f}"
-        for k, label in enumerate(("plain", "guided"))
+        matches = trinoc.match_segments(segments, rig)
+        score, by_views, outcome = score_place(place, matches)
+        scores.append(score)
+        views += by_views
+        outcomes += outcome
+        triples += int((matches.stage == "trinocular").sum())
+    precision, _, recall = np.mean(scores, axis=0)
+    return (
+        f"{precision:.3f}/{recall:.3f}, three views {views[0] / views[1]:.3f}, "
+        f"two {views[2] / views[3]:.3f}, {triples} of {len(outcomes)} in three, "
+        f"calibration error {calibration_error([(p, right) for p, right, _ in outcomes]):.3f}"
     )
 
 

@@ -40,7 +40,7 @@ def make_inputs(folder: Path) -> None:
     """Pictures, places, segments, matches and rigs of fixed seeds, as files."""
     from intrinsics import LENS, image_of, random_poses
     from picture_conditions import CONDITIONS
-    from rigs_from_shots import BOARDS, boards, observed
+    from rig_parts.made import BOARDS, boards, observed
 
     import trinoc
     from trinoc.io import demo_images, demo_pattern

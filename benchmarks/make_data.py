@@ -56,7 +56,7 @@ PUBLIC = (
         "Merton College 1 of the VGG multi-view sets (Oxford): merton1.npz with projection "
         "(3, 3, 4), segments_0 .. 2 (n, 4), line_matches (m, 3), points3d (p, 3), point_matches "
         "(p, 3), corners_0 .. 2 (c, 2); its photographs view0.jpg .. view2.jpg, 1024 x 768",
-        "matching.py, segments.py, refine_photographs.py, golden.py",
+        "matching.py, segments.py, refine.py, golden.py",
     ),
     DataSet(
         "vgg_merton2",

@@ -20,7 +20,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from dense_matcher import match_densely
 from match_scores import MatchScore, score_groups, score_matches
 from matching_rendered import table_of_rendered
 from shared_scenes import VIEWS, load_scene
@@ -356,10 +355,6 @@ def times() -> None:
         repeats = range(5 if count <= 2000 else 1)
         warm = float(np.median([_seconds(lambda: match_segments(segments, rig)) for _ in repeats]))  # noqa: B023
         line = f"{len(segments['upper']):6d} per view: first {first:.2f} s, warm {warm:.3f} s"
-        if count <= 500:
-            ends = [np.asarray(segments[view].endpoints_px) for view in VIEWS]
-            dense = _seconds(lambda: match_densely(ends, rig.matrices_px))  # noqa: B023
-            line += f", dense NumPy {dense:.2f} s"
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(f"{line}, peak memory so far {peak:.0f} MiB", flush=True)
 

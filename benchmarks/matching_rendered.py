@@ -13,7 +13,7 @@ from segment_truth import samples_on_shadow, shadow_gradient
 from shared_scenes import VIEWS
 
 import trinoc.synth
-from trinoc.evaluation.distances import distance_to_segments_mm
+from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
 from trinoc.evaluation.scoring import score_lengths
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
@@ -23,7 +23,7 @@ from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.segments import find_segments, find_segments_lsd
 from trinoc.synth import block_scene, table1_rig
-from trinoc.synth.truth import SceneTruth
+from trinoc.synth.truth import SceneTruth, shown_parts_mm
 
 TOLERANCE_MM, GREY_STEP, STEP_MM = 1.0, 8.0, 0.5
 SURE = 0.9
@@ -112,6 +112,37 @@ def _figures(
         for is_so in (samples.right, samples.right | samples.shadow)
     )
     return np.array(found), list(zip(matches.posterior.tolist(), right, shadow, strict=True))
+
+
+def length_by_views(truth: SceneTruth, lines_mm: np.ndarray) -> np.ndarray:
+    """Length found and length to find of straight edges: in three views or more, in just two."""
+    two, three = (
+        shown_parts_mm(truth, views=k, grey_step=GREY_STEP, kinds=("edge",)) for k in (2, 3)
+    )
+    points, weight = sampled_segments(two, 0.5)
+    in_three = distance_to_segments_mm(points, three) < 1e-6
+    near = distance_to_segments_mm(points, lines_mm) < TOLERANCE_MM
+    parts = (near & in_three, in_three, near & ~in_three, ~in_three)
+    return np.array([weight[part].sum() for part in parts])
+
+
+def score_place(
+    place: Place, matches: Matches
+) -> tuple[np.ndarray, np.ndarray, list[tuple[float, bool, bool]]]:
+    """(precision, the same without shadows, recall; recall by views; outcomes) of all lines."""
+    samples = _samples(place, matches)
+    count = np.bincount(samples.owner, minlength=len(matches))
+    right, shadow = (
+        np.bincount(samples.owner, is_so, minlength=len(count)) / count > 0.5
+        for is_so in (samples.right, samples.right | samples.shadow)
+    )
+    length, good = samples.length_mm, samples.length_mm[samples.right].sum()
+    recall = score_lengths(
+        matches.lines_mm, place.truth, tolerance_mm=TOLERANCE_MM, grey_step=GREY_STEP
+    ).recall
+    scores = np.array([good / length.sum(), good / length[~samples.shadow].sum(), recall])
+    outcomes = list(zip(matches.posterior.tolist(), right, shadow, strict=True))
+    return scores, length_by_views(place.truth, matches.lines_mm), outcomes
 
 
 def _words(found: np.ndarray) -> str:

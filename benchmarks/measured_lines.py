@@ -1,6 +1,6 @@
 """Matched lines before and after they are measured in the pictures, against the true edges.
 
-    python benchmarks/measured_lines.py FOLDER... [--guided]
+    python benchmarks/measured_lines.py FOLDER...
 
 FOLDER holds scenes of `benchmarks/render_pictures.py blocks`. A line is of the straight edge from
 which four fifths of it are less than 1 mm away. Of each: the median error across the line (root
@@ -51,7 +51,7 @@ def crosses_often(matches: Matches) -> np.ndarray:
     return often
 
 
-def of_scenes(name: str, places: list[Place], guided: bool) -> None:
+def of_scenes(name: str, places: list[Place]) -> None:
     """Print the figures of all these scenes."""
     rows, kinds, words, seconds = [], [], Counter(), np.zeros(2)
     for number, place in enumerate(places):
@@ -59,9 +59,6 @@ def of_scenes(name: str, places: list[Place], guided: bool) -> None:
             start = time.process_time()
             segments = {view: trinoc.find_segments(p) for view, p in place.pictures.items()}
             matches = trinoc.match_segments(segments, place.rig)
-            if guided:
-                found = trinoc.match.guide_matches(matches, segments, place.rig, place.pictures)
-                segments, matches = found.segments, found.matches
             middle = time.process_time()
             after = trinoc.match.measure_lines(matches, segments, place.rig, place.pictures)
             spent = np.array([middle - start, time.process_time() - middle])
@@ -95,15 +92,14 @@ def main() -> None:
     """Print the figures of the demo and of all folders."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folders", nargs="*", type=Path)
-    parser.add_argument("--guided", action="store_true", help="after guided detection")
     given = parser.parse_args()
     trinoc.io.enable_compile_cache()
     demo = Path(trinoc.synth.__file__).parent / "demo"
-    of_scenes("demo", [_place(demo, table1_rig())], given.guided)
+    of_scenes("demo", [_place(demo, table1_rig())])
     for folder in given.folders:
         paths = [path for path in sorted(folder.iterdir()) if (path / "truth.json").exists()]
         places = [_place(path, load_rig(path / "rig.json")) for path in paths]
-        of_scenes(folder.name, places, given.guided)
+        of_scenes(folder.name, places)
 
 
 if __name__ == "__main__":

@@ -251,7 +251,7 @@ def _by_mrcal(
     import shutil
 
     import numpy as np
-    from rigs_mrcal import PROGRAM, by_mrcal
+    from rig_parts.mrcal import PROGRAM, calibrate_by_mrcal
 
     from trinoc.calib.targets.checkers import Chessboard
 
@@ -267,7 +267,7 @@ def _by_mrcal(
         options = ("--focal", str(float(matrix[0, 0])))
         try:
             found = {"cam": [Corners(uv) for _, uv in some]}
-            models, spent = by_mrcal(board, found, size, 5, options)  # pyright: ignore
+            models, spent = calibrate_by_mrcal(board, found, size, 5, options)  # pyright: ignore
         except SystemExit:
             return None
         seconds.append(spent)

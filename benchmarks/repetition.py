@@ -22,7 +22,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 from matching_truth import collinear_rig, edges_of, square_of, squares
-from rigs_from_pixels import BARE
+from rig_parts.pixels import BARE
 from scipy.stats import chi2
 
 from trinoc import Matches, Rig, Segments, find_segments, match_segments

@@ -41,7 +41,6 @@ class Picture(NamedTuple):
     shadow_gradient: np.ndarray
     rims: np.ndarray
     clean: np.ndarray | None
-    blur_px: float
 
 
 class Score(NamedTuple):
@@ -110,7 +109,6 @@ def pictures_of_scene(path: Path, rig: Rig) -> Iterator[Picture]:
         yield Picture(
             f"{path.parent.name}/{view}", grey, rows[length > 2], slope, gradient,
             _project(matrix, parts), _clean(path.parent / f"clean_{view}.png"),
-            float(record["blur_px"]),
         )  # fmt: skip
 
 

@@ -6,12 +6,11 @@ DIR of --scenes holds what `benchmarks/render_pictures.py blocks` renders. Recal
 length of visible edges with a step of 8 grey levels or more, precision the length of segments
 that lie on such an edge, or (weak) on one of 2 levels or more. What lies on the edge of a shadow
 and on no edge of the scene counts neither for nor against: `shadow` is its share of all length.
-`rims`, the chords of cylinders' rims, count as false. The best possible is a blurred step fitted
-to the picture at the true edge (edge_oracle.py). DIR of --photographs holds merton1.npz and its
-pictures (VGG, Oxford). LSD runs as it comes and with its bias of (-0.123, -0.119) px taken out.
+`rims`, the chords of cylinders' rims, count as false. DIR of --photographs holds merton1.npz and
+its pictures (VGG, Oxford). LSD runs as it comes and with its bias of (-0.123, -0.119) px taken out.
 FLD and EDLines take part where cv2 has `ximgproc` (opencv-contrib-python-headless, in an
 environment of its own: it overwrites opencv-python-headless). Single edges are shown as cameras
-deliver them too (edge_delivery.py): sRGB, sharpened, saturated. Times are medians of warm calls, in
+deliver them too: sRGB, sharpened, saturated. Times are medians of warm calls, in
 processor time, all detectors in turn on the same picture; peak memory is what the process of one
 detector, fresh for each size, grows by during its first call.
 """
@@ -20,33 +19,37 @@ import argparse
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from edge_delivery import table_of_deliveries
-from edge_oracle import fitted_across, undisturbed_pixels
+from scipy.special import ndtr
 from segment_truth import (
-    STRONG_STEP,
     Picture,
     Score,
     covering,
-    off_line,
     rendered_images,
     score,
 )
 
 from trinoc.geometry.segments import Segments
+from trinoc.image.response import ResponseLike
 from trinoc.segments import find_segments
 from trinoc.segments.lsd import LSD_BIAS_PX
+from trinoc.synth.camera_picture.delivery import SRGB
 
 SAME_STEP = 1 / 3
 # Pictures in so much stronger light have saturated faces.
 GAINS = (1.5, 2.2)
 # The slope of an edge, seen through the masks, is about a quarter of its step per pixel.
 SHADOW_SHARE = 0.04
+# Pictures of single edges.
+SIDE_PX, NOISE, EDGES = 64, 1.5, 24
+# Blur of the lens; the pixel's box adds its variance.
+BLURS_PX = (0.7, 1.0, 1.5)
+_PIXEL_VARIANCE = 1 / 12
 _EXTRA: Any = getattr(cv2, "ximgproc", None)
 _LSD = cv2.createLineSegmentDetector()
 
@@ -103,7 +106,6 @@ def scenes(folder: Path) -> None:
     normalised = [_normalised(find_segments(p.grey), p) for p in pictures]
     reasons = np.concatenate([reason for _, reason in normalised])
     ratio = np.concatenate([z for z, _ in normalised])
-    _against_the_best(pictures)
     _ends(pictures)
     _print_normalised(ratio, reasons)
     for gain in GAINS:
@@ -134,40 +136,6 @@ def _print_normalised(ratio: np.ndarray, reasons: np.ndarray) -> None:
                 f"  {reason or 'noise only':28s} {len(z):6d} {np.mean(z**2):9.2f}"
                 f" {middle:12.2f} {np.mean(np.abs(z) > 3):14.3f}"
             )
-
-
-def _against_the_best(pictures: list[Picture]) -> None:
-    """The same parts of the same edges: ours, LSD's, and a step fitted at the true edge."""
-    rows: dict[str, list[np.ndarray]] = {"trinoc": [], "LSD": [], "best": [], "clean": []}
-    for picture in pictures:
-        strong = picture.edges[np.abs(picture.edges[:, 4]) >= STRONG_STEP]
-        hit, owner, _, across = covering(strong, ours(picture.grey))
-        _, _, _, lsd_across = covering(strong, lsd_corrected(picture.grey))
-        for index, edge in enumerate(strong):
-            others = off_line(picture.edges, edge[:4].reshape(2, 2))[:, :4]
-            pixels = undisturbed_pixels(
-                np.concatenate([others, picture.rims]), picture.shadow_slope
-            )
-            best, clean = (
-                None if grey is None else fitted_across(grey, edge, picture.blur_px, pixels)
-                for grey in (picture.grey, picture.clean)
-            )
-            found = hit[owner == index] >= 0
-            if best is None or len(best) != len(found):
-                continue
-            both = found & np.isfinite(lsd_across[owner == index])
-            rows["trinoc"].append(np.abs(across[owner == index][found]))
-            rows["LSD"].append(np.abs(lsd_across[owner == index][both]))
-            rows["best"].append(best[found])
-            if clean is not None:
-                rows["clean"].append(clean[found])
-    print("across-line error px, median / 90 %, on edges with 4 px to themselves")
-    names = ("trinoc", "LSD, bias out", "best possible", "without noise (the truth's own)")
-    for name, parts in zip(names, rows.values(), strict=True):
-        if not parts:
-            continue
-        error = np.concatenate(parts)
-        print(f"  {name:32s} {np.median(error):.3f} / {np.quantile(error, 0.9):.3f}")
 
 
 def _ends(pictures: list[Picture]) -> None:
@@ -275,6 +243,86 @@ def nothing_to_find() -> None:
         off = np.abs((middle - 19.5) % 40 - 20)
         false = off.min(axis=1) > 1.5
         print(f"  checkerboard, {name:14s}: {len(lines)} segments, {false.sum()} off its lines")
+
+
+class Delivery(NamedTuple):
+    """Light of both sides, of full white, and what makes grey levels of 0 to 255 of it."""
+
+    name: str
+    dark: float
+    bright: float
+    delivered: Callable[[np.ndarray], np.ndarray]
+    responses: tuple[ResponseLike, ...]
+
+
+def _linear(light: np.ndarray) -> np.ndarray:
+    return 255 * light
+
+
+def _srgb(light: np.ndarray) -> np.ndarray:
+    return 255 * SRGB().encode(np.minimum(light, 1.0))
+
+
+def _sharpened(levels: np.ndarray, amount: float) -> np.ndarray:
+    return levels + amount * (levels - cv2.GaussianBlur(levels, (0, 0), 1.0))
+
+
+def deliveries() -> Iterator[Delivery]:
+    """The conditions of the table in docs/segments.md."""
+    both: tuple[ResponseLike, ...] = ("linear", "srgb")
+    for dark, bright in ((0.2, 0.4), (0.4, 0.9), (0.05, 0.5), (0.02, 0.9)):
+        yield Delivery("sRGB", dark, bright, _srgb, both)
+    yield Delivery("sharpened by 1", 0.25, 0.6, lambda x: _sharpened(_linear(x), 1.0), ("linear",))
+    for amount in (0.5, 1.0):
+        yield Delivery(
+            f"sRGB, sharpened by {amount:g}",
+            0.05,
+            0.5,
+            lambda x, amount=amount: _sharpened(_srgb(x), amount),
+            both,
+        )
+    for over in (1.1, 1.25, 1.5, 2.0, 3.0):
+        yield Delivery("saturated", 0.2, 0.2 + 0.8 * over, _linear, ("linear",))
+    for over in (1.25, 2.0):
+        yield Delivery("sRGB, saturated", 0.05, 0.05 + 0.95 * over, _srgb, both)
+
+
+def table_of_deliveries() -> None:
+    """Print the mean shift toward the bright side, and the normalised errors."""
+    print("\nSingle edges: shift toward the bright side; mean square of the normalised error")
+    print("                        light of the sides  response     blur px: px (widths)")
+    for one in deliveries():
+        for response in one.responses:
+            cells = []
+            for blur in BLURS_PX:
+                found = np.array(list(_errors(one, blur, response)))
+                width = np.sqrt(blur**2 + _PIXEL_VARIANCE)
+                shift, square = found[:, 0].mean(), np.mean(np.square(found[:, 1]))
+                cells.append(f"{blur}: {shift:+.3f} ({shift / width:+.2f}) {square:7.2f}")
+            sides = f"{one.dark:.2f} {one.bright:.2f}"
+            print(f"  {one.name:24s} {sides:12s} {response!s:8s} {'   '.join(cells)}")
+
+
+def _errors(one: Delivery, blur_px: float, response: ResponseLike) -> Iterator[tuple[float, float]]:
+    """(px, claimed sigmas) of each edge toward its bright side, at angles all round."""
+    width = np.sqrt(blur_px**2 + _PIXEL_VARIANCE)
+    v, u = np.mgrid[:SIDE_PX, :SIDE_PX].astype(float)
+    for seed in range(EDGES):
+        rng = np.random.default_rng(seed)
+        angle = 2 * np.pi * (seed + rng.uniform()) / EDGES
+        middle, normal = rng.uniform(29, 34, 2), np.array([np.cos(angle), np.sin(angle)])
+        across = (u - middle[0]) * normal[0] + (v - middle[1]) * normal[1]
+        light = one.dark + (one.bright - one.dark) * ndtr(across / width)
+        levels = one.delivered(light) + rng.normal(0, NOISE, light.shape)
+        segments = find_segments(
+            np.clip(np.rint(levels), 0, 255).astype(np.uint8), response=response
+        )
+        if len(segments) == 0:
+            continue
+        longest = int(np.argmax(segments.length_px))
+        half = np.concatenate([normal, normal]) / 2
+        off = ((np.asarray(segments.endpoints_px)[longest] - middle) @ normal).mean()
+        yield off, off / np.sqrt(half @ np.asarray(segments.covariance_px2)[longest] @ half)
 
 
 def photographs(folder: Path) -> None:

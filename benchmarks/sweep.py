@@ -4,7 +4,6 @@
     python benchmarks/sweep.py segments.accept.soft_ratio 1.3 2.0
     python benchmarks/sweep.py calib.problem.gate 4.0 10.0
     python benchmarks/sweep.py --each 0.5 2 [--only segments.]
-    python benchmarks/sweep.py --each 0.5 2 --only rims. --scenes FOLDER ...
     python benchmarks/sweep.py --list
 
 Names are those of trinoc/match/tuning, with `segments.` before them those of
@@ -12,10 +11,7 @@ trinoc/segments/tuning.py, with `calib.` those of trinoc/calib/tuning; --list pr
 their values; a tuple is written like (1.0,3.0,8.0). --each takes every number in turn times each
 factor, and prints what changes.
 
-Pairs, lines, wire frames and bodies have rows of their own (benchmarks/sweep_bodies.py), whose
-FOLDERs hold scenes of benchmarks/render_pictures.py blocks. Other
-
-scenes of the matcher are drawn from seeds that nothing was tuned on: blocks on a table, see-through
+Scenes of the matcher are drawn from seeds that nothing was tuned on: blocks on a table, see-through
 boxes with cut ends, loose segments. Columns are precision/recall of triples and of pairs, as in
 benchmarks/matching.py, whose rows are larger: judge by those. A kind of scene and a value take some
 seconds, or ten where the kernels of step 1 compile for it.
@@ -48,7 +44,6 @@ import cv2
 import numpy as np
 from match_scores import score_matches
 from segment_truth import Picture, covering, pictures_of_scene, score
-from sweep_bodies import SCENES, rows_of_group
 
 from trinoc.calib.tuning.every_group import TUNING as OF_CALIB
 from trinoc.io.demo import demo_folder
@@ -59,10 +54,12 @@ from trinoc.segments.find import find_segments
 from trinoc.segments.tuning import DEFAULT as OF_SEGMENTS
 from trinoc.synth import (
     Detector,
+    block_scene,
     loose_segments,
     simulate_segments,
     table1_rig,
 )
+from trinoc.synth.scenes import see_through_boxes
 
 FIRST_SEED = 130_000
 PREFIX = "segments."
@@ -95,7 +92,11 @@ print(json.dumps(answers))
 """
 OPTIONS: dict[str, Any] = {"": DEFAULT, PREFIX: OF_SEGMENTS, CALIB: OF_CALIB}
 KINDS = {
-    **{kind: SCENES[kind] for kind in ("table", "boxes ej5")},
+    "table": (lambda seed: block_scene(seed, count=8), Detector(shortest_px=8.0)),
+    "boxes ej5": (
+        lambda seed: see_through_boxes(seed, count=10),
+        Detector(cut_back_px=5.0, shortest_px=3.0),
+    ),
     "random": (lambda seed: loose_segments(seed, count=120), Detector(shortest_px=8.0)),
 }
 # (gain, noise in grey levels) of the demo's pictures.
@@ -194,15 +195,15 @@ def calibration_figures(name: str, value) -> list[str]:
     return figures
 
 
-def row_of_figures(name: str, value, seeds: int, scenes: list[Path]) -> list[str]:
+def row_of_figures(name: str, value, seeds: int) -> list[str]:
     """A value that the code does not bear has a row that says so."""
     try:
-        return _row_of_figures(name, value, seeds, scenes)
+        return _row_of_figures(name, value, seeds)
     except Exception as error:
         return [f"failed: {error}"]
 
 
-def _row_of_figures(name: str, value, seeds: int, scenes: list[Path]) -> list[str]:
+def _row_of_figures(name: str, value, seeds: int) -> list[str]:
     if name.startswith(CALIB):
         return calibration_figures(name.removeprefix(CALIB), value)
     if name.startswith(PREFIX):
@@ -210,9 +211,6 @@ def _row_of_figures(name: str, value, seeds: int, scenes: list[Path]) -> list[st
         figures = [segment_figures(light, tuning) for light in LIGHTS]
         return [*figures, photograph_figures(tuning)]
     tuning = with_field(DEFAULT, name, value)
-    rows = rows_of_group(name.partition(".")[0], scenes, seeds)
-    if rows:
-        return [figures(tuning) for figures in rows.values()]
     return [match_figures(kind, seeds, tuning) for kind in KINDS]
 
 
@@ -234,7 +232,7 @@ def scaled(value: Any, factor: float) -> Any:
     return max(round(value * factor), 1) if isinstance(value, int) else value * factor
 
 
-def sweep_each(only: str, factors: list[float], seeds: int, scenes: list[Path]) -> None:
+def sweep_each(only: str, factors: list[float], seeds: int) -> None:
     """Every number times every factor; a row where nothing changes says so."""
     standing: dict[str, list[str]] = {}
     for name in names():
@@ -244,11 +242,11 @@ def sweep_each(only: str, factors: list[float], seeds: int, scenes: list[Path]) 
         room = next((prefix for prefix in (PREFIX, CALIB) if name.startswith(prefix)), "")
         room = room or name.partition(".")[0]
         if room not in standing:
-            standing[room] = row_of_figures(name, value, seeds, scenes)
+            standing[room] = row_of_figures(name, value, seeds)
             print(f"{'(standing)':38s} {'':14s} " + " | ".join(standing[room]))
         for factor in factors:
             other = scaled(value, factor)
-            row = row_of_figures(name, other, seeds, scenes)
+            row = row_of_figures(name, other, seeds)
             same = row == standing[room]
             shown = (" " if a == b else a for a, b in zip(row, standing[room], strict=False))
             print(f"{name:38s} {other!s:14.14s} {'-' if same else ' | '.join(shown)}", flush=True)
@@ -262,10 +260,9 @@ def main() -> None:
     parser.add_argument("--each", nargs="+", type=float, metavar="FACTOR")
     parser.add_argument("--only", default="", metavar="START")
     parser.add_argument("--list", action="store_true")
-    parser.add_argument("--scenes", type=Path, nargs="*", default=[], metavar="FOLDER")
     given = parser.parse_args()
     if given.each:
-        sweep_each(given.only, given.each, given.seeds, given.scenes)
+        sweep_each(given.only, given.each, given.seeds)
         return
     if given.list or given.name is None:
         for name in names():
@@ -274,10 +271,9 @@ def main() -> None:
     standing = standing_value(given.name)
     heads = [*LIGHTS, "Merton"] if given.name.startswith(PREFIX) else KINDS
     heads = LIGHTS if given.name.startswith(CALIB) else heads
-    heads = rows_of_group(given.name.partition(".")[0], given.scenes, given.seeds) or heads
     print(f"{given.name:20s} " + " ".join(f"{kind:25s}" for kind in heads))
     for value in dict.fromkeys([standing, *given.values]):
-        row = row_of_figures(given.name, type(standing)(value), given.seeds, given.scenes)
+        row = row_of_figures(given.name, type(standing)(value), given.seeds)
         line = " ".join(f"{figure:25s}" for figure in row)
         print(f"{value!s:20s} {line}{'  (standing)' if value == standing else ''}", flush=True)
 

@@ -8,7 +8,7 @@ import numpy as np
 import trinoc
 from trinoc import Camera, Pattern
 from trinoc.io import demo_images, demo_pattern
-from trinoc.match import find_cylinders, wireframe
+from trinoc.match import wireframe
 from trinoc.synth import table1_lens
 from trinoc.synth.camera_picture.render import render_sheet
 
@@ -60,7 +60,6 @@ def write_gallery() -> None:
         "tracks": lambda: matches.plot(view="upper", image=scenes["upper"]),
         "space": lambda: matches.plot(rig=result.rig),
         "wireframe": lambda: wireframe(matches, result.rig).plot(),
-        "cylinders": lambda: find_cylinders(matches, segments, result.rig).plot(),
     }
     for name, draw in drawn.items():
         drawing = np.atleast_1d(np.asarray(draw(), dtype=object)).ravel()[0]

@@ -22,7 +22,6 @@ import pytest
 
 import trinoc
 from tests.io.formats.bench import bench_matches, bench_rig
-from tests.io.made_cylinders import made_cylinders
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from trinoc.calib.targets.abstract_target import AbstractTarget
@@ -155,7 +154,6 @@ def give_values() -> None:
     trinoc.save(bench_rig()["upper"].intrinsics, "camera.json")
     trinoc.save(bench_matches(), "matches.npz")
     trinoc.save(made_wireframe(), "wireframe.npz")
-    trinoc.save(made_cylinders(), "cylinders.npz")
     trinoc.save(made_rims(), "rims.npz")
     trinoc.save(trinoc.Segments.from_endpoints(np.array([[1.0, 2, 3, 4]])), "segments.npz")
 

@@ -36,7 +36,7 @@ INNER_FLOORS = {
     ),
     "match": (
         *("tuning", "observations", "two_view", "evidence", "candidates", "selection"),
-        *("occlusion", "tracks", "pixels", "line_map", "wire_frame", "bodies"),
+        *("occlusion", "tracks", "pixels", "line_map", "wire_frame", "rims"),
     ),
     "segments": ("nevatia_babu",),
     "geometry": ("lenses",),

@@ -13,7 +13,6 @@ from golden_parts.exports import exports
 from golden_parts.joint import refine, refine_made, rig_check
 from golden_parts.matching import (
     bodies,
-    guided,
     made,
     matching,
     measured_lines,
@@ -28,7 +27,7 @@ PARTS = {
     for part in (
         *(calibrate_circles, calibrate_pictures, calibrate_delivered, calibrate_lit),
         *(calibrate_suspect, points, lens, rig_points, rig_options, rig_pixels),
-        *(refine, refine_made, rig_check, segments, capture, matching, made, guided),
+        *(refine, refine_made, rig_check, segments, capture, matching, made),
         *(measured_lines, wire_frame, bodies, exports, shared, photographs),
     )
 }

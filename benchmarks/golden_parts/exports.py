@@ -55,7 +55,6 @@ def _values() -> Values:
     yield "segments", segments["upper"]
     yield "matches", matches
     yield "wireframe", trinoc.match.wireframe(matches, table1_rig())
-    yield "cylinders", trinoc.match.find_cylinders(matches, segments, table1_rig())
     yield "rims", trinoc.match.find_rims(matches, segments, table1_rig())
 
 

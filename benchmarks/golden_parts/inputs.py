@@ -6,8 +6,8 @@ from functools import cache
 import cv2
 import numpy as np
 from picture_conditions import CONDITIONS, Case
-from rigs_from_pixels import NOISE, PERSPECTIVE, rendered
-from rigs_from_shots import LENSES, SIZE_PX, boards, observed, rotation, seen
+from rig_parts.made import LENSES, SIZE_PX, boards, observed, rotation, seen
+from rig_parts.pixels import NOISE, PERSPECTIVE, rendered
 
 import trinoc
 from trinoc.calib import CalibrationResult, Detection

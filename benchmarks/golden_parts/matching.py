@@ -1,6 +1,5 @@
-"""Matches, and what is made of them: guided, measured, straight lines, corners, frames, bodies."""
+"""Matches, and what is made of them: measured, straight lines, corners, frames, rims."""
 
-import dataclasses
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -74,21 +73,6 @@ def made() -> Values:
         yield from records.matches(f"batch.{label}", found)
 
 
-def guided() -> Values:
-    """Guided detection in the demo's pictures, in three views and in two."""
-    rig, segments, images = calibrated_demo().rig, demo_segments(), demo_images("scene")
-    for label, views in {"three": VIEWS_OF_DEMO, "two": VIEWS_OF_DEMO[:2]}.items():
-        own = {view: segments[view] for view in views}
-        plain = trinoc.match_segments(own, rig)
-        found = trinoc.match.guide_matches(plain, own, rig, {view: images[view] for view in views})
-        yield from records.matches(label, found.matches)
-        for view, each in found.segments.items():
-            yield from records.segments(f"{label}.{view}", each)
-
-
-VIEWS_OF_DEMO = ("upper", "left", "right")
-
-
 def measured_lines() -> Values:
     """Lines of the demo measured in its pixels; the same pictures saturated, and as sRGB."""
     rig, segments, images = calibrated_demo().rig, demo_segments(), demo_images("scene")
@@ -147,7 +131,7 @@ FRAME = (
 
 
 def bodies() -> Values:
-    """Rims, cylinders and shadows: of the demo's pictures, and of a made table."""
+    """Rims: of the demo's pictures, and of a made table."""
     rig, segments, images = calibrated_demo().rig, demo_segments(), demo_images("scene")
     chords = {view: trinoc.find_segments(image, arcs=True) for view, image in images.items()}
     rims = trinoc.match.find_rims(trinoc.match_segments(chords, rig), chords, rig)
@@ -155,32 +139,15 @@ def bodies() -> Values:
     added = trinoc.match.add_rims(demo_matches(), segments, rims, chords, rig)
     yield from records.matches("demo.with rims", added.matches)
     yield "demo.with rims.kept", added.kept
-    cylinders = trinoc.match.find_cylinders(demo_matches(), segments, rig)
-    yield from records.fields("demo.cylinders", cylinders, CYLINDERS)
-    yield from _shadows("demo.shadows", trinoc.match.find_shadows(demo_matches(), segments, rig))
     made, _ = blocks(9_002)
     matches = trinoc.match_segments(made, table1_rig())
-    found = trinoc.match.find_cylinders(matches, made, table1_rig())
-    yield from records.fields("table.cylinders", found, CYLINDERS)
     yield from _rims("table.rims", trinoc.match.find_rims(matches, made, table1_rig()))
-    yield from _shadows("table.shadows", trinoc.match.find_shadows(matches, made, table1_rig()))
-
-
-CYLINDERS = (
-    *("axis_mm", "radius_mm", "covariance_mm2", "posterior", "rival_posterior", "chi_square"),
-    *("degrees", "cylinder", "view", "segment", "side", "silhouette", "counts"),
-)
 
 
 def _rims(prefix: str, rims: trinoc.match.Rims) -> Values:
     names = ("centre_mm", "normal", "radius_mm", "radius_sigma_mm", "covariance_mm2", "covered")
     yield from records.fields(prefix, rims, (*names, "rim", "view", "segment", "kept", "counts"))
     yield from records.matches(f"{prefix}.matches", rims.matches)
-
-
-def _shadows(prefix: str, shadows: trinoc.match.Shadows) -> Values:
-    names = tuple(field.name for field in dataclasses.fields(shadows))
-    yield from records.fields(prefix, shadows, names)
 
 
 def _data_folder() -> Iterator[Path]:

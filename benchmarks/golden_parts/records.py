@@ -21,7 +21,7 @@ MATCHES = (
     *("posterior", "rival_posterior", "misfit", "viewpoint_dependent", "noise_scale", "noise_tail"),
     *("notes", "counts"),
 )
-MARKS = ("guided", "measure", "silhouette", "shadow")
+MARKS = ("measure", "silhouette")
 FIT = ("status", "parameters", "values", "covariance")
 
 

@@ -142,19 +142,6 @@ def test_segments_then_match_is_match_of_pictures(run, folder):
     assert json.loads(found[1])["tracks"] == json.loads(directly[1])["tracks"]
 
 
-def test_guided_matches_need_pictures_and_hold_at_least_as_many_tracks(run, folder):
-    status, _, error = run("match", *views("csv"), "--rig", "rig.json", "--steps", "guided")
-    assert status == 2
-    assert "--steps guided needs pictures" in error
-    command = "match", *views("png"), "--rig", "rig.json"
-    assert run(*command, "-o", "plain.npz")[0] == 0
-    assert run(*command, "--steps", "guided", "-o", "guided.npz")[0] == 0
-    plain, guided = (trinoc.load_matches(folder / f"{name}.npz") for name in ("plain", "guided"))
-    assert plain.marks == {}
-    assert guided.marks["guided"].shape == guided.index.shape
-    assert len(guided) >= len(plain)
-
-
 def test_lines_measured_in_pictures_are_those_of_the_segments_placed_anew(run, folder):
     status, _, error = run("match", *views("csv"), "--rig", "rig.json", "--steps", "pixels")
     assert status == 2

@@ -69,14 +69,14 @@ def test_a_file_that_says_nothing_is_refused(
 def test_tables_lists_and_truths_are_typed_as_options_want_them(file: Path) -> None:
     file.write_text(
         '[calibrate-rig]\nboard = ["a.json", "b.json"]\nlens = {left = "l.json"}\n'
-        "[match]\nfind = {arcs = true, tolerance_px = 2}\nsteps = ['rims', 'guided']\n",
+        "[match]\nfind = {arcs = true, tolerance_px = 2}\nsteps = ['rims', 'pixels']\n",
         encoding="utf-8",
     )
     assert with_file(["calibrate-rig"], file)[1:] == [
         *("--board", "a.json", "--board", "b.json", "--lens", "left=l.json"),
     ]
     assert with_file(["match"], file)[1:] == [
-        *("--find", "arcs=yes", "--find", "tolerance_px=2", "--steps", "rims", "guided"),
+        *("--find", "arcs=yes", "--find", "tolerance_px=2", "--steps", "rims", "pixels"),
     ]
 
 

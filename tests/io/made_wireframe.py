@@ -42,5 +42,4 @@ def made_wireframe() -> Wireframe:
         let_go=LetGo(
             np.array([7]), np.array([[50.0, 50.0, 10.0]]), np.array(["ends beside a corner."])
         ),
-        shadow=np.linspace(0.0, 1.0, 7),
     )

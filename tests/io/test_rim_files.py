@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import trinoc
+from tests.io.formats.bench import bench_matches
 from tests.io.made_rims import made_rims
 from trinoc.errors import InputError
 from trinoc.io import FORMATS
@@ -72,3 +73,19 @@ def test_an_obj_has_the_circles(tmp_path):
         np.testing.assert_allclose(np.linalg.norm(spoke, axis=1), RIMS.radius_mm[row])
         np.testing.assert_allclose(spoke @ RIMS.normal[row], 0.0, atol=1e-9)
     assert (np.linalg.norm(np.diff(places[pairs], axis=1), axis=2) > 0).all()
+
+
+def test_marked_tracks_stay_marked_in_their_file(tmp_path):
+    matches = bench_matches()
+    silhouette = np.linspace(0.0, 1.0, len(matches))
+    trinoc.save(matches.with_marks(silhouette=silhouette), tmp_path / "matches.npz")
+    back = trinoc.load_matches(tmp_path / "matches.npz")
+    np.testing.assert_array_equal(back.marks["silhouette"], silhouette)
+    trinoc.save(matches, tmp_path / "plain.npz")
+    assert trinoc.load_matches(tmp_path / "plain.npz").marks == {}
+
+
+def test_cylinders_of_before_are_refused_by_name(tmp_path):
+    np.savez(tmp_path / "cylinders.npz", format="trinoc-cylinders", version=1)
+    with pytest.raises(InputError, match="holds cylinders, which trinoc no longer reads"):
+        trinoc.load(tmp_path / "cylinders.npz")

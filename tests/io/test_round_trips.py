@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 
 import trinoc
-from tests.io.made_cylinders import made_cylinders
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from tests.io.strategies import lenses, match_sets, rigs, segment_sets
@@ -167,7 +166,6 @@ def made_values(folder):
         made_detection(),
         made_wireframe(),
         made_rims(),
-        made_cylinders(),
     ]
 
 

@@ -32,20 +32,12 @@ def test_what_is_written_is_what_is_read(tmp_path):
                 assert one == other
 
 
-def test_a_file_without_shadows_is_read(tmp_path):
-    trinoc.save(dataclasses.replace(FRAME, shadow=None), tmp_path / "wireframe.npz")
-    with np.load(tmp_path / "wireframe.npz") as content:
-        assert "shadow" not in content
-    assert trinoc.load(tmp_path / "wireframe.npz").shadow is None
-
-
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
         ("edges", np.full((7, 2), 7), "names a vertex that is not there"),
         ("part", np.array([0] * 6 + [2]), "leaves a part without a vertex"),
         ("posterior", np.full(7, 1.5), "is no probability"),
-        ("shadow", np.full(7, -0.5), "is no probability"),
         ("face_vertex", np.full(7, -1), "names no vertex"),
         ("joint_covariance_mm2", np.full(225 + 36, np.nan), "is no covariance"),
     ],

@@ -12,7 +12,6 @@ import numpy as np
 
 import trinoc
 from tests.io.formats.bench import bench_matches, bench_rig
-from tests.io.made_cylinders import made_cylinders
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from trinoc.calib import Detection
@@ -73,7 +72,6 @@ def valid_files(folder: Path) -> dict[str, ValidFile]:
     trinoc.save(matches, add("any", "any.npz", trinoc.load))
     trinoc.save(made_wireframe(), add("wireframe", "wireframe.npz", trinoc.load))
     trinoc.save(made_rims(), add("rims", "rims.npz", trinoc.load))
-    trinoc.save(made_cylinders(), add("cylinders", "cylinders.npz", trinoc.load))
     places = np.linspace(-1, 5, 12, dtype=np.float32).reshape(3, 4)
     trinoc.save(PictureMaps(places, 1 - places, (5, 4)), add("maps", "maps.npz", trinoc.load))
     trinoc.save(made_detection(), add("detection", "detection.npz", trinoc.load))

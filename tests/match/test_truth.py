@@ -72,6 +72,32 @@ def test_ellipsoids_of_pairs_near_epipolar_lines_hold() -> None:
     assert abs(share - 0.95) < 4 * np.sqrt(0.95 * 0.05 / len(square))
 
 
+def nearly_epipolar_lines(rig: Rig, count: int, generator: np.random.Generator) -> np.ndarray:
+    """Short lines 2 to 5 degrees off the baseline of "left" and "right", of uncertain direction."""
+    left, right = (np.asarray(rig[name].centre_world_mm) for name in ("left", "right"))
+    baseline = (right - left) / np.linalg.norm(right - left)
+    across = generator.normal(size=(count, 3))
+    across -= (across @ baseline)[:, None] * baseline
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    direction = baseline + np.tan(np.radians(generator.uniform(2, 5, (count, 1)))) * across
+    middle = generator.uniform((-50, -40, 0), (50, 40, 40), (count, 3))
+    half = generator.uniform(8, 16, (count, 1)) * direction
+    return np.stack([middle - half, middle + half], axis=1)
+
+
+def test_ellipsoids_hold_where_the_direction_is_uncertain() -> None:
+    """There errors in space are larger than their first order, which alone holds 84 %."""
+    rig, generator, square = rig_of("left", "right"), np.random.default_rng(5), []
+    for seed in range(30):
+        lines = nearly_epipolar_lines(rig, 20, generator)
+        seen = pictures(rig, lines, sigma_px=SIGMA_PX, seed=seed)
+        square.append(squares(match_segments(seen, rig, sigma_px=SIGMA_PX), lines))
+    square = np.concatenate(square)
+    assert len(square) > 400
+    assert np.mean(square < chi2.ppf(0.95, 4)) > 0.89
+    assert 0.7 < square.mean() / 4 < 1.35
+
+
 def test_a_cut_end_is_free_along_its_segment_and_the_other_is_not() -> None:
     rig, lines = rig_of("upper", "left", "right"), loose_lines(15, seed=4)
     matches = match_segments(pictures(rig, lines, SIGMA_PX, seed=1), rig, sigma_px=SIGMA_PX)

@@ -72,8 +72,8 @@ def test_a_row_can_be_copied_and_sent(table: Table) -> None:
 
 
 def test_marks_of_a_row_are_by_name() -> None:
-    marked = MATCHES.with_marks(guided=np.arange(COUNT) % 2 == 0)
-    assert [row.marks["guided"] for row in marked] == [k % 2 == 0 for k in range(COUNT)]
+    marked = MATCHES.with_marks(seen=np.arange(COUNT) % 2 == 0)
+    assert [row.marks["seen"] for row in marked] == [k % 2 == 0 for k in range(COUNT)]
 
 
 @TABLES

@@ -9,7 +9,6 @@ from hypothesis import given, strategies as st
 
 import trinoc
 from tests.io.formats.bench import bench_matches
-from tests.io.made_cylinders import made_cylinders
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from trinoc.geometry import Junctions
@@ -24,9 +23,9 @@ from trinoc.numerics.tables import Table, is_covariance, list_fields
 KINDS = [Segments, Junctions, Matches, LetGo, Frames, *FEATURES]
 SEGMENTS = Segments.from_endpoints(np.random.default_rng(5).uniform(0, 400, (6, 4)))
 MATCHES = bench_matches(5).with_marks(
-    shadow=np.linspace(0, 1, 5), word=np.array(["a", "bc", "", "d", "e"])
+    share=np.linspace(0, 1, 5), word=np.array(["a", "bc", "", "d", "e"])
 )
-TABLES: list[Table] = [SEGMENTS, MATCHES, made_cylinders(), made_rims(), made_wireframe()]
+TABLES: list[Table] = [SEGMENTS, MATCHES, made_rims(), made_wireframe()]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -59,10 +58,10 @@ def test_rows_are_taken_and_appended(rows: list[int]) -> None:
     for name, column in part.named_columns().items():
         np.testing.assert_array_equal(column, MATCHES.named_columns()[name][chosen])
     given_rows = {name: v for name, v in part.rows().items() if name != "marks"}
-    longer = MATCHES.append(given_rows | {"shadow": part.marks["shadow"]})
+    longer = MATCHES.append(given_rows | {"share": part.marks["share"]})
     np.testing.assert_array_equal(longer.take(np.arange(5)).lines_mm, MATCHES.lines_mm)
     np.testing.assert_array_equal(longer.lines_mm[5:], part.lines_mm)
-    np.testing.assert_array_equal(longer.marks["shadow"][5:], part.marks["shadow"])
+    np.testing.assert_array_equal(longer.marks["share"][5:], part.marks["share"])
     assert longer.marks["word"][5:].tolist() == [""] * len(rows)
 
 
@@ -81,9 +80,9 @@ def test_files_of_before_still_load() -> None:
     # A size that was not known was an empty array, and marks have always stood beside the columns.
     arrays = list_arrays(SEGMENTS) | {"image_size_px": np.array([], dtype=np.int64)}
     assert build_table(Segments, ArrayFields(arrays, "file")).image_size_px is None
-    arrays = list_arrays(MATCHES) | {"guided": MATCHES.index >= 0}
+    arrays = list_arrays(MATCHES) | {"measure": MATCHES.index >= 0}
     found = build_table(Matches, ArrayFields(arrays, "file"))
-    np.testing.assert_array_equal(found.marks["guided"], MATCHES.index >= 0)
+    np.testing.assert_array_equal(found.marks["measure"], MATCHES.index >= 0)
 
 
 @pytest.mark.parametrize(

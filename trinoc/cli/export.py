@@ -75,7 +75,7 @@ class ExportCommand(Command):
         WrittenFormat | None, tyro.conf.arg(metavar="FORMAT", help_behavior_hint=_NONE)
     ] = None
     """Cameras: opencv, ros, kalibr, colmap, colmap-text, mrcal, matlab, nerfstudio, tf. Matches:
-    ply, obj, gltf, dxf, csv, parquet, limap. Wire frames, cylinders, rims: ply, obj, gltf, dxf, and
+    ply, obj, gltf, dxf, csv, parquet, limap. Wire frames, rims: ply, obj, gltf, dxf, and
     json for wire frames. Segments: lsd, elsed, limap-segments."""
 
     source: Annotated[

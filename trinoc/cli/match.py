@@ -34,13 +34,10 @@ class MatchOptions(DepthOption, FindOption):
     steps: Annotated[
         tuple[StepName, ...], tyro.conf.arg(metavar="STEP...", help_behavior_hint="(default: none)")
     ] = ()
-    """What to do after matching. guided: ask every picture again where matched lines must be, which
-    finds faint edges. pixels: place the lines by the grey levels of all their views, which are more
-    exact than segments. cylinders: find right circular cylinders by their outlines, and mark tracks
-    that hold one. rims: find the circular rims of round bodies among the chords of arcs, and add
-    pieces of them. shadows: say how likely each track is the boundary of a cast shadow. wireframe:
-    put corners, edges and planar faces together. Cylinders, rims and a wire frame are written
-    beside the matches."""
+    """What to do after matching. pixels: place the lines by the grey levels of all their views,
+    which are more exact than segments. rims: find the circular rims of round bodies among the
+    chords of arcs, and add pieces of them. wireframe: put corners, edges and planar faces together.
+    Rims and a wire frame are written beside the matches."""
 
 
 # Of the segments of the view that has fewest. The demo's scene reaches 0.66; 0.06 where two of its
@@ -98,7 +95,7 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
             return self.plan(f"match with {self.rig}", files, sizes, places)
         images, segments = read_segments(files, rig, self.find_in, quiet=self.quiet)
         LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
-        matches, segments, features, shadows = improve(
+        matches, segments, features = improve(
             match_segments(segments, rig, depth_range_mm=depths),
             segments,
             rig,
@@ -127,9 +124,6 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
         for kind, own in features.items():
             text.append(features_text(own))
             record[kind] = features_record(own)
-        if shadows is not None:
-            text.append(shadows.summary())
-            record["shadows"] = shadows.record()
         is_suspect = matches.status is MatchStatus.SUSPECT
         return Outcome(
             "\n\n".join(text), record, matches.notes[0] if is_suspect else None, written=places

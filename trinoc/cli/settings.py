@@ -81,12 +81,9 @@ OLD_OPTIONS: dict[str, dict[str, str]] = {
     "calibrate-rig": _OLD_SIGMA,
     "match": {
         **_OLD_FIND,
-        "guided": "--steps guided",
         "measure": "--steps pixels",
-        "cylinders": "--steps cylinders",
         "rims": "--steps rims",
         "rims-out": "--steps rims, which are written beside the matches",
-        "shadows": "--steps shadows",
     },
     "batch": {**_OLD_FIND, "threads": "--workers N", "scheduler": "--workers tcp://HOST:PORT"},
     "refine": {"intrinsics": "--free-lens"},

@@ -51,7 +51,7 @@ class ViewCommand(Command):
     """What to show: a rig.json, matches, a wire frame or other features."""
 
     rig: FileOrNone = None
-    """The cameras to show beside matches, a wire frame or cylinders."""
+    """The cameras to show beside matches, a wire frame or rims."""
 
     board: BoardFileOrNone = None
     """The sheet to show beside cameras."""

@@ -50,15 +50,11 @@ class Feature(Displayable, Table):
         """Numbers of the whole, as JSON holds them."""
         return {}
 
-    def of_tracks(self, kept: Int[np.ndarray, "k"], count: int) -> "Feature":
-        """The same for matches that begin with the tracks `kept` of these, of `count` tracks."""
-        return self
-
     def segments_of(self, row: int | np.integer) -> dict[str, Int[np.ndarray, "_"]]:
         """The segments of each view that show a feature; empty where that is not known.
 
         A kind knows it that has `views`, and a row for each segment of `view`, `segment` and the
-        number of the feature, which is named as one of the kind: `rim`, `cylinder`.
+        number of the feature, which is named as one of the kind: `rim`.
         """
         table: Any = self
         numbers = getattr(table, self.KIND.removesuffix("s"), None)

@@ -1,8 +1,7 @@
-"""Pixels beside a line: the picture's own, or values between them."""
+"""Pixels beside a line."""
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, Real, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 
 def nearest_levels(
@@ -17,26 +16,6 @@ def nearest_levels(
         for at, side in ((u_px, width), (v_px, height))
     )
     return picture.ravel()[row * width + column]
-
-
-def interpolate_levels(
-    picture: Float[np.ndarray, "h w"],
-    uv_px: Float[np.ndarray, "n s 2"],
-    normal: Float[np.ndarray, "n s 2"],
-    offset_px: Real[np.ndarray, "o"],
-) -> Float[np.ndarray, "n o s"]:
-    """Values so far from places, along their normals, in between pixels: exact where the picture
-    is linear. Beyond its border the picture continues level.
-
-    Of several channels at once OpenCV rounds the places to a 32nd of a pixel, OpenCV 4 always.
-    """
-    count, steps = uv_px.shape[:2]
-    offset = offset_px.astype(np.float32)[:, None]
-    u, v = (
-        (uv_px[:, None, :, k] + offset * normal[:, None, :, k]).reshape(count, -1) for k in (0, 1)
-    )
-    found = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return found.reshape(count, len(offset_px), steps)
 
 
 def list_pixels_across(

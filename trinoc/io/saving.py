@@ -125,7 +125,7 @@ def save(
 
     A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
     (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
-    JSON; Segments, Matches, a Detection, a Wireframe, Cylinders, Rims and PictureMaps become npz.
+    JSON; Segments, Matches, a Detection, a Wireframe, Rims and PictureMaps become npz.
     `provenance`, of rigs and lenses, says how it was found ("command", "version", "inputs"). Raises
     InputError for other values and for a name whose ending is not that of the file.
     """
@@ -153,7 +153,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     A rig.json gives a Rig, a camera.json Intrinsics, a layout its Pattern or board, the truth.json
     of a made scene a SceneTruth; an npz gives Segments, Matches, a Detection, a Wireframe,
-    Cylinders, Rims or PictureMaps, a file of frames (npz or parquet) the FrameMatches of each, the
+    Rims or PictureMaps, a file of frames (npz or parquet) the FrameMatches of each, the
     output folder of a batch its RecordingMatches; an OBJ gives a KnownShape.
 
     Raises InputError for other files, and, with the field and the first row, for what no such value
@@ -168,6 +168,11 @@ def load(path: str | os.PathLike[str]) -> Any:
     if file.suffix.lower() in (".json", ".npz") or not file.exists():
         stated = _stated_format(file)
     readers = _readers()
+    if stated == "trinoc-cylinders":
+        raise InputError(
+            f"{file} holds cylinders, which trinoc no longer reads: export it with the version "
+            "that wrote it, or match with --steps rims."
+        )
     if not isinstance(stated, str) or stated not in readers:
         documents = ", ".join(words for words, _ in _BY_FORMAT.values())
         arrays = ", ".join(f"{kind}.npz" for kind in (*(t.KIND for t in tables()), "maps"))
@@ -244,5 +249,5 @@ def _content_of_result(
             raise InputError(f"{path} was not written: {value.status.value}")
     raise InputError(
         f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
-        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches, Wireframe, Cylinders or Rims."
+        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches, Wireframe or Rims."
     )

@@ -14,10 +14,9 @@ vision" (1986), on a likelihood that knows every segment's covariance:
 3. `occlusion`: what only two views show is matched between those two, joined to what is matched.
 
 `evidence` holds the log likelihood ratios that the steps share, and their learning by EM. `tracks`
-merges more than three views and puts out `Matches`. `guided` asks the pictures again where their
-lines must be. `line_map` goes on from there: collinear tracks as one line, ends that meet as
-corners. `matcher` is the loop over all of it, `tuning` holds the constants that users may
-set."""
+merges more than three views and puts out `Matches`. `line_map` goes on from there: collinear tracks
+as one line, ends that meet as corners. `matcher` is the loop over all of it, `tuning` holds the
+constants that users may set."""
 
 import lazy_loader
 

@@ -1,25 +1,6 @@
 from .batch import (
     match_many as match_many,
 )
-from .bodies.cylinder_search import (
-    find_cylinders as find_cylinders,
-)
-from .bodies.cylinders import (
-    Cylinders as Cylinders,
-)
-from .bodies.explained_tracks import (
-    add_rims as add_rims,
-)
-from .bodies.rim_search import (
-    find_rims as find_rims,
-)
-from .bodies.rims import (
-    Rims as Rims,
-)
-from .bodies.shadow_search import (
-    Shadows as Shadows,
-    find_shadows as find_shadows,
-)
 from .line_map.collinear_merge import (
     join_collinear as join_collinear,
 )
@@ -27,14 +8,20 @@ from .line_map.corners import (
     Corners as Corners,
     snap_corners as snap_corners,
 )
-from .pixels.guide import (
-    guide_matches as guide_matches,
-)
 from .pixels.measure import (
     measure_lines as measure_lines,
 )
 from .pixels.tuning import (
     PixelTuning as PixelTuning,
+)
+from .rims.explained_tracks import (
+    add_rims as add_rims,
+)
+from .rims.rim_search import (
+    find_rims as find_rims,
+)
+from .rims.rims import (
+    Rims as Rims,
 )
 from .steps import (
     improve as improve,

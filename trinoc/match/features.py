@@ -1,8 +1,7 @@
 """The kinds of features in space. Files, exports, views and cards know them from here."""
 
 from trinoc.geometry.features import Feature
-from trinoc.match.bodies.cylinders import Cylinders
-from trinoc.match.bodies.rims import Rims
+from trinoc.match.rims.rims import Rims
 from trinoc.match.wire_frame.frame import Wireframe
 
-FEATURES: list[type[Feature]] = [Wireframe, Cylinders, Rims]
+FEATURES: list[type[Feature]] = [Wireframe, Rims]

@@ -218,8 +218,8 @@ def compile_together(seen: MatchInput, tuning: MatchTuning, *, for_many: bool = 
     works: list[Callable[[], object]] = []
     for own in view_triplets(lines, tuning.tracks)[:1]:
         three = prepare_orders(lines, own, counts, clutter, tuning)
-        order, planes, single, table = three.each[0]
-        search = three.lines, single, table, nothing, nothing, tuning.candidates
+        order, planes, inputs, table = three.each[0]
+        search = three.lines, inputs, table, nothing, nothing, tuning.candidates
         judge = three.lines, order, planes, np.zeros((FEW_ROWS + 1, 3), np.int32)
         works.append(partial(gate_triples, *search))
         if for_many:

@@ -2,4 +2,4 @@
 
 from typing import Literal
 
-StepName = Literal["guided", "pixels", "cylinders", "rims", "shadows", "wireframe"]
+StepName = Literal["pixels", "rims", "wireframe"]

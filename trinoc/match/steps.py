@@ -15,13 +15,10 @@ from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.image.response import ResponseLike
-from trinoc.match.bodies.cylinder_search import find_cylinders
-from trinoc.match.bodies.explained_tracks import add_rims
-from trinoc.match.bodies.rim_search import find_rims
-from trinoc.match.bodies.shadow_search import Shadows, find_shadows
 from trinoc.match.matcher import match_segments
-from trinoc.match.pixels.guide import guide_matches
 from trinoc.match.pixels.measure import measure_lines
+from trinoc.match.rims.explained_tracks import add_rims
+from trinoc.match.rims.rim_search import find_rims
 from trinoc.match.step_names import StepName
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.wire_frame.build import wireframe
@@ -35,13 +32,11 @@ class StepResult(NamedTuple):
     matches : the tracks, with what the steps say of them.
     segments : of each view, those that the matches number.
     features : those that steps found, by their kind.
-    shadows : where the lamp is, where shadows were looked for.
     """
 
     matches: Matches
     segments: Mapping[str, Segments]
     features: Mapping[str, Feature] = {}
-    shadows: Shadows | None = None
 
     def with_features(self, own: Feature) -> "StepResult":
         """The same and features of another kind."""
@@ -66,11 +61,6 @@ class Step(NamedTuple):
     take: Callable[[StepResult, StepInput], StepResult]
 
 
-def _guide(found: StepResult, given: StepInput) -> StepResult:
-    guided = guide_matches(found.matches, found.segments, given.rig, given.pictures)
-    return found._replace(matches=guided.matches, segments=guided.segments)
-
-
 def _measure(found: StepResult, given: StepInput) -> StepResult:
     measured = measure_lines(
         found.matches, found.segments, given.rig, given.pictures, response=given.response
@@ -78,28 +68,12 @@ def _measure(found: StepResult, given: StepInput) -> StepResult:
     return found._replace(matches=measured)
 
 
-def _cylinders(found: StepResult, given: StepInput) -> StepResult:
-    cylinders = find_cylinders(found.matches, found.segments, given.rig)
-    return found._replace(matches=cylinders.mark(found.matches)).with_features(cylinders)
-
-
 def _rims(found: StepResult, given: StepInput) -> StepResult:
     chords = given.arcs() if given.arcs is not None else {}
     among = match_segments(chords, given.rig, depth_range_mm=given.depth_range_mm)
     rims = find_rims(among, chords, given.rig)
     joined = add_rims(found.matches, found.segments, rims, chords, given.rig)
-    renumbered = {
-        kind: own.of_tracks(joined.kept, len(joined.matches))
-        for kind, own in found.features.items()
-    }
-    return StepResult(joined.matches, joined.segments, renumbered, found.shadows).with_features(
-        rims
-    )
-
-
-def _shadows(found: StepResult, given: StepInput) -> StepResult:
-    shadows = find_shadows(found.matches, found.segments, given.rig)
-    return found._replace(matches=shadows.mark(found.matches), shadows=shadows)
+    return found._replace(matches=joined.matches, segments=joined.segments).with_features(rims)
 
 
 def _wireframe(found: StepResult, given: StepInput) -> StepResult:
@@ -107,11 +81,8 @@ def _wireframe(found: StepResult, given: StepInput) -> StepResult:
 
 
 STEPS: dict[StepName, Step] = {
-    "guided": Step("asking the pictures again along the lines", "pictures", _guide),
     "pixels": Step("measuring the lines in the pictures", "pictures", _measure),
-    "cylinders": Step("looking for cylinders", "", _cylinders),
     "rims": Step("looking for rims", "arcs", _rims),
-    "shadows": Step("looking for the lamp", "", _shadows),
     "wireframe": Step("putting corners, edges and faces together", "", _wireframe),
 }
 
@@ -134,10 +105,9 @@ def improve(
     ----------
     matches, segments : of `match_segments`, and the segments that were matched.
     rig : the cameras.
-    steps : of STEPS: "guided" (`guide_matches`), "pixels" (`measure_lines`), "cylinders"
-        (`find_cylinders`), "rims" (`find_rims`, `add_rims`), "shadows" (`find_shadows`),
-        "wireframe" (`wireframe`).
-    pictures : of each view; "guided" and "pixels" need them.
+    steps : of STEPS: "pixels" (`measure_lines`), "rims" (`find_rims`, `add_rims`), "wireframe"
+        (`wireframe`).
+    pictures : of each view; "pixels" needs them.
     arcs : gives the segments with the chords of arcs (`find_segments(arcs=True)`), which "rims"
         needs.
     depth_range_mm : as the segments were matched.

@@ -291,7 +291,6 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: LineSigmas) -> tup
     )
     none = np.zeros(len(matches))
     silhouette = matches.marks.get("silhouette", none)
-    shadow = matches.marks.get("shadow", none)
     rows = []
     for track in order.tolist():
         members = tuple("" if i < 0 else str(i) for i in np.asarray(matches.index[track]).tolist())
@@ -301,8 +300,7 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: LineSigmas) -> tup
                 colours[track],
                 str(matches.stage[track])
                 + (", moves" if viewpoint_dependent[track] else "")
-                + (", outline of a cylinder" if silhouette[track] > EVEN else "")
-                + (", shadow" if shadow[track] > EVEN else ""),
+                + (", outline of a round body" if silhouette[track] > EVEN else ""),
                 members,
                 with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])),
                 with_decimals(float(sigmas.across_sigma_mm[track]), 3),

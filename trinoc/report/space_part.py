@@ -170,13 +170,9 @@ def track_words(matches: Matches, sigmas: LineSigmas, track: int) -> str:
     )
     across = with_decimals(float(sigmas.across_sigma_mm[track]), 3)
     posterior = with_decimals(float(matches.posterior[track]), 3)
-    shadow = ""
-    if "shadow" in matches.marks:
-        probability = float(matches.marks["shadow"][track])
-        shadow = f", of a shadow {with_decimals(probability, 3)}"
     return (
         f"track {track}, {matches.stage[track]}: length {length} mm, sigma across {across} mm, "
-        f"posterior {posterior}{shadow}, segments {seen}. {ends} mm"
+        f"posterior {posterior}, segments {seen}. {ends} mm"
     )
 
 

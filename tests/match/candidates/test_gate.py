@@ -14,7 +14,7 @@ from trinoc.match.candidates.index import (
     prediction_keys,
 )
 from trinoc.match.candidates.search import passes_third_view_gate
-from trinoc.match.candidates.single_precision import Prediction, predict, third_view
+from trinoc.match.candidates.third_view import Prediction, predict, third_view
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.two_view.epipolar_pencil import pencil, take_segments
 

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from tests.match.scene import MadeScene, image_px
-from trinoc.match.candidates.single_precision import Prediction, predict, third_view
+from trinoc.match.candidates.third_view import Prediction, predict, third_view
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.two_view.epipolar_pencil import pencil, take_segments
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.dense_matcher import match_densely
+from tests.match.candidates.dense_matcher import match_densely
 from tests.match.scene import MadeScene
 from trinoc.match.candidates.table import Candidates, in_depth_range
 from trinoc.match.candidates.triples import trinocular_candidates

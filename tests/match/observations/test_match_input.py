@@ -100,6 +100,19 @@ def test_tables_hold_what_they_say(noisy: MadeScene, seen: MatchInput) -> None:
         np.testing.assert_allclose(image[..., :2] / image[..., 2:], table.ends_px[view], atol=1e-7)
 
 
+def test_a_darker_side_is_no_evidence_beside_the_levels_that_show_it(given, seen) -> None:
+    polarity = np.asarray(seen.lines.polarity)
+    for view, name in enumerate(seen.names):
+        order = seen.order[view]
+        of_levels = np.isfinite(np.asarray(given[name].side_levels)[order]).all(axis=1)
+        stated = np.asarray(given[name].polarity)[order]
+        assert of_levels.any()
+        assert (polarity[view, :30][of_levels] == 0).all()
+        np.testing.assert_array_equal(
+            np.abs(polarity[view, :30][~of_levels]), np.abs(stated[~of_levels])
+        )
+
+
 def test_a_stated_sigma_takes_the_place_of_the_segments_own(noisy: MadeScene, given) -> None:
     table = prepare(given, noisy.rig, 0.25).lines
     expected = np.broadcast_to(0.0625 * np.eye(2), (3, 30, 2, 2))

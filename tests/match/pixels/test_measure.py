@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from tests.match.pixels.made import (
     RIG,
     VIEWS,
+    image_px,
     light_of,
     lines_of,
     matches_of,
@@ -104,6 +105,29 @@ def test_a_view_that_shows_no_clean_step_keeps_its_segment():
     assert words_of(found)[5, left] == "no clean step"
     np.testing.assert_array_equal(found.fragments_px[5, left], matches.fragments_px[5, left])
     assert chi_square(found, lines)[5] < chi2.ppf(0.999, 4)
+
+
+def test_an_edge_that_hides_a_second_one_is_as_far_off_as_its_covariance_says():
+    """Both make one profile, which is wider than others and lies between them."""
+    lines, _, segments, matches = setting(1)
+    beside = np.zeros(len(lines))
+    doubled = [2, 5, 9]
+    beside[doubled] = 1.0
+    light = 0.7 * light_of("left", lines) + 0.3 * light_of("left", lines, beside_px=beside)
+    random = np.random.default_rng(4)
+    shown = {view: noisy(light_of(view, lines), random) for view in VIEWS}
+    found = measure_lines(matches, segments, RIG, {**shown, "left": noisy(light, random)})
+    left = VIEWS.index("left")
+    assert (words_of(found)[doubled, left] == "pixels").all()
+    true = image_px("left", lines)
+    way = true[:, 1] - true[:, 0]
+    normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.linalg.norm(way, axis=1)[:, None]
+    off = np.einsum("tei,ti->te", found.fragments_px[:, left] - true, normal)
+    blocks = np.asarray(found.fragments_covariance_px2)[:, left].reshape(-1, 2, 2, 2, 2)
+    sigma = np.sqrt(np.einsum("teiej,ti,tj->te", blocks, normal, normal))
+    assert (np.abs(off[doubled]) > 0.2).all()
+    assert (np.abs(off[doubled]) < 3 * sigma[doubled]).all()
+    assert (np.delete(sigma, doubled, axis=0) < 0.1).all()
 
 
 def test_a_line_whose_views_disagree_is_known_the_worse_for_it():

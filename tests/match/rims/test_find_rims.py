@@ -10,10 +10,10 @@ from tests.match.made import loose_lines, pictures, rig_of
 from tests.match.rims.made_rims import Ring, chords_seen, projected
 from trinoc.errors import InputError
 from trinoc.match import MatchTuning, add_rims, find_rims
-from trinoc.match.bodies import rim_search as search, rim_support as support
-from trinoc.match.bodies.circles import Circles, image_circles
 from trinoc.match.matcher import match_segments
-from trinoc.match.tuning.bodies import RimTuning
+from trinoc.match.rims import rim_search as search, rim_support as support
+from trinoc.match.rims.circles import Circles, image_circles
+from trinoc.match.tuning.rims import RimTuning
 from trinoc.synth.solids import Cylinder
 
 VIEWS = ("upper", "left", "right")

@@ -5,7 +5,7 @@ import pytest
 
 from tests.match.made import rig_of
 from trinoc.geometry.projection import project_by_matrix
-from trinoc.match.bodies.circles import (
+from trinoc.match.rims.circles import (
     GAUSS,
     Chords,
     Circles,
@@ -14,7 +14,7 @@ from trinoc.match.bodies.circles import (
     off_circles,
     points_on_circles,
 )
-from trinoc.match.bodies.rim_answer import FittedRim, _pieces, _public, cover_circle
+from trinoc.match.rims.rim_answer import FittedRim, _pieces, _public, cover_circle
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.vectors import complete_axes
 

@@ -153,3 +153,32 @@ def test_vertices_beside_a_plane_are_in_it_as_far_as_all_four_err() -> None:
         near = _in_plane(answer, np.arange(3), tuning)
         assert near is not None
         assert near.tolist() == [True, True, True, inside]
+
+
+def test_an_error_common_to_all_vertices_moves_none_off_the_plane_of_others() -> None:
+    """As the joint covariance says of draws: the distance from the plane has that variance."""
+    rng, tuning = np.random.default_rng(3), DEFAULT
+    corners = np.array([[0.0, 0, 0], [30, 0, 0], [0, 20, 0], [18, 14, 0]])
+    # All vertices rise by one error of 1 mm, and each by .05 mm of its own.
+    rise = np.ones((4, 4)) + 0.05**2 * np.eye(4)
+    joint = np.zeros((4, 3, 4, 3))
+    joint[:, 2, :, 2] = rise
+    joint += 1e-6 * np.eye(12).reshape(4, 3, 4, 3)
+    heights = rng.multivariate_normal(np.zeros(4), rise, 20_000)
+    share = np.linalg.solve(np.append(corners[:3, :2], np.ones((3, 1)), axis=1).T, [18, 14, 1])
+    sigma = np.std(heights[:, 3] - heights[:, :3] @ share)
+    limit = np.sqrt(chi_square_limit(tuning.collinear.significance, 1))
+    for sigmas, inside in ((0.9 * limit, True), (1.1 * limit, False)):
+        points = corners.copy()
+        points[3, 2] = sigmas * sigma
+        answer = AdjustedGraph(
+            points,
+            np.zeros(4, dtype=np.int64),
+            (joint.reshape(12, 12),),
+            np.zeros((0, 3, 3)),
+            np.zeros((0, 2, 3)),
+            np.zeros((0, 2, 3, 2, 3)),
+        )
+        near = _in_plane(answer, np.arange(3), tuning)
+        assert near is not None
+        assert near.tolist() == [True, True, True, inside]

@@ -91,31 +91,6 @@ def test_an_edge_whose_track_is_no_line_in_space_is_marked(rig, field) -> None:
     )
 
 
-def test_the_boundary_of_a_shadow_bounds_no_face(rig) -> None:
-    matches = tracks_of(rig, CUBE.edges_mm, sigma_px=0.2, seed=1)
-
-    def frame_with(shadow: np.ndarray | None) -> Wireframe:
-        marked = matches if shadow is None else matches.with_marks(shadow=shadow)
-        return wireframe(marked, rig, flat=False, tuning=AS_STATED)
-
-    plain, none = frame_with(None), frame_with(np.full(len(matches), 0.2))
-    assert plain.shadow is None
-    assert none.shadow is not None
-    assert none.face_vertex.tolist() == plain.face_vertex.tolist()
-    marks = np.zeros(len(matches))
-    marks[4] = 0.9
-    frame = frame_with(marks)
-    assert frame.shadow is not None
-    assert np.flatnonzero(frame.shadow).tolist() == [frame.edge_of_track[4]]
-    # The edge stays where it was; the two faces that it bounds go, and no other.
-    np.testing.assert_array_equal(frame.vertices_mm, plain.vertices_mm)
-    np.testing.assert_array_equal(frame.edges, plain.edges)
-    pair = set(plain.edges[plain.edge_of_track[4]].tolist())
-    kept = [set(loop.tolist()) for loop in plain.faces if not pair <= set(loop.tolist())]
-    assert [set(loop.tolist()) for loop in frame.faces] == kept
-    assert len(kept) == len(plain.faces) - 2
-
-
 def test_planes_and_vertices_are_as_far_off_as_their_covariance_says(rig) -> None:
     corners, planes = [], []
     for seed in range(24):

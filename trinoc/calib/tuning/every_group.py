@@ -49,7 +49,7 @@ class UncertaintyTuning:
 @dataclass(frozen=True)
 class ProblemTuning:
     """What noise makes and what not: of a place, a picture, a camera's sigmas, the board. Shown by
-    errors and coverage of benchmarks/rigs_from_shots.py and benchmarks/calibration.py."""
+    errors and coverage of benchmarks/rigs.py and benchmarks/calibration.py."""
 
     # A place farther off, in robust standard deviations, was located wrongly: noise makes it once
     # in 10^8. By hand.
@@ -96,7 +96,7 @@ class ProblemTuning:
 @dataclass(frozen=True)
 class StartTuning:
     """First lenses, and cameras and boards chained into one frame. By hand; shown by the shots
-    that are refused, and by lenses that are found, in benchmarks/rigs_from_shots.py."""
+    that are refused, and by lenses that are found, in benchmarks/rigs.py."""
 
     # Focal lengths to start from, in longer sides of the picture: where Zhang's formula has none,
     # and of a fisheye.
@@ -159,7 +159,7 @@ class AdjustmentTuning:
 @dataclass(frozen=True)
 class BundleTuning:
     """Which fragments are believed, and which of several answers. Shown by errors and coverage of
-    benchmarks/refine.py, the last six by benchmarks/refine_matched.py."""
+    benchmarks/refine.py, the last six by its part `matched`."""
 
     # What a fragment can cost, as a distance in sigmas; and how many times wider the loss is, from
     # round to round: first everything speaks, then only what fits. By hand.
@@ -187,7 +187,7 @@ class BundleTuning:
 @dataclass(frozen=True)
 class RigCheckTuning:
     """A calibration against an earlier one, and a rig against scene pictures. Shown by the
-    knocked rigs of benchmarks/refine_matched.py."""
+    knocked rigs of benchmarks/refine.py."""
 
     # A camera has moved since an earlier calibration beyond so many sigmas: once in 10^5
     # comparisons of it by noise alone. By hand.
@@ -214,7 +214,7 @@ class RigCheckTuning:
 @dataclass(frozen=True)
 class AnswerTuning:
     """Which answer is given, and what a message says of it. By hand where nothing else is said;
-    shown by benchmarks/picture_conditions.py and benchmarks/rigs_held_out.py."""
+    shown by benchmarks/picture_conditions.py and benchmarks/rigs.py."""
 
     # Where noise makes so much with less than this probability, pictures speak against what a model
     # holds fixed, and against an aim.

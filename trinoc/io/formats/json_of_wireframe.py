@@ -36,7 +36,6 @@ def write_json(frame: Wireframe, path: Path, unit_mm: float) -> None:
                 "views": int(frame.views[edge]),
                 "viewpoint_dependent": bool(frame.viewpoint_dependent[edge]),
                 "tracks": frame.tracks_of(edge).tolist(),
-                **({} if frame.shadow is None else {"shadow": float(frame.shadow[edge])}),
             }
             for edge, pair in enumerate(frame.edges.tolist())
         ],

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from trinoc.match.candidates.single_precision import Prediction, rounding_px
+from trinoc.match.candidates.third_view import Prediction, rounding_px
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning.candidates import CandidateTuning
 from trinoc.match.tuning.every_group import DEFAULT
@@ -304,18 +304,13 @@ def lookup(
     cells = np.minimum(CELLS * np.sqrt(number), number / SEGMENTS_OF_CELL)
     cells = np.clip(cells, FEWEST, MOST)
     cell = np.maximum(CELL_SIGMAS * typical, size.max(axis=-1) / cells)
-    # Sides that single precision holds: those who ask compute in it.
-    cell = cell.astype(np.float32).astype(np.float64)
-    table = spatial_index(ends, slack, margins, size, cell, typical, frame, layers)
-    sides, typical = (x.astype(np.float32) for x in (table.grid.cell_px, typical))
-    return table._replace(grid=table.grid._replace(cell_px=sides, sigma_px=typical))
+    return spatial_index(ends, slack, margins, size, cell, typical, frame, layers)
 
 
 def prediction_keys(
     grid: Grid, guess: Prediction, tuning: CandidateTuning = DEFAULT.candidates
 ) -> list[Int[ArrayLike, ""]]:
-    """Where in the table to look for each sample of a prediction, in the table's precision."""
-    guess = Prediction(guess.possible, *(x.astype(grid.cell_px.dtype) for x in guess[1:]))
+    """Where in the table to look for each sample of a prediction."""
     du, dv = guess.u1 - guess.u0, guess.v1 - guess.v0
     length = jnp.sqrt(du * du + dv * dv)
     slack = tuning.reach_sigmas * jnp.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length

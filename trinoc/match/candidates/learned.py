@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.match.candidates.single_precision import SingleOrder, in_single
+from trinoc.match.candidates.third_view import PredictionInput
 from trinoc.match.evidence.endpoints import end_evidence
 from trinoc.match.evidence.mixture import MixtureParameters
 from trinoc.match.evidence.triple_position import triple_evidence
@@ -71,23 +71,22 @@ class RegionOfPencil(NamedTuple):
 
 
 def region_of_pencil(region: Region, planes: Pencil) -> RegionOfPencil:
-    """The region in the frame of a pencil, in single precision."""
+    """The region in the frame of a pencil."""
     origin = region.axes @ np.asarray(planes.origin_mm)
     turned = region.axes @ np.asarray(planes.frame).T
-    parts = turned, region.low_mm - origin, region.high_mm - origin
-    return RegionOfPencil(*(part.astype(np.float32) for part in parts))
+    return RegionOfPencil(turned, region.low_mm - origin, region.high_mm - origin)
 
 
 def select_pairs_in_region(
     lines: SegmentTable,
-    single: SingleOrder,
+    inputs: PredictionInput,
     region: RegionOfPencil,
     i: Int[np.ndarray, "p"],
     j: Int[np.ndarray, "p"],
     tuning: CandidateTuning,
 ) -> tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]:
     """Those pairs that would be lines of which the common part lies in a region."""
-    pair = single.view.baseline_mm, single.first, single.second
+    pair = inputs.view.baseline_mm, inputs.first, inputs.second
 
     def inside(i: np.ndarray, j: np.ndarray) -> ArrayLike:
         return _lies_in_region(region, *pair, i, j, tuning=tuning)
@@ -130,25 +129,8 @@ class SearchPrior(NamedTuple):
     ends_px: float | None = None
 
 
-# The segments of one order of the views in single precision, about the first camera: their table,
-# the order, its pencil, and the clutter.
+# The segments of one order of the views: their table, the order, its pencil, and the clutter.
 Screen = tuple[SegmentTable, Int[ArrayLike, "3"], Pencil, ClutterModel]
-
-
-def prepare_screen(
-    lines: SegmentTable, order: Int[np.ndarray, "3"], planes: Pencil, clutter: ClutterModel
-) -> Screen:
-    """What `likely_triples` needs, of one frame."""
-    # Coordinates from the first camera on, which single precision holds wherever the world begins.
-    matrix, origin = np.asarray(lines.matrix_px), np.asarray(planes.origin_mm)
-    moved = matrix[..., :3] @ origin + matrix[..., 3]
-    lines = lines._replace(
-        matrix_px=np.concatenate([matrix[..., :3], moved[..., None]], axis=-1),
-        centre_mm=np.asarray(lines.centre_mm) - origin,
-    )
-    planes = planes._replace(origin_mm=np.zeros(3))
-    single = jax.tree.map(in_single, (lines, order, planes, clutter))
-    return jax.device_put(single)
 
 
 def likely_triples(
@@ -162,8 +144,7 @@ def likely_triples(
     if np.isfinite(np.asarray(screen[0].sides)).any():
         return triple
     mixture = learned.mixture
-    shares = (np.log(share).astype(np.float32) for share in (mixture.tail, mixture.ends))
-    tail, ends = shares
+    tail, ends = (np.log(share) for share in (mixture.tail, mixture.ends))
     prior = mixture.log_count - mixture.volume.log_size - np.log(2 * np.pi)
     prior += tuning.evidence.log_odds_offset
     if np.asarray(screen[0].polarity).any():

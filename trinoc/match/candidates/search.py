@@ -20,9 +20,9 @@ from trinoc.match.candidates.index import (
     lookup,
     prediction_keys,
 )
-from trinoc.match.candidates.single_precision import (
+from trinoc.match.candidates.third_view import (
     Prediction,
-    SingleOrder,
+    PredictionInput,
     predict,
     prepare_order,
 )
@@ -73,12 +73,12 @@ def passes_third_view_gate(
 
 
 class Order(NamedTuple):
-    """An ordering of the views: the pencil of the first two, what single precision needs of it, and
-    the third by place and direction."""
+    """An ordering of the views: the pencil of the first two, what predictions in the third need of
+    it, and the third by place and direction."""
 
     order: Int[np.ndarray, "3"]
     planes: Pencil
-    single: SingleOrder
+    inputs: PredictionInput
     table: SpatialIndex
 
 
@@ -135,7 +135,7 @@ def _take_views(
 
 def gate_triples(
     lines: SegmentTable,
-    single: SingleOrder,
+    inputs: PredictionInput,
     table: SpatialIndex,
     i: Int[np.ndarray, "p"],
     j: Int[np.ndarray, "p"],
@@ -149,13 +149,13 @@ def gate_triples(
     for block in blocks(len(i), size):
         rows = pad_rows(i[block], size), pad_rows(j[block], size)
         guess, keys = _predict_pairs(
-            single, table.grid, *rows, np.asarray(any_order), tuning=tuning
+            inputs, table.grid, *rows, np.asarray(any_order), tuning=tuning
         )
         keys = np.stack([np.asarray(key)[: block.stop - block.start] for key in keys])
         pair, k = find_segments_near_predictions(table, keys)
 
         def passes(pair: np.ndarray, k: np.ndarray, guess: Prediction = guess) -> ArrayLike:
-            return _passes_gate(single.segments, guess, pair, k, tuning=tuning)
+            return _passes_gate(inputs.segments, guess, pair, k, tuning=tuning)
 
         near_enough = in_blocks(passes, size, pair, k)
         # Several samples of one prediction may find one segment.
@@ -167,7 +167,7 @@ def gate_triples(
 
 @partial(kept_jit, static_argnames=("tuning",), beside_others=True)
 def _predict_pairs(
-    single: SingleOrder,
+    inputs: PredictionInput,
     grid: Grid,
     i: Int[ArrayLike, "p"],
     j: Int[ArrayLike, "p"],
@@ -177,14 +177,14 @@ def _predict_pairs(
     def predict_pair(
         i: ArrayLike, first: PencilSegments, second: PencilSegments
     ) -> tuple[Prediction, list[ArrayLike]]:
-        own = single.view, grid
-        if single.frame is not None:
-            frame = single.frame[i]
+        own = inputs.view, grid
+        if inputs.frame is not None:
+            frame = inputs.frame[i]
             own = jax.tree.map(lambda column: column[frame], own)
         guess = predict(own[0], first, second, tuning, any_order)
         return guess, prediction_keys(own[1], guess, tuning)
 
-    pairs = take_segments(single.first, i), take_segments(single.second, j)
+    pairs = take_segments(inputs.first, i), take_segments(inputs.second, j)
     return jax.vmap(predict_pair, in_axes=(0, 1, 1))(i, *pairs)
 
 

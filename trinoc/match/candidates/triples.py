@@ -9,13 +9,13 @@ evidence on that line, and serves pictures of any number of segments.
 from collections.abc import Iterator
 from functools import partial
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates.learned import (
     SearchPrior,
     likely_triples,
-    prepare_screen,
     region_of_pencil,
     select_pairs_in_region,
 )
@@ -181,19 +181,19 @@ def _in_order(
     """(numbers of triples, those that may be likely) of which the first two views predict the third
     segment, but those `known`: two orderings find one triple where they cross about as well."""
     lines, clutter, numbers = orders.lines, orders.clutter, orders.numbers
-    order, planes, single, table = own
+    order, planes, inputs, table = own
     typical = float(np.mean(numbers))
     within, screen = None, None
     if learned is not None:
-        screen = prepare_screen(lines, order, planes, clutter)
+        screen = jax.device_put((lines, order, planes, clutter))
         within = None if learned.region is None else region_of_pencil(learned.region, planes)
     ends_px = None if learned is None else learned.ends_px
     for i, j in pairs_sharing_planes(lines, order[:2], planes, pair, PAIRS_AT_A_TIME, ends_px):
         if within is not None:
-            i, j = select_pairs_in_region(lines, single, within, i, j, tuning.candidates)
+            i, j = select_pairs_in_region(lines, inputs, within, i, j, tuning.candidates)
         # Of three ends two may agree whose pair crosses worse than another.
         any_order = ends_px is not None
-        triple = gate_triples(lines, single, table, i, j, tuning.candidates, any_order)
+        triple = gate_triples(lines, inputs, table, i, j, tuning.candidates, any_order)
         if len(known):
             number = _number_triples(triple[:, np.argsort(order)], numbers)
             place = np.minimum(np.searchsorted(known, number), len(known) - 1)

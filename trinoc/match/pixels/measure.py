@@ -46,7 +46,7 @@ def measure_lines(
 
     Parameters
     ----------
-    matches : of `match_segments`, or of `guide_matches`.
+    matches : of `match_segments`.
     segments : those that the matches number.
     rig : the cameras that they were matched with.
     pictures : for each view of `matches` its picture, as `find_segments` takes it.

@@ -46,18 +46,6 @@ def points_on_lines(
     return ends_mm[:, :1] + span[..., None] * (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
 
 
-def common_ends(
-    seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
-) -> Float[np.ndarray, "t 2 3"]:
-    """The ends, on each line, of what all of its views show; the line's own where they share
-    nothing."""
-    reach = segment_reaches(seen, index, ends_mm)
-    begin, end = np.nanmax(reach[..., 0], axis=1), np.nanmin(reach[..., 1], axis=1)
-    shared = begin < end
-    span = np.stack([np.where(shared, begin, 0.0), np.where(shared, end, 1.0)], axis=1)
-    return points_on_lines(ends_mm, span)
-
-
 def track_intervals(
     seen: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Float[np.ndarray, "t v 2"]:

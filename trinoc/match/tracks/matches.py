@@ -103,9 +103,8 @@ class Matches(Displayable, Table):
         larger than that of 99 in 100 straight edges. In two, another view shows a segment beside
         the place where the line should be, and none on it. None where not known.
     marks : what later steps say of tracks, (t,) or (t, v), by name: truth values, probabilities or
-        words; False, 0 or "" where a view sees no line. Each step names its own: "guided"
-        (`guide_matches`), "measure" (`measure_lines`), "silhouette" (`find_cylinders`,
-        `find_rims`), "shadow" (`find_shadows`).
+        words; False, 0 or "" where a view sees no line. Each step names its own: "measure"
+        (`measure_lines`), "silhouette" (`find_rims`).
     noise_scale : standard deviation of the segments across themselves over what they state, as
         three views show it: all covariances here are of the errors found. 1 where two views are
         all there is.

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field
 
-from trinoc.match.tuning.bodies import CylinderTuning, RimTuning, ShadowTuning
 from trinoc.match.tuning.candidates import CandidateTuning, ScoutTuning
 from trinoc.match.tuning.evidence import (
     ClutterTuning,
@@ -11,13 +10,13 @@ from trinoc.match.tuning.evidence import (
     ObservationTuning,
     SideTuning,
 )
-from trinoc.match.tuning.guided import GuidedTuning
 from trinoc.match.tuning.line_map import (
     CollinearTuning,
     CornerTuning,
     WireframeTuning,
 )
 from trinoc.match.tuning.occlusion import OcclusionTuning
+from trinoc.match.tuning.rims import RimTuning
 from trinoc.match.tuning.selection import (
     JunctionTuning,
     NoiseTuning,
@@ -48,10 +47,7 @@ class MatchTuning:
     collinear: CollinearTuning = field(default_factory=CollinearTuning)
     corners: CornerTuning = field(default_factory=CornerTuning)
     wireframe: WireframeTuning = field(default_factory=WireframeTuning)
-    guided: GuidedTuning = field(default_factory=GuidedTuning)
-    cylinders: CylinderTuning = field(default_factory=CylinderTuning)
     rims: RimTuning = field(default_factory=RimTuning)
-    shadows: ShadowTuning = field(default_factory=ShadowTuning)
 
 
 DEFAULT = MatchTuning()

@@ -48,8 +48,7 @@ class OcclusionTuning:
     # Companions: parallel segments are beside each other at distances between these, px, and
     # segments go on from ends as near as that, px. By hand, as is all that follows: the share of
     # pairs that have one before any is known; the log ratio of shares below which nothing is added;
-    # the most that is added; and how likely who supports must be at first. Shown by frames of bars
-    # and by curves (benchmarks/companions.py).
+    # the most that is added; and how likely who supports must be at first.
     beside_px: tuple[float, float] = (1.5, 15.0)
     continues_px: float = 8.0
     companion_share: float = 0.05

@@ -135,7 +135,6 @@ def wireframe(
     is an end that stops beside a corner, within 7 pixels, but does not run through it. Lines
     between the same two vertices are one edge. A face is a shortest loop of three edges or more
     whose vertices lie in one plane at that level, too; with `flat` they are then held to it.
-    An edge that is likely the boundary of a shadow (the mark "shadow") stays and bounds no face.
 
     Free ends are where detectors stopped: along its edge each has a standard deviation of 7 pixels
     and more. The cameras count as exact. Raises InputError where the covariance of the fragments
@@ -148,12 +147,7 @@ def wireframe(
     edges, edge_of_line = _edges(found.graph)
     edge_of_track = edge_of_line[joined.line_of_track]
     fit = end_fit(found.graph, found.answer)
-    shadow = matches.marks.get("shadow")
-    if shadow is not None:
-        # One track that is no shadow is enough for an edge.
-        shadow = _combine_members(np.minimum, 1.0, shadow, edge_of_track)
-    solid = np.ones(len(edges), dtype=bool) if shadow is None else shadow <= EVEN
-    loops = find_faces(found.answer, edges[solid], tuning)
+    loops = find_faces(found.answer, edges, tuning)
     answer = flatten_faces(found.answer, loops) if flat else found.answer
     faces = [
         fit_plane(answer, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
@@ -194,7 +188,6 @@ def wireframe(
         face_degrees=np.array([face.degrees for face in faces], dtype=np.int64),
         facing=facing,
         let_go=_describe_refusals(found, refused, joined),
-        shadow=shadow,
     )
 
 

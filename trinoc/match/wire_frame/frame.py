@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.geometry.features import Feature, Wires
 from trinoc.geometry.line_lengths import line_sigmas
-from trinoc.match.tracks.matches import EVEN
 from trinoc.numerics.tables import (
     COVARIANCE,
     FINITE,
@@ -66,7 +65,7 @@ class Wireframe(Feature):
     posterior : (e,) probability that the best match on it is right.
     views : (e,) number of views that see it; an edge of two is checked by no third.
     viewpoint_dependent : (e,) whether all of its tracks are likely to be no line in space, by the
-        matches' column of this name or as outlines of cylinders (the mark "silhouette").
+        matches' column of this name or as outlines of round bodies (the mark "silhouette").
     chi_square, degrees : (e,) how well its lines fit what else is known of its vertices; 0
         degrees where nothing else is.
     edge_of_track : (t,) the edge that each track of the matches is on, -1 where let go.
@@ -78,8 +77,6 @@ class Wireframe(Feature):
     facing : (f,) whether all cameras that see its edges lie on the normal's side; where not, the
         normal points to most of them.
     let_go : what did not fit, and why.
-    shadow : (e,) probability that nothing on an edge but the boundary of a cast shadow was seen, of
-        matches that know it; such an edge bounds no face where it is above a half.
     """
 
     KIND: ClassVar[str] = "wireframe"
@@ -146,7 +143,6 @@ class Wireframe(Feature):
     face_degrees: Int[np.ndarray, "f"]
     facing: Bool[np.ndarray, "f"]
     let_go: Annotated[LetGo, Column(below="let_go_")]
-    shadow: Annotated[Float[np.ndarray, "e"] | None, Column(PROBABILITY)] = None
 
     @property
     def checked(self) -> Bool[np.ndarray, "e"]:
@@ -176,14 +172,10 @@ class Wireframe(Feature):
     def summary(self) -> str:
         """Numbers of edges, corners, free ends and faces."""
         corners, unchecked = int(self.corner.sum()), int((~self.checked).sum())
-        said = (
+        return (
             f"{len(self)} edges, {unchecked} of them seen by two views only; {corners} corners, "
-            f"{len(self.corner) - corners} free ends, {len(self.planes)} planar faces"
+            f"{len(self.corner) - corners} free ends, {len(self.planes)} planar faces."
         )
-        shadows = self.record()["edges_of_shadows"]
-        if shadows:
-            said += f"; {shadows} of the edges are likely of shadows, and bound no face"
-        return said + "."
 
     def record(self) -> dict[str, Any]:
         """The same numbers, and what was let go."""
@@ -195,7 +187,6 @@ class Wireframe(Feature):
             "corners": corners,
             "free_ends": len(self.corner) - corners,
             "faces": len(self.planes),
-            "edges_of_shadows": 0 if self.shadow is None else int((self.shadow > EVEN).sum()),
             "let_go": [{"track": track, "reason": reason} for track, reason in let_go],
         }
 

@@ -1,0 +1,1 @@
+"""What `refine.py` runs: a file for each table."""

@@ -1,0 +1,128 @@
+"""Rims in space, the segments that are their chords, and the matches with them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float, Int
+
+from trinoc.geometry.features import Feature, Wires, wires_of_lines
+from trinoc.match.rims.circles import Circles, points_on_circles
+from trinoc.match.tracks.matches import Matches
+from trinoc.numerics.tables import (
+    COVARIANCE,
+    IN_SCENE,
+    RADIUS,
+    SEGMENT_NUMBER,
+    Column,
+    ColumnCheck,
+    check_number,
+)
+
+_CENTRE, _NORMAL = ("x_mm", "y_mm", "z_mm"), ("normal_x", "normal_y", "normal_z")
+# numerical: what rounding leaves of the length of a normal, and of a share.
+_ROUNDING, _OF_SHARE = 1e-6, 1e-9
+
+
+class Rims(Feature):
+    """Circles, each from its chords in two views or more.
+
+    `rim`, `view` and `segment` are one table with a row for each chord.
+
+    Fields
+    ------
+    views : names of the views, the order of their numbers.
+    centre_mm : (c, 3), in the world frame. normal : (c, 3) unit vectors across their planes.
+    radius_mm : (c,)
+    covariance_mm2 : (c, 7, 7) of centre, normal (no unit) and radius.
+    covered : (c,) share of each circle that chords of two views show.
+    rim, view, segment : (m,) number of the rim, of the view, and of the segment there.
+    matches : the given matches without the tracks that rims explain, and after them pieces of the
+        rims, each a chord of its circle. A fragment is the segment's part abreast of it, and its
+        covariance holds how far the segment bows. Tracks that hold an outline of the body below a
+        rim have the mark "silhouette".
+    kept : (k,) the numbers that the first k tracks had before.
+    counts : what each step of the search produced, by name.
+    """
+
+    KIND: ClassVar[str] = "rims"
+    IN_WORDS: ClassVar[str] = "rims"
+    SIDES: ClassVar[Mapping[str, str]] = {
+        "c": "rims",
+        "m": "chords",
+        "k": "tracks",
+        "v": "views",
+    }
+    READ_FIRST: ClassVar[tuple[str, ...]] = ("radius_mm", "covered")
+    DERIVED: ClassVar[Mapping[str, Sequence[str]]] = {"radius_sigma_mm": ()}
+
+    views: Annotated[
+        tuple[str, ...],
+        Column(
+            ColumnCheck(
+                "are not those of the matches",
+                lambda views, table: views == table.values["matches"].views,
+            ),
+            side="v",
+        ),
+    ] = eqx.field(static=True)
+    centre_mm: Annotated[Float[np.ndarray, "c 3"], Column(IN_SCENE, parts=_CENTRE)]
+    normal: Annotated[
+        Float[np.ndarray, "c 3"],
+        Column(
+            ColumnCheck(
+                "is no unit vector",
+                lambda normal, _: np.abs(np.linalg.norm(normal, axis=1) - 1) < _ROUNDING,
+            ),
+            parts=_NORMAL,
+        ),
+    ]
+    radius_mm: Annotated[Float[np.ndarray, "c"], Column(RADIUS)]
+    covariance_mm2: Annotated[
+        Float[np.ndarray, "c 7 7"], Column(COVARIANCE, parts=(*_CENTRE, *_NORMAL, "radius_mm"))
+    ]
+    covered: Annotated[
+        Float[np.ndarray, "c"],
+        Column(
+            ColumnCheck("is no share", lambda share, _: (share >= 0) & (share <= 1 + _OF_SHARE))
+        ),
+    ]
+    rim: Annotated[Int[np.ndarray, "m"], Column(check_number("c", "is no rim"))]
+    view: Annotated[Int[np.ndarray, "m"], Column(check_number("v", "is no view"))]
+    segment: Annotated[Int[np.ndarray, "m"], Column(SEGMENT_NUMBER)]
+    matches: Matches
+    kept: Annotated[
+        Int[np.ndarray, "k"],
+        Column(
+            ColumnCheck(
+                "is no track",
+                lambda kept, table: (kept >= 0) & (len(kept) <= len(table.values["matches"])),
+            )
+        ),
+    ]
+    counts: dict[str, int]
+
+    @property
+    def radius_sigma_mm(self) -> Float[np.ndarray, "c"]:
+        """(c,) standard deviation of each radius."""
+        return np.sqrt(self.covariance_mm2[:, 6, 6])
+
+    def summary(self) -> str:
+        """How many there are."""
+        found = "1 rim" if len(self) == 1 else f"{len(self)} rims"
+        return f"{found} of round bodies, in pieces after the other tracks."
+
+    def record(self) -> dict[str, Any]:
+        """The counts."""
+        return {"counts": self.counts}
+
+    def circles_mm(self, sides: int = 48) -> Float[np.ndarray, "c n 3"]:
+        """(c, sides, 3) points round each."""
+        angle = np.tile(np.arange(sides) * (2 * np.pi / sides), (len(self), 1))
+        return points_on_circles(Circles(self.centre_mm, self.normal, self.radius_mm), angle)
+
+    def wires(self) -> Wires:
+        """Each circle, closed."""
+        circles = self.circles_mm()
+        return wires_of_lines([[np.concatenate([circle, circle[:1]])] for circle in circles])
