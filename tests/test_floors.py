@@ -54,7 +54,7 @@ MOST_PUBLIC, MOST_OF_A_ROOM = 30, 20
 # Imported where they are used, because a plain `pip install` does not bring them.
 EXTRAS = {
     *("matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow", "plotly", "pandas"),
-    *("viser", "trimesh", "websockets"),
+    "trimesh",
 }
 FORBIDDEN = {"numba", "torch", "tkinter"}
 # Below io there are no files, no command line, no screen, no settings.

@@ -136,7 +136,6 @@ BoardFile = Annotated[Path, tyro.conf.arg(aliases=("--pattern",), metavar="FILE"
 FileOrNone = Annotated[
     Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
 ]
-BoardFileOrNone = Annotated[FileOrNone, tyro.conf.arg(aliases=("--pattern",))]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

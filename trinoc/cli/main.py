@@ -35,7 +35,6 @@ from trinoc.cli.pattern import PatternCommand
 from trinoc.cli.refine import CheckCommand, CompareCommand, RefineCommand
 from trinoc.cli.segments import SegmentsCommand
 from trinoc.cli.settings import put_files_first, refuse_old_names, with_file
-from trinoc.cli.view import ViewCommand
 from trinoc.cli.watch import WatchCommand
 from trinoc.errors import TrinocError
 
@@ -50,7 +49,6 @@ EXTRAS = {
     "batch": ("dask", "distributed"),
     "export": ("ruamel.yaml",),
     "parquet": ("pyarrow",),
-    "view": ("viser",),
 }
 # All of these install the module cv2, each over the others.
 OPENCV = (
@@ -139,7 +137,7 @@ COMMANDS: tuple[type[Command], ...] = (
         BatchCommand,
         RefineCommand,
     ),
-    *(CheckCommand, CompareCommand, UndistortCommand, EvaluateCommand, ViewCommand),
+    *(CheckCommand, CompareCommand, UndistortCommand, EvaluateCommand),
     ExportCommand,
 )
 AnyCommand: Any = Union[  # noqa: UP007, tyro reads a union that is made here

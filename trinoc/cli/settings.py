@@ -64,7 +64,6 @@ OLD_OPTIONS: dict[str, dict[str, str]] = {
         "screen-pitch-mm": "--screen size_px=W,H pitch_mm=MM",
     },
     "watch": {"no-page": "--port none", "open": "--port open"},
-    "view": {"open": "--port open"},
     "intrinsics": {
         "principal-point": "--hold principal-point, or nothing where it is free",
         "aspect": "--hold aspect, or nothing where it is free",
