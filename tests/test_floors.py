@@ -52,7 +52,7 @@ PLAIN = ("trinoc.geometry", "trinoc.segments", "trinoc.synth")
 
 # Imported where they are used, because a plain `pip install` does not bring them.
 EXTRAS = {
-    *("matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow", "plotly", "pandas"),
+    *("matplotlib", "reportlab", "dask", "distributed", "ruamel", "pyarrow", "pandas"),
     "trimesh",
 }
 FORBIDDEN = {"numba", "torch", "tkinter"}
@@ -248,7 +248,7 @@ def test_nothing_imports_what_takes_longer_than_a_match():
 
 
 def test_commands_import_nothing_heavy_at_the_top():
-    heavy = {"jax", "numpy", "cv2", "equinox", "optimistix", "plotly", "jinja2", "skimage", "scipy"}
+    heavy = {"jax", "numpy", "cv2", "equinox", "optimistix", "jinja2", "skimage", "scipy"}
     # Words for the help, in files that import nothing.
     light = {"trinoc.match.step_names.StepName"}
     wrong = [

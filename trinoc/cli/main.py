@@ -44,7 +44,7 @@ LIBRARIES = (
 EXTRAS = {
     "print": ("reportlab",),
     "plot": ("matplotlib",),
-    "notebook": ("plotly", "pandas"),
+    "notebook": ("pandas",),
     "batch": ("dask", "distributed"),
     "export": ("ruamel.yaml",),
     "parquet": ("pyarrow",),

@@ -60,12 +60,6 @@ class Box(NamedTuple):
         return cls(low - margin, high + margin)
 
 
-def polyline(parts: list[np.ndarray]) -> Float[np.ndarray, "n 3"]:
-    """Several open lines as one, with a row of NaN between them."""
-    gap = np.full((1, 3), np.nan)
-    return np.concatenate([row for part in parts for row in (part, gap)])
-
-
 def sheet_outlines(pattern: Pattern) -> list[np.ndarray]:
     """The circles, holes and crossed lines of the sheet as (n, 3) lines on Z = 0."""
     angles = np.linspace(0, 2 * np.pi, CIRCLE_POINTS + 1)
