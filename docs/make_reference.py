@@ -21,10 +21,9 @@ _SHARED = {field.name for field in dataclasses.fields(Command)}
 
 def with_options(page: str) -> str:
     """The page with the options of every command as its class declares them."""
-    by_name = {command.command_name(): command for command in COMMANDS}
     first: dict[tuple[str, str], str] = {}
     for name in re.findall(r"^### `trinoc ([\w-]+)`", page, re.M):
-        options = _options(by_name[name])
+        options = _options(COMMANDS[name])
         whole = "".join(f"- {words}\n" for words in _listed(name, options, first))
         section = rf"(### `trinoc {name}`\n(?:(?!### |- `).*\n)*?)(?:- `.*\n)+"
         page, found = re.subn(section, lambda match, own=whole: match[1] + own, page)

@@ -8,7 +8,7 @@ import trinoc
 from golden_parts import records
 from golden_parts.inputs import EXACT, TERMS, delivered, digest
 from golden_parts.records import Values, attempt
-from trinoc.calib import calibrate_batch, calibrate_detections
+from trinoc.calib import calibrate_detections
 from trinoc.calib.rig_check.comparison import compare_rigs
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.io import demo_images, demo_pattern
@@ -17,7 +17,7 @@ from trinoc.synth.camera_picture.render import render_sheet
 
 
 def calibrate_circles() -> Values:
-    """The demo's sheet by the centres of its circles; detections, batches, a plain grid."""
+    """The demo's sheet by the centres of its circles; detections, a plain grid."""
     pattern, images, lens = demo_pattern(), demo_images("sheet"), table1_lens()
     found = {view: trinoc.calib.detect_pattern(image, pattern) for view, image in images.items()}
     for view, own in found.items():
@@ -37,22 +37,11 @@ def calibrate_circles() -> Values:
     yield from records.calibration("images", from_images)
     carried = trinoc.calib.with_systematics(results["exact"], TERMS)
     yield from records.calibration("carried", carried)
-    yield from _batch(found, pattern, lens)
     change = compare_rigs(results["typical"], results["exact six"])
     yield "compared.sentences", change.sentences
     yield "compared.sigmas", [own.sigmas for own in change.cameras.values()]
     yield from _uncertainty(results)
     yield from _plain_grid()
-
-
-def _batch(found, pattern, lens) -> Values:
-    """Two frames of the same rig, of which one lacks a camera."""
-    frames = [found, {view: found[view] for view in ("upper", "left")}]
-    for label, systematics in {"exact": EXACT, "terms": TERMS}.items():
-        batch = calibrate_batch(frames, pattern, lens, systematics=systematics)
-        names = ("parameters", "values", "covariance", "good")
-        yield from records.fields(f"batch {label}", batch, names)
-        yield f"batch {label}.failures", [str(own) for own in batch.failures]
 
 
 def _uncertainty(results) -> Values:

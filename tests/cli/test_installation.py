@@ -28,11 +28,3 @@ def test_two_wheels_of_opencv_clash(
     )
     assert main(["--version"]) == 1
     assert "2 wheels bring cv2: pip uninstall" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", ["doctor", "import", "wireframe"])
-def test_a_command_of_before_is_named_as_it_is_now(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([name, "anything"]) == 2
-    assert f"trinoc: {name} is now: trinoc " in capsys.readouterr().err

@@ -9,7 +9,7 @@ import pytest
 import trinoc
 from trinoc.cli.main import main
 
-HEAVY = "jax numpy cv2 equinox optimistix plotly jinja2 skimage scipy matplotlib"
+HEAVY = "jax numpy cv2 equinox optimistix jinja2 skimage scipy matplotlib"
 
 
 @pytest.mark.parametrize("statement", ["import trinoc", "from trinoc.cli.main import main"])

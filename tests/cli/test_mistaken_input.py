@@ -1,19 +1,16 @@
 """Mistakes on the command line and around it: said before the work, in one line."""
 
-import dataclasses
 import os
 import signal
 import subprocess
 import sys
 import time
-from typing import ClassVar
 
 import numpy as np
 import pytest
 
 import trinoc
 from trinoc.cli import program
-from trinoc.cli.command import in_options
 from trinoc.cli.lens_options import LensOptions
 from trinoc.cli.main import main
 from trinoc.cli.views import doubts_table, read_rig
@@ -50,21 +47,6 @@ def test_options_are_checked_before_any_file_is_read(arguments, said, capsys):
 def test_options_of_segments_are_checked_first(option, value, capsys):
     assert main(["segments", "none.png", option, value]) == 2
     assert option in capsys.readouterr().err
-
-
-def test_names_of_python_are_said_as_options():
-    @dataclasses.dataclass
-    class Options:
-        settings: ClassVar = {"sigma": ("flatness_mm",)}
-        method: str = "pixels"
-        pose_model: str = "aimed"
-        tolerance_px: float = 1.0
-
-    said = in_options('use method="points"; tolerance_px is -1, flatness_mm 0', Options())
-    assert said == "use --method points; --tolerance-px is -1, --sigma flatness_mm 0"
-    assert in_options('use pose_model="aim-free"', Options()) == "use --pose-model aim-free"
-    of_a_file = 'a.json: "lens.tolerance_px" must be a number'
-    assert in_options(of_a_file, Options()) == of_a_file
 
 
 def test_what_a_calibration_doubted_is_repeated_by_readers(tmp_path, caplog):

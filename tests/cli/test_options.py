@@ -1,10 +1,7 @@
-"""NAME=FILE arguments, the options that say what a lens is, how many there are, and old names."""
+"""NAME=FILE arguments, NAME=VALUE settings, and the options that say what a lens is."""
 
 import contextlib
-import dataclasses
 import io
-import re
-import typing
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +12,11 @@ from hypothesis import given, strategies as st
 import trinoc
 from trinoc.cli.calibrate import CalibrateCommand
 from trinoc.cli.command import UsageError
-from trinoc.cli.lens_options import LensOptions
-from trinoc.cli.main import COMMANDS, main
+from trinoc.cli.evaluate import LINES, SHAPE, TRIED_FIND
+from trinoc.cli.lens_options import BOARD_SIGMA, SIGMA, LensOptions
+from trinoc.cli.main import main
+from trinoc.cli.segments import FIND
 from trinoc.cli.settings import (
-    OLD_OPTIONS,
     parse_integer,
     parse_list,
     parse_number,
@@ -26,7 +24,6 @@ from trinoc.cli.settings import (
     parse_truth,
     put_files_first,
     read_settings,
-    refuse_old_names,
 )
 from trinoc.cli.views import files_of_views
 from trinoc.io.intrinsics_json import save_intrinsics
@@ -234,28 +231,6 @@ def test_a_screen_that_is_not_said_or_too_small(
     assert not any(tmp_path.iterdir())
 
 
-# Of all commands, and said once.
-SHARED = {"json", "quiet", "force"}
-MOST_OPTIONS = 100
-
-
-def own_options(options: type) -> list[str]:
-    """Names of a command's options, those of groups of options, too."""
-    names = []
-    for name, hint in typing.get_type_hints(options, include_extras=True).items():
-        if typing.get_origin(hint) is typing.ClassVar or name in SHARED:
-            continue
-        if dataclasses.is_dataclass(hint):
-            names += own_options(typing.cast(type, hint))
-        elif tyro.conf.Positional not in getattr(hint, "__metadata__", ()):
-            names.append(name)
-    return names
-
-
-def test_options_are_few():
-    assert sum(len(own_options(command)) for command in COMMANDS) <= MOST_OPTIONS
-
-
 def help_text(command: str) -> str:
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
@@ -263,34 +238,20 @@ def help_text(command: str) -> str:
     return said.getvalue()
 
 
-def offered(command: str) -> set[str]:
-    return set(re.findall(r"(?<![\w-])--([a-z][a-z0-9-]*)", help_text(command)))
-
-
-@pytest.mark.parametrize("command", OLD_OPTIONS)
-def test_an_option_of_before_is_refused_with_what_is_typed_now(command, capsys):
-    now = offered(command)
-    for old, new in OLD_OPTIONS[command].items():
-        assert old not in now
-        assert set(re.findall(r"(?<![\w-])--([a-z-]+)", new)) <= now
-        for word in (f"--{old}", f"--{old.replace('-', '_')}=3"):
-            assert main([command, "a.png", word, "3"]) == 2
-            out, err = capsys.readouterr()
-            assert (out, err) == ("", f"trinoc: --{old} of trinoc {command} is now: {new}\n")
-
-
-def test_no_command_refuses_an_option_that_it_has():
-    for command in COMMANDS:
-        name = command.command_name()
-        refuse_old_names([name, *(f"--{option}" for option in offered(name))])
-
-
-@pytest.mark.parametrize("command", [each for each in COMMANDS if each.settings])
-def test_the_help_names_every_setting(command):
-    said = help_text(command.command_name())
-    for names in command.settings.values():
-        for name in names:
-            assert f"{name}=" in said
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        ("calibrate", SIGMA),
+        ("calibrate-rig", BOARD_SIGMA),
+        ("match", FIND),
+        ("batch", FIND),
+        ("evaluate", (*TRIED_FIND, *SHAPE, *LINES)),
+    ],
+)
+def test_the_help_names_every_setting(command, names):
+    text = help_text(command)
+    for name in names:
+        assert f"{name}=" in text
 
 
 def test_settings_are_read_by_their_parsers():

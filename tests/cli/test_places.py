@@ -11,9 +11,9 @@ import tyro
 
 import trinoc
 from tests.io.formats.bench import bench_matches
-from trinoc.cli.command import expect_places, in_options
+from trinoc.cli.command import expect_places
 from trinoc.cli.main import AnyCommand, main
-from trinoc.cli.match import MatchCommand, remarks
+from trinoc.cli.match import remarks
 from trinoc.synth import table1_rig
 
 VIEWS = ("upper", "left", "right")
@@ -110,27 +110,12 @@ def test_a_drawing_given_for_its_layout_is_not_to_be_corrected(folder, capsys):
     assert "sheet.svg is not JSON: give the .json file." in capsys.readouterr().err
 
 
-def test_names_of_python_at_the_end_of_a_sentence_are_options_too(folder, capsys):
-    image = np.full((40, 40), 100, np.uint8)
-    image[:, 20:] = 110
-    cv2.imwrite("faint.png", image)
-    assert main(["segments", "faint.png", "--least-contrast", "200", "--quiet"]) == 0
-    assert "take a smaller --least-contrast." in capsys.readouterr().out
-
-
 def test_depths_that_leave_nothing_are_named():
     matches = bench_matches()
     words = {view: np.full(len(w), "outside depth") for view, w in matches.reasons.items()}
     none = dataclasses.replace(matches, stage=np.full(len(matches), "binocular"), reasons=words)
     (said,) = remarks(none)
     assert "check depth_range_mm" in said
-
-
-def test_a_remedy_that_no_option_has_is_not_said():
-    note = "covariances are of the errors found; give a sigma_px that is as much smaller to have "
-    command = MatchCommand(images=(), rig=Path("rig.json"))
-    said = in_options(f"{note}candidates judged by it too.", command)
-    assert said == "covariances are of the errors found."
 
 
 def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):

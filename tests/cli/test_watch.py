@@ -1,4 +1,4 @@
-"""`trinoc watch` and `trinoc view`: pictures judged as they arrive, and how both end."""
+"""`trinoc watch`: pictures judged as they arrive, and how it ends."""
 
 import json
 import re
@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-import trinoc
 from tests.serving.asking import ask
 from trinoc.calib import BoardSet
 from trinoc.calib.targets.checkers import Chessboard
@@ -17,7 +16,6 @@ from trinoc.calib.targets.squares import dark_squares
 from trinoc.cli.main import main
 from trinoc.io.board_json import save_target
 from trinoc.serving.sources import PATIENCE, FolderArrivals
-from trinoc.synth import table1_rig
 
 BOARD = Chessboard(rows=5, columns=7, square_mm=20.0)
 
@@ -149,7 +147,7 @@ def test_of_a_camera_pictures_that_show_something_new_are_kept(folder, capsys, m
         (("watch", "in", "--every-s", "0"), "--every-s is 0"),
         (("watch", "in", "--keep", "k"), "--keep goes with a camera"),
         (("watch", "in", "--port", "65536"), "--port is 65536"),
-        (("view", "rig.json", "--port", "-1"), "--port is -1"),
+        (("watch", "in", "--port", "-1"), "--port is -1"),
         (("watch", "0", "--once"), "--once goes with a folder"),
     ],
 )
@@ -166,19 +164,3 @@ def test_a_folder_that_is_none_is_named(folder, capsys) -> None:
         said = capsys.readouterr().err
         assert "is no folder" in said
         assert "http" not in said
-
-
-def test_view_serves_until_ctrl_c(tmp_path, capsys, monkeypatch) -> None:
-    pytest.importorskip("viser")
-    trinoc.save(table1_rig(), tmp_path / "rig.json")
-    seen = []
-
-    def wait() -> None:
-        seen.append(ask(re.search(r"http://\S+", capsys.readouterr().err)[0])[0])  # pyright: ignore
-
-    monkeypatch.setattr("trinoc.cli.view.wait_for_interruption", wait)
-    assert main(("view", str(tmp_path / "rig.json"), "--json")) == 0
-    assert seen == [200]
-    assert json.loads(capsys.readouterr().out)["shown"].endswith("rig.json")
-    assert main(("view", str(tmp_path / "rig.json"), "--rig", "other.json")) == 2
-    assert "is a rig itself" in capsys.readouterr().err

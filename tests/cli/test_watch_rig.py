@@ -1,7 +1,6 @@
 """`trinoc watch` of several cameras: made videos, folders and cameras, to the rig."""
 
 import json
-import re
 import shlex
 from pathlib import Path
 
@@ -9,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 
-import trinoc
 from tests.capture.made_boards import (
     FOCAL_PX,
     SHEET,
@@ -19,17 +17,11 @@ from tests.capture.made_boards import (
     matrix,
     move_poses,
 )
-from tests.serving.asking import ask
 from trinoc.cli.calibrate_rig import CalibrateRigCommand
-from trinoc.cli.command import Outcome
 from trinoc.cli.main import main
-from trinoc.cli.watch import WatchCommand
 from trinoc.geometry.rig import Rig
 from trinoc.io.board_json import save_target
 from trinoc.io.images import load_shots
-from trinoc.serving.live_lines import LiveLines
-from trinoc.serving.session import WatchSession
-from trinoc.serving.sources import Moment
 
 CAMERAS = tuple(FOCAL_PX)
 # Places before the left camera in mm, and turns about the camera's axes in degrees.
@@ -217,41 +209,6 @@ def test_a_camera_that_is_pulled_out_does_not_lose_the_shots(folder, capsys, mon
 def _grab_until_pulled(camera: MadeCamera) -> bool:
     camera.count += 1
     return camera.count < 2
-
-
-def test_after_the_calibration_the_page_shows_lines_of_the_scene(
-    folder, capsys, monkeypatch
-) -> None:
-    cameras, pages = MadeCameras(monkeypatch, POSES[:3]), []
-
-    def calibrate(
-        command: WatchCommand, session: WatchSession, *_: object, **__: object
-    ) -> Outcome:
-        assert command.out is not None
-        trinoc.save(true_rig(POSES[0]), command.out)
-        session.announce("You can use this rig.")
-        return Outcome("calibrated", {}, written=(command.out,))
-
-    def match(moment: Moment, rig: Rig) -> LiveLines:
-        url = re.search(r"http://\S+", capsys.readouterr().err)
-        pages.extend([] if url is None else [url[0]])
-        said = [ask(pages[0])[1], ask(pages[0], "/1.jpg")[0]]
-        assert said[1] == 200
-        pages.append(said[0])
-        assert tuple(moment.pictures) == rig.names
-        return LiveLines({"right": b"drawn"}, {"right": "7 lines matched"}, "9 lines are matched.")
-
-    monkeypatch.setattr("trinoc.serving.live_lines.LIVE_S", 1e-9)
-    monkeypatch.setattr(WatchCommand, "_calibrate", calibrate)
-    monkeypatch.setattr("trinoc.serving.live_lines.match_moment", match)
-    assert main(("watch", *TWO, "--board", "board.json", "-o", "rig.json")) == 0
-    assert cameras.opened == [0, 1, 0, 1]
-    assert "You can use this rig." in pages[1]
-    assert "9 lines are matched." not in pages[1]
-    assert "9 lines are matched." in pages[2]
-    assert "7 lines matched" in pages[2]
-    assert "percent of the field" not in pages[2]
-    assert "calibrated" in capsys.readouterr().out
 
 
 @pytest.fixture

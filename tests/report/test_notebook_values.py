@@ -1,5 +1,7 @@
 """Values in a notebook: a table and a picture, axes to build on, figures, frames."""
 
+import json
+import re
 from html.parser import HTMLParser
 from typing import Any
 
@@ -18,7 +20,8 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.display import Displayable
-from trinoc.report.notebook import axes, cards, displays
+from trinoc.report.html import render_report
+from trinoc.report.notebook import axes, cards
 from trinoc.report.notebook.tables import list_columns
 
 mpl.use("agg")
@@ -30,7 +33,7 @@ def test_every_value_that_shows_itself_can() -> None:
     kinds = [kind for kind in handed_on if isinstance(kind, type)]
     shown = {kind for kind in kinds if issubclass(kind, Displayable)}
     assert len(shown) >= 5
-    for verb in (axes._plot, cards.heading, cards.small_picture, displays._figure, list_columns):
+    for verb in (axes._plot, cards.heading, list_columns):
         assert {kind for kind in shown if verb.dispatch(kind) is verb.dispatch(object)} == set()
 
 
@@ -138,13 +141,27 @@ def test_tracks_are_drawn_on_a_picture_too(matches: Matches) -> None:
     plt.close("all")
 
 
-def test_a_figure_holds_every_line(values: list[Any], rig: Rig, matches: Matches) -> None:
-    pytest.importorskip("plotly")
+def numbers_of(page: str) -> dict[str, Any]:
+    """The numbers of the figure on a page."""
+    found = re.search(r'<script type="application/json" id="space-numbers">(.*?)</script>', page)
+    assert found is not None
+    return json.loads(found[1])
+
+
+def test_the_figure_to_turn_is_that_of_the_report(
+    values: list[Any], rig: Rig, matches: Matches
+) -> None:
     for value in values:
-        assert len(value.show().data) > 0
-    drawn = matches.show(rig=rig).data
-    lines = sum(int(np.isnan(t.x).sum()) for t in drawn if t.name.startswith("seen in"))
-    assert lines == len(matches)
+        if isinstance(value, Segments | Evaluation):
+            with pytest.raises(TypeError, match="use plot"):
+                value.show()
+            continue
+        shown = value.show()
+        assert any(layer["parts"] for layer in numbers_of(shown.html)["layers"])
+        assert "<iframe" in shown._repr_html_()
+        assert '"use strict"' not in shown._repr_html_()
+    report = render_report(rig=rig, matches=matches)
+    assert numbers_of(matches.show(rig=rig).html) == numbers_of(report)
 
 
 def test_a_frame_has_a_row_for_each_item(values: list[Any], matches: Matches) -> None:
@@ -168,6 +185,6 @@ def test_a_missing_library_is_named_with_its_extra(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    for ask, extra in ((rig.plot, "plot"), (rig.show, "notebook"), (rig.to_frame, "notebook")):
+    for ask, extra in ((rig.plot, "plot"), (rig.to_frame, "notebook")):
         with pytest.raises(InputError, match=rf"pip install 'trinoc\[{extra}\]'"):
             ask()

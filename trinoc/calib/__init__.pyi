@@ -1,6 +1,3 @@
-from .batch import (
-    calibrate_batch as calibrate_batch,
-)
 from .bundle.implicit_diff import (
     refine_differentiably as refine_differentiably,
 )

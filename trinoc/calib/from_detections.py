@@ -59,21 +59,6 @@ def calibrate_detections(
     return calibration_of_search(search, lenses, known, orientation, throw=throw)
 
 
-class RigOutcome(NamedTuple):
-    """What became of each camera.
-
-    Fields
-    ------
-    status : of all cameras.
-    failures : for each that failed, a sentence that says why.
-    result : of the others; None where there is none.
-    """
-
-    status: dict[str, Status]
-    failures: dict[str, str]
-    result: CalibrationResult | None
-
-
 def calibration_of_search(
     search: Search,
     lenses: Mapping[str, Intrinsics],
@@ -84,7 +69,7 @@ def calibration_of_search(
 ) -> CalibrationResult:
     """Fit the cameras whose sheet was found. Raises CalibrationError."""
     known.systematics.check()
-    _, failures, result = outcome_of_search(search, lenses, known, orientation)
+    failures, result = _fit_detected_cameras(search, lenses, known, orientation)
     if result is not None and not (failures and throw):
         return result
     told = "; ".join(
@@ -97,13 +82,13 @@ def calibration_of_search(
     )
 
 
-def outcome_of_search(
+def _fit_detected_cameras(
     search: Search,
     lenses: Mapping[str, Intrinsics],
     known: Knowledge,
     orientation: Orientation,
-) -> RigOutcome:
-    """Fit the cameras whose sheet was found, and say of each what became of it."""
+) -> tuple[dict[str, str], CalibrationResult | None]:
+    """Sentences for the cameras that failed, and the result of the others, if any."""
     factors = known.systematics.lens_factors(lenses)
     detections, ambiguous = resolve_orientation(search.detections, known.pattern, orientation)
     status = dict.fromkeys(search.names, Status.NOT_DETECTED)
@@ -128,7 +113,7 @@ def outcome_of_search(
     if cameras:
         fits = [fit_rig(group, known) for group in known.systematics.groups(cameras)]
         result = result_of_fits(fits, known, status, failures, others)
-    return RigOutcome(status, failures, result)
+    return failures, result
 
 
 def _failed_fit(detection: Detection, fit: PoseEstimate) -> CameraFit:

@@ -2,9 +2,9 @@
 
 import dataclasses
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -39,8 +39,6 @@ MEASURED = (5e-4, 5e-4)
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CalibrateCommand(DryRunOption, ReportOption, Command):
     """Calibrate cameras from one picture of the printed sheet each."""
-
-    settings: ClassVar[Mapping[str, Collection[str]]] = {"sigma": SIGMA}
 
     images: Annotated[
         tyro.conf.Positional[tuple[str, ...]],

@@ -1,9 +1,8 @@
 """`trinoc calibrate-rig`: many shots of a board by several cameras to a rig.json with lenses."""
 
 import dataclasses
-from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CalibrateRigCommand(ReportOption, Command):
     """Calibrate lenses and cameras together from many shots of a board that is moved about."""
-
-    settings: ClassVar[Mapping[str, Collection[str]]] = {"sigma": BOARD_SIGMA}
 
     shots: Annotated[
         tyro.conf.Positional[tuple[str, ...]],

@@ -8,11 +8,10 @@ import hashlib
 import logging
 import math
 import os
-import re
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import tyro
 
@@ -136,7 +135,6 @@ BoardFile = Annotated[Path, tyro.conf.arg(aliases=("--pattern",), metavar="FILE"
 FileOrNone = Annotated[
     Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
 ]
-BoardFileOrNone = Annotated[FileOrNone, tyro.conf.arg(aliases=("--pattern",))]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -189,12 +187,7 @@ class DryRunOption:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Command(abc.ABC):
-    """Options that all commands share.
-
-    settings : names of the settings NAME=VALUE that an option of the command holds.
-    """
-
-    settings: ClassVar[Mapping[str, Collection[str]]] = {}
+    """Options that all commands share."""
 
     json: bool = False
     """Print exactly one JSON object on stdout instead of text."""
@@ -205,12 +198,6 @@ class Command(abc.ABC):
     force: bool = False
     """Replace files of another kind."""
 
-    @classmethod
-    def command_name(cls) -> str:
-        """What the user types: `CalibrateRigCommand` is `calibrate-rig`."""
-        name = cls.__name__.removesuffix("Command")
-        return re.sub("(?<!^)(?=[A-Z])", "-", name).lower()
-
     @abc.abstractmethod
     def run(self, command_line: str) -> Outcome:
         """Do the job. Files go where the options say; only `main` prints the outcome.
@@ -218,53 +205,6 @@ class Command(abc.ABC):
         `command_line` is what the user typed, for the provenance of files. What takes long to
         import is imported here, so that `--help` is quick.
         """
-
-
-# What no option of one command says by its own name.
-_PHRASES = {
-    "leave out aspect": "leave out --hold aspect",
-    "give `rings=` yourself or": "choose a sheet with",
-    "; give a sigma_px that is as much smaller to have candidates judged by it too": "",
-}
-
-
-def in_options(sentence: str, command: object) -> str:
-    """Names of Python as they are typed: `tolerance_px is` as `--tolerance-px is`, or where it is a
-    setting of an option, `--find tolerance_px is`.
-
-    Names are those of the command's own options and of the settings that they hold; what stands in
-    quotes or behind a point is of a file and stays.
-    """
-    for phrase, said in _PHRASES.items():
-        sentence = sentence.replace(phrase, said)
-    for name in _names(command):
-        option = f"--{name.replace('_', '-')}"
-        given = rf"(?<![\w\".`/-]){re.escape(name)}="
-        sentence = re.sub(rf'{given}(?:(?=\w)|"([\w-]+)")', rf"{option} \1", sentence)
-        if "_" in name:
-            sentence = _replace_name(name, option, sentence)
-    for option, settings in getattr(command, "settings", {}).items():
-        for name in settings:
-            if "_" in name:
-                sentence = _replace_name(name, f"--{option} {name}", sentence)
-    return sentence
-
-
-def _replace_name(name: str, typed: str, sentence: str) -> str:
-    """The sentence with a name of Python as it is typed, unless it speaks of a file."""
-    if '.json: "' in sentence:
-        return sentence
-    alone = rf"(?<![\w\".`/-]){re.escape(name)}(?![\w\"=/-]|\.\w)"
-    return re.sub(alone, typed, sentence)
-
-
-def _names(command: object) -> list[str]:
-    """Names of all options, those of groups of options, too; longest first."""
-    found = []
-    for field in dataclasses.fields(command):  # pyright: ignore[reportArgumentType]
-        value = getattr(command, field.name)
-        found += _names(value) if dataclasses.is_dataclass(value) else [field.name]
-    return sorted(found, key=len, reverse=True)
 
 
 # Options of commands that name a file to write; all other paths are read.

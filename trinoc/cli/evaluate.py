@@ -1,9 +1,9 @@
 """`trinoc evaluate`: how accurate is the shape that segments give, against a known one?"""
 
 import dataclasses
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -43,8 +43,6 @@ SHAPE: Mapping[str, Callable[[str], Any]] = {
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EvaluateCommand(Command):
     """Compare 3-D segments with a known shape, for one or many settings of the segmentation."""
-
-    settings: ClassVar[Mapping[str, Collection[str]]] = {"find": TRIED_FIND, "shape": SHAPE}
 
     images: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="NAME=IMG")]
     """For each camera its picture; or none, and --matches."""

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from trinoc.cli.command import LOGGER, Bar, Command, Interruption, Outcome, UsageError
-from trinoc.cli.settings import parse_number, read_settings
+from trinoc.cli.command import LOGGER, Command, Outcome, UsageError
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError
 
@@ -56,7 +55,6 @@ UnitMm = Annotated[
 
 
 _NONE = "(default: none)"
-_EVERY = "every_s="
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -69,7 +67,7 @@ class ExportCommand(Command):
         tyro.conf.arg(metavar="FILE|NAME=VIDEO", help_behavior_hint="(required)"),
     ]
     """With --to, a file of trinoc: rig.json, camera.json or an npz. With --from, the other tool's
-    file or folder; with --from video, that of each camera, and every_s=SECONDS for fewer frames."""
+    file or folder; with --from video, that of each camera."""
 
     to: Annotated[
         WrittenFormat | None, tyro.conf.arg(metavar="FORMAT", help_behavior_hint=_NONE)
@@ -102,6 +100,9 @@ class ExportCommand(Command):
         tyro.conf.arg(metavar="FILE", help_behavior_hint="(for --from tf)"),
     ] = ()
     """The lenses of a file that holds poses alone: rig.json, or NAME=camera.json for each."""
+
+    every_s: float = 0.0
+    """With --from video: one frame in so many seconds; 0 takes every frame."""
 
     def run(self, command_line: str) -> Outcome:
         """Read, check and write, in one direction."""
@@ -176,44 +177,27 @@ class ExportCommand(Command):
         return {name: load_intrinsics(file) for name, file in files_of_views(self.lens).items()}
 
     def _write_frames(self) -> Outcome:
-        """The frames of videos that were taken in step, in a folder of each camera."""
+        """Write the frames of synchronized videos, in one folder per camera."""
         if self.unit_mm is not None or self.names is not None or self.lens:
             raise UsageError("--unit-mm, --names and --lens go with other formats: leave them out.")
-        words = [word for word in self.files if word.startswith(_EVERY)]
-        files = files_of_views([word for word in self.files if word not in words], guess=True)
+        files = files_of_views(self.files, guess=True)
         if not files:
             raise UsageError("No video is given: write NAME=VIDEO for each camera.")
-        every_s = read_settings("--from video", [words], {"every_s": parse_number}).get("every_s")
-        if every_s is not None and every_s <= 0.0:
-            raise UsageError(f"every_s is {every_s:g}: give more than 0.")
         if len({file.resolve() for file in files.values()}) < len(files):
             raise UsageError("Two cameras are given one video: give each its own.")
 
-        from trinoc.io.videos import FrameFolders, common_rate, compare_videos, open_videos
+        from trinoc.io.videos import compare_videos, open_videos, write_frames
 
         videos = open_videos(files)
-        step = max(1, round((every_s or 0.0) * common_rate(videos)))
         for remark in compare_videos(list(videos.values())):
             LOGGER.warning("%s", remark)
-        folders = FrameFolders(videos, self.out, step=step)
-        if folders.moments:
-            size = f"{folders.bytes / 1e6:,.0f} MB"
-            LOGGER.info("writing %d frames of each camera, about %s", folders.moments, size)
-        done = 0
-        with Bar("frames", quiet=self.quiet) as bar:
-            try:
-                for done in folders.write(LOGGER.warning):
-                    bar.show(done, max(done, folders.moments))
-            except KeyboardInterrupt:
-                raise Interruption(
-                    f"Interrupted: {done} frames of each camera are whole and kept in {self.out}."
-                ) from None
+        count = write_frames(videos, self.out, self.every_s, LOGGER.warning)
         sizes = {name: list(video.size_px) for name, video in videos.items()}
-        said = ", ".join(
+        names = ", ".join(
             f"{name} ({width} x {height} px)" for name, (width, height) in sizes.items()
         )
         return Outcome(
-            f"{done} frames of {said}", {"frames": done, "cameras": sizes}, written=(self.out,)
+            f"{count} frames of {names}", {"frames": count, "cameras": sizes}, written=(self.out,)
         )
 
 

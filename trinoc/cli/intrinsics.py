@@ -155,8 +155,7 @@ class UndistortCommand(Command):
     """The cameras, or the camera.json of one lens."""
 
     rectify: bool = False
-    """Also turn two or three cameras until a point has one row in all; of three that are not in one
-    line, one row in the first and second given, one column in the first and third."""
+    """Also turn two cameras until a point has the same row in both pictures."""
 
     alpha: float = 0.0
     """How much of the field is kept, from 0, no black pixels, to 1, all of it."""
@@ -209,7 +208,7 @@ class UndistortCommand(Command):
             covariance=rig.covariance,
         )
         ideal = (rectify if self.rectify else undistort)(chosen, alpha=self.alpha)
-        notes, has_sigmas = list(ideal.notes), bool(ideal.rig.parameters)
+        notes, has_sigmas = [], bool(ideal.rig.parameters)
         if rig.parameters and not has_sigmas:
             known = {own.rpartition(".") for own in rig.parameters}
             is_open = any(own not in PARAMETER_NAMES for view, _, own in known if view in files)
@@ -228,18 +227,20 @@ class UndistortCommand(Command):
         status = status_of_names(load_rig_status(self.rig), ideal.rig.names, sigmas=has_sigmas)
         save_rig(ideal.rig, place, provenance={**origin, "notes": notes}, status=status)
         lenses = {view: camera.intrinsics for view, camera in ideal.rig.items()}
-        said = [
-            f"Depth in mm is {d.product_px_mm:.6g} / ({d.along}_{d.first} - {d.along}_{d.second} - "
-            f"({d.offset_px:.6g})), in pixels of the new pictures."
-            for d in ideal.disparities
-        ]
+        depths = []
+        if (disparity := ideal.disparity) is not None:
+            depths.append(
+                f"Depth in mm is {disparity.product_px_mm:.6g} / (u_{disparity.first} - "
+                f"u_{disparity.second} - ({disparity.offset_px:.6g})), in pixels of the new "
+                "pictures.",
+            )
         record = {
             **_record(lenses, pictures, maps),
-            "disparities": [disparity._asdict() for disparity in ideal.disparities],
+            "disparity": None if disparity is None else disparity._asdict(),
             "has_sigmas": has_sigmas,
             "notes": notes,
         }
-        text = "\n".join([_table(lenses, ideal.maps), *said, *notes])
+        text = "\n".join([_table(lenses, ideal.maps), *depths, *notes])
         return Outcome(text, record, written=(*pictures.values(), *maps.values(), place))
 
     def _of_lens(self, lens: "Intrinsics", command_line: str) -> Outcome:

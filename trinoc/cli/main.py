@@ -24,7 +24,6 @@ from trinoc.cli.command import (
     UsageError,
     expect_numbers,
     expect_places,
-    in_options,
 )
 from trinoc.cli.demo import DemoCommand
 from trinoc.cli.evaluate import EvaluateCommand
@@ -34,8 +33,7 @@ from trinoc.cli.match import MatchCommand
 from trinoc.cli.pattern import PatternCommand
 from trinoc.cli.refine import CheckCommand, CompareCommand, RefineCommand
 from trinoc.cli.segments import SegmentsCommand
-from trinoc.cli.settings import put_files_first, refuse_old_names, with_file
-from trinoc.cli.view import ViewCommand
+from trinoc.cli.settings import put_files_first, with_file
 from trinoc.cli.watch import WatchCommand
 from trinoc.errors import TrinocError
 
@@ -46,11 +44,10 @@ LIBRARIES = (
 EXTRAS = {
     "print": ("reportlab",),
     "plot": ("matplotlib",),
-    "notebook": ("plotly", "pandas"),
+    "notebook": ("pandas",),
     "batch": ("dask", "distributed"),
     "export": ("ruamel.yaml",),
     "parquet": ("pyarrow",),
-    "view": ("viser",),
 }
 # All of these install the module cv2, each over the others.
 OPENCV = (
@@ -126,24 +123,25 @@ DESCRIPTION = (
     "command, `trinoc --version` says which trinoc this is and what it stands on."
 )
 
-COMMANDS: tuple[type[Command], ...] = (
-    *(
-        DemoCommand,
-        PatternCommand,
-        WatchCommand,
-        IntrinsicsCommand,
-        CalibrateCommand,
-        CalibrateRigCommand,
-        SegmentsCommand,
-        MatchCommand,
-        BatchCommand,
-        RefineCommand,
-    ),
-    *(CheckCommand, CompareCommand, UndistortCommand, EvaluateCommand, ViewCommand),
-    ExportCommand,
-)
+COMMANDS: dict[str, type[Command]] = {
+    "demo": DemoCommand,
+    "pattern": PatternCommand,
+    "watch": WatchCommand,
+    "intrinsics": IntrinsicsCommand,
+    "calibrate": CalibrateCommand,
+    "calibrate-rig": CalibrateRigCommand,
+    "segments": SegmentsCommand,
+    "match": MatchCommand,
+    "batch": BatchCommand,
+    "refine": RefineCommand,
+    "check": CheckCommand,
+    "compare": CompareCommand,
+    "undistort": UndistortCommand,
+    "evaluate": EvaluateCommand,
+    "export": ExportCommand,
+}
 AnyCommand: Any = Union[  # noqa: UP007, tyro reads a union that is made here
-    tuple(Annotated[each, tyro.conf.subcommand(each.command_name())] for each in COMMANDS)
+    tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())
 ]
 
 
@@ -156,12 +154,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for remedy in remedies:
             print(f"trinoc: {remedy}.", file=sys.stderr)
         return 1 if remedies else 0
-    kind = next((each for each in COMMANDS if arguments[:1] == [each.command_name()]), None)
-    if kind is not None:
+    if arguments and arguments[0] in COMMANDS:
+        kind = COMMANDS[arguments[0]]
         arguments = [arguments[0], *put_files_first(kind, arguments[1:])]
     try:
         arguments = with_file(arguments)
-        refuse_old_names(arguments)
     except UsageError as error:
         print(f"trinoc: {error}", file=sys.stderr)
         return 2
@@ -215,10 +212,10 @@ def _run(command: Command, command_line: str) -> int:
         return _report_failure(command, said, 130)
     record = outcome.record
     if outcome.refusal is not None:
-        record = {**record, "error": in_options(outcome.refusal, command)}
+        record = {**record, "error": outcome.refusal}
         print(f"trinoc: {record['error']}", file=sys.stderr)
     said = json.dumps(record, allow_nan=False) if command.json else outcome.text
-    _print(in_options(said, command))
+    _print(said)
     return 0 if outcome.refusal is None else 1
 
 
@@ -232,9 +229,7 @@ def _print(text: str) -> None:
 
 def _report_failure(command: Command, sentence: str, status: int) -> int:
     # Names of files and cameras may hold anything; what is said stays one line.
-    # Mistakes of usage are said as it is typed already.
-    said = sentence if status == 2 else in_options(sentence, command)
-    sentence = " ".join(said.splitlines())
+    sentence = " ".join(sentence.splitlines())
     print(f"trinoc: {sentence}", file=sys.stderr)
     if command.json:
         _print(json.dumps({"error": sentence}))

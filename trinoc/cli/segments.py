@@ -2,9 +2,9 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -143,8 +143,6 @@ class DepthOption:
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FindOption:
     """Of commands that find segments on their way."""
-
-    settings: ClassVar[Mapping[str, Collection[str]]] = {"find": FIND}
 
     find: Settings = ()
     """How segments are found, by the options of `trinoc segments`: tolerance_px=1.6,

@@ -1,7 +1,7 @@
-"""What is typed, made into options: settings written NAME=VALUE, the names of before, and
-trinoc.toml, which says what the commands of one rig are always told.
+"""Command-line words as options: settings written NAME=VALUE, and the file trinoc.toml.
 
-Each table of the file is a command, each key one of its options, `images` the files of its cameras:
+Each table of the file is a command. A key is the name of an option, and `images` holds the files of
+the cameras:
 
     [calibrate]
     images = {upper = "sheet/upper.png", left = "sheet/left.png", right = "sheet/right.png"}
@@ -15,7 +15,6 @@ Each table of the file is a command, each key one of its options, `images` the f
 
 import difflib
 import math
-import re
 import tomllib
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,96 +24,6 @@ from typing import Annotated, Any
 import tyro
 
 from trinoc.cli.command import UsageError
-
-OLD_COMMANDS = {
-    "doctor": "trinoc --version",
-    "import": "trinoc export FILE --from FORMAT -o OUT",
-    "wireframe": "trinoc match ... --steps wireframe",
-}
-
-_OLD_FIND = {
-    "tolerance-px": "--find tolerance_px=PX",
-    "false-alarms": "--find false_alarms=NUMBER",
-    "least-contrast": "--find least_contrast=LEVELS",
-    "arcs": "--find arcs=yes",
-    "response": "--find response=srgb",
-}
-_OLD_SIGMA = {
-    "print-scale-sigma": "--sigma print_scale=X,Y",
-    "flatness-mm": "--sigma flatness_mm=MM",
-}
-_OLD_LENS = "--lens-mm FOCAL WIDTH HEIGHT"
-OLD_OPTIONS: dict[str, dict[str, str]] = {
-    "pattern": {
-        "board": "trinoc pattern KIND",
-        "square-mm": "trinoc pattern KIND square_mm=MM",
-        "marker-mm": "trinoc pattern charuco marker_mm=MM",
-        "tag-mm": "trinoc pattern aprilgrid tag_mm=MM",
-        "tag-spacing": "trinoc pattern aprilgrid spacing=RATIO",
-        "dictionary": "trinoc pattern KIND dictionary=NAME",
-        "first": "trinoc pattern KIND first=N",
-        "pitch-mm": "trinoc pattern sheet pitch_mm=MM",
-        "radius-mm": "trinoc pattern sheet radius_mm=MM",
-        "line-style": "trinoc pattern sheet line_style=stop|through|white",
-        "for-distance-mm": "--camera distance_mm=MM field_deg=DEG size_px=W,H",
-        "field-deg": "--camera distance_mm=MM field_deg=DEG size_px=W,H",
-        "image-size-px": "--camera distance_mm=MM field_deg=DEG size_px=W,H",
-        "screen-px": "--screen size_px=W,H diagonal_inch=INCH",
-        "screen-inch": "--screen size_px=W,H diagonal_inch=INCH",
-        "screen-pitch-mm": "--screen size_px=W,H pitch_mm=MM",
-    },
-    "watch": {"no-page": "--port none", "open": "--port open"},
-    "view": {"open": "--port open"},
-    "intrinsics": {
-        "principal-point": "--hold principal-point, or nothing where it is free",
-        "aspect": "--hold aspect, or nothing where it is free",
-    },
-    "calibrate": {
-        "focal-length-mm": _OLD_LENS,
-        "pixel-pitch-mm": _OLD_LENS,
-        "lens-exact": "--sigma lens=0",
-        "no-lens-covariance": "--sigma lens=0",
-        **_OLD_SIGMA,
-        "aim-sigma-mm": "--sigma aim_mm=MM",
-        "parameters": "--pose-model aimed (of 4) or aim-free (of 6)",
-    },
-    "calibrate-rig": _OLD_SIGMA,
-    "match": {
-        **_OLD_FIND,
-        "measure": "--steps pixels",
-        "rims": "--steps rims",
-        "rims-out": "--steps rims, which are written beside the matches",
-    },
-    "batch": {**_OLD_FIND, "threads": "--workers N", "scheduler": "--workers tcp://HOST:PORT"},
-    "refine": {"intrinsics": "--free-lens"},
-    "evaluate": {
-        **{name: _OLD_FIND[name] for name in ("tolerance-px", "false-alarms", "least-contrast")},
-        "least-posterior": "--lines least_posterior=0,0.5",
-        "stages": "--lines stage=all,trinocular",
-        "forms": "--lines form=tracks,joined",
-        "align": "--shape align=yes",
-        "unit-mm": "--shape unit_mm=MM",
-        "crease-deg": "--shape crease_deg=DEG",
-        "grey-step": "--shape grey_step=LEVELS",
-    },
-    "export": {"lenses": "--lens FILE"},
-}
-OLD_KEYS = {"pictures": "images"}
-
-
-def refuse_old_names(arguments: Sequence[str]) -> None:
-    """Raise UsageError, which says the new spelling, for a command or option of before."""
-    if not arguments:
-        return
-    command = arguments[0]
-    if command in OLD_COMMANDS:
-        raise UsageError(f"{command} is now: {OLD_COMMANDS[command]}")
-    for word in arguments[1:]:
-        given = re.match(r"--([\w-]+)", word)
-        old = given[1].replace("_", "-") if given else ""
-        if old in OLD_OPTIONS.get(command, {}):
-            raise UsageError(f"--{old} of trinoc {command} is now: {OLD_OPTIONS[command][old]}")
-
 
 # May be given again, or with several settings behind it.
 Settings = Annotated[
@@ -211,7 +120,7 @@ def parse_pair(parse: Callable[[str], Any]) -> Callable[[str], tuple[Any, Any]]:
     """Of the parser of one value that of two, written 1280,960 or 1280x960; one stands for both."""
 
     def parse_two(text: str) -> tuple[Any, Any]:
-        values = [parse(each) for each in re.split("[,x]", text)]
+        values = [parse(each) for each in text.replace("x", ",").split(",")]
         if len(values) > 2:
             raise ValueError("has more than two values: give one, or two with a comma between")
         return values[0], values[-1]
@@ -231,86 +140,61 @@ def parse_word(*words: str) -> Callable[[str], str]:
 
 
 SETTINGS_FILE = Path("trinoc.toml")
-POSITIONAL = "images"
-# Of each group one counts: what is typed.
-ONE_OF = (
+# An option on the command line replaces every option of its group in the file.
+ALTERNATIVES = (
     ("--out", "-o"),
     ("--board", "--pattern"),
     ("--rig", "--lens", "--intrinsics", "--lens-mm"),
     ("--to", "--from"),
 )
-# These take one value each time they are given.
-REPEATED = ("--board", "--pattern", "--lens", "--intrinsics")
+# These options take one value each time they are given.
+REPEATED = ("--board", "--lens")
 
 
 def with_file(arguments: Sequence[str], file: Path = SETTINGS_FILE) -> list[str]:
-    """The arguments with what the file says of their command; what is typed counts more.
+    """The arguments, with the file's values for options that are not among them.
 
     arguments : files before options, as `put_files_first` has them.
 
-    Raises UsageError for a file that cannot be read, and a key of before.
+    Raises UsageError for a file that cannot be read.
     """
-    if not arguments or "--help" in arguments or "-h" in arguments or not file.is_file():
+    if not arguments or {"--help", "-h"} & set(arguments) or not file.is_file():
         return list(arguments)
-    table = _read(file).get(arguments[0])
-    if not isinstance(table, dict):
-        return list(arguments)
-    command, typed = arguments[0], list(arguments[1:])
-    added: list[str] = []
-    for key, value in table.items():
-        option = f"--{key.replace('_', '-')}"
-        if key in OLD_KEYS:
-            raise UsageError(f"{file}: {key} is now: {OLD_KEYS[key]}")
-        if key == POSITIONAL:
-            is_typed = bool(typed) and not typed[0].startswith("-")
-            positional = [] if is_typed else _files(value, file)
-            typed = [*positional, *typed]
-        elif not _says(option, typed):
-            added += _words(option, value, file)
-    return [command, *typed, *added]
-
-
-def _read(file: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        table = tomllib.loads(file.read_text(encoding="utf-8-sig")).get(arguments[0])
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise UsageError(f"{file} cannot be read ({error}): correct it there.") from error
+    if not isinstance(table, dict):
+        return list(arguments)
+    command, *typed = arguments
+    typed_options = {word.partition("=")[0] for word in typed}
+    images: list[str] = []
+    options: list[str] = []
+    for key, value in table.items():
+        option = f"--{key.replace('_', '-')}"
+        group = next((group for group in ALTERNATIVES if option in group), (option,))
+        if key == "images":
+            images = [] if typed and not typed[0].startswith("-") else _words(value)
+        elif typed_options.isdisjoint(group):
+            options += _option_words(option, value)
+    return [command, *images, *typed, *options]
 
 
-def _says(option: str, typed: Sequence[str]) -> bool:
-    same = next((group for group in ONE_OF if option in group), (option,))
-    return any(word.partition("=")[0] in same for word in typed)
-
-
-def _files(value: object, file: Path) -> list[str]:
-    if isinstance(value, dict):
-        return [f"{name}={path}" for name, path in value.items()]
-    if isinstance(value, list):
-        return [str(path) for path in value]
-    raise UsageError(
-        f'{file}: "{POSITIONAL}" must be a table of names and files, such as '
-        '{upper = "upper.png"}, or a list of files.'
-    )
-
-
-def _words(option: str, value: object, file: Path) -> list[str]:
+def _option_words(option: str, value: object) -> list[str]:
+    """The option and its value as they are typed."""
     if isinstance(value, bool):
         return [option] if value else []
+    if option in REPEATED:
+        return [each for word in _words(value) for each in (option, word)]
+    return [option, *_words(value)]
+
+
+def _words(value: object) -> list[str]:
+    """A table as NAME=VALUE, a list word by word, anything else as one word."""
     if isinstance(value, dict):
-        return [w for name, each in value.items() for w in (option, f"{name}={_word(each)}")]
-    if isinstance(value, list) and option in REPEATED:
-        return [word for each in value for word in (option, _word(each))]
-    if isinstance(value, list):
-        return [option, *map(_word, value)]
-    if isinstance(value, (str, int, float)):
-        return [option, _word(value)]
-    raise UsageError(
-        f'{file}: "{option[2:]}" must be a text, a number, true, false, a list or a table.'
-    )
+        return [f"{name}={_word(each)}" for name, each in value.items()]
+    return [str(each) for each in value] if isinstance(value, list) else [str(value)]
 
 
 def _word(value: object) -> str:
-    """As it is typed."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return ",".join(map(_word, value)) if isinstance(value, list) else str(value)
+    return ",".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -22,7 +22,6 @@ from trinoc.cli.command import (
     UsageError,
 )
 from trinoc.cli.intrinsics import IntrinsicsCommand
-from trinoc.cli.view import read_port, show
 from trinoc.cli.views import files_of_views
 from trinoc.errors import InputError, TrinocError
 
@@ -74,7 +73,7 @@ class WatchCommand(ReportOption, Command):
         """Watch until interrupted or to the end, and calibrate where a rig is asked for."""
         if not 0 < self.every_s <= 3600:
             raise UsageError(f"--every-s is {self.every_s:g}: give seconds, such as 1.")
-        port = None if self.port == "none" else read_port(self.port)
+        port = None if self.port == "none" else _read_port(self.port)
         if self.report is not None and self.out is None:
             raise UsageError("--report is of a calibration: say by -o where the rig goes.")
         places = self._places()
@@ -98,13 +97,10 @@ class WatchCommand(ReportOption, Command):
 
         session = WatchSession(target, " ".join(self.sources), tuple(places), kept, say)
         with contextlib.ExitStack() as stack:
-            has_page = False
             if port is not None and not self.once:
-                has_page = True
-                show(stack.enter_context(session.serve(port)), self.port == "open")
+                _show(stack.enter_context(session.serve(port)), self.port == "open")
             self._watch(session, moments)
-            numbers = {name: int(place) for name, place in places.items() if kind == "camera"}
-            return self._finish(session, command_line, numbers if has_page else {})
+            return self._finish(session, command_line)
 
     def _places(self) -> dict[str, str]:
         """The source of each camera; of one without a name under ""."""
@@ -203,11 +199,8 @@ class WatchCommand(ReportOption, Command):
                 raise
             LOGGER.warning("%s", error)
 
-    def _finish(
-        self, session: "WatchSession", command_line: str, numbers: Mapping[str, int]
-    ) -> Outcome:
-        """The summary; and where it is asked for the calibration, then, with a page, lines of the
-        scene before the cameras of these numbers, until Ctrl-C."""
+    def _finish(self, session: "WatchSession", command_line: str) -> Outcome:
+        """The summary, and the calibration where `--out` names its file."""
         from trinoc.capture.shots import find_missing
 
         written = [] if session.kept is None else session.kept.written
@@ -219,17 +212,13 @@ class WatchCommand(ReportOption, Command):
             return self._refuse(session, outcome, missing, command_line)
         LOGGER.info("calibrating with %d shots", len(session.telling_shots))
         session.announce("Calibrating with what was kept ...")
-        goes_on = session.is_named and len(numbers) > 1
         try:
-            found = self._calibrate(session, command_line, is_last=not goes_on)
+            found = self._calibrate(session, command_line)
         except TrinocError as error:
             return self._refuse(session, outcome, str(error), command_line)
         except KeyboardInterrupt:
             raise Interruption(f"Interrupted: {self._way_on(session, command_line)}") from None
-        if goes_on:
-            self._show_lines(session, numbers)
-        else:
-            session.wait_for_reader()
+        session.wait_for_reader()
         return Outcome(
             f"{outcome.text}\n{found.text}",
             {**outcome.record, "calibration": found.record},
@@ -237,7 +226,7 @@ class WatchCommand(ReportOption, Command):
             written=[*written, *(found.written or ())],
         )
 
-    def _calibrate(self, session: "WatchSession", command_line: str, *, is_last: bool) -> Outcome:
+    def _calibrate(self, session: "WatchSession", command_line: str) -> Outcome:
         """What `intrinsics` or `calibrate-rig` makes of the shots."""
         shared: Any = {"out": self.out, "quiet": self.quiet, "force": self.force}
         if not session.is_named:
@@ -248,7 +237,7 @@ class WatchCommand(ReportOption, Command):
             images = tuple(folder / name for name in names)
             command = IntrinsicsCommand(images=images, board=(self.board,), **shared)
             found = command.run(command_line)
-            session.announce("The lens is calibrated.", [f"written: {self.out}"], is_last=is_last)
+            session.announce("The lens is calibrated.", [f"written: {self.out}"], is_last=True)
             return found
 
         import numpy as np
@@ -273,24 +262,10 @@ class WatchCommand(ReportOption, Command):
             details += [] if advice is None else [advice["sentence"]]
             tones: Any = {Level.GOOD: "good", Level.BAD: "bad"}
             session.announce(
-                verdict.sentence, details, tone=tones.get(verdict.level, "plain"), is_last=is_last
+                verdict.sentence, details, tone=tones.get(verdict.level, "plain"), is_last=True
             )
             found = found._replace(text=f"{found.text}\n{verdict.sentence} {verdict.reason}")
         return found
-
-    def _show_lines(self, session: "WatchSession", numbers: Mapping[str, int]) -> None:
-        """Match what the cameras see now by the rig that was written, until Ctrl-C."""
-        from trinoc.io.rig_json import load_rig
-        from trinoc.serving.live_lines import watch_lines
-
-        assert self.out is not None
-        LOGGER.info("%s is written; the page shows lines of the scene until Ctrl-C", self.out)
-        try:
-            watch_lines(numbers, load_rig(self.out), session.show_live)
-        except KeyboardInterrupt:
-            print(file=sys.stderr)
-        except InputError as error:
-            LOGGER.warning("%s", error)
 
     def _refuse(
         self, session: "WatchSession", outcome: Outcome, why: str, command_line: str
@@ -306,3 +281,24 @@ class WatchCommand(ReportOption, Command):
         folder = shlex.quote(str(session.kept.folder))
         more = "" if self.keep is not None else f" --keep {folder}"
         return f"The shots are kept in {folder}; go on by: {command_line}{more}"
+
+
+def _read_port(port: str | int) -> int:
+    """Return the port number, 0 for a free one.
+
+    Raises UsageError here, because an error in the server's thread would leave the command waiting.
+    """
+    if isinstance(port, str):
+        return 0
+    if not 0 <= port <= 65535:
+        raise UsageError(f"--port is {port}: give one up to 65535, or leave it out for a free one.")
+    return port
+
+
+def _show(url: str, browser: bool) -> None:
+    """Print the page's address on stderr, also with `--quiet`: nothing else can be done without."""
+    print(f"trinoc: open {url} in a browser; Ctrl-C ends it", file=sys.stderr, flush=True)
+    if browser:
+        import webbrowser
+
+        webbrowser.open(url)

@@ -12,8 +12,8 @@ from scipy.linalg import block_diag
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.geometry.ideal_field import border_in_plane, fit_windows
 from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.picture_window import border_in_plane, fit_windows
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.numerics.precision import ArrayLike, in_float64
@@ -39,7 +39,7 @@ def undistort_lens(
         return lens
     shape = np.asarray(lens.matrix[:2, :2] / lens.matrix[0, 0])
     border = border_in_plane(lens, np.eye(3)) @ shape.T
-    windows = fit_windows([border], (), size_px, alpha)
+    windows = fit_windows([border], size_px, alpha)
     if windows is None:
         raise InputError(
             "No part of the picture can be shown without distortion: check the coefficients."

@@ -1,5 +1,5 @@
 """Pictures as cameras without distortion would have taken them: of one lens, of a rig as it looks,
-and of a rig that is turned until rows correspond.
+and of two cameras that are turned until rows correspond.
 
 Maps are those of `cv2.remap`: for each pixel of the new picture the place in the old one, by the
 projection of the lens itself, so that every lens model has them.
@@ -17,7 +17,7 @@ from trinoc.geometry.ideal_cameras import undistort_lens, undistort_rig
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_points
-from trinoc.geometry.rectification import Disparity, rectify_rig
+from trinoc.geometry.rectification import Disparity, rectify_pair
 from trinoc.geometry.rig import A_RIG, Rig
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.precision import in_float64
@@ -89,14 +89,12 @@ class IdealRig(NamedTuple):
     ------
     rig : at the same centres; with a covariance where that of the rig before holds for it.
     maps : of each camera.
-    disparities : of the first camera of a rectified rig and each other one: what tells depth.
-    notes : what does not hold exactly, as sentences.
+    disparity : of a rectified pair, from which depth follows.
     """
 
     rig: Rig
     maps: dict[str, PictureMaps]
-    disparities: tuple[Disparity, ...] = ()
-    notes: tuple[str, ...] = ()
+    disparity: Disparity | None = None
 
     def resample(
         self, pictures: Mapping[str, Shaped[np.ndarray, "..."]]
@@ -152,28 +150,25 @@ def undistort(
 def rectify(
     rig: Rig, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> IdealRig:
-    """Two or three cameras turned, without distortion, so that a point has one row in all.
+    """Two cameras turned, without distortion, so that a point has one row in both pictures.
 
     Parameters
     ----------
-    rig : of the cameras in question, in an order that counts where they are three.
-    alpha, image_size_px : as in `undistort`; by default the pictures are as large as the largest.
+    rig : of two cameras.
+    alpha, image_size_px : as in `undistort`; by default the pictures are as large as the larger.
 
-    Two cameras, and three in one line, have equal rows. Of three others the first and the second
-    have equal rows, the first and the third equal columns, and both steps are equally long, by
-    lenses with a skew. `disparities` of the result tell depth: of the first camera a and another b,
-    f (C_b - C_a) / ((u_a - c_a) - (u_b - c_b)), with centres C along the rows, the focal length f
-    and the principal points c along u.
+    `disparity` of the result gives depth: f (C_b - C_a) / ((u_a - c_a) - (u_b - c_b)) for cameras a
+    and b with centres C along the rows, the focal length f and the principal points c along u.
 
-    The centres stay. The covariance of the poses is carried along to first order; where the lenses
+    The centres stay. The covariance of the poses is propagated to first order; where the lenses
     are not exact either, there is none.
 
-    Raises InputError where the cameras stand at one place, look along the line or the plane of
-    their centres or at opposite sides, see each other, or have no rows in common.
+    Raises InputError where the cameras stand at one place, look along the line of their centres or
+    at opposite sides, see each other, or have no rows in common.
     """
     check_kind(rig, Rig, "rig", A_RIG)
-    found = rectify_rig(rig, alpha=alpha, image_size_px=image_size_px)
-    return IdealRig(found.rig, _maps(rig, found.rig), found.disparities, found.notes)
+    ideal, disparity = rectify_pair(rig, alpha=alpha, image_size_px=image_size_px)
+    return IdealRig(ideal, _maps(rig, ideal), disparity)
 
 
 def _maps(rig: Rig, ideal: Rig) -> dict[str, PictureMaps]:

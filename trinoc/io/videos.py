@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from trinoc.errors import InputError
-from trinoc.io.images import IMAGE_SUFFIXES, silent_opencv
+from trinoc.io.images import IMAGE_SUFFIXES, silent_opencv, write_picture
 
 # Of a video that does not say how many it has.
 _FRAMES_PER_S = 30.0
@@ -218,65 +217,24 @@ def expect_folder_name(camera: str) -> None:
         raise InputError(f'"{camera}" is no name of a folder: name the camera otherwise.')
 
 
-class FrameFolders:
-    """A new folder for the frames of videos, with a folder of each camera: left/000123.png.
+def write_frames(
+    videos: Mapping[str, Video], folder: Path, every_s: float, warn: Callable[[str], None]
+) -> int:
+    """Write one frame of each camera in so many seconds, as left/000123.png, and count them.
 
-    step : of so many moments the first is written. Raises InputError for a folder that holds
-    something, for names that no folder has, and where the disk has too little room.
+    folder : new or empty. every_s : 0 for all frames. warn : as of `read_moments`.
+    Raises InputError for a folder that holds files and for names that no folder has.
     """
-
-    def __init__(self, videos: Mapping[str, Video], folder: Path, *, step: int) -> None:
-        self._videos, self._folder, self._step = videos, folder, step
-        for name in videos:
-            expect_folder_name(name)
-        if folder.exists() and not folder.is_dir():
-            raise InputError(f"{folder} is a file: give a new folder.")
-        if folder.is_dir() and any(folder.iterdir()):
-            raise InputError(
-                f"{folder} holds files, among which frames would be lost: give a new folder, or an "
-                "empty one."
-            )
-        known = [video.frames for video in videos.values() if video.frames]
-        self.moments = -(-min(known, default=0) // step)
-        one = sum(len(_as_png(_first_frame(video))) for video in videos.values())
-        self.bytes = one * self.moments
-        there = next(p for p in (folder, *folder.absolute().parents) if p.is_dir())
-        free = shutil.disk_usage(there).free
-        if self.bytes > free:
-            raise InputError(
-                f"The frames take about {self.bytes / 1e9:.1f} GB, and {there} has "
-                f"{free / 1e9:.1f} GB free: make room, or give another folder."
-            )
-
-    def write(self, warn: Callable[[str], None]) -> Iterator[int]:
-        """Write all frames, and yield after each moment how many are done. Raises OSError.
-
-        warn : as of `read_moments`.
-        """
-        for name in self._videos:
-            (self._folder / name).mkdir(parents=True, exist_ok=True)
-        moments = read_moments(self._videos, warn, step=self._step)
-        # A file is whole or has no name of a frame.
-        scratch = self._folder / ".frame.tmp"
-        try:
-            for done, (number, frames) in enumerate(moments, 1):
-                for name, frame in frames.items():
-                    scratch.write_bytes(_as_png(frame))
-                    scratch.replace(self._folder / name / f"{number:06d}.png")
-                yield done
-        finally:
-            scratch.unlink(missing_ok=True)
-
-
-def _first_frame(video: Video) -> UInt8[np.ndarray, "..."]:
-    capture = _open(video.file)
-    try:
-        return capture.read()[1]
-    finally:
-        capture.release()
-
-
-def _as_png(frame: UInt8[np.ndarray, "..."]) -> bytes:
-    picture = to_picture(frame)
-    ordered = picture if picture.ndim == 2 else frame
-    return cv2.imencode(".png", ordered)[1].tobytes()
+    for name in videos:
+        expect_folder_name(name)
+    if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+        raise InputError(f"{folder} is a file or holds files: give a new or an empty folder.")
+    for name in videos:
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    step = max(1, round(every_s * common_rate(videos)))
+    count = 0
+    for number, frames in read_moments(videos, warn, step=step):
+        for name, frame in frames.items():
+            write_picture(folder / name / f"{number:06d}.png", to_picture(frame))
+        count += 1
+    return count

@@ -33,7 +33,7 @@ class Displayable:
         return _sources[0]().plot(self, axes, **options)
 
     def show(self, **options: Any) -> Any:
-        """A figure of plotly to turn and to zoom (`pip install 'trinoc[notebook]'`)."""
+        """The report's figure to turn, of a value in space; its `html` is a page of its own."""
         return _sources[0]().show(self, **options)
 
     def to_frame(self) -> Any:

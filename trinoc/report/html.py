@@ -42,7 +42,8 @@ from trinoc.report.matches_part import matches_part
 from trinoc.report.pictures import PagePicture, page_pictures
 from trinoc.report.shot_images_part import shot_images_part
 from trinoc.report.shots_part import boards_in_space, shot_table
-from trinoc.report.space_part import SpaceFigure, draw_plans, space_figure
+from trinoc.report.space_content import Box
+from trinoc.report.space_part import SpaceFigure, SpaceView, draw_plans, space_figure
 from trinoc.report.verdict import Verdict, find_verdict
 
 
@@ -278,6 +279,15 @@ def _space_part(figure: SpaceFigure, *, tracks: bool) -> ReportPart:
         "tracks": tracks,
     }
     return ReportPart("space", "In space", "space", values)
+
+
+def render_space(figure: SpaceFigure, *, title: str) -> str:
+    """The figure to turn, alone on a page."""
+    if not figure.views:
+        view = SpaceView("Nothing", Box.around(np.zeros((1, 3)), 0.5))
+        figure = figure._replace(views=(view,))
+    tracks = any(layer.tracks for layer in figure.layers)
+    return _render(title, [_space_part(figure, tracks=tracks)], Subject(), None)
 
 
 def _render(

@@ -1,5 +1,5 @@
-"""What stands in space: frusta, sheet and segments as lines, error ellipsoids, the boxes that hold
-them, in mm, and the colours of all figures.
+"""Contents of the figure in space: frusta, sheet and segments as lines in mm, the boxes around
+them, and the colours of all figures.
 """
 
 from typing import NamedTuple
@@ -11,49 +11,6 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.match.tracks.matches import Matches
-
-
-class Ellipsoids(NamedTuple):
-    """Ellipsoids of one sigma, one for each end whose covariance is known.
-
-    Fields
-    ------
-    track, end : which end, 0 or 1, of which track.
-    centres_mm : (n, 3) the ends, in the world frame.
-    axes : (n, 3, 3) rotations; column k is the direction of axis k in the world.
-    sigmas_mm : (n, 3) semi-axes, from the shortest to the longest.
-    """
-
-    track: Int[np.ndarray, "n"]
-    end: Int[np.ndarray, "n"]
-    centres_mm: Float[np.ndarray, "n 3"]
-    axes: Float[np.ndarray, "n 3 3"]
-    sigmas_mm: Float[np.ndarray, "n 3"]
-
-
-def error_ellipsoids(
-    lines_mm: Float[np.ndarray, "t 2 3"], covariance_mm2: Float[np.ndarray, "t 6 6"]
-) -> Ellipsoids:
-    """The ellipsoids of all ends, those of one track after another."""
-    blocks = np.stack([covariance_mm2[:, :3, :3], covariance_mm2[:, 3:, 3:]], axis=1)
-    blocks, centres = blocks.reshape(-1, 3, 3), lines_mm.reshape(-1, 3)
-    known = np.isfinite(blocks).all(axis=(1, 2)) & np.isfinite(centres).all(axis=1)
-    variances, axes = np.linalg.eigh(blocks[known])
-    # Eigenvectors of a left-handed frame are no rotation: the first is turned about.
-    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-    index = np.flatnonzero(known)
-    return Ellipsoids(
-        index // 2, index % 2, centres[known], axes, np.sqrt(np.maximum(variances, 0.0))
-    )
-
-
-def visible_factor(sigmas_mm: Float[np.ndarray, "n 3"], size_mm: float) -> int:
-    """The power of ten, 1 to 1000, that makes the longest sigmas about a hundredth of a scene."""
-    longest = float(np.median(sigmas_mm[:, -1])) if len(sigmas_mm) else 0.0
-    if not longest > 0 or not size_mm > 0:
-        return 1
-    return int(10 ** np.clip(np.floor(np.log10(0.02 * size_mm / longest)), 0, 3))
-
 
 BLUE, VERMILION, GREEN = "#0072b2", "#d55e00", "#009e73"
 PURPLE, ORANGE, SKY, BLACK = "#b8478f", "#e69f00", "#3a9bdc", "#222222"
@@ -101,12 +58,6 @@ class Box(NamedTuple):
         low, high = points_mm.min(axis=0), points_mm.max(axis=0)
         margin = room * max(float(np.max(high - low)), 1e-6)
         return cls(low - margin, high + margin)
-
-
-def polyline(parts: list[np.ndarray]) -> Float[np.ndarray, "n 3"]:
-    """Several open lines as one, with a row of NaN between them."""
-    gap = np.full((1, 3), np.nan)
-    return np.concatenate([row for part in parts for row in (part, gap)])
 
 
 def sheet_outlines(pattern: Pattern) -> list[np.ndarray]:

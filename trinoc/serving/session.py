@@ -139,12 +139,6 @@ class WatchSession:
             headline=headline, details=tuple(details), tone=tone, is_last=is_last
         )
 
-    def show_live(
-        self, thumbnails: Mapping[str, bytes], captions: Mapping[str, str], said: str
-    ) -> None:
-        """Have the page show pictures of this moment in place of the board's and the fields."""
-        self.watched = self.watched._replace(thumbnails=thumbnails, captions=captions, live=said)
-
     @contextlib.contextmanager
     def serve(self, port: int) -> Iterator[str]:
         """The address of the page, as long as the block runs. Raises InputError."""

@@ -38,10 +38,8 @@ class WatchState(NamedTuple):
     shots : what was judged so far.
     thumbnails : of cameras, their last picture as a JPEG.
     wanted : cameras over whose picture it is drawn where the board is wanted next.
-    captions : of cameras, what is to be said of that picture instead of its name and size.
     headline : what to do next, or how the calibration came out; "" for what the shots call for.
     details : sentences below it.
-    live : a sentence on what the pictures show now, when the field is of no interest any more.
     tone : of the headline, whether it is good or bad news.
     is_last : whether the page changes no more, so that nobody asks for it again.
     """
@@ -51,10 +49,8 @@ class WatchState(NamedTuple):
     shots: tuple[Shot, ...] = ()
     thumbnails: Mapping[str, bytes] = {}
     wanted: frozenset[str] = frozenset()
-    captions: Mapping[str, str] = {}
     headline: str = ""
     details: tuple[str, ...] = ()
-    live: str = ""
     tone: Literal["plain", "good", "bad"] = "plain"
     is_last: bool = False
 
@@ -68,7 +64,6 @@ def watch_page(watched: WatchState) -> PageContent:
         headline=watched.headline or advise_cameras(shots, watched.cameras).sentence,
         details=watched.details,
         tone=watched.tone if watched.headline or last is None or last.good else "bad",
-        live=watched.live,
         views=[_view(watched, number) for number in range(len(watched.cameras))],
         rows=_rows(watched),
         named=watched.cameras != ("",),
@@ -96,8 +91,8 @@ def _view(watched: WatchState, number: int) -> dict[str, Any]:
     return {
         "number": number,
         "camera": camera,
-        "caption": watched.captions.get(camera, caption),
-        "wanted": camera in watched.wanted and camera not in watched.captions,
+        "caption": caption,
+        "wanted": camera in watched.wanted,
         "name": "" if last is None else last.name,
         "image": _address(watched, number),
         "share": field_share(own),
@@ -132,7 +127,10 @@ def thumbnail(
 
     wanted_px : the corners of the board where it is wanted next, drawn with its upper side thick.
     """
-    colours, factor = shrink_picture(image)
+    picture = grey_image(image)
+    factor = min(1.0, _LONGEST_SIDE_PX / max(picture.size_px))
+    small = cv2.resize(picture.as_8_bit(), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    colours = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
     if judgement is not None:
         for place in judgement.places_px:
             mark = _GOOD if judgement.good else _BAD
@@ -144,19 +142,6 @@ def thumbnail(
             for k in range(4):
                 width = more + (9 if k == 0 else 2)
                 cv2.line(colours, corners[k], corners[(k + 1) % 4], colour, width, cv2.LINE_AA)
-    return encode_jpeg(colours)
-
-
-def shrink_picture(image: Shaped[np.ndarray, "..."]) -> tuple[Shaped[np.ndarray, "..."], float]:
-    """(a grey picture for the page, in blue, green and red; what its pixels were multiplied by)."""
-    picture = grey_image(image)
-    factor = min(1.0, _LONGEST_SIDE_PX / max(picture.size_px))
-    small = cv2.resize(picture.as_8_bit(), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-    return cv2.cvtColor(small, cv2.COLOR_GRAY2BGR), factor
-
-
-def encode_jpeg(colours: Shaped[np.ndarray, "..."]) -> bytes:
-    """A picture in blue, green and red as JPEG."""
     done, encoded = cv2.imencode(".jpg", colours, [cv2.IMWRITE_JPEG_QUALITY, 80])
     return encoded.tobytes() if done else b""
 

@@ -11,7 +11,7 @@ from tests.calib.simulated import (
     reference_sheet,
     simulated_detection,
 )
-from trinoc.calib import Detection, Status, calibrate_batch, calibrate_detections
+from trinoc.calib import Detection, Status, calibrate_detections
 from trinoc.errors import CalibrationError
 from trinoc.geometry.rig import Rig
 
@@ -91,12 +91,3 @@ def test_an_earlier_rig_that_does_not_tell_is_no_answer() -> None:
     assert result.rig.names == ("left",)
     assert "does not tell" in result.failures["upper"]
     assert "no such camera" in result.failures["right"]
-
-
-@pytest.mark.slow
-def test_frames_of_a_batch_have_the_status_too() -> None:
-    batch = calibrate_batch([detections((0, 0, 0))], SHEET, LENS)
-    assert set(batch.status[0].values()) == {Status.AMBIGUOUS}
-    assert not batch.good.any()
-    upright = calibrate_batch([detections((0, 0, 0))], SHEET, LENS, orientation="upright")
-    assert upright.good.all()

@@ -15,7 +15,6 @@ from tests.calib.simulated import (
 )
 from trinoc.calib import (
     Status,
-    calibrate_batch,
     calibrate_detections,
     with_systematics,
 )
@@ -123,7 +122,7 @@ def test_the_term_is_that_of_fits_with_a_moved_lens() -> None:
     }
 
     def fit(lens: Intrinsics) -> np.ndarray:
-        return calibrate_batch([detections], SHEET, lens, systematics=EXACT).values.reshape(-1)
+        return calibrate_detections(detections, SHEET, lens, systematics=EXACT).values
 
     plain = calibrate_detections(detections, SHEET, LENS, systematics=EXACT)
     wide = with_systematics(plain, Systematics(lens_covariance=COVARIANCE))

@@ -1,6 +1,5 @@
 """Each camera by itself from the circles in its picture, and what they determine of it."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -49,22 +48,6 @@ class PoseEstimate(NamedTuple):
     rank: int
     reduced_chi_square: float
     gauge: tuple[str, ...]
-
-
-def fit_cameras(
-    detections: Sequence[Detection],
-    pattern: Pattern,
-    lenses: Sequence[Intrinsics],
-    model: PoseModel,
-) -> list[PoseEstimate]:
-    """One pose for each picture, the sheet and the lens as they are said to be.
-
-    Pictures whose crossed lines were seen start from them, the others from their circles.
-    """
-    return [
-        fit_camera(detection, pattern, lens, model)
-        for detection, lens in zip(detections, lenses, strict=True)
-    ]
 
 
 def fit_camera(

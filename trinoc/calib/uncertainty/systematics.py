@@ -5,7 +5,7 @@ parameters in one covariance, and they are larger than the noise: a tenth of a p
 scale is half a millimetre of distance, a hundred times the bound of a good picture.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -111,20 +111,6 @@ class Systematics(NamedTuple):
             raise InputError(
                 "A sigma of `Systematics` is negative or not finite: give standard deviations."
             )
-
-    def of_cameras(self, names: Collection[str]) -> "Systematics":
-        """What concerns some of the cameras."""
-        given = self.lens_covariance
-        if not isinstance(given, Mapping):
-            return self
-        return self._replace(
-            lens_covariance={name: own for name, own in given.items() if name in names} or None
-        )
-
-    @property
-    def are_none(self) -> bool:
-        """Whether everything is exact."""
-        return not self.words
 
     def groups(self, cameras: Sequence[_Item]) -> list[Sequence[_Item]]:
         """Cameras to be adjusted together: all where they share a lens or a sheet that is not

@@ -17,8 +17,17 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import TRINOCULAR, Matches
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.report import plot
+from trinoc.report.notebook.space import figure_in_space
 from trinoc.report.numbers import plain, round_scale
-from trinoc.report.space_content import BLACK, BLUE, GREEN, VERMILION, frusta, sheet_outlines
+from trinoc.report.space_content import (
+    BLACK,
+    BLUE,
+    COLOUR_OF_ROLE,
+    GREEN,
+    VERMILION,
+    frusta,
+    sheet_outlines,
+)
 
 # The longest residual arrow, as a share of the picture's width.
 ARROW_SHARE = 0.09
@@ -54,13 +63,23 @@ def _in_space(axes: Any) -> Any:
     return plt.figure(layout="constrained").add_subplot(projection="3d")
 
 
-@_plot.register
-def _(rig: Rig, axes: Any) -> Any:
+@_plot.register(Rig)
+@_plot.register(Feature)
+@_plot.register(RefineResult)
+def _(value: Any, axes: Any, **options: Any) -> Any:
+    """The report's figure in space, with the cameras of `rig` for features."""
     axes = _in_space(axes)
-    plot.draw_lines_in_space(axes, [(frusta(rig), GREEN)])
+    figure = figure_in_space(value, **options)
+    strokes = [
+        (layer.parts, COLOUR_OF_ROLE.get(layer.role, BLACK))
+        for layer in figure.layers
+        if layer.shown and layer.role != "axes"
+    ]
+    plot.draw_lines_in_space(axes, strokes)
     ground = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5}
-    for name, camera in rig.items():
-        axes.text(*camera.centre_world_mm, name, ha="center", va="bottom", bbox=ground)
+    for label in figure.labels:
+        if label.role != "axes":
+            axes.text(*label.at_mm, label.text, ha="center", va="bottom", bbox=ground)
     return axes
 
 
@@ -150,15 +169,6 @@ def _(
 
 
 @_plot.register
-def _(features: Feature, axes: Any, *, rig: Rig | None = None) -> Any:
-    """As lines in space, with the cameras of `rig`."""
-    axes = _in_space(axes)
-    lines = [line for _, line in features.wires().lines()]
-    plot.draw_lines_in_space(axes, [(lines, BLUE), ([] if rig is None else frusta(rig), GREEN)])
-    return axes
-
-
-@_plot.register
 def _(frame: Wireframe, axes: Any, *, rig: Rig | None = None) -> Any:
     """Edges of three views and of two, faces shaded, corners as dots, the cameras of `rig`."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -174,14 +184,6 @@ def _(frame: Wireframe, axes: Any, *, rig: Rig | None = None) -> Any:
     faces = [frame.vertices_mm[loop] for loop in frame.faces]
     axes.add_collection3d(Poly3DCollection(faces, facecolors=BLUE, alpha=0.12))
     axes.scatter(*frame.vertices_mm[frame.corner].T, color=BLACK, s=9, depthshade=False)
-    return axes
-
-
-@_plot.register
-def _(result: RefineResult, axes: Any) -> Any:
-    axes = _in_space(axes)
-    lines = list(np.asarray(result.lines.ends_mm))
-    plot.draw_lines_in_space(axes, [(lines, BLUE), (frusta(result.rig), GREEN)])
     return axes
 
 

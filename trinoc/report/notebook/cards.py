@@ -15,11 +15,11 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.observations.unusable import sigma_across_px
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tuning.tracks import DecoyTuning
-from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.tables import Table
+from trinoc.report.notebook.space import figure_in_space
 from trinoc.report.notebook.tables import list_columns
 from trinoc.report.numbers import with_decimals, with_sigma
-from trinoc.report.space_content import BLUE, GREEN, VERMILION, frusta, sheet_outlines
+from trinoc.report.space_content import BLACK, BLUE, COLOUR_OF_ROLE
 
 ROWS = 8
 SIDE_PX = 220
@@ -138,65 +138,17 @@ def _(evaluation: Evaluation) -> str:
     return f"{evaluation.status.value} Wanted: {evaluation.wanted}."
 
 
-@singledispatch
 def small_picture(value: object) -> Strokes:
-    """Lines in the plane, y downward, with their colours."""
-    return []
-
-
-def _from_above(lines: list[np.ndarray]) -> list[np.ndarray]:
-    return [np.asarray(line)[:, :2] * [1, -1] for line in lines]
-
-
-@small_picture.register
-def _(rig: Rig) -> Strokes:
-    return [(_from_above(frusta(rig)), GREEN)]
-
-
-@small_picture.register
-def _(result: CalibrationResult) -> Strokes:
+    """Lines in the plane, y downward, with their colours: the figure in space from above."""
+    if isinstance(value, Segments):
+        return [(list(np.asarray(value.endpoints_px)), BLUE)]
+    if isinstance(value, Evaluation):
+        return []
     return [
-        (_from_above(sheet_outlines(result.pattern)), "#8a8a8a"),
-        (_from_above(frusta(result.rig)) if len(result.rig) else [], GREEN),
+        ([part[:, :2] * [1, -1] for part in layer.parts], COLOUR_OF_ROLE.get(layer.role, BLACK))
+        for layer in figure_in_space(value).layers
+        if layer.shown and layer.role != "axes"
     ]
-
-
-@small_picture.register
-def _(pattern: Pattern) -> Strokes:
-    return [(_from_above(sheet_outlines(pattern)), BLUE)]
-
-
-@small_picture.register
-def _(segments: Segments) -> Strokes:
-    return [(list(np.asarray(segments.endpoints_px)), BLUE)]
-
-
-@small_picture.register
-def _(matches: Matches) -> Strokes:
-    lines, stage = np.asarray(matches.lines_mm), np.asarray(matches.stage)
-    return [
-        (_from_above(list(lines[stage == name])), colour)
-        for name, colour in ((TRINOCULAR, BLUE), (BINOCULAR, VERMILION))
-    ]
-
-
-@small_picture.register
-def _(features: Feature) -> Strokes:
-    return [(_from_above([line for _, line in features.wires().lines()]), BLUE)]
-
-
-@small_picture.register
-def _(frame: Wireframe) -> Strokes:
-    lines = frame.lines_mm
-    return [
-        (_from_above(list(lines[frame.checked == checked])), colour)
-        for checked, colour in ((True, BLUE), (False, VERMILION))
-    ]
-
-
-@small_picture.register
-def _(result: RefineResult) -> Strokes:
-    return [(_from_above(list(np.asarray(result.lines.ends_mm))), BLUE)]
 
 
 def _svg(strokes: Strokes) -> str:

@@ -1,15 +1,14 @@
-"""How much of what lenses see goes into pictures without distortion: one scale for all of them, and
-the place of each one's window in the plane that it shows.
+"""Window of a picture without distortion: its scale, and its position in the ideal image plane.
 
-A window lies in the region that a camera sees if no point of the region's border lies in it. So
-the largest one about a given middle reaches to the nearest point of the border, in the norm whose
-unit ball is the window, and the best middle is that from which it is farthest.
-`cv2.getOptimalNewCameraMatrix` takes extremes of the border instead, which fails for regions that
-are turned or sheared.
+A window lies in the region that a camera sees if no point of the region's border lies in it. So the
+largest window about a given middle reaches to the nearest point of the border, in the norm whose
+unit ball is the window. `cv2.getOptimalNewCameraMatrix` and `cv2.stereoRectify` take extremes of
+the border instead: for cameras that converge or are turned about their axes, the second shows a
+small part of the field, or pixels that no camera saw.
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,8 +18,8 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_points, unproject_pixels
 
-# An ideal picture reaches this far from its axis: fisheyes see farther, where a plane grows beyond
-# all bounds.
+# Largest angle from the axis of an ideal picture: fisheye lenses see farther, where the image plane
+# grows beyond all bounds.
 WIDEST_DEG = 75.0
 _WIDEST = float(np.tan(np.radians(WIDEST_DEG)))
 # Points along each side of a picture.
@@ -34,18 +33,14 @@ _BEND = 1e-4
 # A camera in its own frame.
 _OWN_FRAME = Pose(np.eye(3, 4))
 
-# What the window of a picture has in common with that of the first: the row or the column of its
-# middle.
-Shared = Literal["row", "column"]
-
 
 class Windows(NamedTuple):
-    """Where pictures show a plane, each its own part of it.
+    """Windows of pictures in one image plane.
 
     Fields
     ------
-    scale_px : pixels to a unit of the plane, in all of them.
-    origins_px : (v, 2) pixels of the plane's origin.
+    scale_px : pixels per unit of the plane, the same in all pictures.
+    origins_px : (v, 2) pixel coordinates of the plane's origin.
     """
 
     scale_px: float
@@ -55,9 +50,9 @@ class Windows(NamedTuple):
 def border_in_plane(
     lens: Intrinsics, ideal_from_cam: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "m 2"]:
-    """(x/z, y/z), in the frame of an ideal camera, of what a picture shows along its border.
+    """Ideal coordinates (x/z, y/z) of the picture's border, once around.
 
-    What lies farther than WIDEST_DEG from that camera's axis is drawn in to there. Raises
+    Points farther than WIDEST_DEG from the ideal camera's axis are moved to that angle. Raises
     InputError for a distortion that folds the picture.
     """
     border_px = _list_border(lens.image_size_px)
@@ -87,25 +82,21 @@ def _list_border(size_px: tuple[int, int]) -> Float[np.ndarray, "m 2"]:
 
 
 def fit_windows(
-    borders: Sequence[Float[np.ndarray, "_ 2"]],
-    shared: Sequence[Shared],
-    size_px: tuple[int, int],
-    alpha: float,
+    borders: Sequence[Float[np.ndarray, "_ 2"]], size_px: tuple[int, int], alpha: float
 ) -> Windows | None:
-    """Windows of pictures of one size; None where no two of them could show a valid pixel.
+    """Windows of one size and scale with equal rows; None where no valid pixel is possible.
 
     borders : of the region that each camera sees, once around.
-    shared : for all but the first, what its window has in common with that of the first.
-    alpha : 0 for the largest windows that lie in the regions, so that all pixels are valid; 1 for
-        the smallest that hold them; between, scale and places between.
+    alpha : 0 for the largest windows inside the regions, so that all pixels are valid; 1 for the
+        smallest windows around them. Scale and position are interpolated between.
     """
     half = (np.array(size_px) - 1) / 2
     # In units in which all windows are squares.
     regions = [border / half for border in borders]
-    inner = _largest_inside(regions, shared)
+    inner = _largest_inside(regions)
     if inner is None:
         return None
-    within, around = _windows(*inner, half), _windows(*_smallest_around(regions, shared), half)
+    within, around = _windows(*inner, half), _windows(*_smallest_around(regions), half)
     return Windows(
         (1 - alpha) * within.scale_px + alpha * around.scale_px,
         (1 - alpha) * within.origins_px + alpha * around.origins_px,
@@ -119,48 +110,34 @@ def _windows(
 
 
 def _smallest_around(
-    regions: Sequence[Float[np.ndarray, "_ 2"]], shared: Sequence[Shared]
+    regions: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[float, Float[np.ndarray, "v 2"]]:
-    """(half a side, middles) of the smallest squares that hold the regions."""
+    """(half a side, middles) of the smallest squares around the regions."""
     low = np.stack([region.min(axis=0) for region in regions])
     high = np.stack([region.max(axis=0) for region in regions])
-    for axis, name in enumerate(("column", "row")):
-        together = [0, *(k for k, own in enumerate(shared, 1) if own == name)]
-        low[together, axis], high[together, axis] = (
-            low[together, axis].min(),
-            high[together, axis].max(),
-        )
+    low[:, 1], high[:, 1] = low[:, 1].min(), high[:, 1].max()
     return float((high - low).max()) / 2, (low + high) / 2
 
 
 def _largest_inside(
-    regions: Sequence[Float[np.ndarray, "_ 2"]], shared: Sequence[Shared]
+    regions: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[float, Float[np.ndarray, "v 2"]] | None:
-    """(half a side, middles) of the largest squares in the regions; None where there are none."""
+    """(half a side, middles) of the largest squares inside the regions, or None."""
     low = np.stack([region.min(axis=0) for region in regions])
     high = np.stack([region.max(axis=0) for region in regions])
     middles, spans = (low + high) / 2, (high - low) / 2
-    best = -np.inf
+    middles[:, 1], spans[:, 1] = middles[0, 1], spans[0, 1]
+    grid, best = np.linspace(-1, 1, _GRID), -np.inf
     for _ in range(_ROUNDS):
-        x = middles[:, :1] + spans[:, :1] * np.linspace(-1, 1, _GRID)
-        y = middles[:, 1:] + spans[:, 1:] * np.linspace(-1, 1, _GRID)
-        reach = _reach_inside(regions[0], x[0], y[0])
-        others = []
-        for k, own in enumerate(shared, 1):
-            if own == "row":
-                others.append(_reach_inside(regions[k], x[k], y[0]))
-                reach = np.minimum(reach, others[-1].max(axis=0, keepdims=True))
-            else:
-                others.append(_reach_inside(regions[k], x[0], y[k]))
-                reach = np.minimum(reach, others[-1].max(axis=1, keepdims=True))
-        i, j = np.unravel_index(np.argmax(reach), reach.shape)
-        if reach[i, j] >= best:
-            best = reach[i, j]
-            middles[0] = x[0, i], y[0, j]
-            for k, (own, other) in enumerate(zip(shared, others, strict=True), 1):
-                row = own == "row"
-                middles[k, 0] = x[k, np.argmax(other[:, j])] if row else x[0, i]
-                middles[k, 1] = y[0, j] if row else y[k, np.argmax(other[i])]
+        x = middles[:, :1] + spans[:, :1] * grid
+        y = middles[0, 1] + spans[0, 1] * grid
+        reaches = np.stack([_reach_inside(*each, y) for each in zip(regions, x, strict=True)])
+        common = np.minimum(reaches[0], reaches[1:].max(axis=1).min(axis=0, initial=np.inf))
+        column, row = np.unravel_index(np.argmax(common), common.shape)
+        if common[column, row] >= best:
+            best = common[column, row]
+            columns = [column, *reaches[1:, :, row].argmax(axis=1)]
+            middles = np.array([(own[k], y[row]) for own, k in zip(x, columns, strict=True)])
         spans = spans * _NARROWER
     return (float(best) * (1 - _BEND), middles) if best > 0 else None
 
