@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from matching import VIEWS, fresh_problems
 from scipy.stats import chi2
+from wireframe_score import score_wireframe
 
 import trinoc
 from trinoc.evaluation.known_shape import KnownShape
@@ -56,15 +57,14 @@ class Tally:
         start = time.process_time()
         frame = trinoc.match.wireframe(matches, rig, tuning=tuning)
         self.count["ms"] += round(1e3 * (time.process_time() - start))
-        near = trinoc.evaluate(frame, shape, tolerances_mm=(NEAR_MM,))
-        wide = trinoc.evaluate(frame, shape, tolerances_mm=(WIDE_MM,))
-        assert near.wireframe is not None
-        assert wide.wireframe is not None
-        self.count.update({k: v for k, v in near.wireframe.record().items() if "share" not in k})
-        self.error_mm.extend(near.wireframe.error_mm)
-        self.square.extend(wide.wireframe.square)
-        self.count["lines"] += near.normalised.lines
-        self.count["lines in"] += round(near.normalised.lines * near.normalised.share_of_lines)
+        near = score_wireframe(frame, shape, NEAR_MM)
+        wide = score_wireframe(frame, shape, WIDE_MM)
+        normalised = trinoc.evaluate(frame, shape, tolerances_mm=(NEAR_MM,)).normalised
+        self.count.update(near.counts())
+        self.error_mm.extend(near.error_mm)
+        self.square.extend(wide.square)
+        self.count["lines"] += normalised.lines
+        self.count["lines in"] += round(normalised.lines * normalised.share_of_lines)
         self.count["true faces"] += sum(_is_face(frame.vertices_mm[f], solids) for f in frame.faces)
         self.count["let go"] += len(frame.let_go)
         self.count["scenes"] += 1

@@ -1,10 +1,8 @@
 """NAME=FILE arguments, the options that say what a lens is, how many there are, and old names."""
 
 import contextlib
-import dataclasses
 import io
 import re
-import typing
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +18,6 @@ from trinoc.cli.main import COMMANDS, main
 from trinoc.cli.settings import (
     OLD_OPTIONS,
     parse_integer,
-    parse_list,
     parse_number,
     parse_pair,
     parse_truth,
@@ -234,28 +231,6 @@ def test_a_screen_that_is_not_said_or_too_small(
     assert not any(tmp_path.iterdir())
 
 
-# Of all commands, and said once.
-SHARED = {"json", "quiet", "force"}
-MOST_OPTIONS = 100
-
-
-def own_options(options: type) -> list[str]:
-    """Names of a command's options, those of groups of options, too."""
-    names = []
-    for name, hint in typing.get_type_hints(options, include_extras=True).items():
-        if typing.get_origin(hint) is typing.ClassVar or name in SHARED:
-            continue
-        if dataclasses.is_dataclass(hint):
-            names += own_options(typing.cast(type, hint))
-        elif tyro.conf.Positional not in getattr(hint, "__metadata__", ()):
-            names.append(name)
-    return names
-
-
-def test_options_are_few():
-    assert sum(len(own_options(command)) for command in COMMANDS) <= MOST_OPTIONS
-
-
 def help_text(command: str) -> str:
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
@@ -298,7 +273,6 @@ def test_settings_are_read_by_their_parsers():
     said = read_settings("--x", [["a-mm=1.5", "b=no"], ["c=3"]], parsers)
     assert said == {"a_mm": 1.5, "b": False, "c": (3, 3)}
     assert parse_pair(parse_integer)("1280x960") == (1280, 960)
-    assert parse_list(parse_number)("1,2,3") == (1.0, 2.0, 3.0)
     for words, why in (
         (["a_mm=1", "a_mm=2"], "twice"),
         (["a_mm"], "has no value: write a_mm=VALUE"),

@@ -90,16 +90,6 @@ OLD_OPTIONS: dict[str, dict[str, str]] = {
     },
     "batch": {**_OLD_FIND, "threads": "--workers N", "scheduler": "--workers tcp://HOST:PORT"},
     "refine": {"intrinsics": "--free-lens"},
-    "evaluate": {
-        **{name: _OLD_FIND[name] for name in ("tolerance-px", "false-alarms", "least-contrast")},
-        "least-posterior": "--lines least_posterior=0,0.5",
-        "stages": "--lines stage=all,trinocular",
-        "forms": "--lines form=tracks,joined",
-        "align": "--shape align=yes",
-        "unit-mm": "--shape unit_mm=MM",
-        "crease-deg": "--shape crease_deg=DEG",
-        "grey-step": "--shape grey_step=LEVELS",
-    },
     "export": {"lenses": "--lens FILE"},
 }
 OLD_KEYS = {"pictures": "images"}
@@ -203,11 +193,6 @@ def parse_truth(text: str) -> bool:
     if text.lower() not in words:
         raise ValueError("is neither yes nor no: give one of them")
     return words[text.lower()]
-
-
-def parse_list(parse: Callable[[str], Any]) -> Callable[[str], tuple[Any, ...]]:
-    """Of the parser of one value that of several with commas between."""
-    return lambda text: tuple(parse(each) for each in text.split(","))
 
 
 def parse_pair(parse: Callable[[str], Any]) -> Callable[[str], tuple[Any, Any]]:

@@ -16,8 +16,6 @@ GREY_STEP = 8.0
 EVERY_EDGE = "every edge"
 # Triangles times edges whose hiding is computed at once, which bounds the memory.
 _AT_ONCE = 1_000_000
-# An edge of which no more than this share is missing counts as wanted whole.
-_WHOLE = 0.999
 
 
 class KnownShape(eqx.Module):
@@ -94,12 +92,6 @@ class KnownShape(eqx.Module):
     def wanted_mm(self) -> Float[np.ndarray, "k 2 3"]:
         """Ends in space of the parts that ought to be found."""
         return points_along(self.edges_mm[self.wanted_edge], self.wanted_extent)
-
-    @property
-    def wanted_whole(self) -> Int[np.ndarray, "w"]:
-        """The edges that ought to be found from end to end."""
-        extent = self.wanted_extent
-        return self.wanted_edge[extent[:, 1] - extent[:, 0] >= _WHOLE]
 
 
 def _labels(count: int) -> Float[np.ndarray, "m 2 3"]:

@@ -1,6 +1,6 @@
 """A wire frame beside a known shape: corners and edges found, missing and extra."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -9,11 +9,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from trinoc.evaluation.alignment import RigidMotion
-from trinoc.evaluation.distances import if_any, measure_near_lengths
+from trinoc.evaluation.distances import measure_near_lengths
 from trinoc.evaluation.known_shape import KnownShape
+from trinoc.evaluation.lines_on_edges import edge_of_lines
 from trinoc.match.wire_frame.frame import Wireframe
-from trinoc.numerics.tails import chi_square_limit
 
 # Ends of known edges nearer than this share of the shape's size are one corner.
 _SAME_PLACE = 1e-6
@@ -50,35 +49,19 @@ class WireframeScore(NamedTuple):
     square: Float[np.ndarray, "p"]
     faces: int
 
-    def record(self) -> dict[str, Any]:
-        """All numbers by name; NaN where there is none."""
+    def counts(self) -> dict[str, int]:
+        """The counts by name."""
         counts = self._asdict()
         del counts["error_mm"], counts["square"]
-        within = {share: self.square <= chi_square_limit(1 - share, 3) for share in (0.95, 0.9973)}
-        return counts | {
-            "edges_missing": self.edges_wanted - self.edges_found,
-            "corners_missing": self.corners_wanted - self.corners_found,
-            "corner_error_median_mm": if_any(np.median, self.error_mm),
-            "share_of_corners_within_95": if_any(np.mean, within[0.95]),
-            "share_of_corners_within_3_sigma": if_any(np.mean, within[0.9973]),
-        }
+        return counts
 
 
-def score_wireframe(
-    frame: Wireframe,
-    lines_mm: Float[np.ndarray, "e 2 3"],
-    edge_of: Int[np.ndarray, "e"],
-    shape: KnownShape,
-    reach_mm: float,
-    motion: RigidMotion | None,
-) -> WireframeScore:
-    """Compare a wire frame, whose edges lie on the known edges `edge_of`, -1 where on none, and
-    are `lines_mm` after the motion."""
+def score_wireframe(frame: Wireframe, shape: KnownShape, reach_mm: float) -> WireframeScore:
+    """Compare a wire frame with a known shape."""
+    lines_mm = frame.lines_mm
+    edge_of = edge_of_lines(lines_mm, shape.edges_mm, reach_mm)
     known = known_corners(shape)
     vertices, spread = frame.vertices_mm, frame.vertices_covariance_mm2
-    if motion is not None:
-        vertices = motion.of_points(vertices)
-        spread = motion.rotation @ spread @ motion.rotation.T
     corners = np.flatnonzero(frame.corner)
     ours, theirs = _pair_corners(vertices[corners], known.corners_mm, reach_mm)
     error = vertices[corners[ours]] - known.corners_mm[theirs]
