@@ -15,17 +15,12 @@ import numpy as np
 from match_scores import score_matches
 from matching_truth import _outcomes
 
+from simulation import Detector, block_scene, loose_segments, simulate_segments
+from simulation.scenes import Scene, see_through_boxes
+from simulation.solids import box
 from trinoc.match import MatchTuning
 from trinoc.match.matcher import match_segments
-from trinoc.synth import (
-    Detector,
-    block_scene,
-    loose_segments,
-    simulate_segments,
-    table1_rig,
-)
-from trinoc.synth.scenes import Scene, see_through_boxes
-from trinoc.synth.solids import box
+from trinoc.synth import table1_rig
 
 SEED, UNSAID = 60_000, 0.05
 VIEWS = "left", "right"

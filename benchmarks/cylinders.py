@@ -21,14 +21,15 @@ from scipy.stats import chi2
 from shared_scenes import VIEWS
 
 import trinoc
+from simulation import Detector, block_scene, simulate_segments
+from simulation.solids import Cylinder
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io.rig_json import load_rig
 from trinoc.match import Cylinders, find_cylinders
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.vectors import complete_axes
-from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
-from trinoc.synth.solids import Cylinder
+from trinoc.synth import table1_rig
 
 NEAR_PX, SHORTEST_PX = 1.5, 8.0
 WIDE_MM = 5.0

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
+from simulation.scenes import Scene
 from trinoc.geometry.camera import Camera
-from trinoc.synth.scenes import Scene
 from trinoc.synth.truth import SeenParts
 
 # Across an edge the grey levels are taken this far to both sides, in pixels of the picture.

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
+from simulation.camera_picture.delivery import SRGB
 from trinoc.image.response import ResponseLike
 from trinoc.segments import find_segments
-from trinoc.synth.camera_picture.delivery import SRGB
 
 SIDE_PX, NOISE, EDGES = 64, 1.5, 24
 # Blur of the lens; the pixel's box adds its variance.

@@ -21,10 +21,11 @@ from segment_truth import samples_on_shadow
 from shared_scenes import VIEWS
 
 import trinoc
+from simulation import block_scene
 from trinoc.evaluation.scoring import score_lengths
 from trinoc.io.rig_json import load_rig
 from trinoc.match.tracks.matches import Matches
-from trinoc.synth import block_scene, table1_rig
+from trinoc.synth import table1_rig
 
 BINS = 10
 

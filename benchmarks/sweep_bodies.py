@@ -38,6 +38,9 @@ from shared_scenes import VIEWS
 from wireframe import Tally as WireframeTally, shape_of_segments
 
 import trinoc
+from simulation import Detector, block_scene, simulate_segments
+from simulation.scenes import Scene, see_through_boxes
+from simulation.solids import Cylinder, Polyhedron
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.scoring import score_lengths
 from trinoc.geometry.rig import Rig
@@ -47,9 +50,7 @@ from trinoc.match import join_collinear, snap_corners
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import MatchTuning
-from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
-from trinoc.synth.scenes import Scene, see_through_boxes
-from trinoc.synth.solids import Cylinder, Polyhedron
+from trinoc.synth import table1_rig
 
 FIRST_SEED = 131_000
 UNSAID = 0.05

@@ -22,14 +22,14 @@ from scipy.stats import chi2
 from wireframe_score import score_wireframe
 
 import trinoc
+from simulation import block_scene
+from simulation.solids import Polyhedron
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.geometry.rig import Rig
 from trinoc.io import load_scene_truth, read_image
 from trinoc.io.rig_json import load_rig
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.synth import block_scene
-from trinoc.synth.solids import Polyhedron
 from trinoc.synth.truth import SegmentTruth, shown_parts_of_segments_mm
 
 KINDS = ("table", "boxes", "boxes ej5", "boxes x4")

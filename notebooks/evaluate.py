@@ -24,12 +24,12 @@ from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_on_edges import offsets_across
 from trinoc.evaluation.lines_on_edges import select_lines
 from trinoc.evaluation.normalised_errors import errors_in_sigmas
-from trinoc.synth import Detector
-from trinoc.synth import simulate_segments
+from simulation import Detector
+from simulation import simulate_segments
 from trinoc.synth.rigs import TABLE_1
 from trinoc.synth import table1_lens
 from trinoc.synth import table1_rig
-from trinoc.synth import loose_segments
+from simulation import loose_segments
 
 enable_compile_cache()
 plt.rcParams.update({"figure.dpi": 64, "savefig.bbox": "tight", "axes.titlesize": 10})

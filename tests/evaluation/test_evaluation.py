@@ -8,6 +8,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
+from simulation import loose_segments
+from simulation.scenes import Scene
+from simulation.solids import box
 from trinoc.errors import InputError
 from trinoc.evaluation.alignment import RigidMotion, align
 from trinoc.evaluation.evaluation import EvaluationStatus, evaluate
@@ -16,9 +19,7 @@ from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_on_edges import offsets_across
 from trinoc.evaluation.normalised_errors import normalised_errors
 from trinoc.geometry import UncertainLines
-from trinoc.synth import loose_segments, table1_rig
-from trinoc.synth.scenes import Scene
-from trinoc.synth.solids import box
+from trinoc.synth import table1_rig
 from trinoc.synth.truth import SceneTruth, SeenParts
 
 SEEDS = st.integers(0, 10_000)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import trinoc
+from simulation import loose_segments
 from trinoc.errors import InputError
 from trinoc.evaluation.evaluation import evaluate
 from trinoc.evaluation.known_shape import KnownShape
@@ -12,7 +13,7 @@ from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.match import join_collinear
 from trinoc.match.tracks.matches import Matches
 from trinoc.report import evaluation_text
-from trinoc.synth import loose_segments, table1_lens, table1_rig
+from trinoc.synth import table1_lens, table1_rig
 from trinoc.synth.rigs import TABLE_1
 
 VIEWS = tuple(TABLE_1)

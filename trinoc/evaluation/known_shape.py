@@ -7,8 +7,7 @@ from jaxtyping import Float, Int
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.numerics.buckets import blocks
-from trinoc.synth.scenes import points_along
-from trinoc.synth.truth import SceneTruth, parts_in_views_mm, shown_parts_mm
+from trinoc.synth.truth import SceneTruth, parts_in_views_mm, points_along, shown_parts_mm
 from trinoc.synth.visibility import visible_parts
 
 # Grey levels that differ by less across an edge do not show it.

@@ -1,18 +1,18 @@
-"""Outlines of cylinders anywhere, by the geometry of the upright one of `synth`."""
+"""Outlines of cylinders anywhere, by the geometry of the upright one of `simulation`."""
 
 import numpy as np
 
+from simulation.solids import Cylinder
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import Matches
-from trinoc.synth.solids import Cylinder
 
 SIGMA_PX = 0.2
 
 
 class Placed:
-    """A cylinder of `synth`, turned about the origin by a rotation vector and moved."""
+    """A cylinder of `simulation`, turned about the origin by a rotation vector and moved."""
 
     def __init__(self, radius_mm, height_mm, turn=(0.0, 0.0, 0.0), shift_mm=(0.0, 0.0, 0.0)):
         self.solid = Cylinder(np.zeros(3), radius_mm, height_mm)

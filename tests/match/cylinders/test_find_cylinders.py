@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from simulation.solids import box
 from tests.match.cylinders.made_outlines import Placed, nothing_matched, seen_by
 from tests.match.made import loose_lines, rig_of
 from trinoc.errors import InputError
@@ -15,7 +16,6 @@ from trinoc.match.matcher import match_segments
 from trinoc.match.tuning.bodies import CylinderTuning
 from trinoc.numerics.tables import with_field
 from trinoc.numerics.vectors import complete_axes
-from trinoc.synth.solids import box
 
 VIEWS = ("upper", "left", "right")
 UPRIGHT = Placed(12.0, 30.0, shift_mm=(20.0, -15.0, 0.0))

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from simulation.camera_picture.scene import Radiance
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.camera_picture.scene import Radiance
 
 SMALL_LENS = Intrinsics(focal_length_px=(190.0, 230.0), image_size_px=(96, 90))
 SHEET = Pattern.cross_grid(rows=3, columns=3, pitch_mm=22.0, radius_mm=7.0)

@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from benchmarks.picture_conditions import CONDITIONS, Case, LensError
-from tests.synth.camera_picture.views import SHEET, SMALL_LENS, camera_of
+from simulation.camera_picture.optics import Optics, irradiance
+from simulation.camera_picture.paper import Paper
+from simulation.camera_picture.render import camera_picture, delivered_picture
+from simulation.camera_picture.scene import SheetScene, radiance
+from simulation.camera_picture.surfaces import RolledPaper
+from tests.simulation.camera_picture.views import SHEET, SMALL_LENS, camera_of
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry import project
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.camera_picture.optics import Optics, irradiance
-from trinoc.synth.camera_picture.paper import Paper
-from trinoc.synth.camera_picture.render import camera_picture, delivered_picture
-from trinoc.synth.camera_picture.scene import SheetScene, radiance
-from trinoc.synth.camera_picture.surfaces import RolledPaper
 
 POSE = (25.0, 40.0, 3.0, 300.0)
 ENDLESS = (1e4, 1e4)

@@ -3,15 +3,11 @@
 import numpy as np
 import pytest
 
-from trinoc.synth import (
-    Detector,
-    loose_segments,
-    simulate_segments,
-    table1_rig,
-)
-from trinoc.synth.observations import PERFECT
-from trinoc.synth.scenes import demo_scene, points_along
-from trinoc.synth.truth import NOT_SCORED, SPURIOUS
+from simulation import Detector, loose_segments, simulate_segments
+from simulation.observations import PERFECT
+from simulation.scenes import demo_scene
+from trinoc.synth import table1_rig
+from trinoc.synth.truth import NOT_SCORED, SPURIOUS, points_along
 
 RIG = table1_rig()
 SCENE = loose_segments(5, count=300)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from simulation.camera_picture.paper import Paper
 from trinoc.geometry.camera import (
     Camera,
     depth_mm,
@@ -22,7 +23,6 @@ from trinoc.geometry.camera import (
 )
 from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.programs import kept_jit
-from trinoc.synth.camera_picture.paper import Paper
 
 _CHUNK = 16384
 _NEWTON_STEPS, _NEWTON_PX = 8, 1e-10

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.special import j1
 
+from simulation.camera_picture.scene import Radiance
 from trinoc.errors import InputError
-from trinoc.synth.camera_picture.scene import Radiance
 
 
 class Optics(eqx.Module):

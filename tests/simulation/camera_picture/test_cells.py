@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from simulation.camera_picture.layers import Paint
+from simulation.camera_picture.render import render_sheet
+from simulation.camera_picture.shapes import Cells, ConvexPolygon
 from tests.calib.photometric.test_squares import Bare
 from trinoc.synth import table1_rig
-from trinoc.synth.camera_picture.layers import Paint
-from trinoc.synth.camera_picture.render import render_sheet
-from trinoc.synth.camera_picture.shapes import Cells, ConvexPolygon
 
 LINES = np.array([-30.0, -10.0, 10.0, 30.0])
 CHECKERS = np.pad(np.array([[1, 0, 1], [0, 1, 0], [1, 0, 1]], dtype=bool), 1)

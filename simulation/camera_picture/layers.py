@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.synth.camera_picture.shapes import Capsule, ConvexPolygon, Shape
+from simulation.camera_picture.shapes import Capsule, ConvexPolygon, Shape
 
 
 @runtime_checkable

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from tests.synth.camera_picture.views import camera_of
-from trinoc.synth.camera_picture.light import (
+from simulation.camera_picture.light import (
     GlareLamp,
     Illumination,
     light_on_sheet,
     passed_by_lens,
     reflection,
 )
-from trinoc.synth.camera_picture.paper import Paper
-from trinoc.synth.camera_picture.sheet_view import SheetView
+from simulation.camera_picture.paper import Paper
+from simulation.camera_picture.sheet_view import SheetView
+from tests.simulation.camera_picture.views import camera_of
 
 
 def seen_in_world(camera):

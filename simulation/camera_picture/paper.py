@@ -6,10 +6,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from simulation.camera_picture.layers import Layer, Paint, coverage_share
+from simulation.camera_picture.shapes import ConvexPolygon, FilledCircle, Intersection, Shape
+from simulation.camera_picture.surfaces import RolledPaper, Surface
 from trinoc.numerics.precision import ScalarLike
-from trinoc.synth.camera_picture.layers import Layer, Paint, coverage_share
-from trinoc.synth.camera_picture.shapes import ConvexPolygon, FilledCircle, Intersection, Shape
-from trinoc.synth.camera_picture.surfaces import RolledPaper, Surface
 
 # Wave numbers (rad/mm) across and along the grain, and phases: nothing repeats within a picture.
 _GRAIN = np.array(

@@ -4,15 +4,15 @@ import jax
 import numpy as np
 import pytest
 
+from simulation.camera_picture.layers import cover_card
+from simulation.camera_picture.light import Illumination
+from simulation.camera_picture.render import render_sheet
 from tests.geometry.conics import image_of_circle, shape_of_dual_conic
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry import project
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.camera_picture.layers import cover_card
-from trinoc.synth.camera_picture.light import Illumination
-from trinoc.synth.camera_picture.render import render_sheet
 
 LENS = Intrinsics(focal_length_px=(410.0, 500.0), image_size_px=(160, 150))
 PAPER, INK = 230.0, 25.0

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.synth.camera_picture.sensor import BLACK, GREY_LEVELS, Mosaic, gain_of_pixels
+from simulation.camera_picture.sensor import BLACK, GREY_LEVELS, Mosaic, gain_of_pixels
 
 
 @runtime_checkable

@@ -5,10 +5,10 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import ndtr
 
-from tests.synth.camera_picture.views import CELLS, radiance_of
+from simulation.camera_picture.optics import Optics, irradiance
+from simulation.camera_picture.scene import MARGIN_PX
+from tests.simulation.camera_picture.views import CELLS, radiance_of
 from trinoc.errors import InputError
-from trinoc.synth.camera_picture.optics import Optics, irradiance
-from trinoc.synth.camera_picture.scene import MARGIN_PX
 
 SIDE_PX = 96 + 2 * MARGIN_PX
 

@@ -4,14 +4,14 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from simulation.camera_picture.delivery import Processing, deliver_picture
+from simulation.camera_picture.layers import Layer
+from simulation.camera_picture.light import Illumination
+from simulation.camera_picture.optics import Optics, irradiance
+from simulation.camera_picture.paper import Paper, SheetFigures
+from simulation.camera_picture.scene import SheetScene, radiance
+from simulation.camera_picture.sensor import GREY_LEVELS, Sensor, read_out
 from trinoc.geometry.camera import Camera
-from trinoc.synth.camera_picture.delivery import Processing, deliver_picture
-from trinoc.synth.camera_picture.layers import Layer
-from trinoc.synth.camera_picture.light import Illumination
-from trinoc.synth.camera_picture.optics import Optics, irradiance
-from trinoc.synth.camera_picture.paper import Paper, SheetFigures
-from trinoc.synth.camera_picture.scene import SheetScene, radiance
-from trinoc.synth.camera_picture.sensor import GREY_LEVELS, Sensor, read_out
 
 _EVEN = Illumination()
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.synth.camera_picture.delivery import (
+from simulation.camera_picture.delivery import (
     SRGB,
     Processing,
     Sharpening,

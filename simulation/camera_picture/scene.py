@@ -8,16 +8,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from simulation.camera_picture.layers import Layer
+from simulation.camera_picture.light import Illumination, light_on_sheet, passed_by_lens, reflection
+from simulation.camera_picture.paper import Paper, SheetFigures
+from simulation.camera_picture.sheet_view import SheetView
 from trinoc.geometry.camera import Camera
-from trinoc.synth.camera_picture.layers import Layer
-from trinoc.synth.camera_picture.light import (
-    Illumination,
-    light_on_sheet,
-    passed_by_lens,
-    reflection,
-)
-from trinoc.synth.camera_picture.paper import Paper, SheetFigures
-from trinoc.synth.camera_picture.sheet_view import SheetView
 
 # Edges reach pixels this far outside the picture, unless a caller knows how far light spreads.
 MARGIN_PX = 16

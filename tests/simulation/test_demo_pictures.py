@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from simulation.camera_picture.render import render_sheet
+from simulation.scenes import demo_scene
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 from trinoc.io import (
@@ -19,9 +21,7 @@ from trinoc.io import (
 from trinoc.io.demo import demo_folder
 from trinoc.io.images import read_image
 from trinoc.synth import table1_rig
-from trinoc.synth.camera_picture.render import render_sheet
-from trinoc.synth.scenes import demo_scene, points_along
-from trinoc.synth.truth import shown_parts_mm
+from trinoc.synth.truth import points_along, shown_parts_mm
 
 RIG = table1_rig()
 # `python benchmarks/render_pictures.py pov-sheet` made it.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from trinoc.synth.camera_picture.surfaces import ConePaper, RolledPaper, TwistedPaper
+from simulation.camera_picture.surfaces import ConePaper, RolledPaper, TwistedPaper
 
 BENDS = {
     "cylinder": RolledPaper.from_sagitta(1.0, direction_deg=30.0),

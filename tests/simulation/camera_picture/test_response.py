@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.synth.camera_picture.delivery import SRGB, Gamma, Linear, SCurve
+from simulation.camera_picture.delivery import SRGB, Gamma, Linear, SCurve
 
 RESPONSES = [Linear(), SRGB(), Gamma(2.2), SCurve(), SCurve(Linear(), 0.8)]
 LEVELS = np.linspace(0.0, 1.0, 4097)

@@ -4,12 +4,12 @@ import jax
 import numpy as np
 import pytest
 
-from tests.synth.camera_picture.views import camera_of
+from simulation.camera_picture.paper import Paper
+from simulation.camera_picture.sheet_view import SheetView, cell_offsets_px, pixel_grid_px
+from simulation.camera_picture.surfaces import ConePaper, RolledPaper, TwistedPaper
+from tests.simulation.camera_picture.views import camera_of
 from trinoc.geometry import project, sheet_from_pixel
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.camera_picture.paper import Paper
-from trinoc.synth.camera_picture.sheet_view import SheetView, cell_offsets_px, pixel_grid_px
-from trinoc.synth.camera_picture.surfaces import ConePaper, RolledPaper, TwistedPaper
 
 DISTORTED = Intrinsics(
     focal_length_px=(190.0, 230.0), image_size_px=(96, 90), distortion=(-0.3, 0.1, 2e-3, -1e-3)

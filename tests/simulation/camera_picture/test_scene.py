@@ -5,15 +5,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.synth.camera_picture.views import CELLS, SHEET, camera_of, cells_of
+from simulation.camera_picture.layers import cover_card, coverage_of_cells, finger
+from simulation.camera_picture.light import Illumination, Shadow
+from simulation.camera_picture.paper import Paper
+from simulation.camera_picture.scene import MARGIN_PX, SheetScene, radiance
+from tests.simulation.camera_picture.views import CELLS, SHEET, camera_of, cells_of
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry import project
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.camera_picture.layers import cover_card, coverage_of_cells, finger
-from trinoc.synth.camera_picture.light import Illumination, Shadow
-from trinoc.synth.camera_picture.paper import Paper
-from trinoc.synth.camera_picture.scene import MARGIN_PX, SheetScene, radiance
 
 PAPER, INK, TABLE = 0.8, 0.1, 0.3
 

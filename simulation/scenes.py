@@ -4,8 +4,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from simulation.solids import EDGE, Cylinder, Solid, box, l_block, wedge
 from trinoc.geometry.camera import Camera
-from trinoc.synth.solids import EDGE, Cylinder, Solid, box, l_block, wedge
+from trinoc.synth.truth import points_along
 from trinoc.synth.visibility import VisibleParts, visible_parts
 
 
@@ -61,14 +62,6 @@ class Scene(eqx.Module):
         stacked = np.concatenate(lines)
         parts = visible_parts(camera, stacked, self.triangles_mm)
         return points_along(stacked[parts.segment], parts.extent)
-
-
-def points_along(
-    segments_mm: Float[np.ndarray, "n 2 3"], position: Float[np.ndarray, "n k"]
-) -> Float[np.ndarray, "n k 3"]:
-    """Points of segments at positions from 0, the first end, to 1, the second."""
-    first, second = segments_mm[:, :1], segments_mm[:, 1:]
-    return first + position[..., None] * (second - first)
 
 
 def demo_scene(*, cylinder_sides: int = 96) -> Scene:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from tests.synth.camera_picture.views import SHEET, camera_of
-from trinoc.synth.camera_picture.layers import Paint
-from trinoc.synth.camera_picture.paper import Paper, TableTop, printed_layers
-from trinoc.synth.camera_picture.scene import SheetScene, radiance
-from trinoc.synth.camera_picture.shapes import ConvexPolygon, FilledCircle
+from simulation.camera_picture.layers import Paint
+from simulation.camera_picture.paper import Paper, TableTop, printed_layers
+from simulation.camera_picture.scene import SheetScene, radiance
+from simulation.camera_picture.shapes import ConvexPolygon, FilledCircle
+from tests.simulation.camera_picture.views import SHEET, camera_of
 
 
 def figures(kind, gain_mm: float) -> list:

@@ -11,12 +11,12 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from simulation.scenes import Scene
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.projection import project_by_matrix
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.synth.scenes import Scene, points_along
-from trinoc.synth.truth import NOT_SCORED, SPURIOUS, SegmentTruth
+from trinoc.synth.truth import NOT_SCORED, SPURIOUS, SegmentTruth, points_along
 
 
 class Detector(eqx.Module):

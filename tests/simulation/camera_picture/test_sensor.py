@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.synth.camera_picture.sensor import BLACK, GREY_LEVELS, Mosaic, Sensor, read_out
+from simulation.camera_picture.sensor import BLACK, GREY_LEVELS, Mosaic, Sensor, read_out
 
 SHAPE = (300, 300)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.synth.camera_picture.delivery import Bilateral, Median, NonLocalMeans, remove_noise
+from simulation.camera_picture.delivery import Bilateral, Median, NonLocalMeans, remove_noise
 
 FILTERS = [Median(), Median(5), Bilateral(), NonLocalMeans()]
 

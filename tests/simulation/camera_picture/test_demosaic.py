@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from trinoc.synth.camera_picture.delivery import demosaic
-from trinoc.synth.camera_picture.sensor import Mosaic, Sensor, read_out
+from simulation.camera_picture.delivery import demosaic
+from simulation.camera_picture.sensor import Mosaic, Sensor, read_out
 
 MOSAIC = Mosaic((0.5, 1.0, 0.7))
 METHODS = ["bilinear", "edge-aware"]

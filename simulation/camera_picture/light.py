@@ -5,8 +5,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
+from simulation.camera_picture.sheet_view import pixel_grid_px
 from trinoc.geometry.camera import Camera
-from trinoc.synth.camera_picture.sheet_view import pixel_grid_px
 
 
 class Shadow(eqx.Module):
