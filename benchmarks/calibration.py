@@ -5,7 +5,7 @@
 The reference scene: 5 x 5 circles of 6 mm radius at 20 mm and a cross of 1 mm lines that stop
 1.5 mm before a circle; ink 25, paper 230, blur 0.7 px, noise 2 grey levels, 512 x 480 px of 8
 bits. Poses scatter about the paper's Table 1, or with --wide over pan +-60, tilt 20 to 80
-degrees. Each pose is ray cast once by `trinoc.synth`, which knows nothing of the fitted model,
+degrees. Each pose is ray cast once by `simulation`, which knows nothing of the fitted model,
 and noise is added K times. The bound is that of the whole picture, at the true noise.
 
 The same pictures go to OpenCV's blob detector (tuned) with solvePnP, to
@@ -23,6 +23,7 @@ import jax
 import numpy as np
 from scipy.optimize import least_squares
 
+from simulation.camera_picture.render import render_sheet
 from trinoc.calib import (
     CalibrationResult,
     Detection,
@@ -42,7 +43,6 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.pose import PoseModel
 from trinoc.synth import table1_lens
-from trinoc.synth.camera_picture.render import render_sheet
 
 LENS, NOISE = table1_lens(), 2.0
 TABLE_1 = np.array(

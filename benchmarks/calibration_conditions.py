@@ -17,12 +17,12 @@ import numpy as np
 from calibration import LENS, NOISE, SHEET, TRUE_NOISE, by_picture, difference, labelled, poses
 from picture_bound import Scene, bound_of_image
 
+from simulation.camera_picture.layers import cover_card
 from trinoc.calib import detect_pattern
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.geometry.pose import PoseModel
-from trinoc.synth.camera_picture.layers import cover_card
 
 
 class Condition(NamedTuple):

@@ -19,12 +19,12 @@ from matching_rendered import Place, score_place
 from shared_scenes import VIEWS
 
 import trinoc
+from simulation.camera_picture.delivery import SRGB, Processing, Sharpening
+from simulation.camera_picture.render import delivered_picture
+from simulation.camera_picture.sensor import Mosaic, Sensor
 from trinoc.image.response import ResponseLike
 from trinoc.io import load_scene_truth
 from trinoc.io.rig_json import load_rig
-from trinoc.synth.camera_picture.delivery import SRGB, Processing, Sharpening
-from trinoc.synth.camera_picture.render import delivered_picture
-from trinoc.synth.camera_picture.sensor import Mosaic, Sensor
 
 # In light that is white to the camera the brightest face stays below saturation.
 EXPOSURE = 1.2

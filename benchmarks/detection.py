@@ -2,7 +2,7 @@
 
     [SUPERSAMPLING=16] python benchmarks/detection.py [--pictures N] [--only CONDITION ...]
 
-Every condition renders N pictures of random poses with `trinoc.synth`, whose ray caster knows
+Every condition renders N pictures of random poses with `simulation`, whose ray caster knows
 nothing of the detector. A label is wrong when the circle lies more than a fifth of its own
 size (at least 1.5 px) from where that circle's image is. `cv2.findCirclesGrid` runs on the
 same pictures for its time; it is not made for rings and crossed lines, so its success is no

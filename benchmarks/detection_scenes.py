@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from simulation.camera_picture.layers import Paint, cover_card, finger
+from simulation.camera_picture.light import Illumination, Shadow
+from simulation.camera_picture.render import render_sheet
+from simulation.camera_picture.shapes import Capsule, FilledCircle
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.synth import table1_lens
-from trinoc.synth.camera_picture.layers import Paint, cover_card, finger
-from trinoc.synth.camera_picture.light import Illumination, Shadow
-from trinoc.synth.camera_picture.render import render_sheet
-from trinoc.synth.camera_picture.shapes import Capsule, FilledCircle
 
 # Enough for labels; the renderer's own error is then about that of the centres, so that errors
 # over sigma are twice too large. At 16 they are right, and pictures take eight times as long.

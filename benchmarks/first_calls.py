@@ -43,9 +43,10 @@ def make_inputs(folder: Path) -> None:
     from rig_parts.made import BOARDS, boards, observed
 
     import trinoc
+    from simulation import Detector, loose_segments, simulate_segments
+    from simulation.camera_picture.render import camera_picture
     from trinoc.io import demo_images, demo_pattern
-    from trinoc.synth import Detector, loose_segments, simulate_segments, table1_lens, table1_rig
-    from trinoc.synth.camera_picture.render import camera_picture
+    from trinoc.synth import table1_lens, table1_rig
 
     trinoc.io.enable_compile_cache()
     condition = CONDITIONS["vignette and broad glare"]

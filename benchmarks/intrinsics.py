@@ -17,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from simulation.camera_picture.render import render_sheet
 from trinoc.calib import Detection, detect_pattern
 from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.targets.pattern import Pattern
@@ -25,7 +26,6 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.lenses.registry import simplify_lens
-from trinoc.synth.camera_picture.render import render_sheet
 
 SHEET = Pattern.default()
 SIZE_PX = (512, 480)

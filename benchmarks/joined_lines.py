@@ -2,7 +2,7 @@
 
     python benchmarks/joined_lines.py [--seeds N] [--rendered FOLDER]
 
-Scenes are drawn by trinoc.synth from seeds that nothing was tuned on. FOLDER holds scenes of
+Scenes are drawn by simulation from seeds that nothing was tuned on. FOLDER holds scenes of
 blocks that benchmarks/render_pictures.py rendered, a folder each. There a line is of the edge
 from which four fifths of it are less than 1 mm away. Pairs of tracks are rightly joined if both
 are of one edge or of two that are collinear, and a corner is right if all of its lines are of
@@ -22,6 +22,8 @@ from matching import VIEWS, fresh_problems
 from scipy.spatial import KDTree
 from scipy.stats import chi2
 
+from simulation import loose_segments
+from simulation.solids import Cylinder
 from trinoc.evaluation.distances import distance_to_segments_mm
 from trinoc.geometry.rig import Rig
 from trinoc.io import load_scene_truth
@@ -32,8 +34,7 @@ from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.vectors import complete_axes
 from trinoc.segments import find_segments
-from trinoc.synth import loose_segments, table1_rig
-from trinoc.synth.solids import Cylinder
+from trinoc.synth import table1_rig
 from trinoc.synth.truth import SegmentTruth
 
 KINDS = ("table", "boxes", "boxes ej5", "boxes x4", "random", "random ej5")

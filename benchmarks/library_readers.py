@@ -1,4 +1,6 @@
-"""What damaged files do to the libraries that could read them in place of trinoc's own readers.
+"""What damaged files do to libraries that read them, and to trinoc's readers.
+
+A library that ends the process reads in a child process (`trinoc/io/child_process.py`): SciPy.
 
     python benchmarks/library_readers.py [--files 400] [--seed 1]
 

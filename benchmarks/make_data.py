@@ -3,7 +3,7 @@
     python benchmarks/make_data.py DIR [--only NAME ...]
 
 Writes DIR/scenes/NAME.npz and NAME.gt.npz (see shared_scenes.py) with the rig of the paper's
-Table 1, drawn by `trinoc.synth` from fixed seeds; a file that stands there is left as it is. Then
+Table 1, drawn by `simulation` from fixed seeds; a file that stands there is left as it is. Then
 lists every other data set that a benchmark looks for under DIR, with the benchmark, and whether
 it is there. Takes a few seconds. Afterwards set TRINOC_DATA=DIR.
 
@@ -18,14 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from shared_scenes import VIEWS
 
-from trinoc.synth import (
-    Detector,
-    block_scene,
-    loose_segments,
-    simulate_segments,
-    table1_rig,
-)
-from trinoc.synth.scenes import Scene, see_through_boxes
+from simulation import Detector, block_scene, loose_segments, simulate_segments
+from simulation.scenes import Scene, see_through_boxes
+from trinoc.synth import table1_rig
 
 
 class Recipe(NamedTuple):

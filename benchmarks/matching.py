@@ -5,7 +5,7 @@
 
 DIR holds scenes/NAME.npz with NAME.gt.npz and vgg_merton1, vgg_merton2, vgg_corridor (VGG, Oxford).
 FOLDER holds scenes of blocks that benchmarks/render_pictures.py rendered, a folder each. Fresh
-scenes are drawn by trinoc.synth from seeds that nothing was tuned on. Figures of Line3D++ and
+scenes are drawn by simulation from seeds that nothing was tuned on. Figures of Line3D++ and
 LIMAP are of the same files, measured apart, at their best settings. A pair or a triple is right
 when its segments come from one edge and their true extents overlap.
 """
@@ -24,6 +24,8 @@ from match_scores import MatchScore, score_groups, score_matches
 from matching_rendered import table_of_rendered
 from shared_scenes import VIEWS, load_scene
 
+from simulation import Detector, block_scene, loose_segments, simulate_segments
+from simulation.scenes import see_through_boxes
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match import match_many
@@ -35,14 +37,7 @@ from trinoc.match.selection.marginals import Selection, select
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.precision import in_float64
 from trinoc.segments import with_side_levels
-from trinoc.synth import (
-    Detector,
-    block_scene,
-    loose_segments,
-    simulate_segments,
-    table1_rig,
-)
-from trinoc.synth.scenes import see_through_boxes
+from trinoc.synth import table1_rig
 from trinoc.synth.truth import SegmentTruth
 
 Problem = tuple[str, Rig, dict[str, Segments], SegmentTruth]

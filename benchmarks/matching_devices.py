@@ -16,10 +16,11 @@ import jax
 import numpy as np
 from matching import FRESH_SEED
 
+from simulation import Detector, loose_segments, simulate_segments
 from trinoc.match import match_many
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches
-from trinoc.synth import Detector, loose_segments, simulate_segments, table1_rig
+from trinoc.synth import table1_rig
 
 
 def main() -> None:

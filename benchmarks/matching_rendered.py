@@ -13,6 +13,7 @@ from segment_truth import samples_on_shadow, shadow_gradient
 from shared_scenes import VIEWS
 
 import trinoc.synth
+from simulation import block_scene
 from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
 from trinoc.evaluation.scoring import score_lengths
 from trinoc.geometry.rig import Rig
@@ -22,7 +23,7 @@ from trinoc.io.rig_json import load_rig
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.segments import find_segments, find_segments_lsd
-from trinoc.synth import block_scene, table1_rig
+from trinoc.synth import table1_rig
 from trinoc.synth.truth import SceneTruth, shown_parts_mm
 
 TOLERANCE_MM, GREY_STEP, STEP_MM = 1.0, 8.0, 0.5

@@ -2,7 +2,7 @@
 
     python benchmarks/matching_truth.py [--seeds N] [--first SEED] [--only angle noise ...]
 
-Scenes are drawn by trinoc.synth from seeds that nothing was tuned on. A match is right when its
+Scenes are drawn by simulation from seeds that nothing was tuned on. A match is right when its
 segments come from one edge; its error is that of its two ends across the edge, four numbers,
 compared with 95 % of chi-square under the covariance it claims.
 """
@@ -16,6 +16,8 @@ import numpy as np
 from match_scores import score_matches
 from scipy.stats import chi2
 
+from simulation import Detector, block_scene, loose_segments, simulate_segments
+from simulation.scenes import Scene, see_through_boxes
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
@@ -23,15 +25,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches
-from trinoc.synth import (
-    Detector,
-    block_scene,
-    loose_segments,
-    simulate_segments,
-    table1_lens,
-    table1_rig,
-)
-from trinoc.synth.scenes import Scene, see_through_boxes
+from trinoc.synth import table1_lens, table1_rig
 from trinoc.synth.truth import SegmentTruth
 
 SEED = 950_000

@@ -18,12 +18,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from simulation import Detector, block_scene, loose_segments, simulate_segments
+from simulation.scenes import see_through_boxes
 from trinoc import Matches, Rig, Segments, match_segments
 from trinoc.match.tracks.matches import MatchStatus
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import with_field
-from trinoc.synth import Detector, block_scene, loose_segments, simulate_segments, table1_rig
-from trinoc.synth.scenes import see_through_boxes
+from trinoc.synth import table1_rig
 
 VIEWS = ("upper", "left", "right")
 SIZE = np.array([512.0, 480.0])

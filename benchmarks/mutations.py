@@ -28,7 +28,10 @@ from typing import NamedTuple
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent
 LIMIT_S = 600
-COPIED = ("trinoc", "tests", "benchmarks", "docs", "patterns", "pyproject.toml", "README.md")
+COPIED = (
+    *("trinoc", "simulation", "tests", "benchmarks", "docs", "patterns"),
+    *("pyproject.toml", "README.md"),
+)
 
 
 class Mutation(NamedTuple):

@@ -1,6 +1,6 @@
 """The Cramer-Rao bound of a picture of the sheet, from the ray caster alone.
 
-The pictures' derivatives are central differences of `trinoc.synth.render_sheet`, so that the
+The pictures' derivatives are central differences of `simulation.camera_picture`, so that the
 bound knows nothing of the model that is fitted. Pose and nuisances (blur, ink spread, ink's grey
 level, and light as a quadratic over the picture) are unknown together, as they are in the fit.
 """
@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from simulation.camera_picture.render import render_sheet
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.camera_picture.render import render_sheet
 
 # Central differences of about a tenth of a pixel: the edge is nearly straight over them.
 _STEPS = np.array([0.02, 0.02, 0.04, 0.1, 0.05, 0.05])

@@ -9,9 +9,7 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.synth.camera_picture.delivery import (
+from simulation.camera_picture.delivery import (
     SRGB,
     Bilateral,
     Gamma,
@@ -21,19 +19,16 @@ from trinoc.synth.camera_picture.delivery import (
     SCurve,
     Sharpening,
 )
-from trinoc.synth.camera_picture.layers import cover_card, finger
-from trinoc.synth.camera_picture.light import GlareLamp, Illumination, Shadow
-from trinoc.synth.camera_picture.optics import Optics
-from trinoc.synth.camera_picture.paper import Paper
-from trinoc.synth.camera_picture.render import Condition
-from trinoc.synth.camera_picture.scene import SheetScene
-from trinoc.synth.camera_picture.sensor import Mosaic, Sensor
-from trinoc.synth.camera_picture.surfaces import (
-    ConePaper,
-    RolledPaper,
-    Surface,
-    TwistedPaper,
-)
+from simulation.camera_picture.layers import cover_card, finger
+from simulation.camera_picture.light import GlareLamp, Illumination, Shadow
+from simulation.camera_picture.optics import Optics
+from simulation.camera_picture.paper import Paper
+from simulation.camera_picture.render import Condition
+from simulation.camera_picture.scene import SheetScene
+from simulation.camera_picture.sensor import Mosaic, Sensor
+from simulation.camera_picture.surfaces import ConePaper, RolledPaper, Surface, TwistedPaper
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
 
 
 class SheetGrid(NamedTuple):

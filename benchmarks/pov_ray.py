@@ -13,10 +13,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from simulation.scenes import Scene
+from simulation.solids import Cylinder
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
-from trinoc.synth.scenes import Scene
-from trinoc.synth.solids import Cylinder
 
 
 class Light(NamedTuple):

@@ -43,13 +43,13 @@ from picture_bound import Scene, bound_of_image
 from picture_conditions import CONDITIONS, Case, SheetGrid
 
 import trinoc
+from simulation.camera_picture.optics import irradiance
+from simulation.camera_picture.render import delivered_picture
+from simulation.camera_picture.scene import radiance
 from trinoc.calib.uncertainty.systematics import data_sheet_covariance
 from trinoc.errors import CalibrationError
 from trinoc.numerics.precision import in_float64
 from trinoc.synth import table1_lens
-from trinoc.synth.camera_picture.optics import irradiance
-from trinoc.synth.camera_picture.render import delivered_picture
-from trinoc.synth.camera_picture.scene import radiance
 from trinoc.synth.rigs import TABLE_1
 
 NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")

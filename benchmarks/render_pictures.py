@@ -11,7 +11,7 @@ All but `sheets` need the program povray (Debian: apt-get install povray); nothi
 does.
 
 `sheets` makes the bundled pictures of the default sheet (sheet_<view>.png, pattern.json) by
-`trinoc.synth.camera_picture`, as the rig of the paper's Table 1 sees it, 512 x 480 pixels that are
+`simulation.camera_picture`, as the rig of the paper's Table 1 sees it, 512 x 480 pixels that are
 not square. `demo` makes these and the scene: a table with boxes, a wedge, an L-shaped block and a
 cylinder (scene_<view>.png, truth.json). Noise is drawn by the number of the view, 0 to 2.
 
@@ -46,20 +46,21 @@ import cv2
 import numpy as np
 from pov_ray import Light, blocks_text, render, sheet_text
 
+from simulation import block_scene
+from simulation.camera_picture.delivery import quantise
+from simulation.camera_picture.paper import Paper
+from simulation.camera_picture.render import Condition, camera_picture
+from simulation.camera_picture.scene import SheetScene
+from simulation.camera_picture.sensor import Sensor
+from simulation.scenes import Scene, demo_scene
+from simulation.solids import Cylinder
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.io import save_scene_truth
 from trinoc.io.board_json import save_pattern
 from trinoc.io.rig_json import save_rig
-from trinoc.synth import block_scene, table1_rig
-from trinoc.synth.camera_picture.delivery import quantise
-from trinoc.synth.camera_picture.paper import Paper
-from trinoc.synth.camera_picture.render import Condition, camera_picture
-from trinoc.synth.camera_picture.scene import SheetScene
-from trinoc.synth.camera_picture.sensor import Sensor
-from trinoc.synth.scenes import Scene, demo_scene
-from trinoc.synth.solids import Cylinder
+from trinoc.synth import table1_rig
 from trinoc.synth.truth import SceneTruth, SeenParts
 
 DEMO = Path(__file__).parent.parent / "trinoc" / "synth" / "demo"

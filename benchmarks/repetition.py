@@ -25,18 +25,19 @@ from matching_truth import collinear_rig, edges_of, square_of, squares
 from rig_parts.pixels import BARE
 from scipy.stats import chi2
 
+from simulation import Detector, loose_segments, simulate_segments
+from simulation.camera_picture.layers import Paint
+from simulation.camera_picture.optics import Optics
+from simulation.camera_picture.paper import Paper
+from simulation.camera_picture.render import Condition, camera_picture
+from simulation.camera_picture.scene import SheetScene
+from simulation.camera_picture.sensor import Sensor
+from simulation.camera_picture.shapes import ConvexPolygon
+from simulation.scenes import Scene
 from trinoc import Matches, Rig, Segments, find_segments, match_segments
 from trinoc.geometry.intrinsics import undistort_pixels
 from trinoc.numerics.tables import take_rows
-from trinoc.synth import Detector, loose_segments, simulate_segments, table1_lens, table1_rig
-from trinoc.synth.camera_picture.layers import Paint
-from trinoc.synth.camera_picture.optics import Optics
-from trinoc.synth.camera_picture.paper import Paper
-from trinoc.synth.camera_picture.render import Condition, camera_picture
-from trinoc.synth.camera_picture.scene import SheetScene
-from trinoc.synth.camera_picture.sensor import Sensor
-from trinoc.synth.camera_picture.shapes import ConvexPolygon
-from trinoc.synth.scenes import Scene
+from trinoc.synth import table1_lens, table1_rig
 from trinoc.synth.truth import SegmentTruth
 
 LEVELS = (0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0001)

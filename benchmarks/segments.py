@@ -34,11 +34,11 @@ from segment_truth import (
     score,
 )
 
+from simulation.camera_picture.delivery import SRGB
 from trinoc.geometry.segments import Segments
 from trinoc.image.response import ResponseLike
 from trinoc.segments import find_segments
 from trinoc.segments.lsd import LSD_BIAS_PX
-from trinoc.synth.camera_picture.delivery import SRGB
 
 SAME_STEP = 1 / 3
 # Pictures in so much stronger light have saturated faces.

@@ -45,6 +45,8 @@ import numpy as np
 from match_scores import score_matches
 from segment_truth import Picture, covering, pictures_of_scene, score
 
+from simulation import Detector, block_scene, loose_segments, simulate_segments
+from simulation.scenes import see_through_boxes
 from trinoc.calib.tuning.every_group import TUNING as OF_CALIB
 from trinoc.io.demo import demo_folder
 from trinoc.match.matcher import match_segments
@@ -52,14 +54,7 @@ from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import with_field
 from trinoc.segments.find import find_segments
 from trinoc.segments.tuning import DEFAULT as OF_SEGMENTS
-from trinoc.synth import (
-    Detector,
-    block_scene,
-    loose_segments,
-    simulate_segments,
-    table1_rig,
-)
-from trinoc.synth.scenes import see_through_boxes
+from trinoc.synth import table1_rig
 
 FIRST_SEED = 130_000
 PREFIX = "segments."

@@ -19,16 +19,17 @@ from pathlib import Path
 import numpy as np
 from matching import VIEWS, fresh_problems
 from scipy.stats import chi2
+from wireframe_score import score_wireframe
 
 import trinoc
+from simulation import block_scene
+from simulation.solids import Polyhedron
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.geometry.rig import Rig
 from trinoc.io import load_scene_truth, read_image
 from trinoc.io.rig_json import load_rig
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.synth import block_scene
-from trinoc.synth.solids import Polyhedron
 from trinoc.synth.truth import SegmentTruth, shown_parts_of_segments_mm
 
 KINDS = ("table", "boxes", "boxes ej5", "boxes x4")
@@ -56,15 +57,14 @@ class Tally:
         start = time.process_time()
         frame = trinoc.match.wireframe(matches, rig, tuning=tuning)
         self.count["ms"] += round(1e3 * (time.process_time() - start))
-        near = trinoc.evaluate(frame, shape, tolerances_mm=(NEAR_MM,))
-        wide = trinoc.evaluate(frame, shape, tolerances_mm=(WIDE_MM,))
-        assert near.wireframe is not None
-        assert wide.wireframe is not None
-        self.count.update({k: v for k, v in near.wireframe.record().items() if "share" not in k})
-        self.error_mm.extend(near.wireframe.error_mm)
-        self.square.extend(wide.wireframe.square)
-        self.count["lines"] += near.normalised.lines
-        self.count["lines in"] += round(near.normalised.lines * near.normalised.share_of_lines)
+        near = score_wireframe(frame, shape, NEAR_MM)
+        wide = score_wireframe(frame, shape, WIDE_MM)
+        normalised = trinoc.evaluate(frame, shape, tolerances_mm=(NEAR_MM,)).normalised
+        self.count.update(near.counts())
+        self.error_mm.extend(near.error_mm)
+        self.square.extend(wide.square)
+        self.count["lines"] += normalised.lines
+        self.count["lines in"] += round(normalised.lines * normalised.share_of_lines)
         self.count["true faces"] += sum(_is_face(frame.vertices_mm[f], solids) for f in frame.faces)
         self.count["let go"] += len(frame.let_go)
         self.count["scenes"] += 1

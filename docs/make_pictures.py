@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 
 import trinoc
+from simulation.camera_picture.render import render_sheet
 from trinoc import Camera, Pattern
 from trinoc.io import demo_images, demo_pattern
 from trinoc.match import wireframe
 from trinoc.synth import table1_lens
-from trinoc.synth.camera_picture.render import render_sheet
 
 FOLDER = Path(__file__).parent / "pictures"
 PATTERN = Pattern.default()

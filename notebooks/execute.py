@@ -5,6 +5,7 @@
 The scripts, in the percent format that editors know, are what one edits and reviews.
 """
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import nbformat
 from nbclient import NotebookClient
 
 TIME_LIMIT_S = 240
+ROOT = Path(__file__).resolve().parent.parent
 
 
 def notebook_of_script(text: str) -> nbformat.NotebookNode:
@@ -46,6 +48,8 @@ def execute(notebook: nbformat.NotebookNode, folder: Path) -> nbformat.NotebookN
 
 
 if __name__ == "__main__":
+    # `simulation` is not installed.
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), *sys.path])
     for script in sorted(Path(__file__).parent.glob("*.py")):
         if script.name == Path(__file__).name or sys.argv[1:] and script.stem not in sys.argv[1:]:
             continue

@@ -11,7 +11,8 @@ import numpy as np
 import trinoc
 from trinoc.io import enable_compile_cache
 from trinoc import Camera, Rig
-from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
+from simulation import Detector, block_scene, simulate_segments
+from trinoc.synth import table1_rig
 
 enable_compile_cache()
 plt.rcParams.update({"figure.dpi": 80, "savefig.bbox": "tight"})

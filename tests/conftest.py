@@ -1,13 +1,10 @@
 """Settings of every test: double precision, no silent promotion, shapes checked at run time."""
 
-import atexit
 import contextlib
 import ctypes
 import gc
 import os
 import random
-import shutil
-import tempfile
 from pathlib import Path
 
 import jaxlib.version
@@ -28,14 +25,13 @@ os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 if jaxlib.version.__version__.startswith("0.10."):
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
-# Workers and notebooks compile the same kernels. They share them through a folder that the
-# first process makes and removes; the others find its name in their environment.
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    _compiled = tempfile.mkdtemp(prefix="trinoc-tests-")
-    atexit.register(shutil.rmtree, _compiled, ignore_errors=True)
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = _compiled
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+# Workers, notebooks and the next run share what is compiled: programs are found by their sources.
+# `pytest --cache-clear` forgets them.
+_compiled = Path(__file__).parent.parent / ".pytest_cache" / "d" / "programs"
+_compiled = Path(os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_compiled)))
+_compiled.mkdir(mode=0o700, parents=True, exist_ok=True)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 # Commands would take the user's own folder instead.
 os.environ["TRINOC_COMPILE_CACHE"] = "off"
@@ -57,7 +53,7 @@ from trinoc.io.compile_cache import FolderStore  # noqa: E402
 from trinoc.numerics.programs import forget_programs, set_program_store  # noqa: E402
 
 # What one worker has traced, the other need not trace again.
-set_program_store(FolderStore(Path(os.environ["JAX_COMPILATION_CACHE_DIR"])))
+set_program_store(FolderStore(_compiled))
 
 # Compilation makes the first example slow, so a deadline would only measure the compiler. Where
 # nobody waits to mend it, a failing example is told as it was drawn: shrinking takes minutes.

@@ -76,7 +76,7 @@ def _decorate_late(
 
 
 def install() -> None:
-    """Have what is imported from trinoc from now on checked.
+    """Have what is imported from trinoc and simulation from now on checked.
 
     The hook decorates by `jaxtyping.jaxtyped`. A function within a function is made anew at each
     call of that, and making a check takes longer than most of them: they are left out.
@@ -94,4 +94,4 @@ def install() -> None:
         return choose
 
     jaxtyping.jaxtyped = decorate_outer
-    jaxtyping.install_import_hook("trinoc", "tests.first_calls.check_first_calls")
+    jaxtyping.install_import_hook(["trinoc", "simulation"], "tests.first_calls.check_first_calls")

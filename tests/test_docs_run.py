@@ -21,6 +21,9 @@ import numpy as np
 import pytest
 
 import trinoc
+from simulation.camera_picture.layers import Paint
+from simulation.camera_picture.render import render_sheet
+from simulation.camera_picture.shapes import Cells
 from tests.io.formats.bench import bench_matches, bench_rig
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
@@ -33,9 +36,6 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.io.demo import demo_paths, demo_pattern, demo_truth
 from trinoc.io.images import read_image
-from trinoc.synth.camera_picture.layers import Paint
-from trinoc.synth.camera_picture.render import render_sheet
-from trinoc.synth.camera_picture.shapes import Cells
 from trinoc.synth.rigs import table1_rig
 
 ROOT = Path(__file__).parents[1]

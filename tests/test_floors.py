@@ -87,6 +87,15 @@ def imported(tree, *, at_top_only=False):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+def test_the_package_does_not_import_the_simulation():
+    assert not [
+        f"{module} imports {name}"
+        for module, _, tree in modules()
+        for name in imported(tree)
+        if name.split(".")[0] == "simulation"
+    ]
+
+
 PACKAGES = sorted(
     ".".join(("trinoc", *path.parent.relative_to(ROOT).parts)) for path in ROOT.rglob("__init__.py")
 )

@@ -8,12 +8,12 @@ import trinoc
 from golden_parts import records
 from golden_parts.inputs import EXACT, TERMS, delivered, digest
 from golden_parts.records import Values, attempt
+from simulation.camera_picture.render import render_sheet
 from trinoc.calib import calibrate_detections
 from trinoc.calib.rig_check.comparison import compare_rigs
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.io import demo_images, demo_pattern
 from trinoc.synth import table1_lens, table1_rig
-from trinoc.synth.camera_picture.render import render_sheet
 
 
 def calibrate_circles() -> Values:

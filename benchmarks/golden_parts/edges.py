@@ -12,15 +12,15 @@ from golden_parts.inputs import (
     saturated_picture,
 )
 from golden_parts.records import Values
+from simulation.camera_picture.delivery import SRGB, Processing
+from simulation.camera_picture.render import delivered_picture
+from simulation.camera_picture.sensor import Sensor
 from trinoc.capture.advice import next_step, summary_lines
 from trinoc.capture.judgement import judge, judge_unread, judgement_line
 from trinoc.capture.measures import cover_cells, edge_blur_px, measure_exposure
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.io import demo_images, demo_pattern
 from trinoc.segments import find_junctions
-from trinoc.synth.camera_picture.delivery import SRGB, Processing
-from trinoc.synth.camera_picture.render import delivered_picture
-from trinoc.synth.camera_picture.sensor import Sensor
 
 
 def segments() -> Values:

@@ -10,12 +10,13 @@ from rig_parts.made import LENSES, SIZE_PX, boards, observed, rotation, seen
 from rig_parts.pixels import NOISE, PERSPECTIVE, rendered
 
 import trinoc
+from simulation import Detector, block_scene, simulate_segments
+from simulation.camera_picture.render import camera_picture
 from trinoc.calib import CalibrationResult, Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.io import demo_images, demo_pattern
-from trinoc.synth import Detector, block_scene, simulate_segments, table1_lens, table1_rig
-from trinoc.synth.camera_picture.render import camera_picture
+from trinoc.synth import table1_lens, table1_rig
 
 EXACT = trinoc.Systematics()
 TERMS = trinoc.Systematics(print_scale_sigma=(0.0005, 0.0005), flatness_mm=0.1, aim_sigma_mm=0.2)

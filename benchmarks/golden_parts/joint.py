@@ -15,14 +15,10 @@ from golden_parts.inputs import (
     knocked_rig,
 )
 from golden_parts.records import Values, attempt
+from simulation import Detector, simulate_segments
+from simulation.scenes import see_through_boxes
 from trinoc.io import demo_images, demo_pattern
-from trinoc.synth import (
-    Detector,
-    simulate_segments,
-    table1_lens,
-    table1_rig,
-)
-from trinoc.synth.scenes import see_through_boxes
+from trinoc.synth import table1_lens, table1_rig
 
 
 def refine() -> Values:

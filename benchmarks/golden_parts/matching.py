@@ -18,17 +18,12 @@ from golden_parts.inputs import (
     five_view_rig,
 )
 from golden_parts.records import Values
+from simulation import Detector, block_scene, loose_segments, simulate_segments
+from simulation.scenes import see_through_boxes
 from trinoc.io import demo_images, demo_truth
 from trinoc.match import depth_map, match_many
 from trinoc.segments import with_side_levels
-from trinoc.synth import (
-    Detector,
-    block_scene,
-    loose_segments,
-    simulate_segments,
-    table1_rig,
-)
-from trinoc.synth.scenes import see_through_boxes
+from trinoc.synth import table1_rig
 
 FILES = (
     *("table_clean", "table_0", "table_1", "random100_0", "boxes120_0", "random500_0"),

@@ -13,19 +13,14 @@ import numpy as np
 from match_scores import score_matches
 
 from refine_parts.rigs import SIZES, TRUE_RIG, calibrated_rig, camera_error, knocked, relative_error
+from simulation import Detector, block_scene, loose_segments, simulate_segments
+from simulation.scenes import see_through_boxes
 from trinoc.calib import RefineResult
 from trinoc.calib.bundle.refinement import refine
 from trinoc.calib.bundle.result import RefineStatus
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.matcher import match_segments
-from trinoc.synth import (
-    Detector,
-    block_scene,
-    loose_segments,
-    simulate_segments,
-)
-from trinoc.synth.scenes import see_through_boxes
 from trinoc.synth.truth import SegmentTruth
 
 FIRST_SEED = 130_000

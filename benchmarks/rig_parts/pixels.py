@@ -36,6 +36,9 @@ from rig_parts.made import (
     rms,
     rotation,
 )
+from simulation.camera_picture.layers import Paint
+from simulation.camera_picture.render import render_sheet
+from simulation.camera_picture.shapes import Cells
 from trinoc.calib import detect_target
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.targets.april_grid import AprilGrid
@@ -50,9 +53,6 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.rotation import rotation_from_vector
-from trinoc.synth.camera_picture.layers import Paint
-from trinoc.synth.camera_picture.render import render_sheet
-from trinoc.synth.camera_picture.shapes import Cells
 
 BOARDS = {
     "sheet": Pattern.default(),

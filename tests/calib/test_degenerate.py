@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import trinoc
+from simulation.camera_picture.render import render_sheet
 from trinoc.calib.detection.registry import detect_pattern
 from trinoc.errors import TrinocError
 from trinoc.geometry.camera import Camera
 from trinoc.synth import table1_lens, table1_rig
-from trinoc.synth.camera_picture.render import render_sheet
 
 RIG, LENS = table1_rig(), table1_lens()
 PATTERN = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=24.0, radius_mm=7.0)

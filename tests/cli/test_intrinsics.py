@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import trinoc
+from simulation.camera_picture.render import render_sheet
 from tests.capture.made_boards import (
     FOCAL_PX,
     SIZE_PX as BOARD_SIZE_PX,
@@ -19,7 +20,6 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.io import load_intrinsics
 from trinoc.io.intrinsics_json import load_lens_covariance
-from trinoc.synth.camera_picture.render import render_sheet
 
 SHEET = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=25.0, radius_mm=8.0)
 LENS = Intrinsics(image_size_px=(320, 300), focal_length_px=(610.0, 745.0), distortion=(-0.2, 0.1))

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import trinoc
+from simulation.camera_picture.render import render_sheet
 from trinoc.cli.main import main
 from trinoc.io import demo_paths
 from trinoc.synth import table1_lens, table1_rig
-from trinoc.synth.camera_picture.render import render_sheet
 
 LENS = ("--lens-mm", "16", "0.0162", "0.0134")
 # Made pictures are of what is said of them.

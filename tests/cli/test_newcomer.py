@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import trinoc
+from simulation.camera_picture.render import render_sheet
 from trinoc.cli.main import main
 from trinoc.io import read_image
 from trinoc.synth import table1_rig
-from trinoc.synth.camera_picture.render import render_sheet
 
 LENS = ("--lens-mm", "16", "0.0162", "0.0134")
 EXACT = ("--sigma", "lens=0", "aim_mm=0", "flatness_mm=0", "print_scale=0")

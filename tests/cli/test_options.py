@@ -12,13 +12,11 @@ from hypothesis import given, strategies as st
 import trinoc
 from trinoc.cli.calibrate import CalibrateCommand
 from trinoc.cli.command import UsageError
-from trinoc.cli.evaluate import LINES, SHAPE, TRIED_FIND
 from trinoc.cli.lens_options import BOARD_SIGMA, SIGMA, LensOptions
 from trinoc.cli.main import main
 from trinoc.cli.segments import FIND
 from trinoc.cli.settings import (
     parse_integer,
-    parse_list,
     parse_number,
     parse_pair,
     parse_truth,
@@ -245,7 +243,6 @@ def help_text(command: str) -> str:
         ("calibrate-rig", BOARD_SIGMA),
         ("match", FIND),
         ("batch", FIND),
-        ("evaluate", (*TRIED_FIND, *SHAPE, *LINES)),
     ],
 )
 def test_the_help_names_every_setting(command, names):
@@ -259,7 +256,6 @@ def test_settings_are_read_by_their_parsers():
     said = read_settings("--x", [["a-mm=1.5", "b=no"], ["c=3"]], parsers)
     assert said == {"a_mm": 1.5, "b": False, "c": (3, 3)}
     assert parse_pair(parse_integer)("1280x960") == (1280, 960)
-    assert parse_list(parse_number)("1,2,3") == (1.0, 2.0, 3.0)
     for words, why in (
         (["a_mm=1", "a_mm=2"], "twice"),
         (["a_mm"], "has no value: write a_mm=VALUE"),

@@ -134,7 +134,6 @@ def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):
     for words in (
         (*MATCH, "-o", "new.npz", "--report", "mine.html"),
         (*evaluate, "-o", "rig.json"),
-        (*evaluate, "--plot", "left.png"),
         ("export", "left.npz", "--to", "json", "-o", "rig.json"),
         ("pattern", "-o", "right.png", "--screen", "size_px=400,300", "pitch_mm=0.3"),
     ):

@@ -8,6 +8,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
+from simulation import loose_segments
+from simulation.scenes import Scene
+from simulation.solids import box
 from trinoc.errors import InputError
 from trinoc.evaluation.alignment import RigidMotion, align
 from trinoc.evaluation.evaluation import EvaluationStatus, evaluate
@@ -16,9 +19,7 @@ from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_on_edges import offsets_across
 from trinoc.evaluation.normalised_errors import normalised_errors
 from trinoc.geometry import UncertainLines
-from trinoc.synth import loose_segments, table1_rig
-from trinoc.synth.scenes import Scene
-from trinoc.synth.solids import box
+from trinoc.synth import table1_rig
 from trinoc.synth.truth import SceneTruth, SeenParts
 
 SEEDS = st.integers(0, 10_000)
@@ -56,7 +57,6 @@ def test_perfect_lines_have_no_error_and_miss_nothing():
     assert found.precision == found.completeness == (1.0,) * 4
     assert found.distance_mm.at_95 < 1e-5
     assert found.angle_deg.at_95 < 1e-9
-    np.testing.assert_allclose(found.lengths.error_mm, 0.0, atol=1e-9)
     np.testing.assert_array_equal(found.lines, np.arange(len(EDGES)))
 
 
@@ -105,25 +105,10 @@ def test_lines_in_two_pieces_are_as_right_and_as_complete(seed, share):
     np.testing.assert_allclose(split.completeness, whole.completeness, atol=1e-12)
 
 
-def test_two_pieces_of_an_edge_measure_its_length_together():
-    first, second = EDGES[0]
-    pieces = np.array([[first, 0.7 * first + 0.3 * second], [second, 0.4 * first + 0.6 * second]])
-    found = evaluate(pieces, EDGES)
-    lengths = found.lengths
-    assert lengths.covered[0] == pytest.approx(0.7)
-    assert lengths.error_mm[0] == pytest.approx(0.0, abs=1e-9)
-    assert np.isnan(lengths.measured_mm[1:]).all()
-    assert np.isnan(lengths.sigma_mm).all()
-
-
-def test_length_errors_and_their_sigma_by_hand():
+def test_precision_and_completeness_by_hand():
     edge = np.array([[[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]]])
     line = np.array([[[0.5, 0.09, 0.0], [39.8, 0.09, 0.0]]])
-    covariance = np.diag([0.3, 1.0, 1.0, 0.4, 1.0, 1.0])[None] ** 2
-    covariance[0, 0, 3] = covariance[0, 3, 0] = 0.045
-    found = evaluate(certain_lines(line, covariance), edge)
-    assert found.lengths.error_mm[0] == pytest.approx(-0.7)
-    assert found.lengths.sigma_mm[0] == pytest.approx(0.4)
+    found = evaluate(line, edge)
     assert found.precision == (1.0, 1.0, 1.0, 1.0)
     assert found.distance_mm.median == pytest.approx(0.09, abs=1e-6)
     # Half a millimetre at one end and 0.2 at the other are further than 0.1 mm from the line.
@@ -134,8 +119,6 @@ def test_lines_that_run_past_an_edge_or_away_from_it():
     edge = np.array([[[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]]])
     past = evaluate(np.array([[[-10.0, 0.0, 0.0], [18.0, 0.0, 0.0]]]), edge)
     assert past.lines[0] == 0
-    assert past.lengths.covered[0] == pytest.approx(18 / 40)
-    assert np.isnan(past.lengths.measured_mm[0])
     away = evaluate(np.array([[[0.0, 0.0, 0.0], [40.0, 0.0, 8.0]]]), edge)
     assert away.lines[0] == -1
     assert away.normalised.lines == 0
@@ -149,10 +132,10 @@ def test_the_error_of_the_cameras_by_hand():
     own, by = 0.01 * np.eye(6)[None], np.array([0.0, 1, 0, 0, 1, 0]).reshape(1, 6, 1)
     # Both ends are off by one sigma of their own: two of four squares are 1.
     alone = evaluate(certain_lines(line, own), edge).normalised
-    assert (alone.variance, alone.joint) == pytest.approx((0.5, 0.5))
+    assert alone.variance == pytest.approx(0.5)
     # Their mean has the variance 0.005 + 0.03, and is off by 0.1.
     both = evaluate(UncertainLines(line, own, by, np.array([[0.03]])), edge).normalised
-    assert (both.variance, both.joint) == pytest.approx((0.01 / 0.035 / 4,) * 2)
+    assert both.variance == pytest.approx(0.01 / 0.035 / 4)
 
 
 def test_errors_as_large_as_claimed_have_normalised_variance_one():
@@ -173,14 +156,13 @@ def test_errors_as_large_as_claimed_have_normalised_variance_one():
     alone = errors(edges + own, np.zeros((5, 5)))
     assert alone.lines == count
     assert alone.variance == pytest.approx(1.0, abs=four_sigmas)
-    assert alone.joint == pytest.approx(alone.variance)
     assert alone.spread == pytest.approx(1.0, abs=four_sigmas)
     assert alone.share_within == pytest.approx(0.95, abs=0.012)
     assert alone.share_of_lines == pytest.approx(0.95, abs=0.025)
-    # What all lines share does not average out over them, but all of them together tell.
+    # What all lines share does not average out over them: five numbers determine it.
     together = errors(edges + own + shared, spread @ spread.T)
-    assert together.joint == pytest.approx(1.0, abs=four_sigmas)
-    assert errors(edges + own + shared, np.zeros((5, 5))).joint > 2
+    assert together.variance == pytest.approx(1.0, abs=2.0)
+    assert errors(edges + own + shared, np.zeros((5, 5))).variance > 2 * together.variance
 
 
 def test_a_covariance_four_times_too_small_shows():
@@ -277,10 +259,8 @@ def test_a_scene_wants_what_two_pictures_show():
     shape = KnownShape.of_scene(truth)
     np.testing.assert_array_equal(shape.wanted_edge, [0, 1])
     np.testing.assert_allclose(shape.wanted_mm[1], [EDGES[1, 0], EDGES[1].mean(axis=0)])
-    np.testing.assert_array_equal(shape.wanted_whole, [0])
     found = evaluate(EDGES[:3], truth)
     assert found.completeness == found.precision == (1.0,) * 4
-    np.testing.assert_array_equal(found.lengths.edge, [0])
     only = {"a": whole, "c": faint}
     fewer = KnownShape.of_scene(SceneTruth(EDGES[:3], ("edge", "edge", "rim"), only))
     np.testing.assert_array_equal(fewer.wanted_edge, [0])

@@ -7,16 +7,11 @@ import pytest
 from hypothesis import given, strategies as st
 
 from benchmarks.match_scores import score_matches
+from simulation import Detector, block_scene, loose_segments, simulate_segments
+from simulation.observations import PERFECT
 from trinoc.evaluation.distances import distance_to_segments_mm, sampled_segments
 from trinoc.evaluation.scoring import score_lengths
-from trinoc.synth import (
-    Detector,
-    block_scene,
-    loose_segments,
-    simulate_segments,
-    table1_rig,
-)
-from trinoc.synth.observations import PERFECT
+from trinoc.synth import table1_rig
 from trinoc.synth.truth import (
     NOT_SCORED,
     SPURIOUS,

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from simulation.camera_picture.delivery import SRGB
 from trinoc.image.light import Light
 from trinoc.image.response import PowerResponse
-from trinoc.synth.camera_picture.delivery import SRGB
 
 RANDOM = np.random.default_rng(2)
 COLOUR = RANDOM.integers(0, 256, (20, 30, 3)).astype(np.uint8)

@@ -4,9 +4,9 @@ import jax
 import numpy as np
 import pytest
 
+from simulation.camera_picture.delivery import SRGB
 from trinoc.errors import InputError
 from trinoc.image.response import PowerResponse, find_response
-from trinoc.synth.camera_picture.delivery import SRGB
 
 BENDS = (-1.0, -0.3, 0.0, 0.5, 1.0, 2.0)
 LIGHT = np.linspace(0.0, 1.2, 121)

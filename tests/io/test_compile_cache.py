@@ -149,6 +149,16 @@ def test_a_program_is_not_found_after_anything_changed(tmp_path, monkeypatch):
     assert surroundings() != before
 
 
+def test_a_program_of_a_module_without_source_is_not_kept(tmp_path):
+    store = FolderStore(tmp_path)
+    store.put("a", b"program", frozenset({"no_module"}))
+    assert store.get("a", frozenset({"no_module"})) is None
+    assert not list(tmp_path.iterdir())
+    store.put("a", b"program", frozenset({"trinoc.match.matcher"}))
+    assert store.get("a", frozenset({"trinoc.match.matcher"})) == b"program"
+    assert store.get("a", frozenset({"trinoc.cli.main"})) is None
+
+
 def test_that_something_compiles_is_said_once(tmp_path, caplog) -> None:
     store = FolderStore(tmp_path)
     with caplog.at_level("INFO", logger="trinoc"):

@@ -7,6 +7,8 @@ import equinox as eqx
 import numpy as np
 import pytest
 
+from simulation import Detector, loose_segments, simulate_segments
+from simulation.scenes import see_through_boxes
 from tests.io.formats.bench import bench_matches
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
@@ -23,8 +25,7 @@ from trinoc.match.matcher import match_segments
 from trinoc.match.observations.match_input import prepare_frame
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, MatchStatus
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.synth import Detector, loose_segments, simulate_segments, table1_rig
-from trinoc.synth.scenes import see_through_boxes
+from trinoc.synth import table1_rig
 
 RIG = table1_rig()
 SIZE = np.array([512.0, 480.0])

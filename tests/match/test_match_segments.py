@@ -4,14 +4,15 @@ import jax
 import numpy as np
 import pytest
 
+from simulation import Detector, simulate_segments
+from simulation.scenes import see_through_boxes
 from tests.match.made import as_set, loose_lines, pictures, rig_of
 from trinoc.errors import InputError, MatchError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.answers import reasons
-from trinoc.synth import Detector, simulate_segments, table1_rig
-from trinoc.synth.scenes import see_through_boxes
+from trinoc.synth import table1_rig
 
 VIEWS = ("upper", "left", "right")
 

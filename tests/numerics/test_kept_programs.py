@@ -25,12 +25,12 @@ class _Drawer(dict[str, bytes]):
 
     found = 0
 
-    def get(self, name: str) -> bytes | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         content = super().get(name)
         self.found += content is not None
         return content
 
-    def put(self, name: str, content: bytes) -> None:
+    def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
         self[name] = content
 
 

@@ -1,28 +1,19 @@
-"""Evaluations in tables and figures, and lines that carry their cameras' errors."""
+"""Evaluations as text, and lines that carry their cameras' errors."""
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 import trinoc
+from simulation import loose_segments
 from trinoc.errors import InputError
 from trinoc.evaluation.evaluation import evaluate
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_of_rig import lines_of_form, lines_of_rig
-from trinoc.evaluation.sweep import (
-    Setting,
-    SweepSetting,
-    chosen_lines,
-    evaluate_matches,
-    evaluate_settings,
-    list_settings,
-)
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.match import join_collinear
 from trinoc.match.tracks.matches import Matches
-from trinoc.report import evaluation_text, write_plot
-from trinoc.report.evaluations import draw_panel, evaluation_panels, evaluation_table
-from trinoc.synth import loose_segments, table1_lens, table1_rig
+from trinoc.report import evaluation_text
+from trinoc.synth import table1_lens, table1_rig
 from trinoc.synth.rigs import TABLE_1
 
 VIEWS = tuple(TABLE_1)
@@ -31,7 +22,6 @@ SIGMA_PX = 0.1
 SIGMA = np.tile([0.05, 0.05, 0.05, 0.5], 3)
 NAMES = [f"{view}.{name}" for view in VIEWS for name in PARAMETER_NAMES[:4]]
 EDGES = loose_segments(4, count=64, reach_mm=40.0).edges_mm
-CHOICES = (SweepSetting(), SweepSetting(0.5), SweepSetting(0.0, "trinocular"))
 
 
 def triangulated(matrices_px, uv_px, seen, sigma_px):
@@ -110,16 +100,16 @@ def test_lines_follow_their_cameras_as_triangulation_does():
 
 def test_errors_of_the_cameras_are_in_the_normalised_errors():
     generator = np.random.default_rng(9)
-    alone, joint = [], []
+    alone, both = [], []
     for seed in range(12):
         rig = rig_off_by(SIGMA * generator.normal(size=12))
         matches = made_matches(rig, seed=seed)
         lines = lines_of_rig(matches, rig)
-        alone.append(evaluate(matches, EDGES, tolerances_mm=(5.0,)).normalised.joint)
-        joint.append(evaluate(lines, EDGES, tolerances_mm=(5.0,)).normalised.joint)
+        alone.append(evaluate(matches, EDGES, tolerances_mm=(5.0,)).normalised.variance)
+        both.append(evaluate(lines, EDGES, tolerances_mm=(5.0,)).normalised.variance)
     assert np.mean(alone) > 2
-    # Four numbers for each of 64 lines, 12 times.
-    assert np.mean(joint) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (12 * 256)))
+    # Cameras have twelve errors, which all lines share, 12 times.
+    assert np.mean(both) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (12 * 12)))
 
 
 def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
@@ -127,7 +117,7 @@ def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
     matches = made_matches(rig)
     tracks = lines_of_rig(matches, rig)
     joined = join_collinear(matches, rig)
-    lines, _ = lines_of_form(matches, rig, "joined")
+    lines = lines_of_form(matches, rig, "joined")
     alone = np.flatnonzero(joined.pieces == 1)
     of = np.array([joined.tracks_of(line)[0] for line in alone])
     assert len(alone) > 50
@@ -138,10 +128,7 @@ def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
     sigma = np.sqrt(np.trace(lines.own_covariance_mm2[alone], axis1=1, axis2=2))
     assert (np.linalg.norm(moved, axis=(1, 2)) < sigma).all()
     np.testing.assert_allclose(lines.by_parameters[alone], tracks.by_parameters[of], atol=1e-9)
-    with pytest.raises(InputError, match="give the rig"):
-        chosen_lines(matches, None, SweepSetting(form="joined"))
-    some, _ = chosen_lines(matches, rig, SweepSetting(0.9, form="corners"))
-    assert 0 < len(some) < 20
+    assert 0 < len(lines_of_form(matches, rig, "corners")) <= len(matches)
 
 
 def test_a_rig_without_covariance_counts_as_exact():
@@ -152,85 +139,21 @@ def test_a_rig_without_covariance_counts_as_exact():
         lines_of_rig(matches, Rig({"upper": table1_rig()["upper"]}))
 
 
-@pytest.fixture(scope="module")
-def rows():
-    """Of made matches, as if each came of a setting of its own."""
-    rig, shape = rig_off_by(), KnownShape.of_edges(EDGES)
-    found = []
-    for number, setting in enumerate(list_settings((0.8, 1.6), (1.0,), (4.0, 7.0))):
-        matches = made_matches(rig, seed=number, sigma_px=SIGMA_PX * setting.tolerance_px)
-        for row in evaluate_matches(matches, rig, shape, CHOICES):
-            found.append(row._replace(setting=setting))
-    return found
-
-
-def test_a_table_has_the_knobs_that_differ_and_a_row_for_each_choice(rows):
-    head, table = evaluation_table(rows)
-    assert head[:4] == ["tolerance", "contrast", "posterior", "stage"]
-    assert len(table) == len(rows) == 4 * len(CHOICES)
-    assert {len(line) for line in table} == {len(head)}
-    lines = head.index("lines")
-    likely = np.linspace(0.3, 1.0, len(EDGES)) >= 0.5
-    assert [int(line[lines]) for line in table[:3]] == [64, likely.sum(), 48]
-    assert "wanted: every edge" in evaluation_text(rows)
-
-
-def test_a_setting_that_fails_says_why_and_the_next_goes_on(rows):
-    pictures = {view: np.zeros((480, 512), np.uint8) for view in VIEWS}
-    shape = KnownShape.of_edges(EDGES)
-    wrong, too = evaluate_settings(pictures, rig_off_by(), shape, [Setting(-1.0), Setting(1.6, -2)])
-    assert wrong.evaluation is too.evaluation is None
-    assert wrong.problem.startswith("tolerance_px is -1.0")
-    assert too.problem.startswith("false_alarms is -2")
-    text = evaluation_text([*rows, wrong])
-    assert wrong.problem in text
-    assert text.count("  -  ") > 5
-
-
-def test_a_choice_that_leaves_nothing_says_so():
+def test_the_text_has_the_shares_and_the_motion():
     matches, shape = made_matches(table1_rig()), KnownShape.of_edges(EDGES)
-    every, none = evaluate_matches(matches, None, shape, (SweepSetting(), SweepSetting(1.1)))
-    assert every.problem == ""
-    assert none.problem.startswith("There is no line to compare")
-    assert none.record()["lines"] == 0
-
-
-def test_panels_are_over_the_first_knob_with_a_curve_for_each_other(rows):
-    panels = evaluation_panels(rows)
-    assert {panel.x_label for panel in panels} == {"tolerance (px)"}
-    for panel in panels:
-        for curve in panel.curves:
-            assert curve.x == [0.8, 1.6]
-            assert np.isfinite(curve.y).all()
-    assert len(panels[1].curves) == 2 * 2 * len(CHOICES)
-    single = evaluation_panels(rows[:1])
-    assert [panel.x_label for panel in single] == ["within (mm)", "true length (mm)"]
-
-
-def test_points_of_several_choices_do_not_hide_each_other(rows):
-    forms = [row._replace(choice=SweepSetting(form=form)) for row, form in zip(rows, "abc")]
-    lengths = evaluation_panels(forms)[1]
-    axes = Figure().add_subplot()
-    draw_panel(axes, lengths)
-    points = [line for line in axes.lines if line.get_linestyle() == "None"]
-    # The first are rings about the later ones, and the last alone is full.
-    sizes = [line.get_markersize() for line in points]
-    assert sizes == sorted(set(sizes), reverse=True)
-    assert [line.get_fillstyle() for line in points] == ["none"] * (len(points) - 1) + ["full"]
-
-
-@pytest.mark.parametrize("ending", ["png", "svg"])
-def test_figures_are_written(rows, tmp_path, ending):
-    for part in (rows, rows[:1]):
-        file = tmp_path / f"plot.{ending}"
-        write_plot(part, file)
-        start = {"png": b"\x89PNG", "svg": b"<?xml"}[ending]
-        assert file.read_bytes().lstrip().startswith(start)
-
-
-def test_figures_that_cannot_be_written(rows, tmp_path, monkeypatch):
-    with pytest.raises(InputError, match="choose such a name"):
-        write_plot(rows, tmp_path / "plot.bmp")
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"trinoc\[plot\]"):
-        write_plot(rows, tmp_path / "plot.png")
+    evaluation = evaluate(matches, shape)
+    text = evaluation_text(evaluation)
+    head, precision, completeness, *_ = text.splitlines()
+    assert head.split() == ["within", "(mm)", "0.1", "0.25", "0.5", "1"]
+    for line, shares in (
+        (precision, evaluation.precision),
+        (completeness, evaluation.completeness),
+    ):
+        assert line.split()[1:] == [f"{share:.3f}" for share in shares]
+    assert "wanted: every edge" in text
+    assert "after laying" not in text
+    parallel = np.array([[[0.0, y, 0.0], [50.0, y, 0.0]] for y in (0.0, 20.0, 40.0)])
+    text = evaluation_text(evaluate(parallel + 0.5, parallel, aligned=True))
+    assert "shifted by (0.000 \N{MINUS SIGN}0.500" in text.replace("-0.500", "\N{MINUS SIGN}0.500")
+    assert "leave a part of this motion free" in text
+    assert "-" in evaluation_text(evaluate(np.zeros((0, 2, 3)), EDGES))

@@ -316,10 +316,10 @@ class ProgramsInMemory:
     def __init__(self) -> None:
         self.kept: dict[str, bytes] = {}
 
-    def get(self, name: str) -> bytes | None:
+    def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:
         return self.kept.get(name)
 
-    def put(self, name: str, content: bytes) -> None:
+    def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
         self.kept[name] = content
 
 

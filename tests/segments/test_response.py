@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
+from simulation.camera_picture.delivery import SRGB
 from trinoc.image.response import PowerResponse
 from trinoc.segments import find_segments
-from trinoc.synth.camera_picture.delivery import SRGB
 
 ANGLES = np.arange(8) * np.pi / 4 + 0.13
 

@@ -4,20 +4,23 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from trinoc.synth import block_scene, loose_segments, table1_rig
+from simulation import block_scene, loose_segments
+from simulation.scenes import Scene, demo_scene, see_through_boxes
+from simulation.solids import Cylinder, box, l_block, wedge
+from trinoc.synth import table1_rig
 from trinoc.synth.rigs import random_rig
-from trinoc.synth.scenes import (
-    Scene,
-    demo_scene,
-    points_along,
-    see_through_boxes,
-)
-from trinoc.synth.solids import Cylinder, box, l_block, wedge
-from trinoc.synth.visibility import is_visible, visible_parts
+from trinoc.synth.truth import points_along
+from trinoc.synth.visibility import visible_parts
 
 CAMERA = table1_rig()["left"]
 TURNS = st.floats(0.0, 360.0)
 SEEDS = st.integers(0, 10_000)
+
+
+def is_visible(camera, point_mm, triangles_mm):
+    """Whether a point lies in the image and no triangle hides it."""
+    alone = np.stack([point_mm, point_mm])[None]
+    return len(visible_parts(camera, alone, triangles_mm).segment) > 0
 
 
 def volume(solid):

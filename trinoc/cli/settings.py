@@ -111,11 +111,6 @@ def parse_truth(text: str) -> bool:
     return words[text.lower()]
 
 
-def parse_list(parse: Callable[[str], Any]) -> Callable[[str], tuple[Any, ...]]:
-    """Of the parser of one value that of several with commas between."""
-    return lambda text: tuple(parse(each) for each in text.split(","))
-
-
 def parse_pair(parse: Callable[[str], Any]) -> Callable[[str], tuple[Any, Any]]:
     """Of the parser of one value that of two, written 1280,960 or 1280x960; one stands for both."""
 

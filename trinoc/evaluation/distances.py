@@ -1,7 +1,6 @@
 """Distances between points and segments in space."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,11 +16,6 @@ class NearestSegment(NamedTuple):
     segment: Int[np.ndarray, "n"]
     position: Float[np.ndarray, "n"]
     distance_mm: Float[np.ndarray, "n"]
-
-
-def if_any(statistic: Callable[[np.ndarray], Any], values: np.ndarray) -> float:
-    """A statistic of values; NaN where there is none."""
-    return float(statistic(values)) if len(values) else float("nan")
 
 
 class LengthsNear(NamedTuple):

@@ -10,18 +10,14 @@ from jaxtyping import Float, Int
 
 from trinoc.errors import InputError
 from trinoc.evaluation.alignment import RigidMotion, align
-from trinoc.evaluation.distances import if_any, measure_near_lengths
-from trinoc.evaluation.edge_lengths import EdgeLengths, edge_lengths
+from trinoc.evaluation.distances import measure_near_lengths
 from trinoc.evaluation.known_shape import KnownShape
 from trinoc.evaluation.lines_of_rig import certain_lines
 from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, select_lines
 from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_errors
-from trinoc.evaluation.wire_frames import WireframeScore, score_wireframe
 from trinoc.geometry.uncertain_lines import UncertainLines
-from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike
-from trinoc.numerics.tails import MAD_TO_SIGMA
 from trinoc.synth.truth import SceneTruth
 
 TOLERANCES_MM = (0.1, 0.25, 0.5, 1.0)
@@ -81,11 +77,8 @@ class Evaluation(Displayable, eqx.Module):
     completeness : share of the wanted length within each distance of a line.
     distance_mm : of the length put out from the nearest edge.
     angle_deg : of the lines that lie on an edge, with it.
-    length_error_mm : absolute error of the edges that were measured from end to end.
-    lengths : those edges one by one.
     normalised : errors across of the lines that lie on an edge, in units of what they claim.
     motion : what laid the lines on the shape, where that was asked for; figures are those after.
-    wireframe : corners and edges found, missing and extra, where a wire frame was compared.
     """
 
     status: EvaluationStatus = eqx.field(static=True)
@@ -98,17 +91,11 @@ class Evaluation(Displayable, eqx.Module):
     completeness: tuple[float, ...]
     distance_mm: ErrorQuantiles
     angle_deg: ErrorQuantiles
-    length_error_mm: ErrorQuantiles
-    lengths: EdgeLengths
     normalised: NormalisedErrors
     motion: RigidMotion | None
-    wireframe: WireframeScore | None = None
 
     def record(self) -> dict[str, Any]:
         """All numbers by name, as a row of a table; NaN where there is none."""
-        error = self.lengths.error_mm
-        claimed = np.abs(error / self.lengths.sigma_mm)
-        measured = error[np.isfinite(error)]
         shares = {
             f"{name}_{at:g}mm": share
             for name in ("precision", "completeness")
@@ -122,17 +109,10 @@ class Evaluation(Displayable, eqx.Module):
             **_name_quantiles("distance", "mm", self.distance_mm),
             **shares,
             **_name_quantiles("angle", "deg", self.angle_deg),
-            **_name_quantiles("length_error", "mm", self.length_error_mm),
-            "edges_wanted_whole": len(error),
-            "edges_measured": len(measured),
-            "length_error_mean_mm": if_any(np.mean, measured),
-            "length_spread": MAD_TO_SIGMA * if_any(np.median, claimed[np.isfinite(claimed)]),
             "normalised_variance": self.normalised.variance,
             "normalised_spread": self.normalised.spread,
             "share_within_1.96_sigma": self.normalised.share_within,
             "share_of_lines_within_95": self.normalised.share_of_lines,
-            "joint_chi_square": self.normalised.joint,
-            **({} if self.wireframe is None else self.wireframe.record()),
         }
 
 
@@ -142,30 +122,24 @@ def evaluate(
     *,
     tolerances_mm: Sequence[float] = TOLERANCES_MM,
     aligned: bool = False,
-    frame: Wireframe | None = None,
 ) -> Evaluation:
-    """Accuracy, completeness, lengths and normalised errors of lines against known edges.
+    """Distances, precision, completeness and normalised errors of lines against known edges.
 
     Parameters
     ----------
-    lines : Matches, a Wireframe (then its corners and edges are counted, too), or a refinement's
-        `lines` (then with the errors that the cameras share), or bare ends, of which nothing is
-        claimed.
+    lines : Matches, a Wireframe, or a refinement's `lines` (then with the errors that the cameras
+        share), or bare ends, of which nothing is claimed.
     shape : known edges in the same frame, of `trinoc.io.load_shape` or as ends in mm; of a made
         scene those parts are wanted that two pictures show.
     tolerances_mm : distances at which precision and completeness are given; within the largest, a
         line lies on an edge.
     aligned : lay the lines on the shape by a rigid motion first. It takes up six numbers of the
         error, and `motion` says which.
-    frame : the wire frame whose edges the lines are, where these hold the cameras' errors, too.
 
     Lengths are sampled every quarter of a millimetre, or at 50,000 places where those are fewer.
     Raises InputError for tolerances that are not positive and for coordinates that are not finite.
     """
     claimed, known = _as_lines(lines), _as_shape(shape)
-    frame = lines if isinstance(lines, Wireframe) else frame
-    if frame is not None and len(frame) != len(claimed):
-        raise InputError("The lines are not the edges of the wire frame: give both of one answer.")
     tolerances = tuple(sorted(float(tolerance) for tolerance in tolerances_mm))
     if not tolerances or not tolerances[0] > 0:
         raise InputError("The tolerances must be one or more positive distances in millimetres.")
@@ -179,8 +153,6 @@ def evaluate(
     edge_of = edge_of_lines(ends, edges, reach)
     on = np.flatnonzero(edge_of >= 0)
     offsets = offsets_across(select_lines(claimed, on), edges[edge_of[on]])
-    lengths = edge_lengths(claimed, edge_of, edges, known.wanted_whole)
-    measured = lengths.error_mm[np.isfinite(lengths.error_mm)]
     angles = angles_deg(ends[on], edges[edge_of[on]])
     return Evaluation(
         _status(claimed, known, put_out.share_within(reach)),
@@ -193,11 +165,8 @@ def evaluate(
         tuple(wanted.share_within(at) for at in tolerances),
         _quantiles(*put_out),
         _quantiles(angles, np.ones(len(angles))),
-        _quantiles(np.abs(measured), np.ones(len(measured))),
-        lengths,
         normalised_errors(offsets, claimed.parameter_covariance),
         motion,
-        None if frame is None else score_wireframe(frame, ends, edge_of, known, reach, motion),
     )
 
 

@@ -7,8 +7,7 @@ from jaxtyping import Float, Int
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.numerics.buckets import blocks
-from trinoc.synth.scenes import points_along
-from trinoc.synth.truth import SceneTruth, parts_in_views_mm, shown_parts_mm
+from trinoc.synth.truth import SceneTruth, parts_in_views_mm, points_along, shown_parts_mm
 from trinoc.synth.visibility import visible_parts
 
 # Grey levels that differ by less across an edge do not show it.
@@ -16,8 +15,6 @@ GREY_STEP = 8.0
 EVERY_EDGE = "every edge"
 # Triangles times edges whose hiding is computed at once, which bounds the memory.
 _AT_ONCE = 1_000_000
-# An edge of which no more than this share is missing counts as wanted whole.
-_WHOLE = 0.999
 
 
 class KnownShape(eqx.Module):
@@ -94,12 +91,6 @@ class KnownShape(eqx.Module):
     def wanted_mm(self) -> Float[np.ndarray, "k 2 3"]:
         """Ends in space of the parts that ought to be found."""
         return points_along(self.edges_mm[self.wanted_edge], self.wanted_extent)
-
-    @property
-    def wanted_whole(self) -> Int[np.ndarray, "w"]:
-        """The edges that ought to be found from end to end."""
-        extent = self.wanted_extent
-        return self.wanted_edge[extent[:, 1] - extent[:, 0] >= _WHOLE]
 
 
 def _labels(count: int) -> Float[np.ndarray, "m 2 3"]:

@@ -25,7 +25,6 @@ from trinoc.match.line_map.collinear_merge import join_collinear
 from trinoc.match.line_map.corners import snap_corners
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.wire_frame.build import wireframe
-from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.precision import ArrayLike, as_numpy, in_float64
 from trinoc.numerics.programs import kept_jit
@@ -61,18 +60,18 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     return UncertainLines(ends, own, by_parameters, rig.covariance_of(names))
 
 
-def lines_of_form(matches: Matches, rig: Rig, form: str) -> tuple[UncertainLines, Wireframe | None]:
+def lines_of_form(matches: Matches, rig: Rig, form: str) -> UncertainLines:
     """As `lines_of_rig`, of what the tracks are put together to: `JOINED` straight lines, these
-    carried to their `CORNERS`, or the edges of a `WIREFRAME`, which comes with them.
+    carried to their `CORNERS`, or the edges of a `WIREFRAME`.
 
     Such a line follows the cameras as the longest of its tracks does. Raises InputError where the
     matches do not hold the covariance of their fragments.
     """
-    tracks, frame = lines_of_rig(matches, rig), None
+    tracks = lines_of_rig(matches, rig)
     if form == TRACKS:
-        return tracks, None
+        return tracks
     if form == WIREFRAME:
-        answer = frame = wireframe(matches, rig)
+        answer = wireframe(matches, rig)
         ends, own = answer.lines_mm, answer.covariance_mm2
     else:
         answer = join_collinear(matches, rig)
@@ -85,7 +84,7 @@ def lines_of_form(matches: Matches, rig: Rig, form: str) -> tuple[UncertainLines
         [t[length[t].argmax()] for t in map(answer.tracks_of, range(len(answer)))], dtype=np.int64
     )
     by_parameters = _carry_derivative(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
-    return UncertainLines(ends, own, by_parameters, tracks.parameter_covariance), frame
+    return UncertainLines(ends, own, by_parameters, tracks.parameter_covariance)
 
 
 def certain_lines(

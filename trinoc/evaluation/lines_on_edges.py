@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.evaluation.distances import nearest_segments
 from trinoc.geometry.uncertain_lines import UncertainLines
 from trinoc.numerics.vectors import complete_axes
-from trinoc.synth.scenes import points_along
+from trinoc.synth.truth import points_along
 
 # Places along a line at which its nearest edge is asked for; odd, so that one is the middle.
 _PLACES = 9

@@ -28,8 +28,6 @@ class NormalisedErrors(NamedTuple):
         not move: 1 where the claims are true.
     share_within : of the four numbers of all lines within 1.96 sigma; 0.95 where they are true.
     share_of_lines : of lines whose chi-square is below its 95 % quantile.
-    joint : chi-square of all lines together over its degrees of freedom, with what the cameras'
-        errors have in common for all lines; 1 where the claims are true.
     """
 
     lines: int
@@ -37,7 +35,6 @@ class NormalisedErrors(NamedTuple):
     spread: float
     share_within: float
     share_of_lines: float
-    joint: float
 
 
 def normalised_errors(
@@ -47,8 +44,8 @@ def normalised_errors(
     errors = errors_in_sigmas(offsets, parameter_covariance)
     claimed = np.isfinite(errors).all(axis=1)
     if not claimed.any():
-        return NormalisedErrors(0, *[float("nan")] * 5)
-    errors, offsets = errors[claimed], OffsetsAcross(*(column[claimed] for column in offsets))
+        return NormalisedErrors(0, *[float("nan")] * 4)
+    errors = errors[claimed]
     chi_square = np.sum(errors**2, axis=1)
     return NormalisedErrors(
         lines=len(errors),
@@ -56,7 +53,6 @@ def normalised_errors(
         spread=float(np.sqrt(np.median(chi_square) / _MEDIAN)),
         share_within=float(np.mean(np.abs(errors) < WITHIN_SIGMAS)),
         share_of_lines=float(np.mean(chi_square < _LARGEST_95)),
-        joint=_joint_chi_square(offsets, parameter_covariance) / errors.size,
     )
 
 
@@ -70,19 +66,3 @@ def errors_in_sigmas(
     claimed = variances[:, :1] > 0
     along_axes = np.einsum("nia,ni->na", axes, offsets.offset_mm)
     return np.where(claimed, along_axes / np.sqrt(np.where(claimed, variances, 1.0)), np.nan)
-
-
-def _joint_chi_square(
-    offsets: OffsetsAcross, parameter_covariance: Float[np.ndarray, "k k"]
-) -> float:
-    """d' (D + B C B')^-1 d with D of the lines' own blocks, by Woodbury's identity; NaN where a
-    line has no covariance of its own."""
-    offset, own, by = offsets
-    if np.linalg.eigvalsh(own)[:, 0].min() <= 0:
-        return float("nan")
-    weighted = np.linalg.solve(own, np.concatenate([offset[..., None], by], axis=2))
-    alone = float(np.einsum("ni,ni->", offset, weighted[..., 0]))
-    right = np.einsum("nik,ni->k", by, weighted[..., 0])
-    inner = parameter_covariance @ np.einsum("nik,nil->kl", by, weighted[..., 1:])
-    common = np.linalg.solve(np.eye(len(inner)) + inner, parameter_covariance @ right)
-    return alone - float(right @ common)

@@ -6,12 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.evaluation.distances import measure_near_lengths
-from trinoc.synth.truth import (
-    SceneTruth,
-    SegmentTruth,
-    shown_parts_mm,
-    shown_parts_of_segments_mm,
-)
+from trinoc.synth.truth import SceneTruth, SegmentTruth, shown_parts_mm, shown_parts_of_segments_mm
 
 SAMPLE_STEP_MM = 0.5
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from trinoc.errors import InputError
 from trinoc.io.atomic import atomic_write
+from trinoc.io.module_sources import digest_sources
 
 LOGGER = logging.getLogger("trinoc")
 COMPILE_CACHE_VARIABLE = "TRINOC_COMPILE_CACHE"
@@ -120,14 +121,14 @@ class FolderStore:
         self._surroundings = ""
         self._is_complete = True
 
-    def get(self, name: str) -> bytes | None:
+    def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:
         """The content, if it is there and whole."""
-        place = self._place(name)
         try:
+            place = self._place(name, modules)
             content = place.read_bytes()
             # The youngest are kept when the folder grows too large.
             os.utime(place)
-        except OSError:
+        except (OSError, LookupError):
             if self._is_complete:
                 LOGGER.info("compiling for input of this kind: up to half a minute, this once")
             self._is_complete = False
@@ -135,21 +136,24 @@ class FolderStore:
         digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
         return content if hashlib.sha256(content).digest() == digest else None
 
-    def put(self, name: str, content: bytes) -> None:
-        """Keep it where the disk allows."""
-        with contextlib.suppress(OSError, InputError), atomic_write(self._place(name)) as file:
-            file.write(hashlib.sha256(content).digest())
-            file.write(content)
+    def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
+        """Keep it where the disk allows and where the modules have sources."""
+        with contextlib.suppress(OSError, InputError, LookupError):
+            place = self._place(name, modules)
+            with atomic_write(place) as file:
+                file.write(hashlib.sha256(content).digest())
+                file.write(content)
 
-    def _place(self, name: str) -> Path:
-        # Only where a program is asked for: it costs some hundredths of a second.
+    def _place(self, name: str, modules: frozenset[str]) -> Path:
+        # Only where a program is wanted: it costs some hundredths of a second.
         self._surroundings = self._surroundings or surroundings()
-        digest = hashlib.sha256(f"{self._surroundings} {name}".encode()).hexdigest()
+        key = f"{self._surroundings} {digest_sources(modules)} {name}"
+        digest = hashlib.sha256(key.encode()).hexdigest()
         return self._folder / f"trinoc-{digest}"
 
 
 def surroundings() -> str:
-    """A digest of everything outside its arguments that a compiled program depends on."""
+    """Digest of what every compiled program depends on: versions, processor and settings."""
     import jax
 
     found = hashlib.sha256()
@@ -157,10 +161,6 @@ def surroundings() -> str:
     def take(*words: object) -> None:
         found.update(repr(words).encode())
 
-    root = Path(__file__).parent.parent
-    for path in sorted(root.rglob("*.py")):
-        take(str(path.relative_to(root)))
-        found.update(path.read_bytes())
     for library in LIBRARIES:
         with contextlib.suppress(PackageNotFoundError):
             take(library, version(library))

@@ -84,13 +84,17 @@ def at_once(*works: Callable[[], object]) -> None:
 
 @runtime_checkable
 class ProgramStore(Protocol):
-    """Where programs are kept. Content comes back as it was put, or not at all."""
+    """Where programs are kept. Content comes back as it was put, or not at all.
 
-    def get(self, name: str) -> bytes | None:
-        """What was put under the name, by this version on this machine."""
+    `modules` are the names of the modules from which the content is made: it is not returned after
+    the source of one of them, or of a module that they import, has changed.
+    """
+
+    def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:
+        """The content that was put under the name, on this machine."""
         ...
 
-    def put(self, name: str, content: bytes) -> None:
+    def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
         """Keep it, or do without."""
         ...
 
@@ -152,6 +156,7 @@ def kept_jit(
         for optimized, own in options.items()
     }
     signature = inspect.signature(function)
+    caller = _calling_module()
     known: dict[Hashable, _KeptProgram | None] = {}
     _loaded.append(known)
 
@@ -180,7 +185,7 @@ def kept_jit(
         key = (tree, kinds, tuple(static.values()), precision)
         if key not in known:
             own = options[count_numbers(leaves) >= optimized_from]
-            known[key] = _load_or_compile(store, function, static, tree, leaves, key, own)
+            known[key] = _load_or_compile(store, function, caller, static, tree, leaves, key, own)
         kept = known[key]
         if kept is None:
             return choose_jit(args, kwargs)(*args, **kwargs)
@@ -189,9 +194,24 @@ def kept_jit(
     return call
 
 
+def _calling_module() -> str:
+    """The module of trinoc that calls `kept_jit` while it is imported, or an empty name.
+
+    Its source is part of the program: it says what `vmap` maps over, for one.
+    """
+    frame = inspect.currentframe()
+    while frame is not None:
+        module = frame.f_globals.get("__name__", "")
+        if frame.f_code.co_name == "<module>" and module.startswith("trinoc."):
+            return module
+        frame = frame.f_back
+    return ""
+
+
 def _load_or_compile(
     store: ProgramStore,
     function: Callable[..., Any],
+    caller: str,
     static: dict[str, Any],
     tree: Any,
     leaves: list[Any],
@@ -203,10 +223,10 @@ def _load_or_compile(
 
     in_tree = jax.tree.structure(((leaves,), {}))
     try:
-        name = _name(function, key)
+        name, modules = _name(function, caller, key)
     except (pickle.PicklingError, TypeError, AttributeError):
         return None
-    content = store.get(name)
+    content = store.get(name, modules)
     if content is not None:
         try:
             payload, like, with_lapack = pickle.loads(content)
@@ -237,7 +257,7 @@ def _load_or_compile(
             # A value of the result's kind and not its tree, whose marks do not survive pickling.
             like = jax.tree.unflatten(result, range(result.num_leaves))
             payload = serialize_executable.serialize(compiled)[0]
-            store.put(name, _pickle_own_classes((payload, like, bool(calls))))
+            store.put(name, _pickle_own_classes((payload, like, bool(calls)))[0], modules)
     except Exception:
         pass
     return _KeptProgram(compiled, result)
@@ -249,22 +269,37 @@ def _make_lapack_ready() -> None:
     jax.jit(jnp.linalg.cholesky).lower(np.eye(2))
 
 
-def _name(function: Callable[..., Any], key: tuple[Hashable, ...]) -> str:
-    """A name that differs where anything differs that the program is made from."""
+def _name(
+    function: Callable[..., Any], caller: str, key: tuple[Hashable, ...]
+) -> tuple[str, frozenset[str]]:
+    """A name that differs where the function or its arguments differ, and the modules of both.
+
+    A class of an argument brings its module: the function may know only its base class.
+    """
     tree, kinds, *rest = key
     kinds = [(k.shape, str(k.dtype), k.weak_type) for k in kinds]  # pyright: ignore
     made_of = (function.__module__, function.__qualname__, tree, kinds, rest)
-    return hashlib.sha256(_pickle_own_classes(made_of)).hexdigest()
+    content, modules = _pickle_own_classes(made_of)
+    own = {function.__module__, caller} - {""}
+    return hashlib.sha256(content).hexdigest(), frozenset(modules | own)
 
 
 class _OwnClasses(pickle.Pickler):
-    """Refuses values whose class may change without trinoc's knowing, such as a user's own lens."""
+    """Refuses values whose class may change without trinoc's knowing, such as a user's own lens;
+    collects the modules of trinoc whose classes and functions it meets."""
+
+    def __init__(self, parts: "_Parts") -> None:
+        super().__init__(parts, protocol=5)
+        self.modules: set[str] = set()
 
     def reducer_override(self, value: Any) -> Any:
         if isinstance(value, type) or inspect.isroutine(value):
-            room = (getattr(value, "__module__", "") or "").partition(".")[0]
+            module = getattr(value, "__module__", "") or ""
+            room = module.partition(".")[0]
             if room not in _KNOWN:
                 raise pickle.PicklingError(f"{value} is not of trinoc")
+            if room == "trinoc":
+                self.modules.add(module)
         return NotImplemented
 
 
@@ -275,7 +310,9 @@ class _Parts(list[bytes]):
         self.append(bytes(part))
 
 
-def _pickle_own_classes(value: Any) -> bytes:
+def _pickle_own_classes(value: Any) -> tuple[bytes, set[str]]:
+    """(content, the modules of trinoc whose classes and functions it names)."""
     parts = _Parts()
-    _OwnClasses(parts, protocol=5).dump(value)
-    return b"".join(parts)
+    pickler = _OwnClasses(parts)
+    pickler.dump(value)
+    return b"".join(parts), pickler.modules

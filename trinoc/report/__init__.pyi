@@ -1,7 +1,4 @@
-from .evaluations import (
-    evaluation_text as evaluation_text,
-    write_plot as write_plot,
-)
+from .evaluations import evaluation_text as evaluation_text
 from .html import write_report as write_report
 from .parameter_table import parameter_errors as parameter_errors
 from .text import (

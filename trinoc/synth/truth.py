@@ -58,6 +58,14 @@ class SegmentTruth(eqx.Module):
 SPURIOUS, NOT_SCORED = -1, -2
 
 
+def points_along(
+    segments_mm: Float[np.ndarray, "n 2 3"], position: Float[np.ndarray, "n k"]
+) -> Float[np.ndarray, "n k 3"]:
+    """Points of segments at positions from 0, the first end, to 1, the second."""
+    first, second = segments_mm[:, :1], segments_mm[:, 1:]
+    return first + position[..., None] * (second - first)
+
+
 def shown_parts_mm(
     truth: SceneTruth,
     *,

@@ -70,15 +70,6 @@ def hidden_intervals(
     return np.where(edge_on[:, None], np.array([1.0, 0.0]), intervals)
 
 
-def is_visible(
-    camera: Camera, point_mm: Float[np.ndarray, "3"], triangles_mm: Float[np.ndarray, "t 3 3"]
-) -> bool:
-    """Whether a point lies in the picture and no triangle hides it."""
-    return (
-        len(visible_parts(camera, np.stack([point_mm, point_mm])[None], triangles_mm).segment) > 0
-    )
-
-
 def _frame_values(
     camera: Camera, segments_mm: Float[np.ndarray, "n 2 3"]
 ) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5"]]:

@@ -4,13 +4,13 @@ are lie where they claim to."""
 import numpy as np
 import pytest
 
+from simulation.camera_picture.render import render_sheet
 from tests.calib.detection.test_corners import overexposed, shared, sharpened, white
 from tests.calib.simulated import TABLE_1, camera_of, reference_sheet
 from trinoc.calib import detect_pattern
 from trinoc.calib.detection.ellipse_fit import Ellipses
 from trinoc.calib.detection.quality_gate import are_plausible, select_agreeing
 from trinoc.geometry.image_of_circle import image_of_circle_centre
-from trinoc.synth.camera_picture.render import render_sheet
 
 SHEET = reference_sheet()
 PX_PER_MM = np.array([[3.0, 0.4], [-0.2, 2.5]])

@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from benchmarks.detection_scenes import round_things
+from simulation.camera_picture.layers import cover_card
+from simulation.camera_picture.light import Illumination
+from simulation.camera_picture.render import render_sheet
 from trinoc.calib import Detection, detect_pattern
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import DetectionError, InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 from trinoc.synth import table1_lens, table1_rig
-from trinoc.synth.camera_picture.layers import cover_card
-from trinoc.synth.camera_picture.light import Illumination
-from trinoc.synth.camera_picture.render import render_sheet
 
 SHEET = Pattern.default()
 CAMERA = table1_rig()["right"]

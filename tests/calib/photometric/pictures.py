@@ -5,6 +5,7 @@ from functools import partial
 import jax
 import numpy as np
 
+from simulation.camera_picture.render import render_sheet
 from tests.calib.simulated import LENS, TABLE_1, camera_of
 from trinoc.calib.photometric.equations import Group, Picture, PixelRows, pixel_rows
 from trinoc.calib.photometric.ink import SQUARES, Cross, InkDrawing
@@ -15,7 +16,6 @@ from trinoc.calib.result.degrees import pose_of_values
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
 from trinoc.geometry import Pose
-from trinoc.synth.camera_picture.render import render_sheet
 
 RIGHT = (*TABLE_1["right"], 0.0, 0.0)
 CROSS = Cross(np.array(0.5), np.array([55.0, 55.0]), np.array(1.5))

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from simulation.camera_picture.delivery import SRGB
 from tests.calib.photometric.pictures import RIGHT, image_of
 from tests.calib.photometric.test_photometry import START, mahalanobis, refined
 from tests.calib.simulated import LENS, reference_sheet
@@ -12,7 +13,6 @@ from trinoc.calib.photometric.encoding import Encoding
 from trinoc.calib.photometric.image_fit import refine_image
 from trinoc.calib.result.degrees import pose_of_values
 from trinoc.geometry.pose import PoseModel
-from trinoc.synth.camera_picture.delivery import SRGB
 
 
 def srgb(light: np.ndarray) -> np.ndarray:

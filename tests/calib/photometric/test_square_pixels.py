@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from simulation.camera_picture.layers import Paint
+from simulation.camera_picture.render import render_sheet
+from simulation.camera_picture.shapes import Cells
 from tests.calib.photometric.pictures import INK, PAPER
 from tests.calib.photometric.test_squares import Bare
 from trinoc.calib.photometric.image_fit import refine_image
@@ -18,9 +21,6 @@ from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.numerics.precision import in_float64
-from trinoc.synth.camera_picture.layers import Paint
-from trinoc.synth.camera_picture.render import render_sheet
-from trinoc.synth.camera_picture.shapes import Cells
 
 SIZE_PX = (320, 240)
 FISHEYE = KannalaBrandt.from_parameters(

@@ -5,6 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from simulation.camera_picture.layers import Paint
+from simulation.camera_picture.render import render_sheet
+from simulation.camera_picture.shapes import Cells, ConvexPolygon
 from tests.calib.photometric.pictures import (
     BLUR_PX,
     INK,
@@ -26,9 +29,6 @@ from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import square_sheet
 from trinoc.errors import InputError
-from trinoc.synth.camera_picture.layers import Paint
-from trinoc.synth.camera_picture.render import render_sheet
-from trinoc.synth.camera_picture.shapes import Cells, ConvexPolygon
 
 BOARDS = {
     "chessboard": Chessboard(rows=4, columns=5, square_mm=20.0),

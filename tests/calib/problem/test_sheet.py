@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from simulation.camera_picture.surfaces import ConePaper, RolledPaper
 from trinoc.calib.problem.sheet import BentPaper, WarpedBoard
-from trinoc.synth.camera_picture.surfaces import ConePaper, RolledPaper
 
 REACH_MM = 80.0
 PAPER = BentPaper(np.array(REACH_MM))

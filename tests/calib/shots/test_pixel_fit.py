@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from simulation.camera_picture.layers import Paint
+from simulation.camera_picture.render import render_sheet
+from simulation.camera_picture.shapes import Cells
 from tests.calib.shots.made_shots import (
     BOARD,
     LENSES,
@@ -36,9 +39,6 @@ from trinoc.geometry import Pose
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.projection import project_point
-from trinoc.synth.camera_picture.layers import Paint
-from trinoc.synth.camera_picture.render import render_sheet
-from trinoc.synth.camera_picture.shapes import Cells
 
 SHEET = Pattern.cross_grid(rows=5, columns=6, pitch_mm=25.0, radius_mm=7.0, line_width_mm=0.0)
 

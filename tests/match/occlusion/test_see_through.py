@@ -3,15 +3,11 @@
 import numpy as np
 import pytest
 
+from simulation import Detector, block_scene, simulate_segments
+from simulation.scenes import see_through_boxes
 from trinoc.match.occlusion.solids import crossings, see_through_share
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.synth import (
-    Detector,
-    block_scene,
-    simulate_segments,
-    table1_rig,
-)
-from trinoc.synth.scenes import see_through_boxes
+from trinoc.synth import table1_rig
 
 COUNT = 300
 PERFECT = Detector(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

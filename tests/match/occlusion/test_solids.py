@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from simulation import Detector, block_scene, simulate_segments
 from trinoc.match.candidates.table import no_candidates
 from trinoc.match.evidence.side_intensity import SIDE_COMPONENTS
 from trinoc.match.matcher import match_segments
 from trinoc.match.occlusion.solids import NO_BODIES, Bodies, temper_pairs, temper_tracks
 from trinoc.match.selection.marginals import Tracks
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.synth import Detector, block_scene, simulate_segments, table1_rig
+from trinoc.synth import table1_rig
 
 ODDS = np.array([-3.0, 0.0, 2.0, 9.0, 30.0])
 UNKNOWN = np.zeros((len(ODDS), len(SIDE_COMPONENTS)))

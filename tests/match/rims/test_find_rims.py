@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from simulation.solids import Cylinder
 from tests.match.made import loose_lines, pictures, rig_of
 from tests.match.rims.made_rims import Ring, chords_seen, projected
 from trinoc.errors import InputError
@@ -14,7 +15,6 @@ from trinoc.match.matcher import match_segments
 from trinoc.match.rims import rim_search as search, rim_support as support
 from trinoc.match.rims.circles import Circles, image_circles
 from trinoc.match.tuning.rims import RimTuning
-from trinoc.synth.solids import Cylinder
 
 VIEWS = ("upper", "left", "right")
 FLAT = Ring((20.0, -15.0, 30.0), (0.0, 0.0, 1.0), 14.0)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from simulation.solids import Cylinder
 from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.geometry.rig import Rig
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR
-from trinoc.synth.solids import Cylinder
 
 VIEWS = ("upper", "left", "right")
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from simulation.solids import Polyhedron, box
 from tests.match.line_map.test_joined import AS_STATED, VIEWS, tracks_of
 from tests.match.made import rig_of
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.match import Wireframe, wireframe
 from trinoc.match.tracks.matches import Matches
-from trinoc.synth.solids import Polyhedron, box
 
 CUBE = box((40.0, 40.0, 40.0)).place(turn_deg=27.0, shift_mm=np.array([3.0, -4.0, 0.0]))
 
