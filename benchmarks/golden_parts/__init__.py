@@ -12,11 +12,11 @@ from golden_parts.edges import capture, segments
 from golden_parts.exports import exports
 from golden_parts.joint import refine, refine_made, rig_check
 from golden_parts.matching import (
-    bodies,
     made,
     matching,
     measured_lines,
     photographs,
+    rims,
     shared,
     wire_frame,
 )
@@ -28,7 +28,7 @@ PARTS = {
         *(calibrate_circles, calibrate_pictures, calibrate_delivered, calibrate_lit),
         *(calibrate_suspect, points, lens, rig_points, rig_options, rig_pixels),
         *(refine, refine_made, rig_check, segments, capture, matching, made),
-        *(measured_lines, wire_frame, bodies, exports, shared, photographs),
+        *(measured_lines, wire_frame, rims, exports, shared, photographs),
     )
 }
 

@@ -33,7 +33,7 @@ def refine() -> Values:
         ("gauge held", bare, {}),
         ("aim-free", calibrated, {"pose_model": "aim-free"}),
         ("rigid", bare, {"pose_model": "rigid"}),
-        ("lens free", calibrated, {"intrinsics": True}),
+        ("lens free", calibrated, {"free_lens": True}),
         ("moved", calibrated, {"moved": ["left"]}),
         ("no such camera", calibrated, {"moved": ["lower"]}),
     ):

@@ -125,7 +125,7 @@ FRAME = (
 )
 
 
-def bodies() -> Values:
+def rims() -> Values:
     """Rims: of the demo's pictures, and of a made table."""
     rig, segments, images = calibrated_demo().rig, demo_segments(), demo_images("scene")
     chords = {view: trinoc.find_segments(image, arcs=True) for view, image in images.items()}
