@@ -1,4 +1,4 @@
-"""The matcher's kernels: warmed up before the first call, and without a way back to the host."""
+"""The matcher's kernels: without a way back to the host, and the same in NumPy."""
 
 import importlib
 from typing import Any
@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from tests.match.made import loose_lines, pictures, rig_of
-from trinoc.match import match_many, warm_up
-from trinoc.match.matcher import compile_together, match_segments
-from trinoc.match.observations.match_input import prepare
+from trinoc.match import match_many
+from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics import buckets, programs
-from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import with_field
 
 KERNELS = {
@@ -68,28 +66,6 @@ def test_no_kernel_calls_the_host_on_a_gpu(calls, frames: int) -> None:
             assert word not in program, f"{name} has a {word}"
 
 
-def test_nothing_compiles_after_a_warm_up(caplog: pytest.LogCaptureFixture) -> None:
-    rig = rig_of("upper", "left", "right")
-    warm_up(rig, COUNT)
-    given = pictures(rig, loose_lines(COUNT, 3), sigma_px=0.3, seed=3)
-    with jax.log_compiles(), caplog.at_level("WARNING"):
-        match_segments(given, rig)
-    compiled = [r.getMessage() for r in caplog.records if "Compiling" in r.getMessage()]
-    # How many rivals there are depends on the pictures.
-    assert [text for text in compiled if "_propagate" not in text] == []
-
-
-def test_a_call_runs_what_was_compiled_together(caplog: pytest.LogCaptureFixture) -> None:
-    # A tuning of its own, for which nothing is compiled yet.
-    tuning = with_field(DEFAULT, "candidates.gate_slack", 1.11)
-    given, rig = doubled(4), rig_of("upper", "left", "right")
-    in_float64(compile_together)(prepare(given, rig, None), tuning)
-    with jax.log_compiles(), caplog.at_level("WARNING"):
-        match_segments(given, rig, tuning=tuning)
-    compiled = [r.getMessage() for r in caplog.records if "Compiling" in r.getMessage()]
-    assert [text for text in compiled if "_propagate" not in text] == []
-
-
 def test_few_candidates_are_judged_in_numpy_as_many_are_by_programs(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -116,9 +92,3 @@ def test_few_candidates_are_judged_in_numpy_as_many_are_by_programs(
     np.testing.assert_array_equal(few.index, many.index)
     np.testing.assert_allclose(few.posterior, many.posterior, rtol=1e-9)
     np.testing.assert_allclose(few.lines_mm, many.lines_mm, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize(("segments", "frames"), [(0, 1), (10, 0)])
-def test_nothing_to_warm_up_for_is_refused(segments: int, frames: int) -> None:
-    with pytest.raises(ValueError, match="at least one segment and one frame"):
-        warm_up(rig_of("upper", "left"), segments, frames=frames)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trinoc.numerics.programs import at_once, one_compiles
+from trinoc.numerics.programs import one_compiles
 
 
 def test_a_program_is_traced_once_however_many_threads_want_it() -> None:
@@ -38,23 +38,4 @@ def test_a_block_that_fails_leaves_the_next_one_free() -> None:
     done = []
     with one_compiles("fails"):
         done.append(1)
-    assert done
-
-
-@pytest.mark.parametrize("precise", [False, True])
-def test_what_runs_at_once_has_the_caller_s_precision(precise: bool) -> None:
-    kinds = []
-    with jax.enable_x64(precise):
-        at_once(*[lambda: kinds.append(jnp.asarray(np.ones(2)).dtype)] * 3)
-    assert kinds == [np.float64 if precise else np.float32] * 3
-
-
-def test_the_first_error_of_what_runs_at_once_is_raised_when_all_are_done() -> None:
-    done = []
-
-    def fails() -> None:
-        raise ValueError("no program")
-
-    with pytest.raises(ValueError, match="no program"):
-        at_once(fails, lambda: done.append(1))
     assert done

@@ -6,7 +6,6 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
-import jinja2
 import numpy as np
 import pytest
 
@@ -15,8 +14,7 @@ from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.programs import set_program_store
-from trinoc.report import html, write_report
+from trinoc.report import write_report
 from trinoc.report.html import ExtraTable, render_report
 from trinoc.report.numbers import with_sigma
 from trinoc.report.space_part import space_figure
@@ -310,29 +308,3 @@ def test_a_camera_that_failed_says_why() -> None:
     assert "No sheet was found in this picture." in text
     assert "✗ not a result" in text
     assert "Do not rely on this rig." in text
-
-
-class ProgramsInMemory:
-    def __init__(self) -> None:
-        self.kept: dict[str, bytes] = {}
-
-    def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:
-        return self.kept.get(name)
-
-    def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
-        self.kept[name] = content
-
-
-def test_templates_are_kept_with_programs(monkeypatch: pytest.MonkeyPatch) -> None:
-    store = ProgramsInMemory()
-    before = set_program_store(store)
-    try:
-        html._templates.cache_clear()
-        html._templates().get_template("page.html.j2")
-        assert len(store.kept) == 1
-        html._templates.cache_clear()
-        monkeypatch.delattr(jinja2.Environment, "compile")
-        assert html._templates().get_template("page.html.j2").name == "page.html.j2"
-    finally:
-        set_program_store(before)
-        html._templates.cache_clear()

@@ -29,9 +29,6 @@ from .steps import (
 from .tuning.every_group import (
     MatchTuning as MatchTuning,
 )
-from .warming import (
-    warm_up as warm_up,
-)
 from .wire_frame.build import (
     wireframe as wireframe,
 )

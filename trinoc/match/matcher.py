@@ -1,21 +1,13 @@
-"""The matcher: segments of two or more pictures to lines in space.
+"""The matcher: segments of two or more pictures to lines in space."""
 
-Before a first call its kernels are compiled several at a time: each step is run on no segments at
-all in a thread of its own, as XLA compiles outside Python's lock.
-"""
+from collections.abc import Iterable, Mapping, Sequence
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from functools import partial
-
-import jax
 import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.candidates.search import gate_triples, prepare_orders
 from trinoc.match.candidates.table import Candidates
-from trinoc.match.candidates.triples import evaluate_triples
 from trinoc.match.decoys import check_set
 from trinoc.match.observations.clutter import fit_clutter
 from trinoc.match.observations.common_view import mirror_rig, mirrored_rig_error, views_diverge
@@ -29,18 +21,13 @@ from trinoc.match.observations.match_input import (
 from trinoc.match.observations.table import segments_per_view
 from trinoc.match.observations.unusable import leave_out_unusable
 from trinoc.match.occlusion.pairs import match_occluded
-from trinoc.match.occlusion.possible_pairs import rehearse_pairs
 from trinoc.match.scouting import find_triples
 from trinoc.match.selection.marginals import Selection, learn_noise_scale, select
 from trinoc.match.tracks.assembly import assemble
 from trinoc.match.tracks.consolidation import tracks_through_views
-from trinoc.match.tracks.line_fit import lines_in_space
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.tracks.multiview import view_triplets
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
-from trinoc.numerics.buckets import FEW_ROWS
 from trinoc.numerics.precision import ArrayLike, in_float64
-from trinoc.numerics.programs import at_once
 from trinoc.numerics.tables import with_field
 
 
@@ -152,7 +139,6 @@ def match_frames(
     """
     frames = [leave_out_unusable(frame, tuning.observations) for frame in frames]
     stated, left = stack_frames(frames), np.arange(len(frames))
-    compile_together(stated, tuning)
     scale, found = np.ones(len(frames)), dict[int, Matches]()
     for passes_left in reversed(range(tuning.noise.passes)):
         seen = with_noise_scale(stated, scale[left])
@@ -195,37 +181,3 @@ def _select_triples(
         selections.append(select(candidates, typical, tuning=tuning))
         outside.append(index)
     return selections, outside
-
-
-# For which tables it was done.
-_rehearsed: set[Hashable] = set()
-
-
-def compile_together(seen: MatchInput, tuning: MatchTuning, *, for_many: bool = False) -> None:
-    """Compile what `match_frames` runs on tables of this size, unless that was done.
-
-    for_many : also what judges many candidates, where segments are too few to have many.
-    """
-    # Of few segments there are few candidates, which NumPy judges.
-    for_many = for_many or max(seen.counts) > FEW_ROWS // 4
-    shapes = tuple((leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(seen.lines))
-    if (shapes, tuning, for_many) in _rehearsed:
-        return
-    _rehearsed.add((shapes, tuning, for_many))
-    lines, counts = seen.lines, seen.counts
-    clutter, views = fit_clutter(lines, counts, tuning.clutter), len(counts)
-    nothing = np.zeros(0, np.int32)
-    works: list[Callable[[], object]] = []
-    for own in view_triplets(lines, tuning.tracks)[:1]:
-        three = prepare_orders(lines, own, counts, clutter, tuning)
-        order, planes, inputs, table = three.each[0]
-        search = three.lines, inputs, table, nothing, nothing, tuning.candidates
-        judge = three.lines, order, planes, np.zeros((FEW_ROWS + 1, 3), np.int32)
-        works.append(partial(gate_triples, *search))
-        if for_many:
-            works.append(partial(evaluate_triples, *judge, three.clutter, tuning))
-    if for_many:
-        works.append(partial(rehearse_pairs, lines, clutter, tuning))
-    no_tracks = nothing.reshape(0, views), np.zeros((0, 2, 3))
-    works.append(partial(lines_in_space, seen, *no_tracks))
-    at_once(*works)

@@ -1,4 +1,4 @@
-"""Compiled programs: by one thread only, several at a time, and kept for the next process.
+"""Compiled programs: compiled by one thread only, and kept for the next process.
 
 JAX's own cache keeps what was compiled, but finds it by the traced and lowered program: a process
 that computes for a tenth of a second traces for ten. Programs that `kept_jit` makes are found by
@@ -17,7 +17,6 @@ import re
 import secrets
 import threading
 from collections.abc import Callable, Hashable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -63,25 +62,6 @@ def one_compiles(*program: Hashable) -> Iterator[None]:
         _compiled.add(program)
 
 
-def at_once(*works: Callable[[], object]) -> None:
-    """Run functions at the same time, in threads with the caller's precision; the first error is
-    raised when all are done.
-
-    For what compiles: XLA does it outside Python's lock, on a core of its own.
-    """
-    config: Any = jax.config
-    precision = config.jax_enable_x64
-
-    def run(work: Callable[[], object]) -> None:
-        # The setting belongs to the thread.
-        with jax.enable_x64(precision):
-            work()
-
-    with ThreadPoolExecutor(len(works)) as threads:
-        for done in [threads.submit(run, work) for work in works]:
-            done.result()
-
-
 @runtime_checkable
 class ProgramStore(Protocol):
     """Where programs are kept. Content comes back as it was put, or not at all.
@@ -111,11 +91,6 @@ _stores: list[ProgramStore | None] = [None]
 _loaded: list[dict[Hashable, _KeptProgram | None]] = []
 
 
-def program_store() -> ProgramStore | None:
-    """The store of this process, if it has one."""
-    return _stores[0]
-
-
 def set_program_store(store: ProgramStore | None) -> ProgramStore | None:
     """Use a store from now on, or none; returns the one before."""
     before, _stores[0] = _stores[0], store
@@ -133,23 +108,20 @@ def kept_jit(
     function: Callable[..., Any],
     *,
     static_argnames: tuple[str, ...] = (),
-    beside_others: bool = False,
     optimized_from: int = OPTIMIZED_FROM,
     few_rows_of: str | None = None,
 ) -> Callable[..., Any]:
     """`jax.jit` of a function without side effects, whose programs a store may keep.
 
-    The function must take no value from outside but constants of trinoc's own modules. With
-    `beside_others` it is compiled on one thread, for those whose first calls are made `at_once`.
-    For arguments of fewer numbers than `optimized_from` it is not optimized: compiling would take
+    The function must take no value from outside but constants of trinoc's own modules. For
+    arguments of fewer numbers than `optimized_from` it is not optimized: compiling would take
     longer than the program ever runs. Array code (`array_namespace`) is not compiled at all where
     the argument `few_rows_of` has FEW_ROWS at most: NumPy runs it as it is.
     """
     # Options of the compiler are for whole programs alone.
     inner = jax.jit(function, static_argnames=static_argnames)
     options = {
-        optimized: quick_compiling(beside_others=beside_others, optimized=optimized) or None
-        for optimized in (False, True)
+        optimized: quick_compiling(optimized=optimized) or None for optimized in (False, True)
     }
     whole = {
         optimized: jax.jit(function, static_argnames=static_argnames, compiler_options=own)

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
-from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 
 from trinoc.calib.result.calibration import CalibrationResult
@@ -20,7 +19,6 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import write_text
 from trinoc.match.tracks.matches import Matches
-from trinoc.numerics.programs import program_store
 from trinoc.report.calibration_part import cameras_part, cameras_part_of_shots, sheet_part
 from trinoc.report.checks import Subject
 from trinoc.report.coverage import (
@@ -321,7 +319,6 @@ def _templates() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        bytecode_cache=_KeptTemplates(),
     )
     environment.filters["code"] = _with_code
     return environment
@@ -330,21 +327,6 @@ def _templates() -> jinja2.Environment:
 def _with_code(words: str) -> Markup:
     """A sentence as HTML, where what stands between backticks is code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(words))))
-
-
-class _KeptTemplates(jinja2.BytecodeCache):
-    """Templates as Python code, where programs are kept; jinja2 compares their text."""
-
-    def load_bytecode(self, bucket: Bucket) -> None:
-        store = program_store()
-        content = None if store is None else store.get(f"template {bucket.key}")
-        if content is not None:
-            bucket.bytecode_from_string(content)
-
-    def dump_bytecode(self, bucket: Bucket) -> None:
-        store = program_store()
-        if store is not None:
-            store.put(f"template {bucket.key}", bucket.bytecode_to_string())
 
 
 def _check_views(what: str, names: Mapping[str, Any] | Sequence[str], rig: Rig) -> None:

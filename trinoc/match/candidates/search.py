@@ -165,7 +165,7 @@ def gate_triples(
     return np.concatenate(found)
 
 
-@partial(kept_jit, static_argnames=("tuning",), beside_others=True)
+@partial(kept_jit, static_argnames=("tuning",))
 def _predict_pairs(
     inputs: PredictionInput,
     grid: Grid,
@@ -188,7 +188,7 @@ def _predict_pairs(
     return jax.vmap(predict_pair, in_axes=(0, 1, 1))(i, *pairs)
 
 
-@partial(kept_jit, static_argnames=("tuning",), beside_others=True, optimized_from=0)
+@partial(kept_jit, static_argnames=("tuning",), optimized_from=0)
 def _passes_gate(
     segments: Float[ArrayLike, "n 11"],
     guesses: Prediction,

@@ -72,7 +72,7 @@ def evaluate_triples(
     return build_candidates(lines, order, triple[keep], split_columns(columns, _SHAPES), tuning)
 
 
-@partial(kept_jit, static_argnames=("tuning",), beside_others=True, few_rows_of="triple")
+@partial(kept_jit, static_argnames=("tuning",), few_rows_of="triple")
 def _fit_triples(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],
@@ -90,7 +90,7 @@ def _fit_triples(
     return sight, *line_of_three(sight, near_mm, tuning)
 
 
-@partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True, few_rows_of="possible")
+@partial(kept_jit, static_argnames=("tuning", "ends"), few_rows_of="possible")
 def _triple_evidence(
     sight: SegmentPlanes,
     fitted_mm: tuple[Vector3, Vector3],

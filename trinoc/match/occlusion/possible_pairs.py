@@ -28,7 +28,7 @@ from trinoc.match.two_view.epipolar_pencil import (
     take_pencil,
     take_segments,
 )
-from trinoc.numerics.buckets import FEW_ROWS, as_columns, select_in_blocks, split_columns
+from trinoc.numerics.buckets import as_columns, select_in_blocks, split_columns
 from trinoc.numerics.joins import broadcast_groups
 from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.programs import kept_jit
@@ -71,12 +71,6 @@ def possible_pairs(
         yield _evaluate_pairs(lines, views, planes, segments, clutter, tuning, bound)
 
 
-def rehearse_pairs(lines: SegmentTable, clutter: ClutterModel, tuning: MatchTuning) -> None:
-    """Judge what is no pair, which compiles what judges many."""
-    views, rows = np.arange(2), np.zeros((FEW_ROWS + 1, 2), np.int64)
-    _evaluate_pairs(lines, views, pencil(lines, 0, 1), rows, clutter, tuning, None)
-
-
 def _evaluate_pairs(
     lines: SegmentTable,
     views: Int[np.ndarray, "2"],
@@ -103,7 +97,7 @@ def _evaluate_pairs(
     return build_candidates(lines, views, segments[keep], place, tuning)
 
 
-@partial(kept_jit, static_argnames=("tuning", "ends"), beside_others=True, few_rows_of="pairs")
+@partial(kept_jit, static_argnames=("tuning", "ends"), few_rows_of="pairs")
 def _pair_evidence(
     lines: SegmentTable,
     views: Int[ArrayLike, "2"],

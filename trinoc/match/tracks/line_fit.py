@@ -13,7 +13,6 @@
 """
 
 from collections.abc import Iterator
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -215,7 +214,7 @@ def before_cameras(
 MOST_AT_ONCE = 1 << 10
 
 
-@partial(kept_jit, beside_others=True)
+@kept_jit
 def _triangulate_tracks(
     matrix_px: Float[ArrayLike, "*f v 3 4"],
     frame: Int[ArrayLike, "t"] | None,
