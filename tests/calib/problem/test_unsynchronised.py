@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from tests.calib.shots.made_shots import BOARD, board_poses, detection
+from tests.calib.shots.test_laws import problem
 from trinoc.calib.problem.board_shape import _lenses_stay
+from trinoc.calib.problem.moments import ImagePoses
+from trinoc.calib.problem.unsynchronised import _motion_covariance
+from trinoc.calib.problem.variables import POSE_SIZE
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.rotation import rotation_from_vector
@@ -103,3 +107,25 @@ def test_a_shape_that_runs_away_with_the_lens_is_refused(fits):
         0.3 * np.asarray(problem.state.lenses.focal_length_px),
     )
     assert not _lenses_stay(problem, problem._replace(state=away))
+
+
+def test_the_covariance_of_the_motion_is_that_of_one_image_without_the_noise_of_its_places():
+    """Steps of the poses of 600 shots, drawn: a motion of each image and noise as large."""
+    random = np.random.default_rng(4)
+    here = problem(board_poses(1))
+    first, second, _ = here.views
+    shots, size = 600, POSE_SIZE
+    pairs = [each._replace(shot=k) for k in range(shots) for each in (first, second)]
+    scale = np.array([1e-3, 2e-3, 5e-4, 0.1, 0.3, 0.2])
+    mixing = np.linalg.cholesky(0.4 * np.ones((size, size)) + 0.6 * np.eye(size))
+    true = mixing @ mixing.T * np.outer(scale, scale)
+    noise = 0.9 * scale
+    draws = random.normal(size=(2, 2 * shots, size))
+    step = draws[0] @ mixing.T * scale + noise * draws[1]
+    information = np.broadcast_to(np.diag(noise**-2), (2 * shots, size, size))
+    poses = ImagePoses(step, np.array(information), np.zeros((2 * shots, 1, 2, size)))
+    found = _motion_covariance(here._replace(views=tuple(pairs)), poses)
+    relative = found / np.outer(scale, scale) - true / np.outer(scale, scale)
+    # An element of a covariance of 600 differences has a standard deviation of about 0.1.
+    assert np.abs(relative).max() < 0.35
+    assert abs(np.trace(found / true) / size - 1) < 0.12
