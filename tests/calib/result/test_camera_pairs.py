@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from tests.calib.shots.made_shots import BOARD, LENSES, cam_from_rig, chained, inverse, shots
+from tests.calib.made_shots import BOARD, LENSES, cam_from_rig, chained, inverse, shots
 from trinoc.calib.result.camera_pairs import CameraPair, camera_pairs
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.calib.shots import made_shots
-from tests.calib.shots.made_shots import (
+from tests.calib import made_shots
+from tests.calib.made_shots import (
     BOARD,
     SIZE_PX,
     board_poses,
@@ -15,7 +15,7 @@ from tests.calib.shots.made_shots import (
     lens_of,
     shots,
 )
-from tests.calib.shots.test_laws import problem
+from tests.calib.problem.made_problem import problem
 from trinoc.calib import Detection
 from trinoc.calib.folded_lens import expect_unfolded, fit_wider_model
 from trinoc.calib.lens_calibration import calibrate_intrinsics
