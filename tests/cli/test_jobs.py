@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import trinoc
-from simulation.camera_picture.render import render_sheet
+from tests.cli.conftest import BOX_MM, EDGES
+from tests.cli.run_command import run_command
 from trinoc.cli.main import main
 from trinoc.io import demo_paths
 from trinoc.synth import table1_lens, table1_rig
@@ -16,24 +17,15 @@ LENS = ("--lens-mm", "16", "0.0162", "0.0134")
 # Made pictures are of what is said of them.
 EXACT = ("--sigma", "lens=0", "aim_mm=0", "flatness_mm=0", "print_scale=0")
 RIG = table1_rig()
-BOX_MM = np.array([[x, y, z] for x in (-30, 35) for y in (-25, 20) for z in (0, 30)], dtype=float)
-EDGES = [(a, b) for a in range(8) for b in range(a) if ((BOX_MM[a] != BOX_MM[b]).sum() == 1)]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(sheet_and_box, sheet_pictures):
     """Pictures of the sheet, its layout, the true rig, and segments of a box."""
-    folder = tmp_path_factory.mktemp("jobs")
-    pattern = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=24.0, radius_mm=7.0)
-    trinoc.save(pattern, folder / "pattern.json")
+    folder = sheet_and_box
     trinoc.save(RIG, folder / "rig.json")
-    for name, camera in RIG.items():
-        picture = render_sheet(pattern, camera, supersampling=4, noise_sigma=1.0)
-        cv2.imwrite(str(folder / f"{name}.png"), picture)
+    for name, picture in sheet_pictures[1].items():
         cv2.imwrite(str(folder / f"{name}.tif"), picture.astype(np.uint16) * 257)
-        ends = np.concatenate([BOX_MM, np.ones((8, 1))], axis=1) @ camera.matrix_px.T
-        ends = (ends[:, :2] / ends[:, 2:])[np.array(EDGES)].reshape(-1, 4)
-        np.savetxt(folder / f"{name}.csv", ends, delimiter=",")
     random = np.random.default_rng(3)
     photo = random.integers(0, 256, (480, 512, 3), dtype=np.uint8)
     cv2.imwrite(str(folder / "photo.png"), cv2.GaussianBlur(photo, (0, 0), 4))
@@ -59,7 +51,7 @@ def views(suffix):
 
 
 def calibrate(*pictures):
-    return "calibrate", *pictures, "--pattern", "pattern.json", *LENS, *EXACT
+    return "calibrate", *pictures, "--pattern", "sheet.json", *LENS, *EXACT
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])
@@ -86,11 +78,23 @@ def test_calibrate(run, folder, suffix):
     assert "trinoc calibrate" in (folder / "made.html").read_text(encoding="utf-8")
 
 
-def test_calibrate_says_the_same_to_people(run):
-    status, out, _ = run(*calibrate("upper=upper.png"), "-o", "people.json")
-    assert status == 0
-    assert "pan (deg)" in out
-    assert out.endswith("written: people.json\n")
+@pytest.fixture(scope="module")
+def upper(folder):
+    """One camera calibrated, as people read it."""
+    return run_command([*calibrate("upper=upper.png"), "-o", "upper.json", "--quiet"], folder)
+
+
+@pytest.fixture(scope="module")
+def matched(folder):
+    """The pictures of the sheet matched as a scene."""
+    command = ["match", *views("png"), "--rig", "rig.json", "-o", "matched.npz"]
+    return run_command([*command, "--json", "--quiet"], folder)
+
+
+def test_calibrate_says_the_same_to_people(upper):
+    assert upper.status == 0
+    assert "pan (deg)" in upper.stdout
+    assert upper.stdout.endswith("written: upper.json\n")
 
 
 @pytest.mark.slow
@@ -108,48 +112,46 @@ def test_a_suspect_rig_is_written_only_where_it_is_accepted_and_says_so(run, fol
     assert document["status"]["cameras"]["upper"]["notes"]
 
 
+@pytest.mark.usefixtures("upper")
 def test_grey_levels_from_0_to_1_calibrate_as_bytes_do(run, folder):
     picture = cv2.imread(str(folder / "upper.png"), cv2.IMREAD_UNCHANGED)
     assert picture is not None
     cv2.imwrite(str(folder / "unit.tif"), (picture / 255).astype(np.float32))
-    rigs = []
-    for file in ("upper.png", "unit.tif"):
-        assert run(*calibrate(f"upper={file}"), "-o", "grey.json")[0] == 0
-        rigs.append(trinoc.load_rig(folder / "grey.json")["upper"])
-    assert rigs[1].distance_mm == pytest.approx(rigs[0].distance_mm, abs=1e-3)
+    assert run(*calibrate("upper=unit.tif"), "-o", "unit.json")[0] == 0
+    of_bytes, of_unit = (trinoc.load_rig(folder / f"{name}.json") for name in ("upper", "unit"))
+    assert of_unit["upper"].distance_mm == pytest.approx(of_bytes["upper"].distance_mm, abs=1e-3)
 
 
+@pytest.mark.usefixtures("upper")
 def test_a_longer_print_is_a_longer_distance(run, folder):
-    for scale, file in [("1", "true.json"), ("1.01", "longer.json")]:
-        command = calibrate("upper=upper.png")
-        assert run(*command, "--print-scale", scale, scale, "-o", file)[0] == 0
+    command = *calibrate("upper=upper.png"), "--print-scale", "1.01", "1.01"
+    assert run(*command, "-o", "longer.json")[0] == 0
     true, longer = (
-        trinoc.load_rig(folder / file)["upper"] for file in ("true.json", "longer.json")
+        trinoc.load_rig(folder / file)["upper"] for file in ("upper.json", "longer.json")
     )
     assert longer.distance_mm / true.distance_mm == pytest.approx(1.01, abs=1e-4)
     assert longer.pan_deg == pytest.approx(true.pan_deg, abs=1e-3)
 
 
-def test_segments_then_match_is_match_of_pictures(run, folder):
+def test_segments_then_match_is_match_of_pictures(run, folder, matched):
     for name in RIG:
         assert run("segments", f"{name}.png", "-o", f"{name}.npz")[0] == 0
     found = run("match", *views("npz"), "--rig", "rig.json", "-o", "a.npz", "--json")
-    directly = run("match", *views("png"), "--rig", "rig.json", "-o", "b.npz", "--json")
-    assert found[0] == directly[0] == 0
-    a, b = (trinoc.load_matches(folder / file) for file in ("a.npz", "b.npz"))
+    assert found[0] == matched.status == 0
+    a, b = (trinoc.load_matches(folder / file) for file in ("a.npz", "matched.npz"))
     np.testing.assert_array_equal(a.index, b.index)
     np.testing.assert_array_equal(a.lines_mm, b.lines_mm)
-    assert json.loads(found[1])["tracks"] == json.loads(directly[1])["tracks"]
+    assert json.loads(found[1])["tracks"] == matched.record["tracks"]
 
 
+@pytest.mark.usefixtures("matched")
 def test_lines_measured_in_pictures_are_those_of_the_segments_placed_anew(run, folder):
     status, _, error = run("match", *views("csv"), "--rig", "rig.json", "--steps", "pixels")
     assert status == 2
     assert "--steps pixels needs pictures" in error
     command = "match", *views("png"), "--rig", "rig.json"
-    assert run(*command, "-o", "plain.npz")[0] == 0
     assert run(*command, "--steps", "pixels", "-o", "measured.npz")[0] == 0
-    plain, after = (trinoc.load_matches(folder / f"{name}.npz") for name in ("plain", "measured"))
+    plain, after = (trinoc.load_matches(folder / f"{name}.npz") for name in ("matched", "measured"))
     assert plain.marks == {}
     assert ((after.marks["measure"] == "") == (after.index < 0)).all()
     np.testing.assert_array_equal(after.index, plain.index)
@@ -184,13 +186,13 @@ REFUSED = {
         '"upper" and "right" are the same picture',
     ),
     "a file that is missing": (calibrate("upper=none.png"), "none.png does not exist"),
-    "a file of another kind": (calibrate("upper=pattern.json"), "not a readable picture"),
+    "a file of another kind": (calibrate("upper=sheet.json"), "not a readable picture"),
     "a rig for a sheet": (
         ("calibrate", "upper=upper.png", "--pattern", "rig.json", *LENS, "-o", "new.json"),
         '"trinoc-pattern" is needed',
     ),
     "a lens of another camera": (
-        ("calibrate", "upper=upper.png", "--pattern", "pattern.json", "--intrinsics", "lens.json"),
+        ("calibrate", "upper=upper.png", "--pattern", "sheet.json", "--intrinsics", "lens.json"),
         "but its lens says 640 x 480",
     ),
     "no such folder": ((*calibrate("upper=upper.png"), "-o", "no/rig.json"), "folder no does not"),
@@ -263,11 +265,11 @@ def test_scene_that_hardly_matches_says_what_to_check(run, shuffled):
 
 @pytest.mark.parametrize("paper", ["a4", "letter"])
 def test_pattern_writes_a_sheet_that_calibrate_reads(run, folder, paper):
-    status, out, _ = run("pattern", "--paper", paper, "-o", "sheet.json", "--json")
+    status, out, _ = run("pattern", "--paper", paper, "-o", "printed.json", "--json")
     assert status == 0
-    assert json.loads(out)["written"] == ["sheet.json", "sheet.svg", "sheet.pdf"]
-    assert len(trinoc.load_pattern(folder / "sheet.json")) == json.loads(out)["circles"]
-    assert (folder / "sheet.pdf").read_bytes().startswith(b"%PDF")
+    assert json.loads(out)["written"] == ["printed.json", "printed.svg", "printed.pdf"]
+    assert len(trinoc.load_pattern(folder / "printed.json")) == json.loads(out)["circles"]
+    assert (folder / "printed.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_pattern_that_does_not_fit_the_paper_is_not_written(run, folder):

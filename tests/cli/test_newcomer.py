@@ -3,12 +3,11 @@
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 import trinoc
-from simulation.camera_picture.render import render_sheet
+from tests.cli.conftest import EDGES
 from trinoc.cli.main import main
 from trinoc.io import read_image
 from trinoc.synth import table1_rig
@@ -17,23 +16,12 @@ LENS = ("--lens-mm", "16", "0.0162", "0.0134")
 EXACT = ("--sigma", "lens=0", "aim_mm=0", "flatness_mm=0", "print_scale=0")
 RIG = table1_rig()
 VIEWS = [f"{name}={name}.png" for name in RIG]
-CORNERS_MM = np.array([[x, y, z] for x in (-30, 35) for y in (-25, 20) for z in (0, 30)], float)
-EDGES = [(a, b) for a in range(8) for b in range(a) if (CORNERS_MM[a] != CORNERS_MM[b]).sum() == 1]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(sheet_and_box: Path) -> Path:
     """What a newcomer has: a sheet, a picture of it by each camera, and a scene's segments."""
-    folder = tmp_path_factory.mktemp("newcomer")
-    pattern = trinoc.Pattern.cross_grid(rows=6, columns=6, pitch_mm=24.0, radius_mm=7.0)
-    trinoc.save(pattern, folder / "sheet.json")
-    for name, camera in RIG.items():
-        picture = render_sheet(pattern, camera, supersampling=4, noise_sigma=1.0)
-        cv2.imwrite(str(folder / f"{name}.png"), picture)
-        ends = np.concatenate([CORNERS_MM, np.ones((8, 1))], axis=1) @ camera.matrix_px.T
-        ends = (ends[:, :2] / ends[:, 2:])[np.array(EDGES)].reshape(-1, 4)
-        np.savetxt(folder / f"{name}.csv", ends, delimiter=",")
-    return folder
+    return sheet_and_box
 
 
 @pytest.fixture

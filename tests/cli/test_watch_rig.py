@@ -1,7 +1,9 @@
 """`trinoc watch` of several cameras: made videos, folders and cameras, to the rig."""
 
+import functools
 import json
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -43,6 +45,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@functools.cache
+def picture_of(camera: str, held: int, seed: int) -> np.ndarray:
+    """What a camera sees of the board held in one of POSES."""
+    return board_picture(camera, [POSES[held]], seed)
+
+
 def write_video(file: str, frames: list[np.ndarray], frames_per_s: float) -> None:
     code = cv2.VideoWriter.fourcc(*"MJPG")
     writer = cv2.VideoWriter(file, code, frames_per_s, SIZE_PX, False)
@@ -58,6 +66,7 @@ def watch(*options: str) -> int:
 SMEAR_MM = 8.0
 
 
+@functools.cache
 def waved_frames(camera: str) -> list[np.ndarray]:
     """A board that comes to rest once a second: two of three frames are taken while it moves."""
     frames = []
@@ -132,32 +141,32 @@ def test_a_waved_board_gives_the_rig(waved, folder, capsys) -> None:
 
 
 class MadeCameras:
-    """Two cameras that show a board in these poses, one after the other, until somebody stops."""
+    """Two cameras that show a board in some of POSES, one after the other, until it is stopped."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, poses: list[np.ndarray]) -> None:
-        self.poses, self.opened = poses, []
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, held: Sequence[int]) -> None:
+        self.held, self.opened = held, []
         monkeypatch.setattr(cv2, "VideoCapture", self.open)
 
     def open(self, number: int) -> "MadeCamera":
         self.opened.append(number)
-        return MadeCamera(CAMERAS[number], self.poses)
+        return MadeCamera(CAMERAS[number], self.held)
 
 
 class MadeCamera:
-    def __init__(self, name: str, poses: list[np.ndarray]) -> None:
-        self.name, self.poses, self.count = name, poses, -1
+    def __init__(self, name: str, held: Sequence[int]) -> None:
+        self.name, self.held, self.count = name, held, -1
 
     def isOpened(self) -> bool:
         return True
 
     def grab(self) -> bool:
         self.count += 1
-        if self.count == len(self.poses):
+        if self.count == len(self.held):
             raise KeyboardInterrupt
         return True
 
     def retrieve(self) -> tuple[bool, np.ndarray]:
-        return True, board_picture(self.name, [self.poses[self.count]], self.count)
+        return True, picture_of(self.name, self.held[self.count], self.count)
 
     def release(self) -> None:
         self.name = ""
@@ -167,7 +176,7 @@ TWO = ("left=0", "right=1", "--every-s", "1e-9")
 
 
 def test_too_few_shots_are_kept_and_gone_on_with(folder, capsys, monkeypatch) -> None:
-    MadeCameras(monkeypatch, POSES[:2])
+    MadeCameras(monkeypatch, range(2))
     assert watch(*TWO, "-o", "rig.json") == 1
     out, err = capsys.readouterr()
     assert "picture 1: kept as shot_0001; left good, right good" in out
@@ -178,7 +187,7 @@ def test_too_few_shots_are_kept_and_gone_on_with(folder, capsys, monkeypatch) ->
     assert watch(*TWO, "-o", "rig.json") == 2
     assert "go on with them by --keep rig_shots" in capsys.readouterr().err
     # What it says to type.
-    MadeCameras(monkeypatch, POSES[1:3])
+    MadeCameras(monkeypatch, range(1, 3))
     again = shlex.split(err.partition("go on by: ")[2])
     assert again[:2] == ["trinoc", "watch"]
     calibrated = []
@@ -198,7 +207,7 @@ def test_too_few_shots_are_kept_and_gone_on_with(folder, capsys, monkeypatch) ->
 
 
 def test_a_camera_that_is_pulled_out_does_not_lose_the_shots(folder, capsys, monkeypatch) -> None:
-    MadeCameras(monkeypatch, POSES[:3])
+    MadeCameras(monkeypatch, range(3))
     monkeypatch.setattr(MadeCamera, "grab", _grab_until_pulled)
     assert watch(*TWO, "-o", "rig.json") == 1
     err = capsys.readouterr().err
@@ -217,7 +226,7 @@ def folders(folder: Path) -> Path:
     for camera in CAMERAS:
         (folder / camera).mkdir()
         for k in range(3 if camera == "left" else 2):
-            picture = board_picture(camera, [POSES[k]], k)
+            picture = picture_of(camera, k, k)
             assert cv2.imwrite(str(folder / camera / f"{camera}_{k:02d}.png"), picture)
     return folder
 
@@ -231,7 +240,7 @@ def test_files_of_folders_are_paired_by_their_names(folders, capsys) -> None:
         f"shot_{k:04d}.png" for k in (1, 2, 3)
     }
     first = cv2.imread(str(folders / "kept" / "right" / "shot_0001.png"), cv2.IMREAD_GRAYSCALE)
-    np.testing.assert_array_equal(first, board_picture("right", [POSES[0]], 0))
+    np.testing.assert_array_equal(first, picture_of("right", 0, 0))
     assert found["next"] == "Hold the board where left sees it together with right."
 
 
@@ -262,7 +271,7 @@ def test_what_cannot_be_watched_is_said_before_anything_is(options, said, folder
 
 
 def test_videos_have_to_be_in_step(folder, capsys) -> None:
-    still = board_picture("left", [POSES[0]])
+    still = picture_of("left", 0, 0)
     for name, count, rate in (("a", 2, 3.0), ("b", 2, 4.0), ("c", 5, 3.0)):
         write_video(f"{name}.avi", count * [still], rate)
     assert watch("left=a.avi", "right=b.avi") == 1

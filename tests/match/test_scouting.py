@@ -13,6 +13,7 @@ from trinoc.match.evidence.mixture import prior_parameters
 from trinoc.match.matcher import match_segments
 from trinoc.match.observations.clutter import fit_clutter
 from trinoc.match.observations.match_input import prepare
+from trinoc.match.scouting import _learn_prior, _spread
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import with_field
@@ -74,6 +75,36 @@ def test_the_box_holds_its_lines_wherever_the_world_begins() -> None:
     far = np.array([3e5, -2e6, 1e4])
     for shift in (np.zeros(3), far):
         assert inside(bound_region(lines + shift, DEFAULT.scouting), lines + shift).mean() > 0.98
+
+
+def test_the_box_of_a_flat_scene_holds_what_lies_little_off_its_plane() -> None:
+    """The lines of the sample may all lie exactly in the plane."""
+    flat = loose_lines(200, seed=7)
+    flat[..., 2] = 0.2 * flat[..., 0]
+    normal = np.array([-0.2, 0.0, 1.0]) / np.hypot(1.0, 0.2)
+    side = np.ptp(flat.reshape(-1, 3), axis=0).max()
+    region = bound_region(flat, DEFAULT.scouting)
+    for share in (-0.9, 0.9):
+        off = share * DEFAULT.scouting.thinnest * side * normal
+        assert inside(region, flat + off).mean() > 0.98
+
+
+@in_float64
+@pytest.mark.parametrize("sample", [20, 30])
+def test_the_number_of_lines_does_not_depend_on_the_size_of_the_sample(
+    seen: dict, sample: int
+) -> None:
+    """All 110 lines are in every view: the search expects about as many, within the error of a
+    count of 30."""
+    given = prepare(seen, RIG, None)
+    clutter = fit_clutter(given.lines, given.counts)
+    tuning = with_field(scouting(), "scouting.sample", sample)
+    rows = tuple(_spread(110, sample) for _ in VIEWS)
+    every = tuple(np.arange(110) for _ in VIEWS)
+    found = candidates_among(orders_of(seen), tuning, rows=(rows, every))
+    learned = _learn_prior(found, 110.0, clutter, tuning)
+    assert learned is not None
+    assert np.exp(float(learned.mixture.log_count)) == pytest.approx(110, rel=0.4)
 
 
 @in_float64

@@ -1,16 +1,13 @@
 """`trinoc demo`, once, on the bundled pictures: what it says, writes and reaches."""
 
-import contextlib
-import io
 import json
-import logging
 import shlex
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from tests.cli.run_command import Run, run_command
 from trinoc.cli.main import main
 from trinoc.io.compile_cache import COMPILE_CACHE_VARIABLE
 from trinoc.io.rig_json import load_rig
@@ -18,36 +15,20 @@ from trinoc.io.saving import load_matches
 from trinoc.synth import table1_rig
 
 
-class Run(NamedTuple):
-    status: int
-    stdout: str
-    progress: str
-    folder: Path
-
-    @property
-    def record(self) -> dict[str, Any]:
-        return json.loads(self.stdout)
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    folder = tmp_path_factory.mktemp("demo") / "new" / "folder"
-    logger = logging.getLogger("trinoc")
-    before = logger.handlers[:], logger.level, logger.propagate
-    stdout, stderr = io.StringIO(), io.StringIO()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(COMPILE_CACHE_VARIABLE, "off")
-        with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
-            status = main(["demo", "--out", str(folder), "--keep-inputs", "--json"])
-    logger.handlers[:], logger.level, logger.propagate = before
-    return Run(status, stdout.getvalue(), stderr.getvalue(), folder)
+    place = tmp_path_factory.mktemp("demo")
+    folder = place / "new" / "folder"
+    return run_command(["demo", "--out", str(folder), "--keep-inputs", "--json"], place)._replace(
+        folder=folder
+    )
 
 
 def test_one_object_on_stdout_and_progress_on_stderr(run: Run) -> None:
     assert run.status == 0
     assert isinstance(run.record, dict)
-    assert "calibrating" in run.progress
-    assert "matching" in run.progress
+    assert "calibrating" in run.stderr
+    assert "matching" in run.stderr
 
 
 def test_the_files_are_there(run: Run) -> None:

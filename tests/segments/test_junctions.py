@@ -1,5 +1,6 @@
 """Junctions and chains of segments from any detector."""
 
+import equinox as eqx
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
@@ -82,3 +83,39 @@ def test_lsd_comes_with_its_bias_taken_out_and_with_junctions() -> None:
     assert segments.junctions is not None
     distance = np.abs(ends[..., None] - [29.5, 89.5]).min(axis=-1)
     assert distance.min(axis=2).max() < 0.3
+
+
+# Three segments that end in (50, 50), and their standard deviations across, px.
+CORNER = np.array([[50, 50, 90, 60], [50, 50, 20, 80], [50, 50, 45, 10]]).reshape(3, 2, 2)
+ACROSS_PX, ALONG_PX = np.array([0.1, 0.3, 0.9]), 2.0
+
+
+def corner_directions() -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors along and across the segments of CORNER."""
+    along = (CORNER[:, 1] - CORNER[:, 0]).astype(float)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return along, np.stack([-along[:, 1], along[:, 0]], axis=1)
+
+
+def test_a_junction_has_the_stated_covariance_where_segments_are_not_equally_well_known() -> None:
+    """Segments are shifted across by noise of their standard deviations: the corner's squared
+    error in sigmas has the mean 2 of a chi-square law of two degrees of freedom."""
+    random = np.random.default_rng(0)
+    along, across = corner_directions()
+    covariance = np.zeros((3, 4, 4))
+    for k in range(3):
+        of_end = ALONG_PX**2 * np.outer(along[k], along[k])
+        of_end += ACROSS_PX[k] ** 2 * np.outer(across[k], across[k])
+        covariance[k, :2, :2] = covariance[k, 2:, 2:] = of_end
+    squares = []
+    for _ in range(400):
+        moved = CORNER + (ACROSS_PX * random.normal(size=3))[:, None, None] * across[:, None]
+        segments = Segments.from_endpoints(moved)
+        segments = eqx.tree_at(lambda s: s.covariance_px2, segments, covariance)
+        found = with_junctions(segments).junctions
+        assert found is not None
+        assert list(found.kind) == ["Y"]
+        error = np.asarray(found.uv_px)[0] - 50.0
+        squares.append(error @ np.linalg.solve(np.asarray(found.covariance_px2)[0], error))
+    # The mean of 400 such squares has the standard deviation 0.1.
+    assert abs(np.mean(squares) - 2.0) < 0.35

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_shots import board_poses
-from tests.calib.shots.test_laws import problem
+from tests.calib.made_shots import board_poses
+from tests.calib.problem.made_problem import problem
 from trinoc.calib.problem.board_shape import shape_covariance, with_free_places
 from trinoc.calib.problem.information import Information, compute_information, whiten_views
 from trinoc.calib.problem.outcome import ShotScatter, enlarge_covariance, shot_scatter

@@ -3,10 +3,24 @@
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_shots import BOARD, board_poses, detection
+from tests.calib.made_shots import BOARD, board_poses, detection
+from tests.calib.problem.made_problem import problem
+from trinoc.calib.problem import moments
 from trinoc.calib.problem.misfit_causes import change_point, lens_pattern_px, smooth_pattern_px
+from trinoc.calib.problem.moments import (
+    errors_about_image_poses_px,
+    find_other_moments,
+    fit_image_poses,
+    images_of_shots,
+    typical_excess,
+    with_shots_of_their_own,
+)
+from trinoc.calib.problem.problem import with_head_free
+from trinoc.calib.problem.robust_fit import errors_px, fit_places, place_errors_in_sigmas
 from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.numerics.tables import with_field
 
 SHOTS = 10
 
@@ -45,6 +59,70 @@ def test_shots_of_other_moments_are_named_and_move_no_camera(fair):
         len({v.shot for v in result.views if v.camera == c and v.used.any()}) == SHOTS
         for c in (0, 1)
     )
+
+
+def of_shots(*, late_mm=0.0, seed=0):
+    """The problem at the truth, and at the poses that fit the shots best; the middle camera has
+    the board aside in shot 2."""
+    here = problem(board_poses(6))
+    views = list(here.views)
+    random = np.random.default_rng(seed)
+    for k, view in enumerate(views):
+        aside = np.array([late_mm, 0.0, 0.0]) * ((view.camera, view.shot) == (1, 2))
+        pose = np.array(here.state.rig_from_board[view.shot])
+        pose[:, 3] += aside
+        name = ("left", "middle", "right")[view.camera]
+        views[k] = view._replace(detection=detection(name, pose, random))
+    here = here._replace(views=tuple(views))
+    held = with_head_free(here, np.zeros(len(here.chart.free)))
+    return fit_places(held)[0]
+
+
+def test_the_excess_is_the_fall_of_chi_square_where_each_image_has_a_pose_of_its_own(
+    monkeypatch,
+):
+    """With lenses and cameras held, and all places counted in full; the median of the six shots
+    over 12 degrees of freedom."""
+    monkeypatch.setattr(moments, "TUNING", with_field(TUNING, "problem.gate", 1e6))
+    together = of_shots()
+    others = [k for images in images_of_shots(together).values() for k in images[1:]]
+    apart, _ = fit_places(with_shots_of_their_own(together, others))
+    before, after = (
+        np.sum(np.square(place_errors_in_sigmas(each)), axis=(1, 2))[: len(together.views)]
+        for each in (together, apart)
+    )
+    shot_of = np.array([view.shot for view in together.views])
+    fall = np.bincount(shot_of, before - after) / 12
+    median = (1 - 2 / (9 * 12)) ** 3
+    assert typical_excess(together) == pytest.approx(np.median(fall) / median, rel=0.02)
+
+
+def test_images_of_one_moment_have_an_excess_of_one():
+    """The mean of 20 medians of six values of a chi-square law, over the law's median."""
+    excess = [typical_excess(of_shots(seed=seed)) for seed in range(20)]
+    assert abs(np.mean(excess) - 1.0) < 0.15
+
+
+def test_of_three_images_the_one_that_disagrees_is_named():
+    here = of_shots(late_mm=4.0)
+    (other,) = find_other_moments(here)
+    view = here.views[other.view]
+    assert (view.camera, view.shot) == (1, 2)
+
+
+def test_errors_about_its_own_pose_are_the_noise_of_an_image_of_another_moment():
+    """The noise is 0.05 px, of which the pose takes a tenth."""
+    here = of_shots(late_mm=1.0)
+    (k,) = (k for k, view in enumerate(here.views) if (view.camera, view.shot) == (1, 2))
+    before, after = (
+        float(np.sqrt(np.mean(errors**2)))
+        for errors in (
+            errors_px(here)[k],
+            errors_about_image_poses_px(here, fit_image_poses(here))[k],
+        )
+    )
+    assert before > 0.3
+    assert 0.035 < after < 0.06
 
 
 def test_noise_alone_has_no_pattern():

@@ -4,8 +4,8 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_shots import LENSES, board_poses
-from tests.calib.shots.test_laws import problem
+from tests.calib.made_shots import LENSES, board_poses
+from tests.calib.problem.made_problem import problem
 from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.named_covariance import World, named_covariance
 from trinoc.calib.problem.variables import retract

@@ -8,9 +8,9 @@ import jax
 import numpy as np
 import pytest
 
-from tests.calib.shots.equations import cost_of_places
-from tests.calib.shots.made_shots import board_poses
-from tests.calib.shots.test_laws import problem
+from tests.calib.made_shots import board_poses
+from tests.calib.problem.equations import cost_of_places
+from tests.calib.problem.made_problem import problem
 from trinoc.calib.problem.board_shape import with_free_places
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.problem import lens_number

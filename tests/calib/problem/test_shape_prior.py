@@ -6,6 +6,7 @@ import pytest
 from trinoc.calib.problem.shape_prior import shape_prior
 from trinoc.calib.targets.board_set import BoardSet
 from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.tuning.every_group import TUNING
 
 BOARD = Chessboard(rows=6, columns=9, square_mm=25.0)
 
@@ -13,6 +14,30 @@ BOARD = Chessboard(rows=6, columns=9, square_mm=25.0)
 def part(prior, name):
     (found,) = (each for each in prior.parts if each.name == name)
     return found
+
+
+def deviations_mm(prior, name):
+    """(n, 3) standard deviations of X, Y and Z of each corner by one part of the prior."""
+    (k,) = (k for k, each in enumerate(prior.parts) if each.name == name)
+    modes = prior.parts[k].modes.reshape(len(BOARD), 3, -1)
+    return np.sqrt(prior.variance[k] * np.sum(modes**2, axis=2))
+
+
+def test_parts_have_the_stated_standard_deviations_before_any_image():
+    """Single corners and each smooth amplitude: 0.05 mm. Twist: the flatness, at the corners of
+    the board. Shear: half the angle times the distance from the middle."""
+    prior = shape_prior(BOARD, 0.05)
+    np.testing.assert_allclose(deviations_mm(prior, "corner plane"), [[0.05, 0.05, 0.0]] * 54)
+    np.testing.assert_allclose(deviations_mm(prior, "corner height"), [[0.0, 0.0, 0.05]] * 54)
+    for name, axes in (("height", [2]), ("plane", [0, 1])):
+        by_axis = deviations_mm(prior, name)[:, axes]
+        count = part(prior, name).modes.shape[1] / len(axes)
+        np.testing.assert_allclose(np.sqrt(np.mean(by_axis**2, axis=0) / count), 0.05)
+    twist = deviations_mm(prior, "twist")
+    assert twist[:, 2].max() == pytest.approx(TUNING.uncertainty.flatness_mm)
+    from_middle = np.abs(BOARD.centres_mm - BOARD.centres_mm.mean(axis=0))
+    shear = deviations_mm(prior, "shear")
+    np.testing.assert_allclose(shear[:, :2], 0.5 * TUNING.problem.shear * from_middle[:, ::-1])
 
 
 @pytest.mark.parametrize("name", ["height", "plane"])

@@ -69,6 +69,15 @@ def test_a_bend_along_one_axis_keeps_lengths_along_it_and_positions_across_it(mo
         assert np.abs(stretch(sheet, shape, X_MM if across == 0 else Y_MM)).max() < 1e-12
 
 
+def test_parts_of_all_degrees_shorten_paper_by_half_the_integral_of_its_squared_slope() -> None:
+    """Bent along X alone: the displacement is that integral from the origin, to rounding."""
+    height = np.polynomial.Polynomial([0.0, 0.0, 2.0, -1.0, 0.5])
+    x = PLACES_MM[:, 0] / REACH_MM
+    expected = -0.5 * (height.deriv() ** 2).integ()(x) / REACH_MM
+    moved = np.asarray(point_of(PAPER, paper_shape(XX=2.0, XXX=-1.0, XXXX=0.5))(PLACES_MM))
+    np.testing.assert_allclose(moved[:, 0] - PLACES_MM[:, 0], expected, rtol=1e-9, atol=1e-13)
+
+
 @pytest.mark.parametrize("direction_deg", [0.0, 30.0, 90.0, 135.0])
 def test_paper_rolled_in_any_direction_lies_where_the_arc_of_a_circle_does(direction_deg) -> None:
     rolled = RolledPaper.from_sagitta(2.0, direction_deg=direction_deg)

@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_shots import BOARD, board_poses, detection
+from tests.calib.made_shots import BOARD, board_poses, detection
+from tests.calib.problem.made_problem import problem
 from trinoc.calib.problem.board_shape import _lenses_stay
+from trinoc.calib.problem.moments import ImagePoses
+from trinoc.calib.problem.unsynchronised import _motion_covariance
+from trinoc.calib.problem.variables import POSE_SIZE
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.rotation import rotation_from_vector
@@ -24,6 +28,42 @@ def moving(seed, motion_mm=0.6, motion_deg=0.1):
         for name, own in (("left", pose), ("right", later)):
             images[name][f"shot {number}"] = detection(name, own, random, sigma_px=SIGMA_PX)
     return images
+
+
+# Standard deviations of steps of a pose: turn in rad, shift in units of the problem.
+STEP_SIGMA = np.array([1e-3, 2e-3, 5e-4, 0.1, 0.3, 0.2])
+MOTION = 0.4 * np.ones((POSE_SIZE, POSE_SIZE)) + 0.6 * np.eye(POSE_SIZE)
+
+
+def motion_by_drawn_steps(noise=0.9, larger=1.0, shots=600):
+    """The covariance of the motion over its standard deviations, from steps of the poses of two
+    images in each shot: a motion of each image by MOTION, and noise of its corners.
+
+    noise : its standard deviation over that of the motion.
+    larger : by how much the motion is larger in 12 of the shots.
+    """
+    random, size = np.random.default_rng(4), POSE_SIZE
+    here = problem(board_poses(1))
+    pairs = [each._replace(shot=k) for k in range(shots) for each in here.views[:2]]
+    motion = random.normal(size=(2 * shots, size)) @ np.linalg.cholesky(MOTION).T
+    motion[:24] *= larger
+    step = STEP_SIGMA * (motion + noise * random.normal(size=motion.shape))
+    information = np.tile(np.diag((noise * STEP_SIGMA) ** -2), (2 * shots, 1, 1))
+    poses = ImagePoses(step, information, np.zeros((2 * shots, 1, 2, size)))
+    covariance = _motion_covariance(here._replace(views=tuple(pairs)), poses)
+    return covariance / np.outer(STEP_SIGMA, STEP_SIGMA)
+
+
+def test_the_covariance_of_the_motion_is_that_of_one_image_without_the_noise_of_its_corners():
+    # An element of a covariance of 600 differences has a standard deviation of about 0.1.
+    motion = motion_by_drawn_steps()
+    assert np.abs(motion - MOTION).max() < 0.35
+    assert abs(np.trace(motion) / POSE_SIZE - 1) < 0.12
+
+
+def test_a_few_shots_of_a_far_larger_motion_hardly_enlarge_it():
+    """A fiftieth of the shots, in which the board moves 20 times as far."""
+    assert np.trace(motion_by_drawn_steps(larger=20.0)) / POSE_SIZE < 1.5
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +108,7 @@ def test_the_baseline_has_the_stated_sigma(fits):
 
 
 def _baseline_mm():
-    from tests.calib.shots.made_shots import cam_from_rig, inverse
+    from tests.calib.made_shots import cam_from_rig, inverse
 
     centres = [inverse(cam_from_rig(name))[:, 3] for name in ("left", "right")]
     return float(np.linalg.norm(centres[1] - centres[0]))

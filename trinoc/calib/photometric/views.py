@@ -14,16 +14,13 @@ from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
 from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
 from trinoc.calib.photometric.scene import ShiftOfPlaces
 from trinoc.calib.photometric.sheet_places import project_to_image
-from trinoc.calib.photometric.unknowns import step_unit_mm
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.result.calibration import ImageQuality
-from trinoc.calib.result.degrees import degrees_by_step, largest_sigmas
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.numerics.information import observability
 
 # numerical: of a pixel's box, which the fitted sigma includes and the lens's blur does not.
 _BOX_VARIANCE = 1 / 12
@@ -124,17 +121,13 @@ def _refine(
     moved = float(np.abs(after - before).max())
     if not moved < TUNING.photometric.largest_move_px:
         return silent(f"the picture itself disagrees with its circles by {moved:.2f} px.")
-    quality = _quality(refined, model)
+    quality = _quality(refined)
     is_processed = refined.overshoot > TUNING.photometric.processed_overshoot
     return PictureFit(refined.state.pose, refined.points, quality, None, is_processed)
 
 
-def _quality(refined: ImageRefinement, model: PoseModel) -> ImageQuality:
+def _quality(refined: ImageRefinement) -> ImageQuality:
     look = refined.state
-    # Steps are in units of the distance.
-    distance_mm = float(np.asarray(step_unit_mm(refined.state.pose, model)))
-    by_step = degrees_by_step(refined.state.pose, distance_mm, model)
-    seen = observability(refined.information, by_step, largest_sigmas(model, distance_mm))
     return ImageQuality(
         noise=refined.noise,
         noise_floor=refined.noise_floor,
@@ -144,5 +137,4 @@ def _quality(refined: ImageRefinement, model: PoseModel) -> ImageQuality:
         ink_spread_mm=float(look["spread_mm"]),
         ink_over_paper=float(1 + look["ratio"]),
         found=refined.found,
-        bound=seen.covariance * (refined.noise_floor / refined.noise) ** 2,
     )

@@ -80,8 +80,6 @@ class ImageQuality(eqx.Module):
     ink_spread_mm : by which ink reaches beyond the drawing.
     ink_over_paper : grey level of ink over that of paper.
     found : what the picture shows of its camera and its light, in words.
-    bound : (p, p) Cramer-Rao bound of the camera's parameters, degrees and mm: the least
-        covariance that any unbiased fit to this picture can have.
     """
 
     noise: float = eqx.field(static=True)
@@ -92,7 +90,6 @@ class ImageQuality(eqx.Module):
     ink_spread_mm: float = eqx.field(static=True)
     ink_over_paper: float = eqx.field(static=True)
     found: tuple[str, ...] = eqx.field(static=True)
-    bound: Float[np.ndarray, "p p"]
 
     @property
     def reduced_chi_square(self) -> float:

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from tests.calib.shots.simulated_lens import (
+from tests.calib.simulated_lens import (
     LENS,
     SHEET,
     SIZE_PX,

@@ -1,11 +1,13 @@
 """A fitted lens that folds the image where no corner was seen is refused, with what to do."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.calib.shots import made_shots
-from tests.calib.shots.made_shots import (
+from tests.calib import made_shots
+from tests.calib.made_shots import (
     BOARD,
     SIZE_PX,
     board_poses,
@@ -13,14 +15,17 @@ from tests.calib.shots.made_shots import (
     lens_of,
     shots,
 )
+from tests.calib.problem.made_problem import problem
 from trinoc.calib import Detection
-from trinoc.calib.folded_lens import expect_unfolded
+from trinoc.calib.folded_lens import expect_unfolded, fit_wider_model
 from trinoc.calib.lens_calibration import calibrate_intrinsics
+from trinoc.calib.problem.robust_fit import RobustFit, end_of_fit
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.errors import CalibrationError
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
+from trinoc.geometry.lenses.polynomial import Rational
 
 
 def test_a_distortion_seen_in_the_middle_alone_is_not_a_result(monkeypatch):
@@ -132,3 +137,43 @@ def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
     assert alone.lens is not None
     assert alone.lens.distortion_model == lens.distortion_model
     assert any("so the lens model is" in note for note in alone.notes)
+
+
+class Holder(NamedTuple):
+    """A value of which `fit` is the end of a fit, as `fit_wider_model` takes it."""
+
+    fit: RobustFit
+
+
+def fit_with_noise(sigma_px: float) -> Holder:
+    """The three cameras at the truth, with residuals of this standard deviation."""
+    poses, random = board_poses(3), np.random.default_rng(0)
+    here, names = problem(poses), tuple(made_shots.LENSES)
+    views = tuple(
+        view._replace(
+            detection=detection(names[view.camera], poses[view.shot], random, sigma_px=sigma_px)
+        )
+        for view in here.views
+    )
+    return Holder(end_of_fit(here._replace(views=views), True, []))
+
+
+@pytest.mark.parametrize(
+    ("rational_px", "fisheye_px", "chosen"),
+    [(0.11, 0.05, Rational), (0.15, 0.11, KannalaBrandt), (0.15, 0.15, None)],
+)
+def test_a_wider_model_is_taken_where_it_explains_the_corners_as_well(
+    monkeypatch, rational_px, fisheye_px, chosen
+):
+    """The fit that folds has residuals of 0.1 px; up to a fifth more is no worse."""
+    fits = {Rational: fit_with_noise(rational_px), KannalaBrandt: fit_with_noise(fisheye_px)}
+    folds = np.array([350.0, 350.0, 319.5, 239.5, -0.27, 0.0, 0.0, 0.0, 0.0])
+    monkeypatch.setitem(made_shots.LENSES, "left", folds)
+    folding = fit_with_noise(0.1)
+    result, sentences = fit_wider_model(folding, fits.__getitem__, tuple(made_shots.LENSES))
+    assert result is (folding if chosen is None else fits[chosen])
+    if chosen is None:
+        assert sentences == ()
+    else:
+        (sentence,) = sentences
+        assert f"so the lens model is {chosen.model}" in sentence

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_shots import BOARD, LENSES, board_poses, chained, detection, shots
+from tests.calib.made_shots import BOARD, LENSES, board_poses, chained, detection, shots
 from trinoc.calib import next_shot
 from trinoc.calib.advice.foreseen_shots import candidate_shots, foresee_shots, place_sigma_px
 from trinoc.calib.advice.next_shot import add_shot, shot_error_px

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_shots import BOARD, LENSES, lens_of, shots
+from tests.calib.made_shots import BOARD, LENSES, lens_of, shots
 from trinoc.calib.problem.outcome import ShotScatter
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.calib.shots.equations import assert_equations_are_those_of_the_cost
-from tests.calib.shots.made_board_sets import (
+from tests.calib.made_board_sets import (
     BOARDS,
     CAMERAS,
     IN_SET,
@@ -16,7 +15,7 @@ from tests.calib.shots.made_board_sets import (
     set_shots,
     sets_held,
 )
-from tests.calib.shots.made_shots import (
+from tests.calib.made_shots import (
     BOARD,
     SIZE_PX,
     board_poses,
@@ -25,6 +24,7 @@ from tests.calib.shots.made_shots import (
     lens_of,
     shots,
 )
+from tests.calib.problem.equations import assert_equations_are_those_of_the_cost
 from trinoc.calib import BoardSet, Detection, next_shot
 from trinoc.calib.advice.halves import find_steps_to_half
 from trinoc.calib.detection.detection import split_by_board

@@ -4,8 +4,8 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, board_poses, chained, inverse
-from tests.calib.shots.test_laws import problem
+from tests.calib.made_shots import BOARD, LENSES, SIZE_PX, board_poses, chained, inverse
+from tests.calib.problem.made_problem import problem
 from trinoc.calib.advice.field_difference import field_differences
 from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.problem import with_lens_free

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tests.calib.shots.made_shots import BOARD, LENSES, SIZE_PX, lens_of, shots
+from tests.calib.made_shots import BOARD, LENSES, SIZE_PX, lens_of, shots
 from trinoc.calib.problem.coefficients import free_of_lenses
 from trinoc.calib.problem.problem import lens_number, with_lens_free, with_wider_lenses
 from trinoc.calib.problem.variables import evaluate_prior

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_shots import BOARD, shots
+from tests.calib.made_shots import BOARD, shots
 from trinoc.calib.lens_selection import choice_sentence, choose_lens
 from trinoc.calib.problem.information import Information
 from trinoc.calib.problem.rao_test import HeldScore, explain_pull, rao_test

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_shots import BOARD, LENSES, cam_from_rig, lens_of, shots
+from tests.calib.made_shots import BOARD, LENSES, cam_from_rig, lens_of, shots
 from trinoc.calib import projection_sigma
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import calibrate_rig

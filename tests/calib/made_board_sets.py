@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.calib.shots.made_shots import LENSES, SIZE_PX, _pixels, chained, inverse, lens_of
+from tests.calib.made_shots import LENSES, SIZE_PX, _pixels, chained, inverse, lens_of
 from trinoc.calib import BoardSet, Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.calib.shots import simulated_lens
-from tests.calib.shots.equations import assert_equations_are_those_of_the_cost
-from tests.calib.shots.made_shots import BOARD, SIZE_PX, lens_of
+from tests.calib import simulated_lens
+from tests.calib.made_shots import BOARD, SIZE_PX, lens_of
+from tests.calib.problem.equations import assert_equations_are_those_of_the_cost
 from trinoc.calib import Detection
 from trinoc.calib.advice.halves import covariance_of_difference
 from trinoc.calib.lens_calibration import calibrate_intrinsics

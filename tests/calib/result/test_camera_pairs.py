@@ -1,11 +1,12 @@
 """Baseline and relative rotation of a pair of cameras: as true as said, whatever the world is."""
 
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from tests.calib.shots.made_shots import BOARD, LENSES, cam_from_rig, chained, inverse, shots
+from tests.calib.made_shots import BOARD, LENSES, cam_from_rig, chained, inverse, shots
 from trinoc.calib.result.camera_pairs import CameraPair, camera_pairs
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -93,26 +94,34 @@ def test_sigmas_are_those_of_cameras_drawn_from_the_covariance(model):
     (pair,) = camera_pairs(Rig(cameras), parameters, covariance)
     assert pair.angle_deg > 90.0
     draws = random.normal(size=(20_000, 12)) @ root.T
-    numbers = np.array([_pair_numbers(cameras, model, draw) for draw in draws])
+    numbers = _drawn_pairs(cameras, model, draws)
     np.testing.assert_allclose(numbers.std(axis=0), sigmas_of(pair), rtol=0.03)
 
 
-def _pair_numbers(cameras: dict[str, Camera], model: PoseModel, draw: np.ndarray) -> np.ndarray:
-    poses = []
-    for camera, change in zip(cameras.values(), (draw[:6], draw[6:]), strict=True):
-        pose = np.asarray(camera.cam_from_world)
-        if model is PoseModel.RIGID:
-            turn = Rotation.from_rotvec(change[:3], degrees=True).as_matrix() @ pose[:, :3]
-            centre = -pose[:, :3].T @ pose[:, 3] + change[3:]
-            poses.append(np.column_stack([turn, -turn @ centre]))
-            continue
-        values = [camera.pan_deg, camera.tilt_deg, camera.swing_deg, camera.distance_mm]
-        moved = np.array([*values, *camera.aim_mm]) + change
-        radians = np.concatenate([np.radians(moved[:3]), moved[3:]])
-        poses.append(np.asarray(Pose.from_parameters(radians).cam_from_world))
-    step = chained(poses[1], inverse(poses[0]))
-    turn = Rotation.from_matrix(step[:, :3].T).as_rotvec(degrees=True)
-    return np.array([np.linalg.norm(step[:, 3]), np.linalg.norm(turn), *turn])
+def _drawn_pairs(cameras: dict[str, Camera], model: PoseModel, draws: np.ndarray) -> np.ndarray:
+    """(n, 5) baseline, angle and turn of the two cameras for n draws of their 12 parameters."""
+    first, second = (
+        _drawn_poses(camera, model, change)
+        for camera, change in zip(cameras.values(), (draws[:, :6], draws[:, 6:]), strict=True)
+    )
+    turn = second[:, :, :3] @ np.swapaxes(first[:, :, :3], 1, 2)
+    shift = second[:, :, 3] - np.einsum("nij,nj->ni", turn, first[:, :, 3])
+    vector = Rotation.from_matrix(np.swapaxes(turn, 1, 2)).as_rotvec(degrees=True)
+    length, angle = (np.linalg.norm(each, axis=1) for each in (shift, vector))
+    return np.column_stack([length, angle, vector])
+
+
+def _drawn_poses(camera: Camera, model: PoseModel, change: np.ndarray) -> np.ndarray:
+    """(n, 3, 4) camera from world for n changes of the pose's six parameters."""
+    pose = np.asarray(camera.cam_from_world)
+    if model is PoseModel.RIGID:
+        turn = Rotation.from_rotvec(change[:, :3], degrees=True).as_matrix() @ pose[:, :3]
+        centre = change[:, 3:] - pose[:, :3].T @ pose[:, 3]
+        return np.concatenate([turn, -(turn @ centre[..., None])], axis=2)
+    values = [camera.pan_deg, camera.tilt_deg, camera.swing_deg, camera.distance_mm]
+    moved = np.array([*values, *camera.aim_mm]) + change
+    radians = np.concatenate([np.radians(moved[:, :3]), moved[:, 3:]], axis=1)
+    return np.asarray(jax.vmap(lambda one: Pose.from_parameters(one).cam_from_world)(radians))
 
 
 def test_a_board_of_uncertain_size_moves_baselines_by_its_share_and_turns_by_nothing():

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.calib.shots.made_board_sets import BOARDS, LENS_OF, seen, sets_held
-from tests.calib.shots.made_shots import (
+from tests.calib.made_board_sets import BOARDS, LENS_OF, seen, sets_held
+from tests.calib.made_shots import (
     BOARD,
     LENSES,
     board_poses,

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from simulation.camera_picture.layers import Paint
 from simulation.camera_picture.render import render_sheet
 from simulation.camera_picture.shapes import Cells
-from tests.calib.shots.made_shots import (
+from tests.calib.made_shots import (
     BOARD,
     LENSES,
     SIZE_PX,

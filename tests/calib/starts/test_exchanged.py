@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
+from tests.calib.made_shots import BOARD, board_poses, detection, lens_of
 from trinoc.calib.starts import placing
 from trinoc.calib.starts.links import PlacedBoard
 from trinoc.calib.starts.sightings import IN_PLACE, Sighting
-
-from .made_shots import BOARD, board_poses, detection, lens_of
 
 NAMES = ("left", "middle", "right")
 

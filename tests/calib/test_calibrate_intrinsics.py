@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.calib.shots.simulated_lens import LENS, SHEET, SIZE_PX, detections, good_poses
+from tests.calib.simulated_lens import LENS, SHEET, SIZE_PX, detections, good_poses
 from trinoc.calib import Status
 from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.targets.pattern import Pattern
