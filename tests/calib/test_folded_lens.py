@@ -19,6 +19,7 @@ from tests.calib.problem.made_problem import problem
 from trinoc.calib import Detection
 from trinoc.calib.folded_lens import expect_unfolded, fit_wider_model
 from trinoc.calib.lens_calibration import calibrate_intrinsics
+from trinoc.calib.problem.problem import with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, end_of_fit
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import calibrate_rig
@@ -147,8 +148,10 @@ class Holder(NamedTuple):
 
 def fit_with_noise(sigma_px: float) -> Holder:
     """The three cameras at the truth, with residuals of this standard deviation."""
-    poses, random = board_poses(3), np.random.default_rng(0)
+    poses, random = board_poses(8), np.random.default_rng(0)
     here, names = problem(poses), tuple(made_shots.LENSES)
+    # Eight shots do not determine k3.
+    here = with_lens_free(here, np.tile(np.arange(9) < 8, (3, 1)))
     views = tuple(
         view._replace(
             detection=detection(names[view.camera], poses[view.shot], random, sigma_px=sigma_px)
@@ -177,3 +180,18 @@ def test_a_wider_model_is_taken_where_it_explains_the_corners_as_well(
     else:
         (sentence,) = sentences
         assert f"so the lens model is {chosen.model}" in sentence
+
+
+def test_a_wider_model_that_the_shots_do_not_determine_is_not_taken(monkeypatch):
+    """The residuals of too many coefficients are always small."""
+    determined = fit_with_noise(0.05)
+    free = np.ones((3, 9), dtype=bool)
+    undetermined = Holder(
+        determined.fit._replace(problem=with_lens_free(determined.fit.problem, free))
+    )
+    folds = np.array([350.0, 350.0, 319.5, 239.5, -0.27, 0.0, 0.0, 0.0, 0.0])
+    monkeypatch.setitem(made_shots.LENSES, "left", folds)
+    folding = fit_with_noise(0.1)
+    fits = {Rational: undetermined, KannalaBrandt: determined}
+    result, _ = fit_wider_model(folding, fits.__getitem__, tuple(made_shots.LENSES))
+    assert result is determined

@@ -6,8 +6,11 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from trinoc.calib.problem.coefficients import free_of_lenses
+from trinoc.calib.problem.moments import errors_about_image_poses_px, fit_image_poses
+from trinoc.calib.problem.outcome import assess_fit
 from trinoc.calib.problem.problem import Problem, lens_number, with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, refit
+from trinoc.calib.result.calibration import Status
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold
@@ -103,9 +106,9 @@ def fit_wider_model(
 
     Returns
     -------
-    The fit of the first wider model that folds no image and explains the observations, and a
-    sentence that says so; the fit that was given, and no sentence, if there is none or none is
-    needed.
+    The fit of the first wider model that is determined, folds no image and explains the
+    observations, and a sentence that says so; the fit that was given, and no sentence, if there is
+    none or none is needed.
     """
     folds = _folds(folding.fit.problem)
     if not folds:
@@ -116,6 +119,8 @@ def fit_wider_model(
         try:
             other = fit_model(model)
         except CalibrationError:
+            continue
+        if assess_fit(other.fit).status is not Status.CONVERGED:
             continue
         rms_px = _rms_px(other.fit.problem, every)
         explains = rms_px <= TUNING.answer.most_rise_by_fixing * folding_rms_px
@@ -167,10 +172,20 @@ def _fixed_sentences(
 
 
 def _rms_px(problem: Problem, cameras: Sequence[int]) -> float:
-    """Root mean square length of the residuals of some cameras."""
+    """Root mean square length of the residuals of some cameras.
+
+    Where the board moves between the images of a shot, about the pose of each image: the motion
+    would hide what a lens explains.
+    """
+    is_moved = any(view.is_moved for view in problem.views)
+    residuals = (
+        errors_about_image_poses_px(problem, fit_image_poses(problem))
+        if is_moved
+        else errors_px(problem)
+    )
     kept = [
         errors[view.kept]
-        for view, errors in zip(problem.views, errors_px(problem), strict=True)
+        for view, errors in zip(problem.views, residuals, strict=True)
         if view.camera in cameras
     ]
     every = np.concatenate([np.zeros((0, 2)), *kept])

@@ -307,7 +307,7 @@ def _result_from_fit(
     systematics: Systematics,
     remarks: tuple[str, ...],
 ) -> IntrinsicsResult:
-    """What the pictures determine of the lens, and what to do next.
+    """Assemble the result of a lens, with its notes and the picture to take next.
 
     advised : the problem to which a picture is added: that of the core where splines correct it.
     """

@@ -117,7 +117,7 @@ def sentence_of_pull(pull: PriorPull, adjustment: Adjustment, known: Knowledge, 
 
 
 def _amount(pull: PriorPull) -> str:
-    """How far an unknown of the lens or the print's size is from what was stated."""
+    """Text of an offset from a stated value, such as "+0.31 %, 4.2 sigma"."""
     sigmas = f"{pull.sigmas:.1f} sigma"
     kind, offset = pull.unknown.kind, pull.offset
     if kind in ("focal length", "aspect", "print size"):

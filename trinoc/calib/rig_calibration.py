@@ -131,13 +131,13 @@ def calibrate_rig(
         for camera, own in found.detections.items()
     }
     _expect_boards(found, detections)
-    seen = _SeenBoards(
+    observations = _Observations(
         detections, found.shots, board, known, factors, distortion, same_lens, systematics
     )
     cameras = tuple(detections)
 
     def fit_models(models: Sequence[type[AbstractLens]], corrected: bool | None = False) -> _RigFit:
-        point_fit = _fit_best_lens(seen, models, corrected)
+        point_fit = _fit_best_lens(observations, models, corrected)
         return _finish_fit(point_fit, cameras, images if method == "pixels" else None, distortion)
 
     rig_fit, wider = fit_models(models, corrected), ()
@@ -162,7 +162,7 @@ def calibrate_rig(
     return result
 
 
-class _SeenBoards(NamedTuple):
+class _Observations(NamedTuple):
     """The detections of each camera by shot and board, the names of all shots, and what
     `calibrate_rig` was given of board and lenses."""
 
@@ -254,7 +254,8 @@ def _fit_images_apart(
     end = _fix_coefficients(with_board_shape(apart_fit), cameras, distortion)
     if assess_fit(end.fit).status is not Status.CONVERGED:
         return None
-    return end._replace(fit=with_motion_between_images(end.fit, fit))
+    with_motion = with_motion_between_images(end.fit, fit)
+    return None if with_motion is None else end._replace(fit=with_motion)
 
 
 def _fix_coefficients(fit: RobustFit, cameras: Sequence[str], distortion: int | None) -> _FixedFit:
@@ -268,7 +269,7 @@ def _fix_coefficients(fit: RobustFit, cameras: Sequence[str], distortion: int | 
 
 
 def _fit_best_lens(
-    seen: _SeenBoards, models: Sequence[type[AbstractLens]], corrected: bool | None
+    observations: _Observations, models: Sequence[type[AbstractLens]], corrected: bool | None
 ) -> _PointFit:
     """The fit by the one model, or by that of several which the shots call for, and why.
 
@@ -277,12 +278,12 @@ def _fit_best_lens(
     Raises CalibrationError where no model places the cameras.
     """
     if len(models) == 1:
-        return _fit_points(seen, models[0])
+        return _fit_points(observations, models[0])
     fits: dict[str, _PointFit] = {}
-    errors, cameras = [], tuple(seen.detections)
+    errors, cameras = [], tuple(observations.detections)
     for model in models:
         try:
-            fits[model.model] = _fit_points(seen, model)
+            fits[model.model] = _fit_points(observations, model)
         except CalibrationError as error:
             errors.append(error)
     if not fits:
@@ -297,12 +298,12 @@ def _fit_best_lens(
     problem, rational = best.fit.problem, None
     # That the shots disagree is not taken off for splines, since a lens that is not described makes
     # them: shots held out tell it from a board that bends.
-    spline = wider_lens_test(problem, add_splines(problem, seen.sizes_px), 1.0)
+    spline = wider_lens_test(problem, add_splines(problem, observations.sizes_px), 1.0)
     if choice.model == BrownConrady.model:
         factor = shot_scatter(compute_information(problem)).variance_factor
-        rational = rational_lens_test(problem, seen.sizes_px, factor)
+        rational = rational_lens_test(problem, observations.sizes_px, factor)
     if corrected or (corrected is None and is_significant(spline)):
-        wider = best.correct_lenses(seen.sizes_px)
+        wider = best.correct_lenses(observations.sizes_px)
         name = wider.fit.problem.state.lenses.model
         among = choose_lens({choice.model: tried[choice.model], name: measure(wider)})
         rms_px = {**choice.rms_px, **among.rms_px}
@@ -311,23 +312,32 @@ def _fit_best_lens(
     return best._replace(remarks=(choice_sentence(choice, rational, spline),))
 
 
-def _fit_points(seen: _SeenBoards, model: type[AbstractLens]) -> _PointFit:
+def _fit_points(observations: _Observations, model: type[AbstractLens]) -> _PointFit:
     """The fit of the places that were detected."""
     if issubclass(model, AbstractSplinedLens):
-        core = _fit_points(seen, model.core_model)
-        return core if seen.distortion is not None else core.correct_lenses(seen.sizes_px)
+        core = _fit_points(observations, model.core_model)
+        return (
+            core
+            if observations.distortion is not None
+            else core.correct_lenses(observations.sizes_px)
+        )
     starts = {}
-    for camera, own in seen.detections.items():
-        given = seen.known.get(camera)
+    for camera, own in observations.detections.items():
+        given = observations.known.get(camera)
         _expect_size(camera, given, next(iter(own.values())))
         try:
             starts[camera] = start_camera(
-                list(own.values()), seen.target, model, lens=None if given is None else given.lens
+                list(own.values()),
+                observations.target,
+                model,
+                lens=None if given is None else given.lens,
             )
         except CalibrationError as error:
             raise CalibrationError(f'Camera "{camera}": {error}') from error
-    placed = place_rig(starts, seen.detections, seen.shots, seen.target, seen.known)
-    problem = anneal(_rig_problem(seen, placed, starts))
+    placed = place_rig(
+        starts, observations.detections, observations.shots, observations.target, observations.known
+    )
+    problem = anneal(_rig_problem(observations, placed, starts))
     for _ in range(_MOST_SPLITS):
         others = find_other_moments(problem)
         if not others:
@@ -338,12 +348,12 @@ def _fit_points(seen: _SeenBoards, model: type[AbstractLens]) -> _PointFit:
 
 
 def _rig_problem(
-    seen: _SeenBoards, placed: PlacedRig, starts: Mapping[str, CameraStart]
+    observations: _Observations, placed: PlacedRig, starts: Mapping[str, CameraStart]
 ) -> Problem:
     """Free are all cameras but the first, all boards, what is not exact of the board, and lenses
     that are not exact, each camera's own or one of all."""
-    lenses, sizes = [start.lens for start in starts.values()], seen.sizes_px
-    factors = [seen.lens_factors.get(camera) for camera in starts]
+    lenses, sizes = [start.lens for start in starts.values()], observations.sizes_px
+    factors = [observations.lens_factors.get(camera) for camera in starts]
     lenses = [
         lens if factor is None else promote_lens(lens) for lens, factor in zip(lenses, factors)
     ]
@@ -352,25 +362,25 @@ def _rig_problem(
     if len(models) == 1:
         (only,) = models
         lenses = [promote_lens(lens, only) for lens in lenses]
-    if seen.same_lens:
+    if observations.same_lens:
         if len(set(sizes)) > 1:
             raise InputError("same_lens is asked for, but the cameras' pictures differ in size.")
         middle = np.argsort([float(lens.focal_length_px[0]) for lens in lenses])[len(lenses) // 2]
         lenses, sizes, lens_of_camera = [lenses[middle]], sizes[:1], 0 * lens_of_camera
     count = len(lenses[0].parameter_names)
     free = np.ones((len(lenses), count), dtype=bool)
-    if seen.distortion is not None:
-        free[:, len(AFFINE_PARAMETERS) + seen.distortion :] = False
-    free[[camera in seen.known for camera in starts][: len(lenses)]] = False
+    if observations.distortion is not None:
+        free[:, len(AFFINE_PARAMETERS) + observations.distortion :] = False
+    free[[camera in observations.known for camera in starts][: len(lenses)]] = False
     problem = start_problem(
         placed.views,
-        seen.target,
+        observations.target,
         lenses,
         placed.cam_from_rig,
         placed.rig_from_board,
         sizes,
         Freedom(lens_of_camera, free),
-        seen.systematics,
+        observations.systematics,
         placed.set_from_board,
     )
     for number, factor in enumerate(factors[: len(lenses)]):

@@ -12,10 +12,11 @@ from trinoc.numerics.tables import Table
 
 
 class Wires(NamedTuple):
-    """Lines that any tool draws: points, pairs of them that are joined, faces as loops of points.
+    """Drawing of features: points, straight lines between pairs of points, and faces.
 
-    places_mm : (n, 3), in the world frame. pairs : (e, 2). owner : (e,) the feature that each pair
-    is of. loops : the points round each face.
+    places_mm : (n, 3), in the world frame. pairs : (e, 2). indices of the two ends of each
+    line. owner : (e,) index of the feature to which each line belongs. loops : for each face the
+    indices of the points around it.
     """
 
     places_mm: Float[np.ndarray, "n 3"]

@@ -44,7 +44,12 @@ def tables() -> list[type[Table]]:
 
 
 def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
-    """Before a long job: raise InputError for a name that `save` would refuse a value of a kind."""
+    """Check, before a long job, that a file name has the ending that `save` needs.
+
+    kind : type of the value that will be saved.
+
+    Raises InputError for another ending.
+    """
     written = [(*document, ".json") for document in _DOCUMENTS]
     written += [(each, each.IN_WORDS, ".npz") for each in tables()]
     written.append((PictureMaps, "maps", ".npz"))

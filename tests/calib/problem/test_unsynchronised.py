@@ -7,7 +7,8 @@ from tests.calib.made_shots import BOARD, board_poses, detection
 from tests.calib.problem.made_problem import problem
 from trinoc.calib.problem.board_shape import _lenses_stay
 from trinoc.calib.problem.moments import ImagePoses
-from trinoc.calib.problem.unsynchronised import _motion_covariance
+from trinoc.calib.problem.robust_fit import RobustFit
+from trinoc.calib.problem.unsynchronised import _motion_covariance, with_motion_between_images
 from trinoc.calib.problem.variables import POSE_SIZE
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -143,3 +144,11 @@ def test_a_shape_that_runs_away_with_the_lens_is_refused(fits):
         0.3 * np.asarray(problem.state.lenses.focal_length_px),
     )
     assert not _lenses_stay(problem, problem._replace(state=away))
+
+
+def test_without_two_images_of_a_shot_there_is_no_motion_to_find(fits):
+    """All images of the right camera may have been dropped as wrong."""
+    fit = RobustFit(fits[0].ended.problem, True, [], 0.0, 0)
+    views = tuple(view._replace(used=view.used & (view.camera == 0)) for view in fit.problem.views)
+    left_alone = fit._replace(problem=fit.problem._replace(views=views))
+    assert with_motion_between_images(left_alone, fit) is None

@@ -121,7 +121,7 @@ def _estimate(fit: Adjustment) -> PoseEstimate:
 
 
 def _nothing(detection: Detection, model: PoseModel) -> PoseEstimate:
-    """What is known of a camera whose fit did not end."""
+    """The estimate of a camera whose fit did not converge: NaN throughout."""
     count = len(detection)
     return PoseEstimate(
         Status.NOT_CONVERGED,

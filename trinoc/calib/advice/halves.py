@@ -33,7 +33,7 @@ class HalfFit(NamedTuple):
     held_out: frozenset[int]
 
     def full_information(self) -> Information | None:
-        """What the half says; None where that does not determine all that is free."""
+        """Information of this half; None where it does not determine all that is free."""
         information = compute_information(self.problem)
         full = information.observability.rank == len(information.free)
         return information if full else None

@@ -131,7 +131,7 @@ def _orders_from_front(
 def _light_over_dark(
     grey: UInt8[np.ndarray, "h w"], corners_px: Float[np.ndarray, "n 2"], board: Chessboard
 ) -> float:
-    """How much lighter the light inner squares are than the dark ones."""
+    """Mean grey level of the light inner squares less that of the dark ones."""
     places = corners_px.reshape(board.rows, board.columns, 2)
     middles = 0.25 * (places[:-1, :-1] + places[1:, :-1] + places[:-1, 1:] + places[1:, 1:])
     column, row = np.rint(middles).astype(int).reshape(-1, 2).T

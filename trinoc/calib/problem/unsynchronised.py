@@ -11,9 +11,9 @@ different poses. One pose for all images of a shot would bend the lenses of all 
    image's places, with J their derivative by the pose. The pose of one camera from another is then
    a mean over the shots, with a sigma by its scatter.
 
-M is half the covariance of the differences between the poses of two images of a shot, less what the
-noise of their places makes of them. Source: S. R. Searle, G. Casella, C. E. McCulloch, "Variance
-Components" (1992), chapter 4.
+M is half the covariance of the differences between the poses of two images of a shot, less that
+which the noise of their places gives to these differences. Source: S. R. Searle, G. Casella,
+C. E. McCulloch, "Variance Components" (1992), chapter 4.
 """
 
 import equinox as eqx
@@ -45,7 +45,7 @@ from trinoc.calib.tuning.every_group import TUNING
 _ROUNDS = 3
 # numerical: the least variance of a motion, over the largest one.
 _LEAST_SHARE = 1e-6
-# numerical: a shot counts at most with so many times the median squared difference.
+# numerical: a pair of images counts at most with so many times the median squared difference.
 _MOST_INFLUENCE = 9.0
 
 
@@ -67,21 +67,23 @@ def with_images_apart(fit: RobustFit) -> RobustFit | None:
         return None
     # Places that were right for one pose of the shot may be wrong for that of their image.
     problem, elsewhere = drop_wrong_places(problem, _errors_in_sigmas(problem, poses))
-    others = [k for images in images_of_shots(problem).values() for k in images[1:]]
-    apart = with_shots_of_their_own(problem, others)
+    later_images = [k for images in images_of_shots(problem).values() for k in images[1:]]
+    apart = with_shots_of_their_own(problem, later_images)
     free = np.array(apart.chart.free)
     free[apart.chart.lens_count : apart.chart.boards_first] = 0.0
     apart, _ = fit_places(with_head_free(apart, free))
     return finish_fit(apart, [*fit.elsewhere, *elsewhere])
 
 
-def with_motion_between_images(apart_fit: RobustFit, shots_fit: RobustFit) -> RobustFit:
+def with_motion_between_images(apart_fit: RobustFit, shots_fit: RobustFit) -> RobustFit | None:
     """Find the cameras from the shots, the motion between the images of a shot a random effect.
 
     Parameters
     ----------
     apart_fit : with a pose of the board for each image; it gives lenses, board and sigmas.
     shots_fit : with one pose for each shot; the cameras begin there.
+
+    Returns None where no shot has two images left that take part: they would not show the motion.
     """
     apart, shots = apart_fit.problem, shots_fit.problem
     state = eqx.tree_at(
@@ -89,27 +91,27 @@ def with_motion_between_images(apart_fit: RobustFit, shots_fit: RobustFit) -> Ro
         apart.state,
         (shots.state.cam_from_rig, shots.state.rig_from_board),
     )
-    independent = tuple(
-        view._replace(shot=before.shot)
-        for view, before in zip(apart.views, shots.views, strict=True)
+    views_in_shots = tuple(
+        view._replace(shot=shot_view.shot)
+        for view, shot_view in zip(apart.views, shots.views, strict=True)
     )
     free = np.array(apart.chart.free)
     cameras = slice(apart.chart.lens_count, apart.chart.boards_first)
     free[cameras] = np.asarray(shots.chart.free)[cameras]
     only_cameras = np.zeros_like(free)
     only_cameras[cameras] = free[cameras]
-    joint = apart._replace(
-        state=state, views=independent, shots=shots.shots, sigma_factor=apart.sigma_factor
-    )
-    joint, _ = fit_places(with_head_free(joint, only_cameras))
+    uncorrelated = apart._replace(state=state, views=views_in_shots, shots=shots.shots)
+    if all(len(images) < 2 for images in images_of_shots(uncorrelated).values()):
+        return None
+    uncorrelated, converged = fit_places(with_head_free(uncorrelated, only_cameras))
     for _ in range(_ROUNDS):
-        correlated = _with_motion(joint)
-        correlated, _ = fit_places(correlated)
-        joint = joint._replace(state=correlated.state)
-    # Lenses and board stay as the images alone have them: the correlations hold for these lenses,
-    # and a fit by them would be pulled towards the lenses for which they were computed.
-    joint = with_head_free(_with_motion(joint), free)
-    return end_of_fit(joint, apart_fit.converged, apart_fit.elsewhere)._replace(is_held=True)
+        correlated, converged = fit_places(_with_motion(uncorrelated))
+        uncorrelated = uncorrelated._replace(state=correlated.state)
+    # Lenses and board are not fitted again: the correlations were computed for these lenses, and
+    # would pull them back to where they are.
+    end = with_head_free(_with_motion(uncorrelated), free)
+    converged = converged and apart_fit.converged
+    return end_of_fit(end, converged, apart_fit.elsewhere)._replace(is_held=True)
 
 
 def _errors_in_sigmas(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "v n 2"]:
@@ -117,11 +119,11 @@ def _errors_in_sigmas(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, 
     table = problem.table
     errors = np.zeros(np.shape(table.uv_px))
     for k, about_pose in enumerate(errors_about_image_poses_px(problem, poses)):
-        errors[k, : len(about_pose)] = _factor(problem, problem.views[k]) * about_pose
+        errors[k, : len(about_pose)] = _sigma_multiplier(problem, problem.views[k]) * about_pose
     return np.einsum("vnij,vnj->vni", table.whitening, errors)
 
 
-def _factor(problem: Problem, view: View) -> float:
+def _sigma_multiplier(problem: Problem, view: View) -> float:
     """By how much the sigmas of an image's places are multiplied."""
     return float(problem.sigma_factor[view.camera]) * view.sigma_ratio
 
@@ -132,7 +134,7 @@ def _reduced_chi_square(problem: Problem, poses: ImagePoses) -> Float[np.ndarray
     squared = np.sum(_errors_in_sigmas(problem, poses) ** 2, axis=(1, 2))
     return np.array(
         [
-            chi_square / max(view.numbers - POSE_SIZE, 1) / _factor(problem, view) ** 2
+            chi_square / max(view.numbers - POSE_SIZE, 1) / _sigma_multiplier(problem, view) ** 2
             for chi_square, view in zip(squared, problem.views)
         ]
     )
@@ -159,7 +161,7 @@ def _with_motion(problem: Problem) -> Problem:
             views.append(view)
             continue
         uv_px = view.detection.centres_px + jacobian[: view.rows] @ step
-        whitening = _correlated_whitening(view, _factor(problem, view), jacobian, motion)
+        whitening = _correlated_whitening(view, _sigma_multiplier(problem, view), jacobian, motion)
         # The table divides by the camera's factor.
         shown = SheetPoints(place_mm, uv_px, whitening * problem.sigma_factor[view.camera])
         views.append(view._replace(shown=shown, sigma_ratio=1.0, is_moved=True))
@@ -200,7 +202,7 @@ def _correlated_whitening(
 def _motion_covariance(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "6 6"]:
     """Covariance M of the motion of the board in one image, in steps of its pose.
 
-    The influence of shots that differ most is bounded.
+    The influence of pairs that differ most is bounded.
     """
     differences, noises = [], []
     for first, *others in images_of_shots(problem).values():

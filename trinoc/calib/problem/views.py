@@ -135,7 +135,7 @@ def pad_count(count: int, fewest: int) -> int:
 
 
 def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
-    """All views, padded."""
+    """Convert views to arrays, padded to a few sizes so that programs are compiled once."""
     rows = max(bucket(max(view.rows for view in views), smallest=_FEWEST_PLACES), 1)
     shared = any(view.shown is not None for view in views)
     wide = bucket(max(view.rows + view.room for view in views), smallest=_FEWEST_PLACES)
@@ -158,28 +158,28 @@ def view_table(views: Sequence[View], target: AbstractTarget) -> ViewTable:
     centres_mm, radius_mm = target.centres_mm, target.radius_mm
     for v, view in enumerate(views):
         table.camera[v], table.shot[v], table.board[v] = view.camera, view.shot, view.board
-        seen = slice(view.rows)
+        filled = slice(view.rows)
         if view.shown is not None:
             place_mm = view.shown.place_mm
-            table.place[v, seen] = find_circles(place_mm[:, :2], target)
-            table.place_mm[v, seen, : place_mm.shape[1]] = place_mm
-            table.uv_px[v, seen] = view.shown.uv_px
+            table.place[v, filled] = find_circles(place_mm[:, :2], target)
+            table.place_mm[v, filled, : place_mm.shape[1]] = place_mm
+            table.uv_px[v, filled] = view.shown.uv_px
             numbers = slice(2 * view.rows)
             table.whitening[v, 0, numbers, numbers] = view.shown.whitening * view.used.any()
             continue
         index = view.detection.circle_index
-        table.place[v, seen] = index
-        table.place_mm[v, seen, : centres_mm.shape[1]] = centres_mm[index]
+        table.place[v, filled] = index
+        table.place_mm[v, filled, : centres_mm.shape[1]] = centres_mm[index]
         radius = radius_mm[index]
-        table.radius_mm[v, seen] = np.where(radius > 0, radius + view.ink_spread_mm, 0.0)
-        table.uv_px[v, seen] = view.detection.centres_px
+        table.radius_mm[v, filled] = np.where(radius > 0, radius + view.ink_spread_mm, 0.0)
+        table.uv_px[v, filled] = view.detection.centres_px
         whitening = whitening_of_covariance(view.detection.covariance_px2)
         whitening = np.where(view.used[:, None, None], whitening, 0.0)
         if shared:
             at = np.arange(view.rows)
             table.whitening[v, 0].reshape(rows, 2, rows, 2)[at, :, at] = whitening
         else:
-            table.whitening[v, seen] = whitening
+            table.whitening[v, filled] = whitening
     return table
 
 
