@@ -69,7 +69,7 @@ def test_a_few_shots_of_a_far_larger_motion_hardly_enlarge_it():
 
 @pytest.fixture(scope="module")
 def fits():
-    return [calibrate_rig(moving(seed), BOARD, systematics=Systematics()) for seed in range(5)]
+    return [calibrate_rig(moving(seed), BOARD, systematics=Systematics()) for seed in range(3)]
 
 
 def test_the_cause_is_named_with_its_size(fits):
