@@ -159,14 +159,14 @@ def test_segments_that_are_chance_alone_are_suspect():
 
 
 def test_a_few_tracks_that_are_next_to_certain_tell_where_chance_gives_none():
-    chance = [SureTracks(4, 30, 0), SureTracks(5, 30, 1), SureTracks(3, 30, 0)]
+    chance = [SureTracks(4, 0), SureTracks(5, 1), SureTracks(3, 0)]
     for certain, above in ((0, False), (2, False), (10, True)):
-        found = SureTracks(11, 30, certain)
+        found = SureTracks(11, certain)
         assert is_above_chance(found, chance, 0.2, DEFAULT.decoys) is above
-    assert is_above_chance(SureTracks(60, 30, 0), chance, 0.6, DEFAULT.decoys)
+    assert is_above_chance(SureTracks(60, 0), chance, 0.6, DEFAULT.decoys)
     # The same number is no more than chance where decoys have as many.
     as_many = [each._replace(certain=10) for each in chance]
-    assert not is_above_chance(SureTracks(11, 30, 10), as_many, 0.2, DEFAULT.decoys)
+    assert not is_above_chance(SureTracks(11, 10), as_many, 0.2, DEFAULT.decoys)
 
 
 @pytest.mark.parametrize("change", [MIRRORED, UPSIDE_DOWN, TURNED])

@@ -236,8 +236,6 @@ def read_scene(
         return SceneInput(load_matches(matches), None, None, {"matches": matches})
 
     from trinoc.match.matcher import match_segments
-    from trinoc.match.tuning.every_group import DEFAULT
-    from trinoc.numerics.tables import with_field
     from trinoc.segments.find import find_segments
 
     files = files_of_rig(pictures, rig.names)
@@ -245,7 +243,7 @@ def read_scene(
     segments = read_segments(files, rig, find_segments, quiet=quiet)[1]
     LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
     # Whether the pictures belong together is asked once, of the rig given.
-    again = partial(match_segments, segments, tuning=with_field(DEFAULT, "decoys.clear_share", 0.0))
+    again = partial(match_segments, segments, verify="off")
     return SceneInput(
         match_segments(segments, rig), partial(again, sigma_px=TOLERANT_SIGMA_PX), again, files
     )

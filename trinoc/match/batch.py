@@ -13,7 +13,13 @@ from jaxtyping import Shaped
 from trinoc.errors import TrinocError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.matcher import check_before_cameras, check_together, match_frames
+from trinoc.match.decoys import Verification
+from trinoc.match.matcher import (
+    check_before_cameras,
+    check_together,
+    check_verification,
+    match_frames,
+)
 from trinoc.match.observations.match_input import (
     CamerasInput,
     FrameInput,
@@ -21,7 +27,7 @@ from trinoc.match.observations.match_input import (
     prepare_frame,
 )
 from trinoc.match.selection.messages import FRAMES_AT_ONCE
-from trinoc.match.tracks.matches import Matches
+from trinoc.match.tracks.matches import Matches, MatchStatus
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.buckets import bucket
 from trinoc.numerics.precision import ArrayLike, in_float64
@@ -52,6 +58,7 @@ def match_many(
     *,
     sigma_px: float | None = None,
     depth_range_mm: tuple[float, float] | None = None,
+    verify: Verification = "full",
     tuning: MatchTuning = DEFAULT,
 ) -> MatchBatch:
     """`match_segments` for each item: segments of one frame, with a rig each or one for all.
@@ -61,8 +68,12 @@ def match_many(
     what each gives alone: every frame learns its own parameters. Stacks are matched on as many
     threads as there are processors, up to four.
 
+    `verify` is as in `match_segments`. Of each rig the mistake is looked for in the first set that
+    is refused, and the others of that rig are checked quickly.
+
     Raises ValueError where there are not as many rigs as items.
     """
+    check_verification(verify)
     each = [rigs] * len(segments) if isinstance(rigs, Rig) else list(rigs)
     items = list(zip(segments, each, strict=True))
     found: list[Matches | None] = [None] * len(items)
@@ -83,6 +94,7 @@ def match_many(
         names = [tuple(items[number][0]) for number in stack]
         return match_frames([frames[k] for k in stack], names, depth_range_mm, tuning)
 
+    refused_rigs = set[int]()
     for stack, results in _each_matched(_stacks(prepare_all()), frames, match_stack):
         for number, matches in zip(stack, results, strict=True):
             item, rig = items[number]
@@ -94,8 +106,15 @@ def match_many(
                 status[number] = str(error)
             else:
                 found[number] = check_together(
-                    frames[number], tuple(item), matches, depth_range_mm, tuning
+                    frames[number],
+                    tuple(item),
+                    matches,
+                    depth_range_mm,
+                    tuning,
+                    "quick" if verify == "full" and id(rig) in refused_rigs else verify,
                 )
+                if found[number].status is MatchStatus.SUSPECT:
+                    refused_rigs.add(id(rig))
     return MatchBatch(tuple(found), np.array(status, dtype=np.str_))
 
 

@@ -2,32 +2,36 @@
 
 Segments of pictures that a rig did not take meet by chance in two views, and now and then in three;
 how often depends on the scene. The same segments with one view mirrored or upside down are decoys:
-what is found among them is what chance gives in this scene. Where the rig finds hardly more, none
-of it may be sure. Most sets show so many lines in three views that no decoy is needed.
+the tracks among them are what chance gives in this scene. Where the rig has hardly more, none of
+its tracks may be sure. Most sets have so many tracks in three views, or so many that are next to
+certain, that no decoy is needed; others are compared with one.
 
-A set is SUSPECT, too, where far more lines or far smaller errors are found once a likely mistake is
-undone. What is tried, is tried on the longest segments, which bounds the time.
+A set is SUSPECT, too, where its errors are large and one view is shifted against the lines of the
+others. Which mistake a refused set holds is looked for by undoing each that is likely, on the
+longest segments: some 30 matchings, which `verify="quick"` leaves out.
 
 Source: Elias and Gygi, "Target-decoy search strategy", Nature Methods 4, 2007.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from trinoc.match.explanations import (
     MIRRORED,
     UPSIDE_DOWN,
     change_view,
     find_shifts,
+    seems_shifted,
     take_longest,
     undo_mistakes,
 )
 from trinoc.match.observations.match_input import FrameInput
 from trinoc.match.observations.unusable import EQUAL, UNPLACED
-from trinoc.match.tracks.answers import MATCHED, OUTSIDE
+from trinoc.match.tracks.answers import CERTAIN, MATCHED, OUTSIDE, SURE
 from trinoc.match.tracks.matches import EVEN, SUSPECT_SETS, TRINOCULAR, Matches
 from trinoc.match.tuning.tracks import DecoyTuning
 
@@ -37,61 +41,90 @@ UNKNOWN = (
 )
 
 
+# How thoroughly a set is checked: see `check_set`.
+Verification = Literal["full", "quick", "off"]
+
 # Matches a frame; with `in_three=True` of lines in three views alone, which takes less time.
 MatchFrame = Callable[..., Matches]
 
 
 class SureTracks(NamedTuple):
-    """Number of sure tracks through three views or more, through two, and of those through three
-    that are next to certain."""
+    """Number of sure tracks through three views, and of those that are next to certain, as if no
+    pattern repeated."""
 
     in_three: int
-    in_two: int
     certain: int
 
 
 def check_set(
     frame: FrameInput,
     names: tuple[str, ...],
-    found: Matches,
+    matches: Matches,
     match: MatchFrame,
     tuning: DecoyTuning,
+    verify: Verification = "full",
 ) -> Matches:
-    """The matches, SUSPECT where chance gives about as many lines as the rig does, or where some
-    mistake undone gives more.
+    """The matches, SUSPECT where chance gives about as many lines as the rig does, or where a view
+    is shifted.
 
-    `frame` is what was matched, `names` are the caller's views, `match` matches a frame as if no
-    pattern repeated: of patterns little is sure, and that says nothing about the set. Of a
-    suspect set no track is likelier than not, and of tracks that chance gives none; a note says
-    the likeliest cause. Three views are asked; more, and two, are not.
+    Parameters
+    ----------
+    frame : what was matched; `names` are the caller's views.
+    matches : of the frame. Only those of three views are checked.
+    match : matches a frame as if no pattern repeated: of patterns little is sure, and that says
+        nothing about the set.
+    verify : "full" looks for the mistake in a refused set, "quick" does not, "off" checks nothing.
+
+    Returns
+    -------
+    Matches; of a suspect set no track is likelier than not, and of tracks that chance gives none.
+    The first note names the likeliest cause.
     """
-    fewest = min(int((~np.isin(found.reasons[name], (UNPLACED, EQUAL))).sum()) for name in names)
-    if len(names) != 3 or fewest < tuning.fewest_segments:
-        return found
-    sure = count_sure(found, tuning)
-    if sure.in_three < tuning.clear_share * fewest:
-        sure = count_sure(match(frame), tuning)
-    share = sure.in_three / fewest
+    usable = [~np.isin(matches.reasons[name], (UNPLACED, EQUAL)) for name in names]
+    fewest = min(int(of_view.sum()) for of_view in usable)
+    if verify == "off" or len(names) != 3 or fewest < tuning.fewest_segments:
+        return matches
+    sure = count_sure(matches)
+    share, noise = sure.in_three / fewest, matches.noise_scale
     is_clear = share >= tuning.clear_share
-    if is_clear and found.noise_scale <= tuning.noisy_above:
-        return found
-    chance = [] if is_clear else count_by_chance(frame, sure, share, match, tuning)
+    chance: list[SureTracks] = []
+    if not is_clear and sure.certain < tuning.clear_certain:
+        chance = count_by_chance(frame, sure, share, match, tuning)
     by_chance = bool(chance) and not is_above_chance(sure, chance, share, tuning)
-    every = by_chance or bool(share < tuning.few_share)
-    cause = say_excluded_depths(found) if every else None
-    if cause is None and (every or found.noise_scale > tuning.shifted_above):
-        cause = find_cause(frame, match, tuning, every=every)
+    is_in_three = matches.stage == TRINOCULAR
+    may_be_shifted = noise > (tuning.noisy_above if is_clear else tuning.shifted_above)
+    cause = say_excluded_depths(matches) if by_chance else None
+    if cause is None and verify == "full":
+        is_shifted = may_be_shifted and seems_shifted(
+            frame, _tracks_in_three(matches, frame), tuning
+        )
+        # Where no track in three views is sure, there is nothing to lose.
+        every = by_chance or not is_in_three[matches.posterior > tuning.sure].any()
+        if every or is_shifted:
+            cause = find_cause(frame, match, tuning, every=every)
     if by_chance or cause:
         note = _note_of_set(sure, chance if by_chance else [], cause)
-        return _doubt(found, sure, chance if by_chance else [], note)
-    if found.noise_scale > tuning.moved_above and share < tuning.noisy_share:
+        return _doubt(matches, sure, chance if by_chance else [], note)
+    if noise > tuning.moved_above and share < tuning.noisy_share:
         note = (
             f"Only {sure.in_three} of {fewest} segments are sure in three views, and their errors "
-            f"are {found.noise_scale:.2g} times those stated: a camera was moved, or a picture is "
-            "cut or shifted; check the rig (check_rig) before you use these matches."
+            f"are {noise:.2g} times those stated: a camera was moved, or a picture is cut or "
+            "shifted; check the rig (check_rig) before you use these matches."
         )
-        return _doubt(found, sure, [], note)
-    return found
+        return _doubt(matches, sure, [], note)
+    return matches
+
+
+def _tracks_in_three(matches: Matches, frame: FrameInput) -> Int[np.ndarray, "t 3"]:
+    """Segments of the tracks in three views, by the frame's views and its numbers of segments."""
+    columns = []
+    for name, order in zip(frame.names, frame.order, strict=True):
+        number = np.full(len(matches.reasons[name]), -1)
+        number[order] = np.arange(len(order))
+        segments = matches.index[:, matches.views.index(name)]
+        columns.append(np.where(segments >= 0, number[segments], -1))
+    index = np.stack(columns, axis=1)
+    return index[(index >= 0).all(axis=1)]
 
 
 def say_excluded_depths(found: Matches) -> str | None:
@@ -109,10 +142,10 @@ def say_excluded_depths(found: Matches) -> str | None:
 def count_by_chance(
     frame: FrameInput, sure: SureTracks, share: float, match: MatchFrame, tuning: DecoyTuning
 ) -> list[SureTracks]:
-    """Sure tracks of the decoys, until one of them leaves no doubt that the rig finds more."""
+    """Sure tracks of the decoys, until one of them leaves no doubt that the rig has more."""
     chance = []
     for decoy in decoys(frame):
-        chance.append(count_sure(match(decoy), tuning))
+        chance.append(count_sure(match(decoy, in_three=True)))
         if sure.in_three > 2 * least_above_chance([chance[-1].in_three], share, tuning):
             break
     return chance
@@ -129,11 +162,9 @@ def _note_of_set(sure: SureTracks, chance: Sequence[SureTracks], cause: str | No
     )
 
 
-def count_sure(found: Matches, tuning: DecoyTuning) -> SureTracks:
-    """Sure tracks by the number of their views."""
-    sure, in_three = found.posterior > tuning.sure, found.stage == TRINOCULAR
-    certain = in_three & (found.posterior > tuning.certain)
-    return SureTracks(*(int(each.sum()) for each in (sure & in_three, sure & ~in_three, certain)))
+def count_sure(matches: Matches) -> SureTracks:
+    """Those of the matches."""
+    return SureTracks(matches.counts[SURE], matches.counts[CERTAIN])
 
 
 def is_above_chance(
@@ -165,7 +196,11 @@ def decoys(frame: FrameInput) -> Iterator[FrameInput]:
 
 
 def find_cause(
-    frame: FrameInput, match: MatchFrame, tuning: DecoyTuning, *, every: bool
+    frame: FrameInput,
+    match: MatchFrame,
+    tuning: DecoyTuning,
+    *,
+    every: bool,
 ) -> str | None:
     """The mistake that best explains the segments, in a sentence; None where none does.
 
@@ -173,13 +208,14 @@ def find_cause(
     it is undone there are more sure lines by far, or as many whose errors are smaller by far.
     """
     sample = take_longest(frame, tuning.tried_segments)
+
     shifts = list(find_shifts(sample, match, tuning))
     if not (shifts or every):
         return None
 
     def count(other: FrameInput) -> tuple[int, float]:
         matches = match(other, in_three=True)
-        return count_sure(matches, tuning).in_three, matches.noise_scale
+        return count_sure(matches).in_three, matches.noise_scale
 
     own, noise = count(sample)
     # One of the decoys may be what undoes the mistake, and tells nothing of chance then.
@@ -200,17 +236,16 @@ def find_cause(
     return None
 
 
-def _doubt(found: Matches, sure: SureTracks, chance: Sequence[SureTracks], note: str) -> Matches:
+def _doubt(matches: Matches, sure: SureTracks, chance: Sequence[SureTracks], note: str) -> Matches:
     """The matches as SUSPECT, with probabilities times the share that chance does not give, half
     at most."""
-    mean = np.mean(chance, axis=0)[:2] if chance else (0.0, 0.0)
-    shares = [1 - by_chance / max(own, 1) for own, by_chance in zip(sure[:2], mean, strict=True)]
+    by_chance = np.mean([each.in_three for each in chance]) if chance else 0.0
     # A share of none would leave log odds that nothing can compare.
-    factor = np.where(found.stage == TRINOCULAR, *np.clip(shares, 1e-3, EVEN))
+    factor = float(np.clip(1 - by_chance / max(sure.in_three, 1), 1e-3, EVEN))
     return replace(
-        found,
-        posterior=found.posterior * factor,
-        rival_posterior=found.rival_posterior * factor,
-        notes=(note, *found.notes),
-        counts=found.counts | {SUSPECT_SETS: 1},
+        matches,
+        posterior=matches.posterior * factor,
+        rival_posterior=matches.rival_posterior * factor,
+        notes=(note, *matches.notes),
+        counts=matches.counts | {SUSPECT_SETS: 1},
     )

@@ -22,6 +22,9 @@ from trinoc.match.tuning.tracks import DecoyTuning
 MIRRORED, UPSIDE_DOWN, TURNED = (np.diag(signs) for signs in ((-1.0, 1), (1, -1.0), (-1.0, -1.0)))
 SAME = np.eye(2)  # numerical: neither turned nor of another size.
 
+# numerical: fewer residuals than these show no shift.
+FEWEST_RESIDUALS = 8
+
 
 class Explanation(NamedTuple):
     """What is wrong with a frame, in words, and the frame without it."""
@@ -67,6 +70,46 @@ def _resize_views(frame: FrameInput) -> Iterator[Explanation]:
             yield Explanation(f"{words} of its camera's", one)
         words = f"the segments are of pictures of {word} the size of the cameras'"
         yield Explanation(words, everywhere)
+
+
+def seems_shifted(frame: FrameInput, index: Int[np.ndarray, "t 3"], tuning: DecoyTuning) -> bool:
+    """Whether a shift of one picture explains most of what its segments miss the lines of the two
+    other views by: all of them are then off by n . s, with normals n and one shift s."""
+    if len(index) < FEWEST_RESIDUALS:
+        return False
+    for view in range(3):
+        normal, miss_px = _transfer(frame, index, view)
+        shift, weight = np.zeros(2), np.ones(len(miss_px))
+        for _ in range(tuning.shift_rounds):
+            both = normal.T * weight
+            shift = np.linalg.lstsq(both @ normal, both @ miss_px, rcond=None)[0]
+            rest = np.abs(miss_px - normal @ shift)
+            weight = 1 / (1 + (rest / max(np.median(rest), 1e-9)) ** 2)
+        before, after = (np.median(np.abs(miss_px - normal @ s)) for s in (np.zeros(2), shift))
+        if np.hypot(*shift) > tuning.least_shift_px and after < tuning.quieter * before:
+            return True
+    return False
+
+
+def _transfer(
+    frame: FrameInput, index: Int[np.ndarray, "t 3"], view: int
+) -> tuple[Float[np.ndarray, "t 2"], Float[np.ndarray, "t"]]:
+    """(unit normals of the lines in a view that the two other views predict, how far the middles
+    of the segments lie from them, px)."""
+    planes = []
+    for other in {0, 1, 2} - {view}:
+        ends = np.pad(
+            frame.ends_px[other][index[:, other]], ((0, 0), (0, 0), (0, 1)), constant_values=1.0
+        )
+        planes.append(np.cross(ends[:, 0], ends[:, 1]) @ frame.cameras.matrix_px[other])
+    matrix, centre = frame.cameras.matrix_px[view], np.append(frame.cameras.centre_mm[view], 1.0)
+    # The plane of the pencil of both that holds this camera's centre is the line's image.
+    first, second = planes
+    through = (second @ centre)[:, None] * first - (first @ centre)[:, None] * second
+    line = np.linalg.solve(matrix[:, :3].T, through[:, :3].T).T
+    line = line / np.linalg.norm(line[:, :2], axis=1, keepdims=True)
+    middle = frame.ends_px[view][index[:, view]].mean(axis=1)
+    return line[:, :2], (line[:, :2] * middle).sum(axis=1) + line[:, 2]
 
 
 def find_shifts(

@@ -1,6 +1,7 @@
 """The matcher: segments of two or more pictures to lines in space."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import get_args
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.candidates.table import Candidates
-from trinoc.match.decoys import check_set
+from trinoc.match.decoys import Verification, check_set
 from trinoc.match.observations.clutter import fit_clutter
 from trinoc.match.observations.common_view import mirror_rig, mirrored_rig_error, views_diverge
 from trinoc.match.observations.match_input import (
@@ -26,6 +27,7 @@ from trinoc.match.selection.marginals import Selection, learn_noise_scale, selec
 from trinoc.match.tracks.assembly import assemble
 from trinoc.match.tracks.consolidation import tracks_through_views
 from trinoc.match.tracks.matches import Matches
+from trinoc.match.tracks.view_support import with_view_support
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.tables import with_field
@@ -38,6 +40,7 @@ def match_segments(
     *,
     sigma_px: float | None = None,
     depth_range_mm: tuple[float, float] | None = None,
+    verify: Verification = "full",
     tuning: MatchTuning = DEFAULT,
 ) -> Matches:
     """Match line segments across the views of a rig, by geometry and the grey levels beside them.
@@ -51,6 +54,10 @@ def match_segments(
     sigma_px : standard deviation of the ends across the segments, in place of their own.
     depth_range_mm : least and greatest depth before every camera that sees a line; by default
         lines lie anywhere before the cameras.
+    verify : how thoroughly three views are checked for belonging to the rig. "quick" compares
+        doubtful sets with what chance gives, which takes a part of the matching's own time;
+        "full" also looks for the mistake in a refused set, up to 30 matchings of its longest
+        segments; "off" checks nothing.
     tuning : every tuned constant of the method; a benchmark or a study changes them.
 
     Returns
@@ -69,10 +76,11 @@ def match_segments(
     vision", 1986: candidates, selection by neighbours, occluded segments.
     """
     check_depth_range(depth_range_mm)
+    check_verification(verify)
     frame = prepare_frame(segments, rig, sigma_px, tuning.sides)
     found = match_frames([frame], [tuple(segments)], depth_range_mm, tuning)[0]
     check_before_cameras(frame, found, segments, rig, sigma_px, depth_range_mm, tuning)
-    return check_together(frame, tuple(segments), found, depth_range_mm, tuning)
+    return check_together(frame, tuple(segments), found, depth_range_mm, tuning, verify)
 
 
 def check_depth_range(depth_range_mm: tuple[float, float] | None) -> None:
@@ -87,12 +95,19 @@ def check_depth_range(depth_range_mm: tuple[float, float] | None) -> None:
         )
 
 
+def check_verification(verify: str) -> None:
+    """Raises InputError for a word that names no verification."""
+    if verify not in get_args(Verification):
+        raise InputError(f'verify is "{verify}": give "full", "quick" or "off".')
+
+
 def check_together(
     frame: FrameInput,
     names: tuple[str, ...],
     found: Matches,
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning,
+    verify: Verification,
 ) -> Matches:
     """The matches with the status that competition with decoys gives."""
 
@@ -105,7 +120,7 @@ def check_together(
             rules = with_field(rules, "noise.passes", tuning.decoys.passes)
         return match_frames([frame], [frame.names], depth_range_mm, rules)[0]
 
-    return check_set(frame, names, found, match, tuning.decoys)
+    return check_set(frame, names, found, match, tuning.decoys, verify)
 
 
 def check_before_cameras(
@@ -158,6 +173,7 @@ def match_frames(
             tracks, pairs = match_occluded(
                 seen, clutter, tracks, selections, depth_range_mm, tuning
             )
+            tracks = with_view_support(seen, tracks, tuning)
             called, judged = [names[k] for k in left.tolist()], (tracks, selections, pairs, outside)
             results = assemble(seen, *judged, called, scale[left], tuning)
             found |= {k: results[n] for n, k in enumerate(left.tolist()) if not again[n]}

@@ -131,10 +131,16 @@ def count_reasons(words: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
 UNLOCATED = "tracks along the epipolar lines"
 # The count of likely triples beyond what memory bears.
 LET_GO = "triples let go for memory"
+# Counts of tracks in three views that are sure, and next to certain, against chance: as if no
+# pattern repeated.
+SURE, CERTAIN = "tracks sure against chance", "tracks certain against chance"
 
 
 class Lines(NamedTuple):
-    """Tracks of all frames, by the matcher's own numbers of segments and order of views."""
+    """Tracks of all frames, by the matcher's own numbers of segments and order of views.
+
+    chance_log_odds : as `posterior_log_odds`, without what patterns take from it.
+    """
 
     index: Int[np.ndarray, "t v"]
     fragments_px: Float[np.ndarray, "t v 2 2"]
@@ -146,6 +152,12 @@ class Lines(NamedTuple):
     misfit: Float[np.ndarray, "t"]
     viewpoint_dependent: Bool[np.ndarray, "t"]
     of_pattern: Bool[np.ndarray, "t"]
+    chance_log_odds: Float[np.ndarray, "t"]
+
+    def index_likelier_than(self, posterior: float) -> Int[np.ndarray, "_ v"]:
+        """Segments of the tracks in three views or more that are so likely against chance."""
+        in_three = (self.index >= 0).sum(axis=1) > 2
+        return self.index[in_three & (probability(self.chance_log_odds) > posterior)]
 
 
 def answers(

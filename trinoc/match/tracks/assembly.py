@@ -30,7 +30,15 @@ from trinoc.match.selection.repetition import (
     greatest_log_odds,
     limit_log_odds,
 )
-from trinoc.match.tracks.answers import LET_GO, UNLOCATED, Lines, answers, reasons
+from trinoc.match.tracks.answers import (
+    CERTAIN,
+    LET_GO,
+    SURE,
+    UNLOCATED,
+    Lines,
+    answers,
+    reasons,
+)
 from trinoc.match.tracks.line_fit import (
     before_cameras,
     cut_fragments,
@@ -85,6 +93,8 @@ def assemble(
         "tracks in two views": [pairs.candidates.index[pairs.taken]],
         UNLOCATED: [unlocated],
         "tracks that seem to move with the viewpoint": [found.index[found.viewpoint_dependent]],
+        SURE: [found.index_likelier_than(rules.decoys.sure)],
+        CERTAIN: [found.index_likelier_than(rules.decoys.certain)],
     }
     counts = {name: _of_each_frame(seen, groups) for name, groups in of_each.items()}
     frame = look_up_frames(seen.lines, found.index)
@@ -136,6 +146,7 @@ def _lines(
         misfit,
         np.zeros(len(index), dtype=bool),
         of_pattern,
+        alone,
     )
     found = take_rows(every, sound)
     dependent = flag_viewpoint_dependent(seen, found.index, found.ends_mm, found.misfit, tuning)

@@ -24,10 +24,13 @@ from trinoc.geometry.triangulation import Segment3D, triangulate_segment
 from trinoc.match.observations.match_input import MatchInput, common_error_variance
 from trinoc.match.observations.table import SegmentTable, look_up_frames, take_matrices
 from trinoc.match.tracks.unequal_errors import misfit_limit
+from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
+from trinoc.match.tuning.tracks import TrackTuning
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.joins import take_groups
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.tables import take_rows
 from trinoc.numerics.tails import chi_square_tail
 
 
@@ -305,21 +308,50 @@ def fit_tracks(
     return FittedTracks(index, common_mm, *lines_in_space(seen, index, common_mm))
 
 
-def consistent(tracks: FittedTracks, gate: float, noise_tail: float = 0.0) -> Bool[np.ndarray, "t"]:
-    """Whether tracks misfit no more than as likely as a triple passes the gate (chi-square of 2
-    degrees of freedom), of errors that are as unequal as `noise_tail` says."""
+def consistent(
+    inputs: MatchInput,
+    tracks: FittedTracks,
+    tuning: MatchTuning = DEFAULT,
+    noise_tail: float = 0.0,
+) -> Bool[np.ndarray, "t"]:
+    """Whether the segments of tracks may be of one line: the misfit of all is likely enough under
+    errors as unequal as `noise_tail` says, and no segment is far from the line in pixels."""
     degrees = 2 * ((tracks.index >= 0).sum(axis=1) - 2)
-    limit = misfit_limit(chi_square_tail(gate, 2), np.maximum(degrees, 1), noise_tail)
-    return (tracks.misfit <= np.where(degrees > 0, limit, np.inf)) & np.isfinite(tracks.misfit)
+    significance = chi_square_tail(tuning.candidates.gate, 2)
+    limit = misfit_limit(significance, np.maximum(degrees, 1), noise_tail)
+    fits = (tracks.misfit <= np.where(degrees > 0, limit, np.inf)) & np.isfinite(tracks.misfit)
+    rows = np.flatnonzero(fits & (degrees > 0))
+    fits[rows] = are_near(inputs, take_rows(tracks, rows), tuning.tracks)
+    return fits
 
 
-def split_off_misfits(seen: MatchInput, tracks: FittedTracks, gate: float) -> FittedTracks:
+def are_near(
+    inputs: MatchInput, tracks: FittedTracks, tuning: TrackTuning = DEFAULT.tracks
+) -> Bool[np.ndarray, "t"]:
+    """Whether every segment of a track lies within so many pixels of its line, or so many standard
+    deviations where these are more. Unequal errors alone would let in anything."""
+    near = np.ones(len(tracks.index), dtype=bool)
+    for view, on, segment, matrix in _each_view(inputs, tracks.index):
+        first, last = np.moveaxis(homogeneous_pixel(matrix, tracks.ends_mm[on]), 1, 0)
+        line = np.cross(first, last)
+        line = line / np.linalg.norm(line[:, :2], axis=1, keepdims=True)
+        off_px = np.abs(np.einsum("tei,ti->te", segment, line[:, :2]) + line[:, 2:])
+        across = np.asarray(inputs.lines.across_px2)[view, tracks.index[on, view]]
+        sigma_px = np.sqrt(np.einsum("tee->te", across))
+        limit_px = np.maximum(tuning.farthest_px, tuning.farthest_sigmas * sigma_px)
+        near[on] &= (off_px <= limit_px).all(axis=1)
+    return near
+
+
+def split_off_misfits(
+    seen: MatchInput, tracks: FittedTracks, tuning: MatchTuning = DEFAULT
+) -> FittedTracks:
     """Tracks that are consistent, or made so by leaving out the views that fit worst; rows of
     those that even three views do not agree on hold no view."""
     index = tracks.index.copy()
     now = tracks
     while True:
-        bad = np.flatnonzero(~consistent(now, gate))
+        bad = np.flatnonzero(~consistent(seen, now, tuning))
         views = (index[bad] >= 0).sum(axis=1)
         index[bad[views <= 3]] = -1
         bad = bad[views > 3]

@@ -84,6 +84,14 @@ def misfit_limit(
     return np.asarray(degrees * fdtri(degrees, 1 / tail, 1 - probability))
 
 
+def student_log_density(
+    misfit: Float[np.ndarray, "*t"], noise_tail: float
+) -> Float[np.ndarray, "*t"]:
+    """Log density of a misfit of two degrees of freedom, of errors as unequal as `noise_tail`."""
+    tail = max(noise_tail, _LEAST_TAIL)
+    return -np.log(2) - (1 / (2 * tail) + 1) * np.log1p(misfit * tail)
+
+
 def variance_factor(
     misfit: Float[np.ndarray, "t"],
     degrees: Int[np.ndarray, "t"],

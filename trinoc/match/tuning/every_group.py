@@ -23,7 +23,7 @@ from trinoc.match.tuning.selection import (
     RepetitionTuning,
     SelectionTuning,
 )
-from trinoc.match.tuning.tracks import DecoyTuning, TrackTuning
+from trinoc.match.tuning.tracks import DecoyTuning, TrackTuning, ViewSupportTuning
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ class MatchTuning:
     noise: NoiseTuning = field(default_factory=NoiseTuning)
     occlusion: OcclusionTuning = field(default_factory=OcclusionTuning)
     tracks: TrackTuning = field(default_factory=TrackTuning)
+    view_support: ViewSupportTuning = field(default_factory=ViewSupportTuning)
     decoys: DecoyTuning = field(default_factory=DecoyTuning)
     collinear: CollinearTuning = field(default_factory=CollinearTuning)
     corners: CornerTuning = field(default_factory=CornerTuning)

@@ -14,6 +14,12 @@ class TrackTuning:
     nearest_views: int = 3
     # Rounds in which tracks grow into views that they lack, and join. By hand; few are needed.
     merge_rounds: int = 20
+    # Errors of tracks are unequal by this tail at most, and every segment lies so near its line, px
+    # or standard deviations. By hand; shown by benchmarks/real_scenes.py ("members off by") and by
+    # the published rows of the corridor that stay whole.
+    largest_tail: float = 0.25
+    farthest_px: float = 2.0
+    farthest_sigmas: float = 3.0
     # A further view must show this share of a track's common part. By hand.
     min_shared: float = 0.5
     # A track is located where, in a pair of its views, the standard deviation of a segment's
@@ -44,6 +50,28 @@ class TrackTuning:
 
 
 @dataclass(frozen=True)
+class ViewSupportTuning:
+    """More than three views: which of them show a track. Shown by benchmarks/real_scenes.py."""
+
+    # Of fewer tracks nothing is learned. By hand.
+    fewest_tracks: int = 10
+    # Copies of each track, and the shares of the depth by which they are moved. By hand.
+    copies: int = 4
+    moved: tuple[float, float] = (0.08, 0.2)
+    # Rates before they are known, and how many lines these count for. By hand.
+    prior_right: float = 0.7
+    prior_chance: float = 0.1
+    prior_lines: float = 5.0
+    # No rate is larger: a detector misses lines that another view shows. By hand.
+    largest_rate: float = 0.95
+    # Weights of the evidence of views, which are not independent, and of a misfit. Chosen on two
+    # real scenes of six views, a robot cell and a house front, by how often views that were held
+    # out support a track; shown by other scenes.
+    weight_of_views: float = 0.2
+    weight_of_misfit: float = 0.4
+
+
+@dataclass(frozen=True)
 class DecoyTuning:
     """Whether a set of segments belongs to a rig. Shown by benchmarks/mixed_sets.py. By hand, on
     its seeds 11 and 12, on merton1, merton2 and four triples of views of the corridor."""
@@ -51,9 +79,11 @@ class DecoyTuning:
     # Tracks as likely as this are sure; of fewer segments in a view nothing is said.
     sure: float = 0.9
     fewest_segments: int = 20
-    # Where so large a share of the segments is sure in three views, no decoy is asked: right sets
-    # show .46 to .95, mixed ones up to .2.
+    # Where so large a share of the segments is sure in three views, or where so many tracks are as
+    # likely as `certain`, no decoy is matched. Right sets show .46 to .95, mixed ones up to .2; of
+    # mixed ones up to 2 tracks are that likely, of pictures shifted by 14 px 6.
     clear_share: float = 0.5
+    clear_certain: int = 10
     # A set needs so many times the decoys' mean, so many standard deviations of a count of it, and
     # so many more; and where its share is below `few_share`.
     some: tuple[float, float, float] = (1.5, 3.0, 2.0)
