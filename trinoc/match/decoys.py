@@ -242,8 +242,10 @@ def _doubt(matches: Matches, sure: SureTracks, chance: Sequence[SureTracks], not
     by_chance = np.mean([each.in_three for each in chance]) if chance else 0.0
     # A share of none would leave log odds that nothing can compare.
     factor = float(np.clip(1 - by_chance / max(sure.in_three, 1), 1e-3, EVEN))
+    members = matches.member_posterior
     return replace(
         matches,
+        member_posterior=None if members is None else members * factor,
         posterior=matches.posterior * factor,
         rival_posterior=matches.rival_posterior * factor,
         notes=(note, *matches.notes),

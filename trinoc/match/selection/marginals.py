@@ -63,11 +63,14 @@ class Tracks(NamedTuple):
     """Lines taken, as candidates with a segment in two or more views.
 
     rival_posterior : posterior log odds of the best candidate that each excluded, -inf where none.
+    member_posterior : (t, v) probability that each segment is of the line of the others, NaN where
+        there is none or where fewer than three others are left; None where that holds for all.
     """
 
     candidates: Candidates
     posterior_log_odds: Float[np.ndarray, "t"]
     rival_posterior: Float[np.ndarray, "t"]
+    member_posterior: Float[np.ndarray, "t v"] | None = None
 
     def take(self, rows: np.ndarray) -> "Tracks":
         """Those at the given indices, in that order, or where the mask is true."""

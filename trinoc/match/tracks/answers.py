@@ -140,6 +140,7 @@ class Lines(NamedTuple):
     """Tracks of all frames, by the matcher's own numbers of segments and order of views.
 
     chance_log_odds : as `posterior_log_odds`, without what patterns take from it.
+    member_posterior : as in `Tracks`.
     """
 
     index: Int[np.ndarray, "t v"]
@@ -153,6 +154,7 @@ class Lines(NamedTuple):
     viewpoint_dependent: Bool[np.ndarray, "t"]
     of_pattern: Bool[np.ndarray, "t"]
     chance_log_odds: Float[np.ndarray, "t"]
+    member_posterior: Float[np.ndarray, "t v"]
 
     def index_likelier_than(self, posterior: float) -> Int[np.ndarray, "_ v"]:
         """Segments of the tracks in three views or more that are so likely against chance."""
@@ -180,9 +182,12 @@ def answers(
     pairs = zip(seen.frames, names, strict=True)
     turn = np.array([[own.names.index(name) for name in called] for own, called in pairs])
     rows = np.arange(len(frame))[:, None], turn[frame]
-    given, fragments, covariance = (
-        column[rows] for column in (given, fragments, found.fragments_covariance_px2)
+    given, fragments, covariance, members = (
+        column[rows]
+        for column in (given, fragments, found.fragments_covariance_px2, found.member_posterior)
     )
+    posterior = probability(found.posterior_log_odds)
+    members = np.where(np.isnan(members) & (given >= 0), posterior[:, None], members)
     places = fragments[:, :, 0].reshape(len(frame), 2 * turn.shape[1])
     keys = *given.T[::-1], frame
     order = np.lexsort(keys)
@@ -195,7 +200,8 @@ def answers(
         "lines_mm": found.ends_mm,
         "covariance_mm2": found.covariance_mm2,
         "stage": np.where((given >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR),
-        "posterior": probability(found.posterior_log_odds),
+        "posterior": posterior,
+        "member_posterior": members,
         "rival_posterior": probability(found.rival_posterior),
         "fragments_covariance_px2": covariance,
         "misfit": found.misfit,

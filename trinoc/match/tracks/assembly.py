@@ -125,6 +125,10 @@ def _lines(
     of_pattern = greatest < np.minimum(alone, rules.repetition.likely_log_odds)
     tuning = rules.tracks
     rival_posterior = np.concatenate([tracks.rival_posterior, np.full(len(taken.taken), -np.inf)])
+    of_tracks = tracks.member_posterior
+    members = np.full((len(index), index.shape[1]), np.nan)
+    if of_tracks is not None:
+        members[: len(of_tracks)] = of_tracks
     common_mm = np.concatenate([tracks.candidates.ends_mm, taken.candidates.ends_mm])
     doubt = direction_doubt(seen.lines, index)
     located = doubt < tuning.largest_direction_doubt
@@ -147,6 +151,7 @@ def _lines(
         np.zeros(len(index), dtype=bool),
         of_pattern,
         alone,
+        members,
     )
     found = take_rows(every, sound)
     dependent = flag_viewpoint_dependent(seen, found.index, found.ends_mm, found.misfit, tuning)

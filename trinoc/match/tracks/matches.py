@@ -55,6 +55,11 @@ def _are_covariances_where_seen(covariance: np.ndarray, table: Content) -> np.nd
     return good
 
 
+def _are_probabilities_where_seen(posterior: np.ndarray, table: Content) -> np.ndarray:
+    inside = (posterior >= 0) & (posterior <= 1 + _ROUNDING)
+    return np.where(_is_seen(table), inside, np.isnan(posterior))
+
+
 def _are_marks(marks: Mapping[str, np.ndarray], table: Content) -> bool:
     """Truth values, probabilities or words of tracks, or of what each view sees of them."""
     seen = _is_seen(table)
@@ -102,6 +107,9 @@ class Matches(Displayable, Table):
         the viewpoint: the outline of a round body, or a highlight. In three views its misfit is
         larger than that of 99 in 100 straight edges. In two, another view shows a segment beside
         the place where the line should be, and none on it. None where not known.
+    member_posterior : (t, v) probability that the segment of each view is of the line that the
+        track's other segments show; NaN where not seen. Of a track in two or three views it is the
+        track's posterior, as too few others are left. None where not known.
     marks : what later steps say of tracks, (t,) or (t, v), by name: truth values, probabilities or
         words; False, 0 or "" where a view sees no line. Each step names its own: "measure"
         (`measure_lines`), "silhouette" (`find_rims`).
@@ -202,6 +210,15 @@ class Matches(Displayable, Table):
     noise_tail: Annotated[
         float, Column(ColumnCheck("is no tail", lambda tail, _: 0 <= tail < np.inf))
     ] = eqx.field(static=True, default=0.0)
+    member_posterior: Annotated[
+        Float[np.ndarray, "t v"] | None,
+        Column(
+            ColumnCheck(
+                "is no probability where a view sees the line", _are_probabilities_where_seen
+            ),
+            parts=lambda matches: [f"{view}_posterior" for view in matches.views],
+        ),
+    ] = None
     marks: Annotated[
         dict[str, Shaped[np.ndarray, "..."]],
         Column(

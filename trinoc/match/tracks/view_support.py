@@ -51,18 +51,24 @@ def with_view_support(inputs: MatchInput, tracks: Tracks, tuning: MatchTuning) -
     if not sound.all():
         # What no view locates is left out later.
         part = with_view_support(inputs, tracks.take(sound), tuning)
-        log_odds = tracks.posterior_log_odds.copy()
+        log_odds, members = tracks.posterior_log_odds.copy(), np.full(index.shape, np.nan)
         log_odds[sound] = part.posterior_log_odds
-        return tracks._replace(posterior_log_odds=log_odds)
+        if part.member_posterior is not None:
+            members[sound] = part.member_posterior
+        return tracks._replace(posterior_log_odds=log_odds, member_posterior=members)
     tail = tail_of_tracks(index, fitted.misfit, tuning)
     gate = tuning.candidates.gate
     shown = lines_in_pictures(inputs.lines, fitted.ends_mm) | (index >= 0)
     chance = chance_rates(inputs, fitted, shown, gate, tuning)
     right = right_rates(index, shown, probability(tracks.posterior_log_odds), rules)
-    views = view_evidence(index, shown, HitRates(right, chance), rules)
+    rates = HitRates(right, chance)
+    views = view_evidence(index, shown, rates, rules)
     fit = np.minimum(misfit_evidence(index, fitted.misfit, gate, tail), 0.0)
     support = rules.weight_of_views * views + rules.weight_of_misfit * fit
-    return tracks._replace(posterior_log_odds=tracks.posterior_log_odds + support)
+    return tracks._replace(
+        posterior_log_odds=tracks.posterior_log_odds + support,
+        member_posterior=member_posteriors(inputs, fitted, rates, gate, tail, rules),
+    )
 
 
 def lines_in_pictures(
@@ -141,15 +147,51 @@ def view_evidence(
     rules: ViewSupportTuning,
 ) -> Float[np.ndarray, "t"]:
     """Log likelihood ratio of the views beyond the three that found each track."""
-    member = index >= 0
-    # Of the views that show a line, the one that tells most of view v.
-    right = np.where(member[:, None, :], rates.right[None], 0.0)
-    right[:, np.arange(index.shape[1]), np.arange(index.shape[1])] = 0.0
-    right = np.clip(right.max(axis=2), rates.chance, rules.largest_rate)
+    member, right = index >= 0, expected_rates(index, rates, rules)
     met = np.where(member, np.log(right / rates.chance), 0.0).sum(axis=1)
     missed = np.where(shown & ~member, np.log((1 - right) / (1 - rates.chance)), 0.0).sum(axis=1)
     count = member.sum(axis=1)
     return met * (count - 3) / count + missed
+
+
+def expected_rates(
+    index: Int[np.ndarray, "t v"], rates: HitRates, rules: ViewSupportTuning
+) -> Float[np.ndarray, "t v"]:
+    """Probability that each view has a segment on a right line, by the other views that show it:
+    by the one that tells most."""
+    right = np.where((index >= 0)[:, None, :], rates.right[None], 0.0)
+    views = np.arange(index.shape[1])
+    right[:, views, views] = 0.0
+    return np.clip(right.max(axis=2), rates.chance, rules.largest_rate)
+
+
+def member_posteriors(
+    inputs: MatchInput,
+    tracks: FittedTracks,
+    rates: HitRates,
+    gate: float,
+    noise_tail: float,
+    rules: ViewSupportTuning,
+) -> Float[np.ndarray, "t v"]:
+    """Probability that each segment of tracks in four views or more is of the line of the others.
+
+    A segment is there by right, or it is one of chance where the right one is missing. What the
+    misfit gains by it is its chi-square about the line of the others.
+    """
+    index = tracks.index
+    posterior = np.full(index.shape, np.nan)
+    row, view = np.nonzero((index >= 0) & ((index >= 0).sum(axis=1, keepdims=True) > 3))
+    if len(row) == 0:
+        return posterior
+    others = index[row]
+    others[np.arange(len(row)), view] = -1
+    without = fit_tracks(inputs, others, tracks.common_mm[row]).misfit
+    gain = np.maximum(np.nan_to_num(tracks.misfit[row] - without), 0.0)
+    right = expected_rates(index, rates, rules)[row, view]
+    log_odds = np.log(right / (1 - right)) - np.log(rates.chance[view])
+    log_odds += student_log_density(gain, noise_tail) + np.log(gate)
+    posterior[row, view] = probability(log_odds)
+    return posterior
 
 
 def misfit_evidence(
