@@ -54,6 +54,27 @@ PUBLIC = (
         "matching.py, segments.py, refine.py, golden.py",
     ),
     DataSet(
+        "vgg_corridor",
+        "corridor.npz",
+        "the corridor of the same sets: corridor.npz with segments_0 .. 10 (n, 4) beside the "
+        "above; its photographs view00.png .. view10.png, 512 x 512",
+        "matching.py, mixed_sets.py, segments.py, sweep.py, tests/segments/test_accept.py",
+    ),
+    DataSet(
+        "vgg_house",
+        "house.npz",
+        "the model house of the same sets: house.npz with segments_0 .. 9 (n, 4); its "
+        "photographs view00.png .. view09.png, 768 x 576",
+        "segments.py, sweep.py, tests/segments/test_accept.py",
+    ),
+    DataSet(
+        "york_urban",
+        "york.npz",
+        "every fourth picture of the York Urban database: york.npz with segments_0 .. 25 (n, 4) "
+        "that were marked by hand; its photographs view00.jpg .. view25.jpg, 640 x 480",
+        "segments.py, sweep.py",
+    ),
+    DataSet(
         "vgg_merton2",
         "merton2.npz",
         "Merton College 2 of the same sets, merton2.npz as above; no photographs",

@@ -1,4 +1,7 @@
-"""Segments against the exact edges of rendered scenes: what counts as found, right and how far."""
+"""Segments against the exact edges of rendered scenes: what counts as found, right and how far.
+
+Segments against published segments of photographs: how many of those are found.
+"""
 
 import json
 from collections.abc import Iterator
@@ -20,6 +23,8 @@ SHADOW_SLOPE, SHADOW_COSINE = 1.0, np.cos(np.radians(20.0))
 STRONG_STEP, WEAK_STEP = 8.0, 2.0
 REACH_PX, ANGLE_DEG = 1.5, 8.0
 SAMPLE_PX = 0.5
+# A published segment is found again where so much of its length is covered.
+COVERED_SHARE = 0.8
 # Edges that deviate less than this from one line are parts of one edge.
 SAME_LINE_PX = 0.1
 
@@ -41,6 +46,37 @@ class Picture(NamedTuple):
     shadow_gradient: np.ndarray
     rims: np.ndarray
     clean: np.ndarray | None
+
+
+class Photograph(NamedTuple):
+    """A photograph of the set `name`, and its published segments, rows x1 y1 x2 y2."""
+
+    name: str
+    grey: np.ndarray
+    published: np.ndarray
+
+
+def photographs(folder: Path) -> Iterator[Photograph]:
+    """The photographs of a set, or of all sets in a folder.
+
+    A set is a folder with one NAME.npz, whose `segments_0`, `segments_1`, ... are the published
+    segments of view0.png, view1.png, ... (or .jpg; or view00, view01, ...).
+    """
+    for path in sorted([*folder.glob("*.npz"), *folder.glob("*/*.npz")]):
+        published = np.load(path)
+        numbers = [key.removeprefix("segments_") for key in published if "segments_" in key]
+        for number in numbers:
+            files = {*path.parent.glob(f"view{number}.*"), *path.parent.glob(f"view0{number}.*")}
+            for file in files:
+                grey = np.asarray(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE))
+                lines = published[f"segments_{number}"][:, :4].astype(float)
+                yield Photograph(path.stem, grey, lines)
+
+
+def recall_of_published(photograph: Photograph, lines: np.ndarray) -> np.ndarray:
+    """(n,) whether lines within 1.5 px and eight degrees cover 80 % of each published segment."""
+    hit, owner, _, _ = covering(photograph.published, lines)
+    return np.bincount(owner, hit >= 0) / np.bincount(owner) >= COVERED_SHARE
 
 
 class Score(NamedTuple):

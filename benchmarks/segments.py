@@ -6,8 +6,9 @@ DIR of --scenes holds what `benchmarks/render_pictures.py blocks` renders. Recal
 length of visible edges with a step of 8 grey levels or more, precision the length of segments
 that lie on such an edge, or (weak) on one of 2 levels or more. What lies on the edge of a shadow
 and on no edge of the scene counts neither for nor against: `shadow` is its share of all length.
-`rims`, the chords of cylinders' rims, count as false. DIR of --photographs holds merton1.npz and
-its pictures (VGG, Oxford). LSD runs as it comes and with its bias of (-0.123, -0.119) px taken out.
+`rims`, the chords of cylinders' rims, count as false. DIR of --photographs holds photographs and
+their published segments, as `segment_truth.photographs` reads them. LSD runs as it comes and with
+its bias of (-0.123, -0.119) px taken out.
 FLD and EDLines take part where cv2 has `ximgproc` (opencv-contrib-python-headless, in an
 environment of its own: it overwrites opencv-python-headless). Single edges are shown as cameras
 deliver them too: sRGB, sharpened, saturated. Times are medians of warm calls, in
@@ -20,6 +21,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,9 +29,12 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 from segment_truth import (
+    Photograph,
     Picture,
     Score,
     covering,
+    photographs,
+    recall_of_published,
     rendered_images,
     score,
 )
@@ -325,23 +330,32 @@ def _errors(one: Delivery, blur_px: float, response: ResponseLike) -> Iterator[t
         yield off, off / np.sqrt(half @ np.asarray(segments.covariance_px2)[longest] @ half)
 
 
-def photographs(folder: Path) -> None:
-    published = np.load(folder / "merton1.npz")
-    print("\nMerton: share of the published length found again within 1.5 px, across px, count")
-    for view in (0, 1, 2):
-        grey = np.asarray(cv2.imread(str(folder / f"view{view}.jpg"), cv2.IMREAD_GRAYSCALE))
-        truth = published[f"segments_{view}"].astype(float)
-        truth = truth[np.hypot(*(truth[:, 2:4] - truth[:, :2]).T) >= 15]
-        for name, detect in DETECTORS.items():
-            begin = time.perf_counter()
-            lines = detect(grey)
-            passed = time.perf_counter() - begin
-            hit, _, length, across = covering(truth[:, :4], lines)
-            print(
-                f"  view {view} {name:14s} {length[hit >= 0].sum() / length.sum():.3f}"
-                f"  {np.median(np.abs(across[hit >= 0])):.3f} {len(lines):6d}"
-                f" {1e3 * passed:8.0f} ms"
-            )
+def photograph_rows(folder: Path) -> None:
+    print("\nphotographs: share of published segments found, 80 % of each within 1.5 px; share of")
+    print("their length; px across (median); segments a picture; ms")
+    sets: dict[str, list[Photograph]] = {}
+    for photograph in photographs(folder):
+        sets.setdefault(photograph.name, []).append(photograph)
+    for (name, pictures), (detector, detect) in product(sets.items(), DETECTORS.items()):
+        rows = [_photograph_row(picture, detect) for picture in pictures]
+        found, length, all_length, across, counts, passed = zip(*rows, strict=True)
+        print(
+            f"  {name:12s} {len(pictures):3d} {detector:14s} {np.concatenate(found).mean():.3f}"
+            f"  {sum(length) / sum(all_length):.3f}  {np.median(np.concatenate(across)):.3f}"
+            f" {np.mean(counts):8.1f} {1e3 * np.median(passed):8.0f} ms"
+        )
+
+
+def _photograph_row(
+    picture: Photograph, detect: Callable[[np.ndarray], np.ndarray]
+) -> tuple[np.ndarray, float, float, np.ndarray, int, float]:
+    begin = time.perf_counter()
+    lines = detect(picture.grey)
+    passed = time.perf_counter() - begin
+    hit, _, length, across = covering(picture.published, lines)
+    found = recall_of_published(picture, lines)
+    near = np.abs(across[hit >= 0])
+    return found, length[hit >= 0].sum(), length.sum(), near, len(lines), passed
 
 
 def times() -> None:
@@ -423,7 +437,7 @@ def main() -> None:
     nothing_to_find()
     table_of_deliveries()
     if given.photographs:
-        photographs(given.photographs)
+        photograph_rows(given.photographs)
     if not given.no_times:
         times()
 

@@ -19,8 +19,8 @@ seconds, or ten where the kernels of step 1 compile for it.
 Segments are found in the three pictures of the demo: as they are, with noise of 6 grey levels
 more, and in light 2.2 times as strong, where faces are saturated. Columns are recall/precision, the
 error of the middle of segments across them in px, and the median-based variance of that error over
-what is claimed, as in benchmarks/segments.py. With TRINOC_DATA the last columns are the share of
-published segments found in the first picture of Merton 1, and how many segments there are.
+what is claimed, as in benchmarks/segments.py. With TRINOC_DATA a column for each set of photographs
+follows: the share of published segments that are found, and segments a picture.
 
 The sheet is calibrated from the three pictures of the demo, in a fresh process, in the same lights.
 Columns are cameras that converged, the largest change of a parameter in its own sigmas against the
@@ -40,10 +40,16 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from match_scores import score_matches
-from segment_truth import Picture, covering, pictures_of_scene, score
+from segment_truth import (
+    Photograph,
+    Picture,
+    photographs,
+    pictures_of_scene,
+    recall_of_published,
+    score,
+)
 
 from simulation import Detector, block_scene, loose_segments, simulate_segments
 from simulation.scenes import see_through_boxes
@@ -146,23 +152,23 @@ def segment_figures(light: str, tuning) -> str:
 
 
 @cache
-def photograph() -> tuple[np.ndarray, np.ndarray] | None:
-    """(picture, published segments of 15 px or more) of Merton 1, where the data are."""
-    folder = Path(os.environ.get("TRINOC_DATA", "")) / "vgg_merton1"
-    if not (folder / "merton1.npz").exists():
-        return None
-    rows = np.load(folder / "merton1.npz")["segments_0"].astype(float)[:, :4]
-    grey = np.asarray(cv2.imread(str(folder / "view0.jpg"), cv2.IMREAD_GRAYSCALE))
-    return grey, rows[np.hypot(*(rows[:, 2:] - rows[:, :2]).T) >= 15]
+def photographs_of_data() -> list[Photograph]:
+    folder = os.environ.get("TRINOC_DATA", "")
+    return list(photographs(Path(folder))) if folder else []
 
 
-def photograph_figures(tuning) -> str:
-    given = photograph()
-    if given is None:
-        return ""
-    lines = np.asarray(find_segments(given[0], tuning=tuning).endpoints_px).reshape(-1, 4)
-    hit, _, length, _ = covering(given[1], lines)
-    return f"{length[hit >= 0].sum() / length.sum():.3f} {len(lines):5d}"
+def photograph_figures(tuning) -> list[str]:
+    """For each set: share of published segments that are found, and segments a picture."""
+    rows: dict[str, list[tuple[np.ndarray, int]]] = {}
+    for picture in photographs_of_data():
+        lines = np.asarray(find_segments(picture.grey, tuning=tuning).endpoints_px).reshape(-1, 4)
+        row = recall_of_published(picture, lines), len(lines)
+        rows.setdefault(picture.name, []).append(row)
+    return [
+        f"{np.concatenate([found for found, _ in row]).mean():.3f}"
+        f" {np.mean([count for _, count in row]):6.1f}"
+        for row in rows.values()
+    ]
 
 
 @cache
@@ -204,7 +210,7 @@ def _row_of_figures(name: str, value, seeds: int) -> list[str]:
     if name.startswith(PREFIX):
         tuning = with_field(OF_SEGMENTS, name.removeprefix(PREFIX), value)
         figures = [segment_figures(light, tuning) for light in LIGHTS]
-        return [*figures, photograph_figures(tuning)]
+        return [*figures, *photograph_figures(tuning)]
     tuning = with_field(DEFAULT, name, value)
     return [match_figures(kind, seeds, tuning) for kind in KINDS]
 
@@ -264,7 +270,8 @@ def main() -> None:
             print(f"{name:40s} {standing_value(name)}")
         return
     standing = standing_value(given.name)
-    heads = [*LIGHTS, "Merton"] if given.name.startswith(PREFIX) else KINDS
+    sets = dict.fromkeys(picture.name for picture in photographs_of_data())
+    heads = [*LIGHTS, *sets] if given.name.startswith(PREFIX) else KINDS
     heads = LIGHTS if given.name.startswith(CALIB) else heads
     print(f"{given.name:20s} " + " ".join(f"{kind:25s}" for kind in heads))
     for value in dict.fromkeys([standing, *given.values]):

@@ -7,6 +7,7 @@ rooms behind them tell in their docstrings what is done there: `trinoc.calib`, `
 
 import lazy_loader
 
+from trinoc.numerics.compile_notice import set_compile_notice
 from trinoc.numerics.display import set_displays
 
 __version__ = "0.1.0"
@@ -22,3 +23,13 @@ def _displays():  # pyright: ignore[reportUnusedFunction]
 
 # Values show themselves by what the report draws, which they do not know.
 set_displays(_displays)
+
+
+def _notice_compiling(is_kept: bool, seconds: float) -> None:
+    from trinoc.io.compile_cache import log_compiling
+
+    log_compiling(is_kept, seconds)
+
+
+# Compiling tells of itself through the log, which stands on a floor above it.
+set_compile_notice(_notice_compiling)

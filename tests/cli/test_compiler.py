@@ -7,13 +7,15 @@ import pytest
 
 from trinoc.cli.main import compile_quickly
 
+EMITTERS, SPLIT = "--xla_cpu_use_fusion_emitters", "--xla_cpu_parallel_codegen_split_count"
+
 
 @pytest.mark.parametrize(
     ("version", "own", "expected"),
     [
-        ("0.10.2", None, "--xla_cpu_use_fusion_emitters=false"),
-        ("0.10.2", "--xla_a=1", "--xla_cpu_use_fusion_emitters=false --xla_a=1"),
-        ("0.10.2", "--xla_cpu_use_fusion_emitters=true", "--xla_cpu_use_fusion_emitters=true"),
+        ("0.10.2", None, f"{EMITTERS}=false {SPLIT}=1"),
+        ("0.10.2", "--xla_a=1", f"{EMITTERS}=false {SPLIT}=1 --xla_a=1"),
+        ("0.10.2", f"{EMITTERS}=true", f"{SPLIT}=1 {EMITTERS}=true"),
         ("0.11.0", None, None),
         ("0.100.0", "--xla_a=1", "--xla_a=1"),
     ],

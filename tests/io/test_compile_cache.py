@@ -1,5 +1,6 @@
 """The compile cache is private, bounded, and can be switched off."""
 
+import logging
 import os
 import stat
 
@@ -7,13 +8,17 @@ import jax
 import pytest
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
+from trinoc.cli.command import set_up_logging
 from trinoc.io import compile_cache
 from trinoc.io.compile_cache import (
     COMPILE_CACHE_VARIABLE,
+    LOGGER,
     FolderStore,
     enable_compile_cache,
+    log_compiling,
     surroundings,
 )
+from trinoc.numerics import compile_notice
 from trinoc.numerics.programs import set_program_store
 
 SETTINGS = (
@@ -159,14 +164,58 @@ def test_a_program_of_a_module_without_source_is_not_kept(tmp_path):
     assert store.get("a", frozenset({"trinoc.cli.main"})) is None
 
 
-def test_that_something_compiles_is_said_once(tmp_path, caplog) -> None:
-    store = FolderStore(tmp_path)
-    with caplog.at_level("INFO", logger="trinoc"):
-        store.put("kept", b"program")
-        assert store.get("kept") == b"program"
-        assert not caplog.messages
-        assert store.get("first") is None
-        assert store.get("second") is None
-    assert [message.split(":")[0] for message in caplog.messages] == [
-        "compiling for input of this kind"
-    ]
+@pytest.fixture
+def nobody_configured_logging(monkeypatch):
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    monkeypatch.setattr(LOGGER, "handlers", [])
+    monkeypatch.setattr(LOGGER, "propagate", True)
+    before = LOGGER.level
+    LOGGER.setLevel(logging.NOTSET)
+    yield logging.getLogger()
+    LOGGER.setLevel(before)
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_a_script_that_configures_no_logging_reads_once_that_it_waits(
+    nobody_configured_logging, capsys, is_kept
+) -> None:
+    nobody_configured_logging.handlers.clear()  # pytest's own
+    log_compiling(is_kept, 0.0)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("trinoc: compiling")
+    # What could be kept, and is not, comes with what to do about it.
+    assert ("enable_compile_cache" in line) == (not is_kept)
+
+
+@pytest.mark.parametrize(("level", "lines"), [(logging.INFO, 1), (logging.WARNING, 0)])
+def test_a_script_that_configures_logging_reads_what_it_asked_for(
+    nobody_configured_logging, capsys, monkeypatch, level, lines
+) -> None:
+    root = nobody_configured_logging
+    root.handlers[:] = [logging.StreamHandler()]
+    monkeypatch.setattr(root, "level", level)
+    LOGGER.manager._clear_cache()
+    log_compiling(True, 0.0)
+    assert len(capsys.readouterr().err.splitlines()) == lines
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_a_command_says_once_that_it_compiles_and_nothing_where_it_is_quiet(
+    nobody_configured_logging, capsys, quiet
+) -> None:
+    set_up_logging(quiet=quiet)
+    log_compiling(True, 0.0)
+    assert len(capsys.readouterr().err.splitlines()) == 1 - quiet
+
+
+def test_what_compiles_for_long_is_told_again(monkeypatch) -> None:
+    told = []
+    monkeypatch.setattr(compile_notice, "_notices", [lambda kept, seconds: told.append(seconds)])
+    monkeypatch.setattr(compile_notice, "_seconds", [0.0])
+    monkeypatch.setattr(compile_notice, "_next_at", [0.0])
+    moments = iter([0.0, 20.0, 20.0, 45.0, 45.0, 50.0, 50.0, 80.0])
+    monkeypatch.setattr(compile_notice.time, "monotonic", lambda: next(moments))
+    for _ in range(4):
+        with compile_notice.compiling():
+            pass
+    assert told == [0.0, 45.0]

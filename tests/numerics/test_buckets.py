@@ -16,8 +16,8 @@ def test_no_length_is_too_short_and_finer_ones_waste_less(count: int, fine: int)
     if count <= fine:
         assert length == bucket(count)
     else:
-        assert length <= 1.25 * count
-        assert length in {bucket(count) * n // 8 for n in (5, 6, 7, 8)}
+        assert length <= 1.5 * count
+        assert length in {bucket(count) * n // 4 for n in (3, 4)}
 
 
 @given(COUNTS, COUNTS, FINE)

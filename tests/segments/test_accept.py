@@ -1,10 +1,17 @@
 """What counts against a line is weighed by what the picture's other lines are like."""
 
-import numpy as np
+import os
+from pathlib import Path
 
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from trinoc.numerics.vectors import cross_2d
+from trinoc.segments import find_segments
 from trinoc.segments.nevatia_babu.accept import is_sharp, is_straight
 from trinoc.segments.nevatia_babu.line_fit import FittedLines
-from trinoc.segments.tuning import DEFAULT
 
 
 def lines(
@@ -27,19 +34,71 @@ def test_a_wide_edge_among_edges_of_one_width_is_a_shadow() -> None:
     assert is_sharp(lines(alike), 1.0).tolist() == [True] * 20 + [False]
 
 
-def test_a_narrow_edge_is_no_shadow_however_sharp_the_others() -> None:
-    limit = DEFAULT.accept.sharp_px2
-    sharp = np.append(np.full(20, 0.1), [0.99 * limit, 1.01 * limit])
-    assert is_sharp(lines(sharp), 0.1).tolist() == [True] * 21 + [False]
+MANY_WIDTHS = np.linspace(0.2, 4.0, 20)
 
 
-def test_a_line_that_bows_as_its_points_lie_is_an_arc() -> None:
-    # A parabola of this bow leaves its best line by this root mean square distance.
-    bow, rms = 0.9, 0.9 * np.sqrt(4 / 45)
-    arc = lines([1.0], sagitta_px=bow, residual_px=rms, support=24)
-    ragged = lines([1.0], sagitta_px=bow, residual_px=2 * rms, support=24)
-    assert not is_straight(arc, 512)[0]
-    assert is_straight(ragged, 512)[0]
-    # One that bows as much for a length less than its bow allows.
-    short = lines([1.0], sagitta_px=bow, residual_px=2 * rms, support=20)
-    assert not is_straight(short, 512)[0]
+def test_a_wide_edge_among_edges_of_many_widths_is_no_shadow() -> None:
+    assert is_sharp(lines(np.append(MANY_WIDTHS, 4.5)), 2.0).all()
+    assert not is_sharp(lines(np.append(MANY_WIDTHS, 40.0)), 2.0)[-1]
+
+
+@settings(max_examples=20)
+@given(wider=st.floats(1.0, 100.0))
+def test_what_counts_as_wide_does_not_depend_on_how_wide_the_wider_half_is(wider: float) -> None:
+    # Shadows are wider than edges: they must not widen the limit for each other.
+    half = MANY_WIDTHS[MANY_WIDTHS > 2.0]
+    with_shadows = np.concatenate([MANY_WIDTHS[MANY_WIDTHS <= 2.0], half * wider, [4.5]])
+    assert is_sharp(lines(with_shadows), 2.0)[-1]
+
+
+def test_widths_of_faint_lines_do_not_widen_the_limit() -> None:
+    clear, faint = lines(np.append(np.full(20, 1.0), 4.5)), lines(MANY_WIDTHS)
+    faint = faint._replace(snr2=20.0 * faint.support)
+    both = FittedLines(*(np.concatenate(pair) for pair in zip(clear, faint, strict=True)))
+    assert is_sharp(both, 1.0)[:21].tolist() == [True] * 20 + [False]
+
+
+def pieces_of_a_circle(radius_px: float, angle_deg: float, count: int) -> FittedLines:
+    """Chords of a circle, one after the other, bowed as the circle is."""
+    angle = np.radians(angle_deg) * (np.arange(count) + 0.5)
+    half, way = np.radians(angle_deg) / 2, np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    bow, extent = radius_px * (1 - np.cos(half)), radius_px * np.sin(half)
+    chords = lines(np.ones(count), sagitta_px=bow, residual_px=float(bow * np.sqrt(4 / 45)))
+    middle = radius_px * np.cos(half) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    ends = np.tile([-extent, extent], (count, 1))
+    # The bow's sign is that of the turn from each piece to the next.
+    return chords._replace(centre_px=middle, direction=way, extent_px=ends)
+
+
+def test_pieces_that_go_on_as_they_bow_are_an_arc_and_one_piece_alone_is_none() -> None:
+    arc = pieces_of_a_circle(40.0, 25.0, 6)
+    assert not is_straight(arc).any()
+    assert is_straight(FittedLines(*(field[:1] for field in arc))).all()
+
+
+def test_points_that_scatter_more_than_the_arc_explains_lie_on_a_line() -> None:
+    flat, round_ = pieces_of_a_circle(60.0, 15.0, 6), pieces_of_a_circle(40.0, 25.0, 6)
+    assert not is_straight(flat).any()
+    assert is_straight(flat._replace(residual_px=2 * flat.residual_px)).all()
+    # Unless they bow much for their length.
+    assert not is_straight(round_._replace(residual_px=2 * round_.residual_px)).any()
+
+
+@pytest.mark.skipif("TRINOC_DATA" not in os.environ, reason="TRINOC_DATA names no folder of data")
+@pytest.mark.parametrize(("name", "least"), [("vgg_corridor", 0.93), ("vgg_house", 0.94)])
+def test_published_segments_of_photographs_are_found(name: str, least: float) -> None:
+    folder = Path(os.environ["TRINOC_DATA"]) / name
+    pictures = sorted(folder.glob("view*"))
+    if not pictures:
+        pytest.skip(f"TRINOC_DATA holds no {name}")
+    published = np.load(next(folder.glob("*.npz")))["segments_0"][:, :4].reshape(-1, 2, 2)
+    ends = find_segments(cv2.imread(str(pictures[0]), cv2.IMREAD_GRAYSCALE)).endpoints_px
+    way = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(way, axis=1)
+    way /= length[:, None]
+    # Places along the published segments, each as often as the segment is long.
+    parts = [np.linspace(a, b, int(np.linalg.norm(b - a))) for a, b in published]
+    offset = np.concatenate(parts)[:, None] - ends[:, 0]
+    along, across = (offset * way).sum(-1), np.abs(cross_2d(offset, way))
+    near = (across < 1.5) & (along > -1.5) & (along < length + 1.5)
+    assert near.any(axis=1).mean() > least

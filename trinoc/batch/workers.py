@@ -2,6 +2,7 @@
 cluster, and how many tasks are in the air."""
 
 import contextlib
+import logging
 import multiprocessing
 import signal
 import threading
@@ -98,8 +99,9 @@ def _begin(work: MatchingJob, stop: Any, cached: bool) -> None:
 
     from trinoc.io.compile_cache import enable_compile_cache
 
-    # Each has a core of its own.
+    # Each has a core of its own, and the process that asked tells how far all are.
     cv2.setNumThreads(1)
+    logging.getLogger("trinoc").setLevel(logging.WARNING)
     if cached:
         enable_compile_cache()
     _begun.append(partial(part_results, work, stopped=stop.is_set))

@@ -78,6 +78,29 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     return folder
 
 
+def log_compiling(is_kept: bool, seconds: float) -> None:
+    """Log that something compiles, which is `is_kept` or not, after so many seconds of it.
+
+    Where nobody has configured logging, as in most scripts and notebooks, the line goes to stderr.
+    """
+    if seconds > 0:
+        message = f"still compiling: {seconds:.0f} s in this process so far"
+    elif is_kept:
+        message = "compiling for input of this kind: some seconds to two minutes, this once"
+    else:
+        message = (
+            "compiling, as the first calls of a process do: some seconds to two minutes; "
+            "trinoc.io.enable_compile_cache() keeps it for the next process"
+        )
+    if LOGGER.isEnabledFor(logging.INFO):
+        LOGGER.info(message)
+    elif LOGGER.level == logging.NOTSET and not LOGGER.hasHandlers():
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("trinoc: %(message)s"))
+        nowhere = "", 0
+        handler.handle(LOGGER.makeRecord(LOGGER.name, logging.INFO, *nowhere, message, (), None))
+
+
 def _user_cache() -> Path:
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
@@ -119,7 +142,6 @@ class FolderStore:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._surroundings = ""
-        self._is_complete = True
 
     def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:
         """The content, if it is there and whole."""
@@ -129,9 +151,6 @@ class FolderStore:
             # The youngest are kept when the folder grows too large.
             os.utime(place)
         except (OSError, LookupError):
-            if self._is_complete:
-                LOGGER.info("compiling for input of this kind: up to half a minute, this once")
-            self._is_complete = False
             return None
         digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
         return content if hashlib.sha256(content).digest() == digest else None

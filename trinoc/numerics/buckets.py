@@ -25,13 +25,14 @@ _Possible = tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]
 def bucket(count: int, *, smallest: int = SMALLEST_BUCKET, finer_above: int | None = None) -> int:
     """The length for so many rows: `smallest`, a power of two, doubled until it holds them.
 
-    finer_above : from here on in steps of a quarter of the power of two below `count`, for where
-        the work on padding costs more than one small program more.
+    finer_above : from here on in steps of half the power of two below `count`, for where the work
+        on padding costs more than one small program more. Finer steps would save less work, and
+        every program stays in memory.
     """
     power = max(smallest, 1 << max(int(count) - 1, 0).bit_length())
     if finer_above is None or count <= finer_above:
         return power
-    step = power // 8
+    step = power // 4
     return -(-count // step) * step
 
 

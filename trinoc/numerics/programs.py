@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trinoc.numerics.buckets import FEW_ROWS
+from trinoc.numerics.compile_notice import compiling, notice_compiling
 from trinoc.numerics.compiler_options import quick_compiling
 from trinoc.numerics.precision import as_numpy, is_outside, is_traced
 
@@ -147,6 +148,7 @@ def kept_jit(
                 with np.errstate(all="ignore"):
                     return function(*as_numpy(args), **kwargs)
         if store is None or config.jax_disable_jit or jax.default_backend() != "cpu":
+            notice_compiling(is_kept=False)
             return choose_jit(args, kwargs)(*args, **kwargs)
         given = signature.bind(*args, **kwargs)
         given.apply_defaults()
@@ -220,7 +222,8 @@ def _load_or_compile(
 
     # What JAX's own cache hands out cannot be kept again: a name of its own, so that it compiles.
     flat.__name__ = f"{function.__name__}_{secrets.token_hex(4)}"
-    compiled = jax.jit(flat).lower(leaves).compile(compiler_options=options)
+    with compiling():
+        compiled = jax.jit(flat).lower(leaves).compile(compiler_options=options)
     result = found[0]
     try:
         # What a program calls must be there when it is loaded.

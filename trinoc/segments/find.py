@@ -109,7 +109,7 @@ def find_segments(
     runs, lines, errors = _without_neighbours(smooth, runs, lines, blur_px2, tuning)
     runs, lines, shifts = _without_shifts(smooth, runs, lines, slopes, errors, tuning)
     lines, to_image = _undistort(runs, lines, intrinsics, tuning)
-    wanted = _is_wanted(lines, picture.size_px[0], arcs, least_contrast, tuning)
+    wanted = _is_wanted(lines, arcs, least_contrast, tuning)
     lines, errors, shifts = take_rows((lines, errors, shifts), wanted)
     ends_px, along_px, near = _place_ends(lines, tuning)
     covariance_px2, reasons = _covariances(lines, errors, shifts, along_px, tuning)
@@ -216,14 +216,13 @@ def _undistort(
 
 def _is_wanted(
     lines: FittedLines,
-    width_px: int,
     arcs: bool,
     least_contrast: float,
     tuning: SegmentTuning,
 ) -> Bool[np.ndarray, "r"]:
     """No arcs, unless they are wanted, no bevels of corners, and nothing fainter than wanted."""
     long = lines.pieces.length_px >= tuning.accept.least_length_px
-    straight = arcs | is_straight(lines, width_px, tuning.accept)
+    straight = arcs | is_straight(lines, tuning.accept)
     return straight & (lines.contrast >= least_contrast) & long
 
 

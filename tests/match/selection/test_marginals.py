@@ -6,7 +6,7 @@ import pytest
 from tests.match.scene import MadeScene
 from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_odds
 from trinoc.match.selection.marginals import Selection, select, take_tracks
-from trinoc.match.selection.messages import sum_product
+from trinoc.match.selection.messages import _capacities, sum_product
 from trinoc.match.tuning.every_group import DEFAULT
 
 CONFLICT_OVERLAP = DEFAULT.selection.conflict_overlap
@@ -75,3 +75,14 @@ def test_nothing_is_selected_from_nothing() -> None:
     nothing = select(no_candidates(3), TYPICAL)
     assert len(nothing.taken) == 0
     assert len(take_tracks(nothing).posterior_log_odds) == 0
+
+
+def test_few_programs_serve_candidates_and_conflicts_of_any_number() -> None:
+    random = np.random.default_rng(0)
+    # As of 40 to 400 segments a view, which are tens to thousands of candidates.
+    candidates = np.exp(random.uniform(np.log(10), np.log(6000), 2000)).astype(int)
+    conflicts = (candidates * random.uniform(1, 50, 2000)).astype(int)
+    needs = np.stack([candidates, conflicts], axis=1)
+    sizes = [_capacities(*need) for need in needs.tolist()]
+    assert (np.array(sizes) >= needs).all()
+    assert len(set(sizes)) <= 18

@@ -179,8 +179,9 @@ FRAMES_AT_ONCE = 64
 # numerical: of more conflicts than these, rounds on padding would take longer than another
 # program. Padding beyond costs more than one small program more.
 _FINER_ABOVE = 1 << 16
-# numerical: as above.
+# numerical: as above. Of more conflicts, or candidates than 2048, so many candidates are padded.
 _FEW_CONFLICTS = 1 << 14
+_LEAST_OF_MANY = 1 << 12  # numerical: as above
 # numerical: log odds whose exponential is no overflow, and such as nothing has.
 _HIGHEST, _NEVER = 60.0, -1e4
 
@@ -251,8 +252,8 @@ def _capacities(candidates: int, conflicts: int) -> tuple[int, int]:
     hundreds of rounds on padding."""
     few = next((size for size in (256, 2048) if candidates <= size), None)
     if few is None or conflicts > _FEW_CONFLICTS:
-        rows, pairs = (bucket(n, finer_above=_FINER_ABOVE) for n in (candidates, conflicts))
-        return few or rows, pairs
+        pairs = bucket(conflicts, smallest=2 * _FEW_CONFLICTS, finer_above=_FINER_ABOVE)
+        return bucket(candidates, smallest=_LEAST_OF_MANY), pairs
     size = 2 * few
     while size < conflicts:
         size *= 4

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from trinoc.image.strip import nearest_levels
 from trinoc.numerics.joins import near_pairs
@@ -130,39 +130,47 @@ def typical_blur(lines: FittedLines) -> float:
     """Variance of the blur of the picture's edges, in px^2: the median, long lines weigh more."""
     if len(lines.support) == 0:
         return 0.0
-    order = np.argsort(lines.blur_px2)
-    total = np.cumsum(lines.support[order])
-    return max(float(lines.blur_px2[order[np.searchsorted(total, total[-1] / 2)]]), 0.0)
+    return max(_quantile(lines.blur_px2, lines.support, 0.5), 0.0)
+
+
+def _quantile(values: Float[np.ndarray, "r"], weights: Int[np.ndarray, "r"], share: float) -> float:
+    """The least value that, with all below it, has such a share of the weights."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(total, share * total[-1])]])
 
 
 def is_sharp(
     lines: FittedLines, usual_px2: float, tuning: AcceptTuning = DEFAULT.accept
 ) -> Bool[np.ndarray, "r"]:
-    """Edges that are no soft shadows: of about the image's typical width, or narrow anyway.
+    """Edges that are no soft shadows: hardly wider than usual, for how much widths vary.
 
     Where the edges of a picture have many widths, as with depth or texture, a wide one is no
-    evidence of a shadow.
+    evidence of a shadow: the limit follows the spread of the widths. The spread is that of the
+    narrower half of clear lines. Shadows are among the wider half, and noise scatters the widths
+    of faint lines.
     """
-    kernel_px2 = lines.kernel_variance_px2
-    limit = np.maximum(tuning.soft_ratio * (kernel_px2 + usual_px2), kernel_px2 + tuning.sharp_px2)
-    return kernel_px2 + lines.blur_px2 <= limit
+    ratio = lines.kernel_variance_px2 + lines.blur_px2
+    ratio /= lines.kernel_variance_px2 + usual_px2
+    limit = tuning.soft_ratio
+    clear = lines.snr2 > np.square(tuning.clear_ratio) * lines.support
+    if clear.any():
+        low, middle = (_quantile(ratio[clear], lines.support[clear], q) for q in (0.25, 0.5))
+        limit = max(limit, 1 + tuning.soft_spreads * (middle - low))
+    return ratio <= limit
 
 
-def is_straight(
-    lines: FittedLines, width_px: int, tuning: AcceptTuning = DEFAULT.accept
-) -> Bool[np.ndarray, "r"]:
-    """Edges that are no arcs, such as the rims of cylinders.
+def is_straight(lines: FittedLines, tuning: AcceptTuning = DEFAULT.accept) -> Bool[np.ndarray, "r"]:
+    """Edges that are no pieces of curves, such as the rims of cylinders.
 
     The points of an arc lie on it: where a curve explains little of how they scatter about the
-    line, and bows it little, it counts as straight.
+    line, and bows it little, it counts as straight. A bow alone shows no curve: lenses bend
+    straight edges, and edges of real things are bent.
     """
     length = lines.pieces.length_px
     bow = np.abs(lines.sagitta_px)
     sigma = BOW_OF_MIDDLE * np.sqrt(lines.variance_middle_px2)
-    radius = length**2 / np.maximum(8 * bow, 1e-9)
-    small = radius < tuning.arc_radius_of_width * width_px
-    arc = (bow > tuning.arc_bow_px) & (bow > 3 * sigma) & small
-    arc |= (bow > 2 * sigma) & _continues_curve(lines, tuning)
+    arc = (bow > 2 * sigma) & _continues_curve(lines, tuning)
     explained = np.square(_RMS_OF_BOW * bow) / np.maximum(np.square(lines.residual_px), 1e-12)
     ragged = (explained < tuning.arc_explains) & (bow < tuning.arc_bow_of_length * length)
     return ~arc | ragged
