@@ -10,6 +10,10 @@ Each message is one sentence that says what is wrong, where, and what to do next
 """
 
 import importlib.util
+from collections.abc import Iterable
+
+# Names of cameras in one sentence: a rig may have hundreds.
+MOST_NAMES = 6
 
 
 class TrinocError(Exception):
@@ -41,6 +45,13 @@ class CalibrationError(TrinocError):
 
 class MatchError(TrinocError):
     """The segments or the rig do not allow matching."""
+
+
+def list_names(names: Iterable[str], most: int = MOST_NAMES) -> str:
+    """Names for a sentence; of more than `most` the first ones and the number of the others."""
+    every = list(names)
+    more = len(every) - most
+    return ", ".join(every[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def check_kind(value: object, kinds: type | tuple[type, ...], name: str, wanted: str) -> None:

@@ -289,6 +289,36 @@ def test_what_cannot_be_shown_is_refused(
         render_report(rig=other, segments=segments)
 
 
+def test_cameras_without_a_view_are_left_out_with_one_note(
+    rig: Rig, segments: dict[str, Segments], matches: Matches, result: CalibrationResult
+) -> None:
+    more = {f"camera {k}": rig.cameras[0] for k in range(40)}
+    larger = Rig(
+        {**more, **dict(rig.items())}, parameters=rig.parameters, covariance=rig.covariance
+    )
+    scene = {"segments": segments, "matches": matches}
+    note = (
+        " Cameras without a view of this scene are left out: camera 0, camera 1, camera 2, "
+        "camera 3, camera 4, camera 5 and 34 more."
+    )
+    page = render_report(rig=larger, **scene)
+    assert note in page
+    assert page.replace(note, "") == render_report(rig=rig, **scene)
+    # A calibration shows all its cameras, and a scene those of its views.
+    some = matches.views[:2]
+    pair = dataclasses.replace(
+        matches.take(np.flatnonzero((matches.index[:, :2] >= 0).all(axis=1))),
+        views=some,
+        reasons={name: matches.reasons[name] for name in some},
+    )
+    two = [getattr(pair, name)[:, :2] for name in ("index", "fragments_px")]
+    stage = np.full(len(pair), "binocular")
+    pair = dataclasses.replace(pair, index=two[0], fragments_px=two[1], stage=stage)
+    text = Page(render_report(result=result, matches=pair)).text
+    assert "3 of 3 cameras calibrated" in text
+    assert "left out:" not in text
+
+
 def test_a_camera_that_failed_says_why() -> None:
     result = made_up_result(made_up_rig())
     fits = {name: fit for name, fit in result.fits.items() if name != "left"}

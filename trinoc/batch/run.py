@@ -36,6 +36,7 @@ class BatchOutcome:
     frames, failed, tracks : numbers of frames, of those that failed, and of tracks in all.
     suspect : how many frames are SUSPECT, as they do not seem to belong to the rig.
     earlier : how many of the frames an earlier run had done.
+    without : cameras of the rig of which the recording has no picture.
     workers : how many worked at once.
     """
 
@@ -47,6 +48,7 @@ class BatchOutcome:
     tracks: int
     earlier: int
     workers: int
+    without: tuple[str, ...] = ()
 
 
 def match_recording(
@@ -72,7 +74,8 @@ def match_recording(
     ----------
     frames : a folder, or a CSV table with the columns frame and one for each camera of the rig.
         Files are pictures, or segments as `load_segments` reads them.
-    rig : the cameras; a frame needs a file of each.
+    rig : the cameras; a frame needs a file of each. Cameras of which no frame has a file are left
+        out where three or more have some.
     out : the folder of results. Where it holds some of the same recording, the rest is done.
     template : how the files are named, such as "{frame}_{camera}.png" or
         "{camera}/{frame}.tif"; the usual ways are tried where it is None.
@@ -108,6 +111,8 @@ def match_recording(
     if ending not in (None, ".npz", ".parquet"):
         raise InputError(f'ending is "{ending}": choose ".npz" or ".parquet".')
     source = find_frames(frames, rig.names, template)
+    without = tuple(name for name in rig if name not in source.views)
+    rig = rig.take(source.views)
     own = share_parts(cut_into_parts(source.frames, frames_per_file), shard)
     ending = ending or _ending_there(Path(out)) or frames_ending()
     work = MatchingJob(source.folder.resolve(), rig, dict(find or {}), depth_range_mm)
@@ -151,6 +156,7 @@ def match_recording(
             tracks=tally["tracks"],
             earlier=earlier,
             workers=workers.count,
+            without=without,
         )
 
 

@@ -41,7 +41,7 @@ from trinoc.calib.starts.pictures import FoundBoards, Pictures, find_boards
 from trinoc.calib.starts.placing import PlacedRig, ShotBoard, place_rig, take_out
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.uncertainty.systematics import Systematics
-from trinoc.errors import CalibrationError, InputError
+from trinoc.errors import CalibrationError, InputError, list_names
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.polynomial import BrownConrady
@@ -427,7 +427,7 @@ def _given_lenses(
     for name in lens:
         if name not in cameras:
             raise InputError(
-                f'A lens is given for "{name}", but the cameras are {", ".join(cameras)}.'
+                f'A lens is given for "{name}", but the cameras are {list_names(cameras)}.'
             )
     return lens
 

@@ -52,7 +52,7 @@ class RefineCommand(Command):
     """Cameras that were knocked since the calibration, whose old place no longer counts."""
 
     out: Out = Path("refined.json")
-    """Where the refined rig goes."""
+    """Where the refined rig goes: the cameras that the matches are of."""
 
     def run(self, command_line: str) -> Outcome:
         """Refine and write the rig; nothing is written where the refinement fails."""
@@ -68,7 +68,7 @@ class RefineCommand(Command):
         expect_replaceable(self.out, Rig, force=self.force)
         rig = read_rig(self.rig)
         scene = read_scene(self.images, self.matches, rig, self.rig, quiet=self.quiet)
-        LOGGER.info("refining %d cameras and %d lines", len(rig), len(scene.matches))
+        LOGGER.info("refining the cameras of %d lines", len(scene.matches))
         again = [scene.tolerant, scene.strict] if self.moved else [scene.strict]
         result = refine(
             rig,
@@ -151,7 +151,7 @@ class CheckCommand(Command):
         expect_replaceable(self.out, Rig, force=self.force)
         rig = read_rig(self.rig)
         scene = read_scene(self.images, self.matches, rig, self.rig, quiet=self.quiet)
-        LOGGER.info("checking %d cameras with %d lines", len(rig), len(scene.matches))
+        LOGGER.info("checking the cameras of %d lines", len(scene.matches))
         again = [match for match in (scene.tolerant, scene.strict) if match is not None]
         check = check_rig(rig, scene.matches, match_again=again or None)
         refined = check.refined

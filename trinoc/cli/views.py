@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from trinoc.cli.command import LOGGER, UsageError, each
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 
 if TYPE_CHECKING:
     import numpy as np
@@ -190,7 +190,7 @@ def expect_names(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
     for name in files:
         if name not in rig.names:
             raise InputError(
-                f'{rig_file} has no camera "{name}", but {", ".join(rig.names)}: use these names.'
+                f'{rig_file} has no camera "{name}", but {list_names(rig)}: use these names.'
             )
 
 
@@ -204,7 +204,7 @@ def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
             f"add {missing[0]}=FILE."
         )
     if missing:
-        LOGGER.warning("no picture of %s: matching without", ", ".join(missing))
+        LOGGER.warning("no picture of %s: matching without", list_names(missing))
 
 
 # After a knock the matcher first takes the ends of segments to be this far off. With 8 px it finds
@@ -233,7 +233,11 @@ def read_scene(
     if matches is not None:
         from trinoc.io.saving import load_matches
 
-        return SceneInput(load_matches(matches), None, None, {"matches": matches})
+        tracks = load_matches(matches)
+        others = [name for name in rig if name not in tracks.views]
+        if others:
+            LOGGER.warning("%s has no view of %s: left out", matches, list_names(others))
+        return SceneInput(tracks, None, None, {"matches": matches})
 
     from trinoc.match.matcher import match_segments
     from trinoc.match.tuning.every_group import DEFAULT

@@ -1,13 +1,13 @@
 """Several cameras in one world frame, with what is known of their errors."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.errors import InputError, check_kind
+from trinoc.errors import InputError, check_kind, list_names
 from trinoc.geometry.camera import POSE_NAMES, Camera
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike
@@ -78,9 +78,24 @@ class Rig(Displayable, eqx.Module):
                 raise InputError(f'Camera "{name}": {error}') from error
         return cls(cameras)
 
+    def take(self, names: Collection[str]) -> "Rig":
+        """The rig of some of its cameras, in its own order, with their part of the covariance.
+
+        Raises InputError for a name that is no camera of it.
+        """
+        for name in names:
+            self[name]
+        cameras = {name: camera for name, camera in self.items() if name in names}
+        rows = [k for k, each in enumerate(self.parameters) if each.rpartition(".")[0] in cameras]
+        return type(self)(
+            cameras,
+            parameters=[self.parameters[row] for row in rows],
+            covariance=np.asarray(self.covariance)[np.ix_(rows, rows)],
+        )
+
     def __getitem__(self, name: str) -> Camera:
         if name not in self.names:
-            raise InputError(f'There is no camera "{name}"; this rig has {", ".join(self.names)}.')
+            raise InputError(f'There is no camera "{name}"; this rig has {list_names(self)}.')
         return self.cameras[self.names.index(name)]
 
     def __iter__(self) -> Iterator[str]:

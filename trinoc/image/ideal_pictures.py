@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Shaped
 
-from trinoc.errors import InputError, check_kind
+from trinoc.errors import InputError, check_kind, list_names
 from trinoc.geometry.ideal_cameras import undistort_lens, undistort_rig
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
@@ -104,7 +104,7 @@ class IdealRig(NamedTuple):
         for name, picture in pictures.items():
             if name not in self.maps:
                 raise InputError(
-                    f'There is no camera "{name}"; this rig has {", ".join(self.maps)}.'
+                    f'There is no camera "{name}"; this rig has {list_names(self.maps)}.'
                 )
             made[name] = self.maps[name].resample(picture)
         return made

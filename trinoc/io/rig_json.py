@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.registry import promote_lens
@@ -164,7 +164,7 @@ def load_lens(path: str | os.PathLike[str], camera: str | None = None) -> KnownL
     name = camera if camera in tuple(rig) else next(iter(rig)) if len(rig) == 1 else None
     if name is None:
         raise InputError(
-            f"{path} is a rig of {', '.join(rig)}, "
+            f"{path} is a rig of {list_names(rig)}, "
             + ("a lens is that of one: " if camera is None else f'none of which is "{camera}": ')
             + "write NAME=rig.json with one of these names, or give a camera.json."
         )

@@ -7,10 +7,12 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.match.tracks.matches import Matches
 
 OK = "ok"
+# From as many views on, those of a recording may be fewer than the cameras of its rig.
+ENOUGH_VIEWS = 3
 
 
 class Frame(NamedTuple):
@@ -40,11 +42,14 @@ def frames_of_table(text: str, cameras: Sequence[str], where: str) -> list[Frame
     except csv.Error as error:
         raise InputError(f"{where} is not a table in CSV ({error}): write it again.") from error
     head = [name.strip() for name in rows[0]] if rows else []
-    for column in ("frame", *cameras):
+    named = [camera for camera in cameras if camera in head]
+    # A rig may have more cameras than a recording has views.
+    wanted = named if len(named) >= ENOUGH_VIEWS else cameras
+    for column in ("frame", *wanted):
         if head.count(column) != 1:
             raise InputError(
                 f'{where} must have one column "{column}" in its first line, but has '
-                f"{', '.join(head) or 'none'}: name frame, {', '.join(cameras)}."
+                f"{list_names(head) or 'none'}: name frame, {list_names(cameras)}."
             )
     frames: dict[str, Frame] = {}
     for line, row in enumerate(rows[1:], 2):
@@ -59,7 +64,7 @@ def frames_of_table(text: str, cameras: Sequence[str], where: str) -> list[Frame
         if not name or name in frames:
             problem = f'names the frame "{name}" again' if name else "names no frame"
             raise InputError(f"{where}, row {line}, {problem}: give each frame one name.")
-        files = {camera: cells[camera] for camera in cameras if cells[camera]}
+        files = {camera: cells[camera] for camera in wanted if cells[camera]}
         for file in files.values():
             _expect_inside(file, f"{where}, row {line}")
         frames[name] = Frame(name, files)

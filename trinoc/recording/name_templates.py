@@ -3,8 +3,8 @@
 import re
 from collections.abc import Iterable, Sequence
 
-from trinoc.errors import InputError
-from trinoc.recording.frame_table import Frame
+from trinoc.errors import InputError, list_names
+from trinoc.recording.frame_table import ENOUGH_VIEWS, Frame
 
 # How recorders name files, tried in this order where nobody says.
 USUAL = (
@@ -41,7 +41,7 @@ def frames_of_names(names: Iterable[str], template: str, cameras: Sequence[str])
             )
     if not found:
         raise InputError(
-            f'No file fits the template "{template}" with the cameras {", ".join(cameras)}: check '
+            f'No file fits the template "{template}" with the cameras {list_names(cameras)}: check '
             "the folder, the template, and that files are named after the cameras of the rig."
         )
     return [
@@ -51,19 +51,24 @@ def frames_of_names(names: Iterable[str], template: str, cameras: Sequence[str])
 
 
 def fitting_template(names: Sequence[str], cameras: Sequence[str]) -> str:
-    """The usual template by which most frames have all cameras. Raises InputError for none."""
+    """The usual template by which the fullest frames have most cameras, and are most frames.
 
-    def whole_frames(template: str) -> int:
+    Raises InputError where they lack a camera and have fewer than three.
+    """
+
+    def fullest_frames(template: str) -> tuple[int, int]:
+        """(cameras of the fullest frames, number of these)."""
         try:
             frames = frames_of_names(names, template, cameras)
         except InputError:
-            return 0
-        return sum(len(frame.files) == len(cameras) for frame in frames)
+            return 0, 0
+        counts = [len(frame.files) for frame in frames]
+        return max(counts), counts.count(max(counts))
 
-    best = max(USUAL, key=whole_frames)
-    if whole_frames(best) == 0:
+    best = max(USUAL, key=fullest_frames)
+    if fullest_frames(best)[0] < min(ENOUGH_VIEWS, len(cameras)):
         raise InputError(
-            f"No frame has files named after all cameras ({', '.join(cameras)}): say how they are "
+            f"No frame has files named after all cameras ({list_names(cameras)}): say how they are "
             'named by a template, such as "{frame}_{camera}.png" or "{camera}/{frame}.png".'
         )
     return best

@@ -16,7 +16,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.bundle.refinement import MatchedTracks, Matcher, refine
+from trinoc.calib.bundle.refinement import MatchedTracks, Matcher, refine, rig_of_tracks
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.rig_check.comparison import sigmas_of_chi_square
 from trinoc.calib.tuning.every_group import TUNING
@@ -120,6 +120,7 @@ def check_rig(
     see the scene: two views of lines agree with any motion.
     """
     check_kind(rig, Rig, "rig", A_RIG)
+    rig = rig_of_tracks(rig, matches)
     if not rig.parameters or len(rig) < 3:
         raise CalibrationError(
             "Whether a camera moved can be told only for three or more cameras with the "

@@ -11,7 +11,7 @@ import numpy as np
 
 from trinoc.calib.intrinsics_result import IntrinsicsResult
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.features import Feature
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
@@ -250,7 +250,7 @@ def _rename_cameras(value: object, names: tuple[str, ...], source: Path) -> Rig:
         raise InputError(f"{source} holds no cameras with names: leave the names out.")
     if len(names) != len(value) or len(set(names)) < len(names) or not all(names):
         raise InputError(
-            f"{source} holds {len(value)} cameras ({', '.join(value.names)}): give as many "
+            f"{source} holds {len(value)} cameras ({list_names(value)}): give as many "
             "different names."
         )
     new_of = dict(zip(value.names, names, strict=True))

@@ -14,7 +14,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.errors import InputError, MatchError, check_kind
+from trinoc.errors import InputError, MatchError, check_kind, list_names
 from trinoc.geometry.intrinsics import (
     FOLD_REMEDY,
     Intrinsics,
@@ -248,12 +248,12 @@ def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None
     if missing:
         raise MatchError(
             f'Segments are given for "{missing[0]}", but the rig has only the cameras '
-            f"{', '.join(rig.names)}: name the segments after the cameras."
+            f"{list_names(rig)}: name the segments after the cameras."
         )
     if len(segments) < 2:
         raise MatchError(
             f"Matching needs segments of at least two cameras, but got {len(segments)}: give "
-            f"those of {', '.join(rig.names)}."
+            f"those of {list_names(rig)}."
         )
 
 
