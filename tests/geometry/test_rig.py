@@ -36,7 +36,7 @@ def test_some_cameras_keep_their_part_of_the_covariance():
     camera = Camera.from_degrees(LENS, pan_deg=0, tilt_deg=50, swing_deg=0, distance_mm=400)
     # A name may hold a dot, and begin as another one does.
     names = ("cam", "cam.left", "cam.left.2")
-    parameters = [f"{name}.{own}" for own in ("pan_deg", "k1") for name in names]
+    parameters = [f"{name}.{key}" for key in ("pan_deg", "k1") for name in names]
     root = np.random.default_rng(1).normal(size=(6, 6))
     rig = Rig(dict.fromkeys(names, camera), parameters=parameters, covariance=root @ root.T)
     some = rig.take(("cam.left.2", "cam"))

@@ -52,6 +52,7 @@ from trinoc.geometry.lenses.registry import (
     promote_lens,
 )
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
+from trinoc.geometry.rig import check_camera_names
 from trinoc.numerics.precision import in_float64
 
 # numerical: rounds in which images of other moments are taken out of their shots: a round that
@@ -115,6 +116,7 @@ def calibrate_rig(
         shots are out of step, or, with `throw`, parameters that the shots do not determine.
     """
     expect_method(method, board, images)
+    check_camera_names(images)
     known = _given_lenses(lens, tuple(images))
     systematics = _known_of_rig(systematics)
     factors = _lens_factors(systematics, known, tuple(images))

@@ -1,7 +1,6 @@
 """`trinoc calibrate`: one picture of the sheet per camera to a rig.json."""
 
 import dataclasses
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -199,12 +198,12 @@ def calibration_record(result: "CalibrationResult") -> dict[str, Any]:
                 "status": status.name.lower(),
                 "method": result.fits[name].method,
                 "parameters": {
-                    parameter.removeprefix(f"{name}."): {
+                    parameter.rpartition(".")[2]: {
                         "value": float(value),
                         "sigma": result.rig.sigma(parameter),
                     }
                     for parameter, value in zip(result.parameters, result.values, strict=True)
-                    if parameter.startswith(f"{name}.")
+                    if parameter.rpartition(".")[0] == name
                 },
                 "circles": int(result.fits[name].used.sum()),
                 "rms_px": result.fits[name].rms_px,
@@ -241,14 +240,14 @@ def kept_of_failure(
     from trinoc.calib.result.calibration import CalibrationResult
     from trinoc.capture.annotated import failure_picture
     from trinoc.capture.judgement import judge
+    from trinoc.io.atomic import as_file_name
     from trinoc.io.images import write_picture
     from trinoc.io.saving import save
 
     said = [str(error)]
     for name in error.failures:
         faults = judge(name, images[name], pattern).faults
-        in_name = re.sub(r"[^\w.-]", "_", name)
-        place = out.with_name(f"{out.stem}-{in_name}-failed.png")
+        place = out.with_name(f"{out.stem}-{as_file_name(name)}-failed.png")
         write_picture(place, failure_picture(images[name], [error.failures[name], *faults]))
         causes = f" (there {'; '.join(faults)})" if faults else ""
         said.append(f'What was seen of "{name}" is in {place}{causes}.')

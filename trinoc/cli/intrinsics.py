@@ -188,6 +188,7 @@ class UndistortCommand(Command):
         from trinoc.cli.command import provenance
         from trinoc.geometry.rig import PARAMETER_NAMES, Rig
         from trinoc.image.ideal_pictures import rectify, undistort
+        from trinoc.io.atomic import as_file_name
         from trinoc.io.images import expect_size, read_views, write_picture
         from trinoc.io.rig_json import load_rig_status, save_rig, status_of_names
         from trinoc.io.saving import save
@@ -196,7 +197,7 @@ class UndistortCommand(Command):
         files = files_of_rig(self.images, rig.names)
         expect_names(files, rig, self.rig)
         pictures = dict(zip(files, self._new_pictures(files.values(), files), strict=True))
-        maps = {view: self.out / f"{view}-maps.npz" for view in files}
+        maps = {view: self.out / f"{as_file_name(view)}-maps.npz" for view in files}
         place = self.out / "rig.json"
         self._expect_places(files.values(), pictures.values(), maps.values(), {place: Rig})
         images = read_views(files)
@@ -279,9 +280,11 @@ class UndistortCommand(Command):
 
         Raises UsageError where two would have one name.
         """
+        from trinoc.io.atomic import as_file_name
+
         names = [file.stem for file in files]
         if len(set(names)) < len(names):
-            names = [f"{view}_{name}" for view, name in zip(views, names)] or names
+            names = [f"{as_file_name(v)}_{name}" for v, name in zip(views, names)] or names
         new = [self.out / f"{name}.png" for name in names]
         files = list(files)
         for k, place in enumerate(new):

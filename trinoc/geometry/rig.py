@@ -1,7 +1,7 @@
 """Several cameras in one world frame, with what is known of their errors."""
 
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -14,9 +14,27 @@ from trinoc.numerics.precision import ArrayLike
 
 # Centres nearer to each other than this share of their distance from the sheet are one place.
 _ONE_PLACE = 1e-6
+# Names that folders give to themselves and to what is above them.
+_NO_NAMES = (".", "..")
 # What to give where a rig is wanted.
 A_RIG = "a trinoc.Rig, such as load_rig reads from a file"
 PARAMETER_NAMES = (*POSE_NAMES, "aim_x_mm", "aim_y_mm")
+
+
+def is_camera_name(name: object) -> bool:
+    """Whether files, tables and messages can hold a name: printable characters, not all blank."""
+    text = isinstance(name, str)
+    return text and name.isprintable() and bool(name.strip()) and name not in _NO_NAMES
+
+
+def check_camera_names(names: Iterable[object]) -> None:
+    """Raise InputError for a name that a camera cannot have."""
+    for name in names:
+        if not is_camera_name(name):
+            raise InputError(
+                f"A camera is named {name!r}: give it a name of printable characters, which is not "
+                "blank, . or .. alone."
+            )
 
 
 class Rig(Displayable, eqx.Module):
@@ -43,6 +61,7 @@ class Rig(Displayable, eqx.Module):
         covariance: Float[ArrayLike, "p p"] | None = None,
     ) -> None:
         check_kind(cameras, Mapping, "set of cameras", "a dictionary of names and cameras")
+        check_camera_names(cameras)
         for name, camera in cameras.items():
             check_kind(camera, Camera, f'camera "{name}"', "a trinoc.Camera")
         self.names = tuple(cameras)

@@ -126,6 +126,18 @@ def expect_place(*paths: str | os.PathLike[str] | None) -> None:
             )
 
 
+def as_file_name(name: str) -> str:
+    """A name, such as a camera's, as a part of a file's name; other names give other ones.
+
+    What parts folders, or what some system refuses, becomes %XX, and so do dots at its ends.
+    """
+    return re.sub(
+        r'[%/\\:*?"<>|]|^[. ]+|[. ]+$',
+        lambda part: "".join(f"%{ord(letter):02X}" for letter in part[0]),
+        name,
+    )
+
+
 def _resolve_link(path: Path) -> Path:
     """The file that a symbolic link names, be it there or not; any other path itself."""
     if not path.is_symlink():

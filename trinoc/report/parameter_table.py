@@ -110,10 +110,10 @@ def _cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> Paramet
 def parameter_rows_of_shots(result: RigFromShots) -> Rows:
     """Lens and pose of every camera; a cell of no text is a parameter that the camera has not."""
     names = dict.fromkeys(
-        name.removeprefix(f"{camera}.")
+        key
         for camera in result.cameras
-        for name in result.parameters
-        if name.startswith(f"{camera}.")
+        for owner, _, key in (name.rpartition(".") for name in result.parameters)
+        if owner == camera
     )
     return tuple(
         (

@@ -211,7 +211,7 @@ def _free_cameras(
 def _motion(
     rig: Rig, name: str, at_rest: RefineResult, freed: RefineResult, noise: float
 ) -> CameraMotion:
-    rows = [i for i in _pose_rows(freed) if freed.parameters[i].startswith(name + ".")]
+    rows = [i for i in _pose_rows(freed) if freed.parameters[i].rpartition(".")[0] == name]
     keys = [freed.parameters[i] for i in rows]
     sheet = np.nan_to_num([rig.sigma(key) for key in keys])
     change = freed.values[rows] - [rig.value(key) for key in keys]
