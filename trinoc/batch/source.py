@@ -43,7 +43,9 @@ def find_frames(
         refuse_videos([path])
         raise InputError(f"{path} is no folder and no CSV table: give the recording's folder.")
     try:
-        names = sorted(_files(path, 1 if template is None else folder_depth(template)))
+        folders = max(camera.count("/") for camera in cameras)
+        depth = folders + (1 if template is None else folder_depth(template))
+        names = sorted(_files(path, depth))
     except OSError as error:
         raise InputError(f"{error.filename} cannot be listed ({error.strerror}).") from error
     if template is None:

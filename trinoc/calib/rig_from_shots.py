@@ -160,8 +160,8 @@ def _choose_world(
     if world in cameras:
         return World(None, np.asarray(cameras.index(world)))
     raise InputError(
-        f'The world is to lie in "{world}", which is neither a camera ({list_names(cameras)}) nor a '
-        "shot in which the board was found."
+        f'The world is to lie in "{world}", which is neither a camera ({list_names(cameras)}) '
+        "nor a shot in which the board was found."
     )
 
 

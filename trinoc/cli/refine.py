@@ -63,10 +63,12 @@ class RefineCommand(Command):
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
         from trinoc.io.saving import expect_replaceable, save
+        from trinoc.recording.camera_words import camera_words
 
         expect_place(self.out)
         expect_replaceable(self.out, Rig, force=self.force)
         rig = read_rig(self.rig)
+        words = camera_words(rig.names)
         scene = read_scene(self.images, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("refining the cameras of %d lines", len(scene.matches))
         again = [scene.tolerant, scene.strict] if self.moved else [scene.strict]
@@ -75,7 +77,7 @@ class RefineCommand(Command):
             scene.matches,
             pose_model=self.pose_model,
             free_lens=self.free_lens or None,
-            moved=self.moved,
+            moved=[words.get(name, name) for name in self.moved],
             match_again=[match for match in again if match is not None] or None,
         )
         if result.status is RefineStatus.AMBIGUOUS:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from trinoc.errors import InputError, list_names
 from trinoc.match.tracks.matches import Matches
+from trinoc.recording.camera_words import camera_words
 
 OK = "ok"
 # From as many views on, those of a recording may be fewer than the cameras of its rig.
@@ -33,15 +34,16 @@ class FrameMatches(NamedTuple):
 def frames_of_table(text: str, cameras: Sequence[str], where: str) -> list[Frame]:
     """The frames of a CSV text, in its order; `where` names it in errors.
 
-    Its first line names the columns; those of no camera are read over, and an empty cell is a
-    camera without a picture. Files are named relative to the table's folder, and may not lie
-    outside it. Raises InputError, with the line.
+    Its first line names the columns, cameras by any of `camera_words`; those of no camera are read
+    over, and an empty cell is a camera without a picture. Files are named relative to the table's
+    folder, and may not lie outside it. Raises InputError, with the line.
     """
     try:
         rows = list(csv.reader(text.splitlines(), strict=True))
     except csv.Error as error:
         raise InputError(f"{where} is not a table in CSV ({error}): write it again.") from error
-    head = [name.strip() for name in rows[0]] if rows else []
+    words = {word.strip(): camera for word, camera in camera_words(cameras).items()}
+    head = [words.get(name.strip(), name.strip()) for name in rows[0]] if rows else []
     named = [camera for camera in cameras if camera in head]
     # A rig may have more cameras than a recording has views.
     wanted = named if len(named) >= ENOUGH_VIEWS else cameras

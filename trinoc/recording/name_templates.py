@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 from trinoc.errors import InputError, list_names
+from trinoc.recording.camera_words import camera_words
 from trinoc.recording.frame_table import ENOUGH_VIEWS, Frame
 
 # How recorders name files, tried in this order where nobody says.
@@ -21,22 +22,24 @@ USUAL = (
 def frames_of_names(names: Iterable[str], template: str, cameras: Sequence[str]) -> list[Frame]:
     """The frames among file names, which are relative and parted by "/".
 
-    `template` has {camera} and {frame}, once or more each, and may have * for any part of a name.
-    Names that do not fit are left out. Frames come in the order of the numbers in their names: 2
-    before 10. Raises InputError for a template that lacks a field or has another, where nothing
-    fits, and where two files are one camera's picture of one frame.
+    `template` has {camera}, any of `camera_words`, and {frame}, once or more each, and may have *
+    for any part of a name. Names that do not fit are left out. Frames come in the order of the
+    numbers in their names: 2 before 10. Raises InputError for a template that lacks a field or has
+    another, where nothing fits, and where two files are one camera's picture of one frame.
     """
-    pattern = _pattern(template, cameras)
+    words = camera_words(cameras)
+    pattern = _pattern(template, list(words))
     found: dict[str, dict[str, str]] = {}
     for name in names:
         fit = pattern.fullmatch(name)
         if fit is None:
             continue
         files = found.setdefault(fit["frame"], {})
-        other = files.setdefault(fit["camera"], name)
+        camera = words[fit["camera"]]
+        other = files.setdefault(camera, name)
         if other != name:
             raise InputError(
-                f'{other} and {name} are both the picture of "{fit["camera"]}" in frame '
+                f'{other} and {name} are both the picture of "{camera}" in frame '
                 f'"{fit["frame"]}": remove one, or give a template that only one fits.'
             )
     if not found:
@@ -79,9 +82,9 @@ def folder_depth(template: str) -> int:
     return template.count("/")
 
 
-def _pattern(template: str, cameras: Sequence[str]) -> re.Pattern[str]:
+def _pattern(template: str, words: Sequence[str]) -> re.Pattern[str]:
     # Longer names first: "left" is no camera of "1_left_wide".
-    either = "|".join(re.escape(name) for name in sorted(cameras, key=len, reverse=True))
+    either = "|".join(re.escape(name) for name in sorted(words, key=len, reverse=True))
     written = {"{frame}": "(?P<frame>[^/]+?)", "{camera}": f"(?P<camera>{either})", "*": "[^/]*"}
     pieces = re.split(r"(\{\w*\}|\*)", template)
     for field in pieces[1::2]:
