@@ -137,7 +137,7 @@ class Segments(Displayable, Table):
         sigma_along_px: float = DEFAULT_SIGMA_ALONG_PX,
         image_size_px: tuple[int, int] | None = None,
     ) -> "Segments":
-        """Segments of any detector: (n, 4) rows x1 y1 x2 y2, or (n, 2, 2).
+        """Segments of any detector: (n, 4) rows x1 y1 x2 y2, (n, 1, 4) as of OpenCV, or (n, 2, 2).
 
         `sigma_px` is the standard deviation of each end across the segment, `sigma_along_px`
         along it. Raises InputError for sigmas that are not positive, for other shapes, for
@@ -196,6 +196,11 @@ class Segments(Displayable, Table):
 
 def as_endpoints(given: ArrayLike) -> Float[np.ndarray, "n 2 2"]:
     """Rows x1 y1 x2 y2, or pairs of ends, as pairs. Raises InputError for other shapes."""
+    if given is None:
+        raise InputError(
+            "Segments are None, which OpenCV's detectors give where they find none: give "
+            "np.zeros((0, 4)) then, or what find_segments finds."
+        )
     try:
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -205,10 +210,10 @@ def as_endpoints(given: ArrayLike) -> Float[np.ndarray, "n 2 2"]:
         ) from error
     if array.size == 0:
         return array.reshape(0, 2, 2)
-    if array.shape[1:] not in ((4,), (2, 2)):
+    if array.shape[1:] not in ((4,), (1, 4), (2, 2)):
         raise InputError(
-            f"Segments have shape {array.shape}, but must be (n, 4) with rows x1 y1 x2 y2, or "
-            "(n, 2, 2); those of a picture are what find_segments finds."
+            f"Segments have shape {array.shape}, but must be (n, 4) with rows x1 y1 x2 y2, "
+            "(n, 1, 4) or (n, 2, 2); those of a picture are what find_segments finds."
         )
     return array.reshape(-1, 2, 2)
 
