@@ -30,6 +30,7 @@ from trinoc.geometry.lenses.skewed import SKEW, SkewedThinPrism, skew_lens, stra
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.information import LARGEST_SIGMA
 from trinoc.numerics.precision import ArrayLike, in_float64
+from trinoc.numerics.values import Value
 
 _SKEW = (
     "The camera has a skew of {:.3g} +- {:.1g} px, which no sensor has: it is tilted against its "
@@ -37,7 +38,7 @@ _SKEW = (
 )
 
 
-class PointsCalibration(eqx.Module):
+class PointsCalibration(Value):
     """A camera fitted to given correspondences.
 
     Fields

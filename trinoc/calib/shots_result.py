@@ -16,9 +16,10 @@ from trinoc.errors import InputError
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
+from trinoc.numerics.values import Value
 
 
-class RigFromShots(eqx.Module):
+class RigFromShots(Value):
     """Lenses and cameras fitted together, with their covariance, and what each shot said.
 
     Fields

@@ -155,7 +155,9 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
         included = ["noise", *result.systematics]
         refusal = None if self.accept_suspect else suspicion(result, self.out)
         if refusal is None:
-            save(result, self.out, provenance={**origin, "sigmas_include": included})
+            save(
+                result, self.out, provenance={**origin, "sigmas_include": included}, overwrite=True
+            )
         self.write_report(origin, result=result, sheet_pictures=images, title="Calibration")
         written = self.out if refusal is None else None, self.report
         return Outcome(result.summary(), calibration_record(result), refusal, written)
@@ -256,7 +258,7 @@ def kept_of_failure(
         why = refusal(result)
         place = out.with_name(f"{out.stem}-incomplete.json")
         if why is None:
-            save(result, place, provenance=provenance)
+            save(result, place, provenance=provenance, overwrite=True)
             others = ", ".join(result.rig.names)
             kept = "is as it was" if out.exists() else "was not written"
             why = f"{place} holds the others ({others}); {out} {kept}."

@@ -150,7 +150,9 @@ class ExportCommand(Command):
         lenses = self._lenses()
         value = source.load(file, unit_mm=self.unit_mm, lenses=lenses, names=names)
         expect_replaceable(self.out, type(value), force=self.force)
-        save(value, self.out, provenance=provenance(command_line, _list_inputs(file)))
+        save(
+            value, self.out, provenance=provenance(command_line, _list_inputs(file)), overwrite=True
+        )
         match value:
             case Rig():
                 known = "with" if value.parameters else "without"

@@ -115,6 +115,7 @@ class IntrinsicsCommand(Command):
             result,
             self.out,
             provenance=provenance(command_line, {**inputs, **board_files(self.board)}),
+            overwrite=True,
         )
         return Outcome(result.summary(), intrinsics_record(result), written=(self.out,))
 
@@ -222,7 +223,7 @@ class UndistortCommand(Command):
             notes.append(f"The new rig has no sigmas: {why}.")
         make_folder(self.out)
         for view in each(tuple(files), "undistorting", quiet=self.quiet):
-            save(ideal.maps[view], maps[view])
+            save(ideal.maps[view], maps[view], overwrite=True)
             write_picture(pictures[view], ideal.maps[view].resample(images[view]))
         origin = provenance(command_line, {"rig": self.rig, **files})
         status = status_of_names(load_rig_status(self.rig), ideal.rig.names, sigmas=has_sigmas)
@@ -265,8 +266,13 @@ class UndistortCommand(Command):
                 )
         ideal = undistort(lens, alpha=self.alpha)
         make_folder(self.out)
-        save(ideal.lens, place, provenance=provenance(command_line, {"lens": self.rig}))
-        save(ideal.maps, maps)
+        save(
+            ideal.lens,
+            place,
+            provenance=provenance(command_line, {"lens": self.rig}),
+            overwrite=True,
+        )
+        save(ideal.maps, maps, overwrite=True)
         for new, file in each(pictures.items(), "undistorting", quiet=self.quiet):
             write_picture(new, ideal.maps.resample(read_image(file)))
         named = {"lens": ideal.lens}

@@ -92,7 +92,7 @@ class RefineCommand(Command):
                 "that the matches were made with this rig, and match again."
             )
         inputs = {"rig": self.rig, **scene.files}
-        save(result.rig, self.out, provenance=provenance(command_line, inputs))
+        save(result.rig, self.out, provenance=provenance(command_line, inputs), overwrite=True)
         return Outcome(result.summary(), refine_record(result), written=(self.out,))
 
 
@@ -160,7 +160,7 @@ class CheckCommand(Command):
         written = None if refined is None else self.out
         if refined is not None and written is not None:
             inputs = {"rig": self.rig, **scene.files}
-            save(refined.rig, written, provenance=provenance(command_line, inputs))
+            save(refined.rig, written, provenance=provenance(command_line, inputs), overwrite=True)
         record = {
             "conclusive": check.conclusive,
             "moved": list(check.moved),

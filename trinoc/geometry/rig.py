@@ -11,6 +11,7 @@ from trinoc.errors import InputError, check_kind, list_names
 from trinoc.geometry.camera import POSE_NAMES, Camera
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.values import Value
 
 # Centres nearer to each other than this share of their distance from the sheet are one place.
 _ONE_PLACE = 1e-6
@@ -37,7 +38,7 @@ def check_camera_names(names: Iterable[object]) -> None:
             )
 
 
-class Rig(Displayable, eqx.Module):
+class Rig(Displayable, Value):
     """Named cameras, in the order the user gave them.
 
     Fields

@@ -24,6 +24,7 @@ from trinoc.numerics.tables import (
     check_number,
     take_rows,
 )
+from trinoc.numerics.values import Value
 
 # The body of a segment, not one of its ends, lies on a junction.
 BODY = -1
@@ -235,7 +236,7 @@ def covariance_of_ends(
     return covariance
 
 
-class LineObservations(eqx.Module):
+class LineObservations(Value):
     """Tracks of fragments, and a first estimate of the line that each shows.
 
     Fields

@@ -24,6 +24,7 @@ from trinoc.errors import CalibrationError, check_kind
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.rig import A_RIG, Rig
 from trinoc.geometry.segments import LineObservations
+from trinoc.numerics.values import Value
 
 
 @runtime_checkable
@@ -36,7 +37,7 @@ class CountedTracks(Protocol):
         ...
 
 
-class CameraMotion(eqx.Module):
+class CameraMotion(Value):
     """How far the scene's segments place one camera from where the sheet had placed it.
 
     Fields
@@ -55,7 +56,7 @@ class CameraMotion(eqx.Module):
     sigma: Float[np.ndarray, "p"]
 
 
-class RigCheck(eqx.Module):
+class RigCheck(Value):
     """Whether a rig still stands as it was calibrated.
 
     Fields

@@ -5,7 +5,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -29,6 +28,7 @@ from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
+from trinoc.numerics.values import Value
 from trinoc.numerics.vectors import cross_3d
 
 
@@ -153,7 +153,7 @@ _ROWS = (
 )
 
 
-class MatchesWithRims(eqx.Module):
+class MatchesWithRims(Value):
     """Matches of straight edges and pieces of rims, and the segments that they number.
 
     Fields
