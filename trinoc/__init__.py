@@ -5,9 +5,12 @@ rooms behind them tell in their docstrings what is done there: `trinoc.calib`, `
 `trinoc.match`, `trinoc.geometry`, `trinoc.evaluation`, `trinoc.io`.
 """
 
+import os
+
 import lazy_loader
 
 from trinoc.numerics.display import set_displays
+from trinoc.numerics.forked import note_fork
 
 __version__ = "0.1.0"
 
@@ -22,3 +25,5 @@ def _displays():  # pyright: ignore[reportUnusedFunction]
 
 # Values show themselves by what the report draws, which they do not know.
 set_displays(_displays)
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=note_fork)
