@@ -20,7 +20,9 @@ from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 def lenses(draw: st.DrawFn) -> Intrinsics:
     """Lenses known in millimetres or in pixels, with and without distortion and skew."""
     size = (draw(st.integers(16, 8000)), draw(st.integers(16, 8000)))
-    coefficients = st.none() | st.lists(real(-0.3, 0.3), min_size=1, max_size=5)
+    # The third, p1, does not come without p2.
+    some = st.lists(real(-0.3, 0.3), min_size=1, max_size=5).filter(lambda each: len(each) != 3)
+    coefficients = st.none() | some
     more = {
         "distortion": draw(coefficients),
         "skew_px": draw(st.sampled_from([0.0, 0.25])),

@@ -13,8 +13,8 @@ from trinoc.batch.folder import open_results
 from trinoc.batch.source import Source, find_frames
 from trinoc.batch.work import MatchingJob
 from trinoc.batch.workers import cluster, in_window, processes, threads
-from trinoc.errors import InputError, TrinocError
-from trinoc.geometry.rig import Rig
+from trinoc.errors import InputError, TrinocError, check_kind, real_number
+from trinoc.geometry.rig import A_RIG, Rig
 from trinoc.io.frames_files import frames_ending
 from trinoc.io.rig_json import rig_text
 from trinoc.recording.frame_table import FrameMatches
@@ -100,13 +100,14 @@ def match_recording(
 
     Raises InputError: no frames, results of something else in `out`, another program at work there.
     """
+    check_kind(rig, Rig, "rig", A_RIG)
     given = {
         "frames_per_file": frames_per_file,
         "threads_at_most": threads_at_most,
         "memory_gb": memory_gb,
     }
     for name, value in given.items():
-        if value is not None and not value > 0:
+        if value is not None and not real_number(value, name) > 0:
             raise InputError(f"{name} is {value}, but must be more than 0.")
     if ending not in (None, ".npz", ".parquet"):
         raise InputError(f'ending is "{ending}": choose ".npz" or ".parquet".')

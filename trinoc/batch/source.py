@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_path
 from trinoc.io.atomic import read_text
 from trinoc.io.images import IMAGE_SUFFIXES, refuse_videos
 from trinoc.recording.frame_table import ENOUGH_VIEWS, Frame, frames_of_table
@@ -33,6 +33,7 @@ def find_frames(
 
     Without a template the usual ones are tried. Raises InputError.
     """
+    expect_path(place)
     path = Path(place)
     if path.suffix.lower() == ".csv" and not path.is_dir():
         if template is not None:

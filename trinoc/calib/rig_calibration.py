@@ -41,8 +41,8 @@ from trinoc.calib.starts.pictures import FoundBoards, Pictures, find_boards
 from trinoc.calib.starts.placing import PlacedRig, ShotBoard, place_rig, take_out
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.uncertainty.systematics import Systematics
-from trinoc.errors import CalibrationError, InputError, list_names
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.errors import CalibrationError, InputError, check_kind, list_names
+from trinoc.geometry.intrinsics import A_LENS, Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.lenses.registry import (
@@ -426,7 +426,9 @@ def _given_lenses(
         return {}
     if isinstance(lens, Intrinsics):
         return dict.fromkeys(cameras, lens)
-    for name in lens:
+    check_kind(lens, Mapping, "lens", f"{A_LENS}, or a dictionary of each camera's")
+    for name, each in lens.items():
+        check_kind(each, Intrinsics, f'lens of "{name}"', A_LENS)
         if name not in cameras:
             raise InputError(
                 f'A lens is given for "{name}", but the cameras are {list_names(cameras)}.'
@@ -437,6 +439,7 @@ def _given_lenses(
 def _known_of_rig(given: Systematics | None) -> Systematics:
     """What is known of board and lenses: aims are what is found here."""
     known = Systematics.typical({}) if given is None else given
+    check_kind(known, Systematics, "knowledge of the board", "trinoc.Systematics")
     known.check()
     return known._replace(aim_sigma_mm=0.0)
 

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import Float
 from trinoc.errors import InputError, check_kind, list_names
 from trinoc.geometry.camera import POSE_NAMES, Camera
 from trinoc.numerics.display import Displayable
-from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.precision import ArrayLike, is_traced, real_array
 from trinoc.numerics.values import Value
 
 # Centres nearer to each other than this share of their distance from the sheet are one place.
@@ -67,8 +68,13 @@ class Rig(Displayable, Value):
             check_kind(camera, Camera, f'camera "{name}"', "a trinoc.Camera")
         self.names = tuple(cameras)
         self.cameras = tuple(cameras.values())
+        check_kind(parameters, (list, tuple), "list of parameters", 'names such as "left.pan_deg"')
         self.parameters = tuple(parameters)
-        self.covariance = np.zeros((0, 0)) if covariance is None else covariance
+        if covariance is None:
+            covariance = np.zeros((0, 0))
+        elif not is_traced(covariance):
+            covariance = real_array(covariance, "The covariance")
+        self.covariance = covariance
 
     def __check_init__(self) -> None:
         if not self.names:
@@ -89,11 +95,15 @@ class Rig(Displayable, Value):
 
         `image_size_px` is one (width, height), or one per camera. Raises InputError.
         """
+        each = "a dictionary of each camera's name and 3x4 projection matrix"
+        check_kind(matrices_px, Mapping, "set of matrices", each)
         cameras = {}
         for name, matrix in matrices_px.items():
-            size = image_size_px[name] if isinstance(image_size_px, Mapping) else image_size_px
+            size: Any = image_size_px
+            if isinstance(image_size_px, Mapping):
+                size = image_size_px.get(name)
             try:
-                cameras[name] = Camera.from_matrix(np.asarray(matrix), (int(size[0]), int(size[1])))
+                cameras[name] = Camera.from_matrix(matrix, size)
             except InputError as error:
                 raise InputError(f'Camera "{name}": {error}') from error
         return cls(cameras)
@@ -103,6 +113,7 @@ class Rig(Displayable, Value):
 
         Raises InputError for a name that is no camera of it.
         """
+        check_kind(names, Collection, "set of names", "names of cameras")
         for name in names:
             self[name]
         cameras = {name: camera for name, camera in self.items() if name in names}
@@ -138,6 +149,7 @@ class Rig(Displayable, Value):
 
         Raises InputError for another name.
         """
+        check_kind(parameter, str, "name of the parameter", 'one such as "left.pan_deg"')
         name, _, own = parameter.rpartition(".")
         if own not in PARAMETER_NAMES:
             raise InputError(
@@ -160,6 +172,7 @@ class Rig(Displayable, Value):
 
         Raises InputError for a name that is neither of `PARAMETER_NAMES` nor the lens's.
         """
+        check_kind(parameter, str, "name of the parameter", 'one such as "left.pan_deg"')
         if parameter not in self.parameters:
             name, _, own = parameter.rpartition(".")
             if own not in self[name].intrinsics.lens.parameter_names:

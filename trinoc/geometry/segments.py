@@ -9,7 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, real_number
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.tables import (
@@ -145,7 +145,7 @@ class Segments(Displayable, Table):
         coordinates that are not finite and for segments without length, and names the first.
         """
         for name, sigma in (("sigma_px", sigma_px), ("sigma_along_px", sigma_along_px)):
-            if not sigma > 0:
+            if not real_number(sigma, name) > 0:
                 raise InputError(f"{name} is {sigma}, but must be positive: no end is exact.")
         array = as_endpoints(endpoints_px)
         broken = np.flatnonzero(~np.isfinite(array).all(axis=(1, 2)))

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_path
 
 # A file is written in seconds; another program may be writing a younger one.
 ABANDONED_S = 3600
@@ -33,6 +33,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
 
     No more than `most` bytes are read, also of a pipe or a device, which have no size.
     """
+    expect_path(path)
     file = Path(path)
     try:
         with file.open("rb") as stream:

@@ -10,7 +10,7 @@ import numpy as np
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_path
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
@@ -140,6 +140,7 @@ def save(
     `overwrite` the file may be one of something else. Raises InputError for other values, for a
     name whose ending is not that of the file, and where a file of something else would be lost.
     """
+    expect_path(path)
     more: dict[str, Any] = {}
     if not isinstance(value, (*(kind for kind, _ in _DOCUMENTS), *tables(), PictureMaps)):
         value, more = _content_of_result(value, path)
@@ -170,6 +171,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     Raises InputError for other files, and, with the field and the first row, for what no such value
     holds.
     """
+    expect_path(path)
     file = Path(path)
     if file.is_dir():
         return load_recording(file)

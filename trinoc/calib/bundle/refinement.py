@@ -78,7 +78,6 @@ def refine(
     """
     rig = calibrated.rig if isinstance(calibrated, CalibrationResult) else calibrated
     check_kind(rig, Rig, "rig", A_RIG)
-    check_kind(matches, (MatchedTracks, LineObservations), "set of matches", A_MATCH)
     rig = rig_of_tracks(rig, matches)
     unknown = sorted(set(moved) - set(rig.names))
     if unknown:
@@ -175,6 +174,7 @@ def _usual_pose_model(rig: Rig) -> PoseModel:
 
 
 def _line_observations(matches: MatchedTracks | LineObservations) -> LineObservations:
+    check_kind(matches, (MatchedTracks, LineObservations), "set of matches", A_MATCH)
     return matches if isinstance(matches, LineObservations) else matches.line_observations()
 
 
