@@ -15,6 +15,7 @@ from trinoc.report.numbers import with_decimals, with_sign
 from trinoc.report.parameter_table import (
     PAIR_HEAD,
     Rows,
+    is_without_sheet,
     pair_rows,
     parameter_rows,
     parameter_rows_of_boards,
@@ -129,6 +130,11 @@ def cameras_part(
     """
     rows = parameter_rows(rig, reference)
     remarks = (_DIGITS,) if len(rig.parameters) else ("Sigmas are not known.",)
+    if is_without_sheet(rig):
+        remarks += (
+            "Not every optical axis meets the plane Z = 0: position and viewing direction in the "
+            "world stand here in place of pan, tilt, swing and distance.",
+        )
     if others:
         remarks += (f"Cameras without a view of this scene are left out: {list_names(others)}.",)
     name = reference_name if rows[0][1][0].reference else ""

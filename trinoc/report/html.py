@@ -37,6 +37,7 @@ from trinoc.report.features_part import feature_table, with_features
 from trinoc.report.field_part import field_part, halves_maps, uncertainty_maps
 from trinoc.report.frames_part import FramesPart
 from trinoc.report.matches_part import matches_part
+from trinoc.report.parameter_table import is_without_sheet
 from trinoc.report.pictures import PagePicture, page_pictures
 from trinoc.report.shot_images_part import shot_images_part
 from trinoc.report.shots_part import boards_in_space, shot_table
@@ -219,7 +220,8 @@ def render_report(
     space = space_figure(rig, pattern, matches)
     parts.append(_space_part(with_features(space, features), tracks=matches is not None))
     pictures = [picture for picture in (*sheet.values(), *scene.values()) if picture.uri]
-    return _render(title, parts, subject, provenance, pictures, " with Z up out of the sheet")
+    world = "" if is_without_sheet(rig) else " with Z up out of the sheet"
+    return _render(title, parts, subject, provenance, pictures, world)
 
 
 def judge_shots(shots: RigFromShots) -> Verdict | None:
