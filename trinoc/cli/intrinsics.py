@@ -210,7 +210,7 @@ class UndistortCommand(Command):
             covariance=rig.covariance,
         )
         ideal = (rectify if self.rectify else undistort)(chosen, alpha=self.alpha)
-        notes, has_sigmas = [], bool(ideal.rig.parameters)
+        notes, has_sigmas = [*ideal.notes], bool(ideal.rig.parameters)
         if rig.parameters and not has_sigmas:
             known = {own.rpartition(".") for own in rig.parameters}
             is_open = any(own not in PARAMETER_NAMES for view, _, own in known if view in files)
