@@ -1,5 +1,6 @@
 """Arguments of a wrong kind, and numbers that cannot be, are refused by name, in one sentence."""
 
+import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -73,7 +74,144 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
         (512.5, 480),
         "whole positive pixels",
     ),
+    (
+        lambda given: trinoc.Intrinsics(
+            focal_length_px=900, image_size_px=(640, 480), distortion=given
+        ),
+        [0.1, 0.2, 0.3],
+        "end with p1 and lack p2",
+    ),
+    (
+        lambda given: trinoc.Intrinsics(
+            focal_length_px=900, image_size_px=(640, 480), distortion=given
+        ),
+        [np.nan],
+        "must be finite",
+    ),
+    (
+        lambda rows: trinoc.Chessboard(rows=rows, columns=9, square_mm=20.0),
+        6.5,
+        "rows is 6.5, but must be a whole number",
+    ),
+    (
+        lambda rows: trinoc.AprilGrid(rows=rows, columns=6, tag_mm=20.0),
+        "six",
+        "rows is 'six', but must be a finite number",
+    ),
+    (
+        lambda side: trinoc.Charuco(rows=5, columns=7, square_mm=side),
+        None,
+        "square_mm is None, but must be a finite number",
+    ),
+    (trinoc.find_segments, "x.png", 'The picture is the name "x.png", but must be an array'),
+    (trinoc.find_segments, None, "The picture is None, but must be an array"),
+    (trinoc.find_segments, np.ones((480, 512), bool), "of truth values"),
+    (lambda grey: trinoc.calibrate({"a": grey}, SHEET, LENS), GREY["left"] > 3, "of truth values"),
+    (RIG["left"].project, (1.0, 2.0), r"The point has shape \(2,\)"),
 ]
+
+# Whatever is no such thing is given in each place.
+JUNK: list[Any] = [None, "x", 5, -1.0, np.nan, True, b"x", [], {}, [1, 2, 3], {"a": None}, object()]
+DOORS: dict[str, tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = {
+    "load_rig": (trinoc.load_rig, ("none/rig.json",), {}),
+    "load": (trinoc.load, ("none/rig.json",), {}),
+    "load_matches": (trinoc.load_matches, ("none/matches.npz",), {}),
+    "load_segments": (trinoc.load_segments, ("none/segments.npz",), {}),
+    "load_pattern": (trinoc.load_pattern, ("none/sheet.json",), {}),
+    "load_recording": (trinoc.load_recording, ("none",), {}),
+    "save": (trinoc.save, (RIG, "none/rig.json"), {}),
+    "Chessboard": (trinoc.Chessboard, (), {"rows": 5, "columns": 6, "square_mm": 10.0}),
+    "Charuco": (
+        trinoc.Charuco,
+        (),
+        {"rows": 5, "columns": 6, "square_mm": 10.0, "marker_mm": 7.0, "first": 0},
+    ),
+    "AprilGrid": (
+        trinoc.AprilGrid,
+        (),
+        {"rows": 5, "columns": 6, "tag_mm": 10.0, "spacing": 0.3, "border": 2, "first": 0},
+    ),
+    "cross_grid": (
+        trinoc.Pattern.cross_grid,
+        (),
+        {
+            "rows": 5,
+            "columns": 6,
+            "pitch_mm": 20.0,
+            "radius_mm": 5.0,
+            "inner_radius_mm": 2.0,
+            "line_width_mm": 1.0,
+            "line_half_length_mm": (50.0, 50.0),
+        },
+    ),
+    "circle_grid": (
+        trinoc.Pattern.circle_grid,
+        (),
+        {"rows": 5, "columns": 6, "pitch_mm": 20.0, "radius_mm": 5.0},
+    ),
+    "asymmetric_circle_grid": (
+        trinoc.Pattern.asymmetric_circle_grid,
+        (),
+        {"rows": 5, "columns": 6, "spacing_mm": 20.0, "radius_mm": 5.0},
+    ),
+    "Intrinsics": (
+        trinoc.Intrinsics,
+        (),
+        {
+            "image_size_px": (640, 480),
+            "focal_length_px": 900.0,
+            "skew_px": 0.0,
+            "principal_point_px": (1.0, 2.0),
+            "distortion": [0.1],
+            "distortion_model": None,
+        },
+    ),
+    "from_degrees": (
+        trinoc.Camera.from_degrees,
+        (LENS,),
+        {"pan_deg": 0.0, "tilt_deg": 50.0, "swing_deg": 0.0, "distance_mm": 4.0, "aim_mm": (0, 0)},
+    ),
+    "from_matrices": (
+        trinoc.Rig.from_matrices,
+        ({"a": RIG["left"].matrix_px},),
+        {"image_size_px": (512, 480)},
+    ),
+    "Rig": (trinoc.Rig, (dict(RIG.items()),), {"parameters": ("a",), "covariance": np.eye(1)}),
+    "value": (RIG.value, ("left.pan_deg",), {}),
+    "sigma": (RIG.sigma, ("left.pan_deg",), {}),
+    "take": (RIG.take, (("left",),), {}),
+    "project": (RIG["left"].project, ((0.0, 0.0, 0.0),), {}),
+    "from_endpoints": (
+        trinoc.Segments.from_endpoints,
+        (ENDS,),
+        {"sigma_px": 0.5, "sigma_along_px": 2.0},
+    ),
+    "rectify": (trinoc.rectify, (RIG,), {"alpha": 0.0, "image_size_px": (640, 480)}),
+    "check_rig": (trinoc.check_rig, (RIG, None), {}),
+    "match_recording": (
+        trinoc.match_recording,
+        ("none", RIG, "out"),
+        {"frames_per_file": 16, "threads_at_most": None, "memory_gb": None},
+    ),
+}
+
+
+@pytest.mark.usefixtures("as_installed")
+@pytest.mark.parametrize("door", DOORS)
+def test_junk_in_any_place_is_a_sentence(door: str, tmp_path, monkeypatch) -> None:
+    """No argument of a door leads to an error of Python's or of a library's."""
+    monkeypatch.chdir(tmp_path)
+    function, arguments, named = DOORS[door]
+    places = [*range(len(arguments)), *named]
+    for place, junk in itertools.product(places, JUNK):
+        given = [junk if place == k else each for k, each in enumerate(arguments)]
+        options = {name: junk if place == name else each for name, each in named.items()}
+        try:
+            function(*given, **options)
+        except TrinocError as error:
+            sentence = str(error)
+            assert sentence, (place, junk)
+            assert "\n" not in sentence, (place, junk)
 
 
 @pytest.fixture

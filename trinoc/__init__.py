@@ -5,10 +5,13 @@ rooms behind them tell in their docstrings what is done there: `trinoc.calib`, `
 `trinoc.match`, `trinoc.geometry`, `trinoc.evaluation`, `trinoc.io`.
 """
 
+import os
+
 import lazy_loader
 
 from trinoc.numerics.compile_notice import set_compile_notice
 from trinoc.numerics.display import set_displays
+from trinoc.numerics.forked import note_fork
 
 __version__ = "0.1.0"
 
@@ -23,6 +26,8 @@ def _displays():  # pyright: ignore[reportUnusedFunction]
 
 # Values show themselves by what the report draws, which they do not know.
 set_displays(_displays)
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=note_fork)
 
 
 def _notice_compiling(is_kept: bool, seconds: float) -> None:

@@ -10,6 +10,13 @@ Each message is one sentence that says what is wrong, where, and what to do next
 """
 
 import importlib.util
+import math
+import numbers
+import os
+from collections.abc import Iterable
+
+# Names of cameras in one sentence: a rig may have hundreds.
+MOST_NAMES = 6
 
 
 class TrinocError(Exception):
@@ -43,6 +50,13 @@ class MatchError(TrinocError):
     """The segments or the rig do not allow matching."""
 
 
+def list_names(names: Iterable[str], most: int = MOST_NAMES) -> str:
+    """Names for a sentence; of more than `most` the first ones and the number of the others."""
+    every = list(names)
+    more = len(every) - most
+    return ", ".join(every[:most]) + (f" and {more} more" if more > 0 else "")
+
+
 def check_kind(value: object, kinds: type | tuple[type, ...], name: str, wanted: str) -> None:
     """Raise InputError where an argument is of another kind than those that a function takes.
 
@@ -51,6 +65,28 @@ def check_kind(value: object, kinds: type | tuple[type, ...], name: str, wanted:
     if not isinstance(value, kinds):
         kind = "None" if value is None else f"of type {type(value).__name__}"
         raise InputError(f"The {name} is {kind}: give {wanted}.")
+
+
+def whole_number(value: object, name: str) -> int:
+    """A whole number that a caller gave, also as 6.0. Raises InputError for others."""
+    number = real_number(value, name)
+    if number != int(number):
+        raise InputError(f"{name} is {value}, but must be a whole number.")
+    return int(number)
+
+
+def real_number(value: object, name: str) -> float:
+    """A finite number that a caller gave. Raises InputError for others and for texts."""
+    if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):
+        value = value.item()  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
+        raise InputError(f"{name} is {value!r}, but must be a finite number.")
+    return float(value)
+
+
+def expect_path(path: object) -> None:
+    """Raise InputError where a caller gave something else than the name of a file or folder."""
+    check_kind(path, (str, os.PathLike), "name of the file", 'a path, such as "rig.json"')
 
 
 def expect_extra(library: str, extra: str) -> None:

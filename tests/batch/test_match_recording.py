@@ -116,6 +116,20 @@ def test_every_frame_has_its_matches_or_its_reason(recording, tmp_path, quick):
     assert found.failures["6"].startswith("6_upper.csv has words in line 1")
 
 
+def test_cameras_without_a_picture_are_left_out(recording, tmp_path, expected):
+    larger = trinoc.Rig({**{f"camera {k}": RIG["left"] for k in range(9)}, **dict(RIG.items())})
+    options = {"frames_per_file": PER_FILE, "threads_at_most": 2, "ending": ".npz"}
+    outcome = trinoc.match_recording(recording / "frames", larger, tmp_path / "out", **options)
+    assert outcome.without == larger.names[:9]
+    assert contents(tmp_path / "out") == expected
+    views = ("upper", "left", "right")
+    rows = [",".join([k, *(f"frames/{k}_{view}.csv" for view in views)]) for k in ("0", "1")]
+    (tmp_path / "table.csv").write_text("\n".join(["frame,upper,left,right", *rows, ""]))
+    (tmp_path / "frames").symlink_to(recording / "frames")
+    listed = trinoc.match_recording(tmp_path / "table.csv", larger, tmp_path / "listed", **options)
+    assert (listed.without, listed.frames, listed.failed) == (larger.names[:9], 2, 0)
+
+
 def test_a_report_shows_all_frames_and_the_middle_one(recording, tmp_path, quick, monkeypatch):
     monkeypatch.chdir(recording)
     words = ["batch", "frames", "--rig", "rig.json", "-o", str(tmp_path / "out"), "--quiet"]

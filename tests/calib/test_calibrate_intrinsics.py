@@ -1,5 +1,7 @@
 """Laws that the calibration of a lens obeys, and that its errors scatter as it says."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -71,8 +73,10 @@ def test_errors_scatter_as_the_covariance_says():
 def test_circles_located_wrongly_are_left_out_and_counted():
     found = detections(POSES)
     clean = calibrate_intrinsics(detections(POSES), SHEET)
-    found[2].centres_px[5] += [0.4, -0.3]
-    found[5].centres_px[[1, 7]] += 30.0
+    for number, rows, shift in ((2, [5], [0.4, -0.3]), (5, [1, 7], [30.0, 30.0])):
+        centres = found[number].centres_px.copy()
+        centres[rows] += shift
+        found[number] = dataclasses.replace(found[number], centres_px=centres)
     result = calibrate_intrinsics(found, SHEET)
     assert np.flatnonzero(~result.used[2]).tolist() == [5]
     assert np.flatnonzero(~result.used[5]).tolist() == [1, 7]
@@ -83,9 +87,10 @@ def test_circles_located_wrongly_are_left_out_and_counted():
 
 def test_sigmas_grow_with_the_residuals():
     honest = calibrate_intrinsics(detections(POSES, sigma_px=0.05), SHEET)
-    found = detections(POSES, sigma_px=0.05)
-    for each in found:
-        each.covariance_px2[:] /= 100.0
+    found = [
+        dataclasses.replace(each, covariance_px2=each.covariance_px2 / 100.0)
+        for each in detections(POSES, sigma_px=0.05)
+    ]
     bold = calibrate_intrinsics(found, SHEET)
     assert bold.reduced_chi_square == pytest.approx(100 * honest.reduced_chi_square, rel=0.1)
     np.testing.assert_allclose(

@@ -252,7 +252,7 @@ def test_a_camera_that_fails_leaves_the_others_and_a_picture_of_why(run, folder)
     assert "part-incomplete.json holds the others (left); part.json was not written" in err
     assert not (folder / "part.json").exists()
     assert trinoc.load_rig(folder / "part-incomplete.json").names == ("left",)
-    assert trinoc.io.read_image(folder / "part-upper_a-failed.png").ndim == 3
+    assert trinoc.io.read_image(folder / "part-upper%2Fa-failed.png").ndim == 3
 
 
 @pytest.mark.parametrize("shuffled", ["upper=left.csv left=right.csv right=upper.csv", "nothing"])

@@ -79,6 +79,31 @@ def test_pictures_of_a_rig_keep_names_depth_and_colours(folder, capsys):
     assert set(load_rig_status(out / "rig.json").doubts) == {"left", "right"}
 
 
+def test_names_of_cameras_do_not_leave_the_folder(folder):
+    names = ("../left", "a/b")
+    cameras = {name: bent_rig().cameras[k] for k, name in enumerate(names)}
+    trinoc.save(trinoc.Rig(cameras), "hostile.json")
+    Path("x").mkdir()
+    cv2.imwrite("x/upper.png", cv2.imread("left.png"))
+    before = content(folder)
+    words = [
+        "undistort",
+        "../left=upper.png",
+        "a/b=x/upper.png",
+        "--rig",
+        "hostile.json",
+        "--quiet",
+    ]
+    assert main([*words, "-o", "out"]) == 0
+    new = {path.relative_to(folder).as_posix() for path in content(folder).keys() - before.keys()}
+    assert new == {
+        *(f"out/{name}_upper.png" for name in ("%2E%2E%2Fleft", "a%2Fb")),
+        *(f"out/{name}-maps.npz" for name in ("%2E%2E%2Fleft", "a%2Fb")),
+        "out/rig.json",
+    }
+    assert trinoc.load_rig("out/rig.json").names == names
+
+
 def test_maps_come_back_from_their_file(tmp_path):
     maps = trinoc.undistort(DISTORTED_LENS, image_size_px=(40, 30)).maps
     trinoc.save(maps, tmp_path / "maps.npz")

@@ -24,9 +24,10 @@ from trinoc.geometry.intrinsics import Intrinsics, distort_pixels, undistort_pix
 from trinoc.geometry.picture_window import border_in_plane, fit_windows
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_points
-from trinoc.geometry.rectification import rectify_pair
+from trinoc.geometry.rectification import rectify_pair, share_of_common_field
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.geometry.rotation import rotation_from_vector
+from trinoc.image.ideal_pictures import rectify
 from trinoc.synth.rigs import table1_rig
 
 # Its stubs know no arrays of JAX.
@@ -204,6 +205,49 @@ def test_two_cameras_turn_as_those_of_stereo_rectify():
         *(LENS.matrix, none) * 2, LENS.image_size_px, turn, far.pose.translation_mm[:, None]
     )
     np.testing.assert_allclose(found, first, atol=2e-3)
+
+
+def convergent(angle_deg: float) -> Rig:
+    """Two cameras that look at the origin from so many degrees apart."""
+    matrix = np.array([[1000, 0, 639.5], [0, 1000, 479.5], [0, 0, 1.0]])
+    matrices = {}
+    for name, side in (("a", -1), ("b", 1)):
+        turn = side * np.radians(angle_deg) / 2
+        centre = 500 * np.array([np.sin(turn), -np.cos(turn), 0.0])
+        forward = -centre / 500
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        matrices[name] = matrix @ np.c_[rotation, -rotation @ centre]
+    return Rig.from_matrices(matrices, (1280, 960))
+
+
+@pytest.mark.parametrize("angle_deg", [0.5, 20.0, 40.0, 60.0, 75.0, 90.0])
+@pytest.mark.parametrize("alpha", [0.0, 1.0])
+def test_what_is_lost_of_the_common_field_is_said_or_refused(angle_deg, alpha):
+    """Points of a plane between both, counted by projection matrices alone."""
+    rig = convergent(angle_deg)
+    x, z = np.meshgrid(np.linspace(-700, 700, 141), np.linspace(-500, 500, 101))
+    points = np.stack([x.ravel(), 0 * x.ravel(), z.ravel(), np.ones(x.size)], axis=1)
+
+    def are_shown(matrices: np.ndarray) -> np.ndarray:
+        image = points @ np.swapaxes(matrices, 1, 2)
+        uv = image[..., :2] / image[..., 2:]
+        return ((uv > -0.5) & (uv < [1279.5, 959.5]) & (image[..., 2:] > 0)).all(axis=(0, 2))
+
+    common = are_shown(rig.matrices_px)
+    if alpha == 0.0 and angle_deg > 70:
+        with pytest.raises(
+            InputError, match=r"would show \d % of what both cameras look at"
+        ) as caught:
+            rectify(rig, alpha=alpha)
+        assert "give alpha 1" in str(caught.value)
+        return
+    ideal = rectify(rig, alpha=alpha)
+    expected = are_shown(ideal.rig.matrices_px)[common].mean()
+    share = share_of_common_field(rig, dict(ideal.rig.items()))
+    assert share == pytest.approx(expected, abs=0.08)
+    assert len(ideal.notes) == (share < 0.75)
+    assert all(f"show {100 * share:.0f} % of what both" in note for note in ideal.notes)
 
 
 def in_a_row(*places: float, turn=(0.0, 0.0, 0.0)) -> Rig:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tests.geometry.strategies import LENS, rigs_of_three
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
@@ -30,6 +30,29 @@ def test_a_rig_from_matrices_has_these_matrices(cameras):
     np.testing.assert_allclose(
         rig.matrices_px, np.stack(list(matrices.values())), rtol=1e-9, atol=1e-6
     )
+
+
+def test_some_cameras_keep_their_part_of_the_covariance():
+    camera = Camera.from_degrees(LENS, pan_deg=0, tilt_deg=50, swing_deg=0, distance_mm=400)
+    # A name may hold a dot, and begin as another one does.
+    names = ("cam", "cam.left", "cam.left.2")
+    parameters = [f"{name}.{key}" for key in ("pan_deg", "k1") for name in names]
+    root = np.random.default_rng(1).normal(size=(6, 6))
+    rig = Rig(dict.fromkeys(names, camera), parameters=parameters, covariance=root @ root.T)
+    some = rig.take(("cam.left.2", "cam"))
+    assert some.names == ("cam", "cam.left.2")
+    assert some.parameters == tuple(
+        p for p in parameters if not p.startswith("cam.left.") or ".2" in p
+    )
+    np.testing.assert_array_equal(some.covariance, rig.covariance_of(some.parameters))
+    assert jax.tree.all(jax.tree.map(np.array_equal, rig.take(names), rig))
+    with pytest.raises(InputError, match='no camera "right"; this rig has cam, '):
+        rig.take(("cam", "right"))
+
+
+def test_a_sentence_lists_few_names():
+    for count, end in ((6, "5"), (7, "5 and 1 more"), (368, "5 and 362 more")):
+        assert list_names(map(str, range(count))) == f"0, 1, 2, 3, 4, {end}"
 
 
 def test_what_a_rig_refuses():

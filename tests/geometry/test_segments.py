@@ -2,9 +2,12 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
+import pytest
 
-from trinoc.geometry.segments import Segments, covariance_of_ends
+from trinoc.errors import InputError
+from trinoc.geometry.segments import Segments, as_endpoints, covariance_of_ends
 
 
 def some(count: int, seed: int) -> Segments:
@@ -46,6 +49,23 @@ def test_what_one_table_does_not_know_is_not_made_up():
     assert before.side_levels is None
     assert before.reasons is None
     assert before.chain is None
+
+
+def test_arrays_of_opencv_s_detectors_are_taken_as_they_are():
+    picture = np.full((200, 260), 60, np.uint8)
+    cv2.rectangle(picture, (40, 50), (200, 140), 190, -1)
+    by_lsd = cv2.createLineSegmentDetector().detect(picture)[0]
+    by_hough = cv2.HoughLinesP(cv2.Canny(picture, 50, 150), 1, np.pi / 180, 30, minLineLength=30)
+    for given in (by_lsd, by_hough):
+        assert len(given) >= 4
+        # Most versions give (n, 1, 4), some (n, 4).
+        flat = given.reshape(-1, 4).astype(np.float64)
+        rows = given.reshape(-1, 1, 4)
+        expected = Segments.from_endpoints(flat).endpoints_px
+        np.testing.assert_array_equal(Segments.from_endpoints(rows).endpoints_px, expected)
+        np.testing.assert_array_equal(as_endpoints(rows).reshape(-1, 4), flat)
+    with pytest.raises(InputError, match=r"None.*np\.zeros\(\(0, 4\)\)"):
+        Segments.from_endpoints(None)
 
 
 def test_ends_err_by_their_sigmas_along_and_across():

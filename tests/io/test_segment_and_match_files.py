@@ -66,7 +66,7 @@ def test_archives_of_another_kind_are_refused(tmp_path):
         refused(load, path, "not a readable npz")
         np.savez(path, endpoints=ENDS)
         refused(load, path, 'has the format ""')
-    trinoc.save(Segments.from_endpoints(ENDS), path)
+    trinoc.save(Segments.from_endpoints(ENDS), path, overwrite=True)
     refused(load_matches, path, '"trinoc-segments", but "trinoc-matches" is needed')
     arrays = dict(np.load(path))
     np.savez(path, **{**arrays, "version": np.array(2)})

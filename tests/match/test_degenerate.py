@@ -128,6 +128,26 @@ ERRORS = {
 }
 
 
+def nearly_at_one_place(apart_mm):
+    """Two cameras that stand so far apart, and a third one far off."""
+    first, second = looking((-100, 0, 400)), looking((-100 + apart_mm, 0, 400), (9, 0, 0))
+    return Rig({"a": first, "b": second, "c": IN_LINE["c"]})
+
+
+@pytest.mark.parametrize("noise_px", [0.0, 0.2])
+@pytest.mark.parametrize("apart_mm", [0.1, 0.3, 20.0])
+def test_tracks_of_views_at_nearly_one_place_are_noted(apart_mm, noise_px):
+    rig, lines = nearly_at_one_place(apart_mm), loose_lines(COUNT, 3)
+    pair = {name: ends for name, ends in seen(rig, lines, noise_px).items() if name != "c"}
+    for given in (pair, seen(rig, lines, noise_px)):
+        notes = [n for n in trinoc.match_segments(given, rig).notes if "nearly at one place" in n]
+        assert len(notes) == (apart_mm < 1.0)
+        where = f'The cameras "a" and "b" stand nearly at one place, {apart_mm:g} mm apart'
+        assert all(note.startswith(where) for note in notes)
+    others = {name: ends for name, ends in seen(rig, lines, noise_px).items() if name != "a"}
+    assert not any("at one place" in note for note in trinoc.match_segments(others, rig).notes)
+
+
 def mirrored(names):
     """The rig with the pictures of these cameras turned left to right."""
     flip = np.array([[-1.0, 0, 511], [0, 1, 0], [0, 0, 1]])

@@ -62,6 +62,32 @@ def test_templates_that_do_not_fit_say_why(template, said):
         frames_of_names(["1_upper.png", "1_upper.tif"], template, CAMERAS)
 
 
+def test_cameras_named_after_files_are_found_by_their_stems():
+    cameras = ("robot/8461.png", "robot/9512.png", "hand/77.png")
+    files = [f"{k}_{stem}.png" for k in range(2) for stem in ("8461", "9512", "77")]
+    template = fitting_template(files, cameras)
+    frames = frames_of_names(files, template, cameras)
+    assert [dict(frame.files) for frame in frames] == [
+        {"robot/8461.png": f"{k}_8461.png", "robot/9512.png": f"{k}_9512.png"}
+        | {"hand/77.png": f"{k}_77.png"}
+        for k in range(2)
+    ]
+    table = "frame,77,9512.png,robot/8461.png\n0,a,b,c\n"
+    (frame,) = frames_of_table(table, cameras, "t.csv")
+    assert frame.files == {"robot/8461.png": "c", "robot/9512.png": "b", "hand/77.png": "a"}
+
+
+def test_three_cameras_of_many_are_a_recording():
+    files = [f"{k}_{camera}.png" for k in range(2) for camera in ("upper", "left", "right")]
+    many = (*CAMERAS, *map(str, range(30)))
+    frames = frames_of_names(files, fitting_template(files, many), many)
+    assert [sorted(frame.files) for frame in frames] == [["left", "right", "upper"]] * 2
+    with pytest.raises(InputError, match="No frame has files named after all cameras"):
+        fitting_template(files[:2], many)
+    (frame,) = frames_of_table("frame,upper,left,right\n1,a,b,c\n", many, "t.csv")
+    assert list(frame.files) == ["upper", "left", "right"]
+
+
 def test_files_that_name_no_camera_are_refused_with_an_example():
     with pytest.raises(InputError, match="No frame has files named after all cameras"):
         fitting_template(["a.png", "b.png"], CAMERAS)

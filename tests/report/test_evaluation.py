@@ -1,5 +1,6 @@
 """Evaluations as text, and lines that carry their cameras' errors."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -129,6 +130,18 @@ def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
     assert (np.linalg.norm(moved, axis=(1, 2)) < sigma).all()
     np.testing.assert_allclose(lines.by_parameters[alone], tracks.by_parameters[of], atol=1e-9)
     assert 0 < len(lines_of_form(matches, rig, "corners")) <= len(matches)
+
+
+def test_cameras_without_a_view_change_nothing():
+    rig = rig_off_by()
+    matches, more = made_matches(rig), {f"camera {k}": rig.cameras[0] for k in range(3)}
+    larger = Rig(
+        {**more, **dict(rig.items())}, parameters=rig.parameters, covariance=rig.covariance
+    )
+    for form in ("tracks", "joined", "wireframe"):
+        expected, lines = (lines_of_form(matches, each, form) for each in (rig, larger))
+        assert expected.by_parameters.any()
+        jax.tree.map(np.testing.assert_array_equal, lines, expected)
 
 
 def test_a_rig_without_covariance_counts_as_exact():

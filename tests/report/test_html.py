@@ -11,11 +11,14 @@ import pytest
 
 from trinoc.calib import CalibrationResult, Status
 from trinoc.errors import InputError
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.matches import Matches
 from trinoc.report import write_report
 from trinoc.report.html import ExtraTable, render_report
+from trinoc.report.notebook.tables import list_columns
 from trinoc.report.numbers import with_sigma
 from trinoc.report.space_part import space_figure
 
@@ -287,6 +290,67 @@ def test_what_cannot_be_shown_is_refused(
         render_report(rig=other, matches=matches)
     with pytest.raises(InputError, match="views of the segments"):
         render_report(rig=other, segments=segments)
+
+
+def test_cameras_without_a_view_are_left_out_with_one_note(
+    rig: Rig, segments: dict[str, Segments], matches: Matches, result: CalibrationResult
+) -> None:
+    more = {f"camera {k}": rig.cameras[0] for k in range(40)}
+    larger = Rig(
+        {**more, **dict(rig.items())}, parameters=rig.parameters, covariance=rig.covariance
+    )
+    scene = {"segments": segments, "matches": matches}
+    note = (
+        " Cameras without a view of this scene are left out: camera 0, camera 1, camera 2, "
+        "camera 3, camera 4, camera 5 and 34 more."
+    )
+    page = render_report(rig=larger, **scene)
+    assert note in page
+    assert page.replace(note, "") == render_report(rig=rig, **scene)
+    # A calibration shows all its cameras, and a scene those of its views.
+    some = matches.views[:2]
+    pair = dataclasses.replace(
+        matches.take(np.flatnonzero((matches.index[:, :2] >= 0).all(axis=1))),
+        views=some,
+        reasons={name: matches.reasons[name] for name in some},
+    )
+    two = [getattr(pair, name)[:, :2] for name in ("index", "fragments_px")]
+    stage = np.full(len(pair), "binocular")
+    pair = dataclasses.replace(pair, index=two[0], fragments_px=two[1], stage=stage)
+    text = Page(render_report(result=result, matches=pair)).text
+    assert "3 of 3 cameras calibrated" in text
+    assert "left out:" not in text
+
+
+def test_cameras_of_a_world_without_a_sheet_have_a_place_and_a_direction(rig: Rig) -> None:
+    turns = (np.eye(3), np.diag([1.0, -1.0, -1.0]), np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]]))
+    centres = np.array([[1000.0, -2000.0, 500.0], [1.5, 2.5, 3.5], [-7.0, 8.0, 9.0]])
+    office = Rig(
+        {
+            name: Camera(rig[name].intrinsics, Pose.from_centre(turn, centre))
+            for name, turn, centre in zip(rig, turns, centres, strict=True)
+        }
+    )
+    text = Page(render_report(rig=office)).text
+    assert "not known" not in text.replace("Sigmas are not known", "")
+    for axis, values in zip("XYZ", centres.T, strict=True):
+        row = " ".join(f"{value:.2f}".replace("-", "\N{MINUS SIGN}") for value in values)
+        assert f"position {axis} (mm) {row}" in text
+    assert "viewing direction Z 1.0000 \N{MINUS SIGN}1.0000 0.0000" in text
+    assert "Z up out of the sheet" not in text
+    table = list_columns(office)
+    of = dict(
+        zip(zip(table["camera"], table["parameter"], strict=True), table["value"], strict=True)
+    )
+    for (name, camera), turn in zip(office.items(), turns, strict=True):
+        direction = [of[name, f"direction_{axis}"] for axis in "xyz"]
+        np.testing.assert_allclose(direction, turn[2])
+        place = [of[name, f"position_{axis}_mm"] for axis in "xyz"]
+        np.testing.assert_allclose(place, camera.centre_world_mm)
+        assert ("centre_world_mm=" in repr(camera)) == (not np.isfinite(camera.distance_mm))
+    # Over a sheet nothing changes.
+    assert "position X" not in Page(render_report(rig=rig)).text
+    assert "distance (mm)" in Page(render_report(rig=rig)).text
 
 
 def test_a_camera_that_failed_says_why() -> None:

@@ -1,11 +1,23 @@
 """A wire frame shows itself: as a card, a plot, a figure to turn and a table."""
 
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
+import trinoc
 from tests.io.formats.bench import bench_rig
+from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
-from trinoc.report.features_part import features_figure
+from trinoc.geometry.features import Feature
+from trinoc.io.formats.registry import FORMATS
+from trinoc.match.rims.rims import Rims
+from trinoc.match.tracks.matches import Matches
+from trinoc.match.wire_frame.frame import LetGo, Wireframe
+from trinoc.report.features_part import features_figure, features_record, features_text
+from trinoc.report.html import render_report
 
 FRAME = made_wireframe()
 
@@ -51,3 +63,77 @@ def test_it_is_drawn(tmp_path) -> None:
     page = FRAME.show(rig=bench_rig()).html
     assert "planar faces (2)" in page
     assert "cameras" in page
+
+
+def squares(count: int) -> Wireframe:
+    """As many squares in one plane, of four edges each."""
+    corners = np.array([[0.0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]])
+    places = (corners + np.arange(count)[:, None, None] * [20.0, 0, 0]).reshape(-1, 3)
+    first = 4 * np.arange(count)[:, None]
+    edges = np.stack(
+        [first + np.array([0, 1, 2, 0]), first + np.array([1, 2, 3, 3])], axis=2
+    ).reshape(-1, 2)
+    vertices, lines = 4 * count, 4 * count
+    return Wireframe(
+        vertices_mm=places,
+        corner=np.ones(vertices, dtype=bool),
+        vertex_chi_square=np.zeros(vertices),
+        vertex_degrees=np.zeros(vertices, dtype=np.int64),
+        part=np.repeat(np.arange(count), 4),
+        joint_covariance_mm2=(np.eye(12),) * count,
+        edges=edges,
+        posterior=np.full(lines, 0.9),
+        views=np.where(np.arange(lines) % 2, 3, 2),
+        viewpoint_dependent=np.zeros(lines, dtype=bool),
+        chi_square=np.zeros(lines),
+        degrees=np.zeros(lines, dtype=np.int64),
+        edge_of_track=np.arange(lines),
+        face=np.repeat(np.arange(count), 4),
+        face_vertex=np.arange(vertices),
+        planes=np.tile([0.0, 0, 1, 0], (count, 1)),
+        planes_covariance=np.tile(np.eye(4), (count, 1, 1)),
+        face_chi_square=np.zeros(count),
+        face_degrees=np.zeros(count, dtype=np.int64),
+        facing=np.ones(count, dtype=bool),
+        let_go=LetGo(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0, "<U1")),
+    )
+
+
+def several_rims(count: int) -> Rims:
+    """The rims of `made_rims` again and again."""
+    return made_rims().take(np.arange(count) % 2)
+
+
+@pytest.mark.parametrize("make", [squares, several_rims])
+def test_no_loop_reads_what_a_property_computes(make, tmp_path, monkeypatch) -> None:
+    """Whatever shows or writes features computes their columns as often for many as for few."""
+    reads = Counter()
+
+    def count_reads(kind: type, name: str, compute: Callable) -> property:
+        def read(value: Feature) -> Any:
+            reads[f"{kind.__name__}.{name}"] += 1
+            return compute(value)
+
+        return property(read)
+
+    for kind in (Wireframe, Rims, Matches):
+        for name, member in vars(kind).items():
+            if isinstance(member, property) and name != "checked":
+                monkeypatch.setattr(kind, name, count_reads(kind, name, member.fget))
+
+    def reads_of(features: Feature) -> Counter:
+        reads.clear()
+        render_report(rig=bench_rig(), features=(features,))
+        features_text(features)
+        features_record(features)
+        features._repr_html_()
+        for name in ("ply", "obj", "dxf", "gltf", *(["json"] if make is squares else [])):
+            file_format = FORMATS[name]
+            place = tmp_path / f"{len(features)}-{name}{file_format.endings[0]}"
+            file_format.save(features, place)
+        trinoc.save(features, tmp_path / f"{len(features)}.npz")
+        return Counter(reads)
+
+    few, many = reads_of(make(2)), reads_of(make(9))
+    assert few == many
+    assert sum(few.values()) > 0

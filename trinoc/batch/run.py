@@ -13,8 +13,8 @@ from trinoc.batch.folder import open_results
 from trinoc.batch.source import Source, find_frames
 from trinoc.batch.work import MatchingJob
 from trinoc.batch.workers import cluster, in_window, processes, threads
-from trinoc.errors import InputError, TrinocError
-from trinoc.geometry.rig import Rig
+from trinoc.errors import InputError, TrinocError, check_kind, real_number
+from trinoc.geometry.rig import A_RIG, Rig
 from trinoc.io.frames_files import frames_ending
 from trinoc.io.rig_json import rig_text
 from trinoc.recording.frame_table import FrameMatches
@@ -36,6 +36,7 @@ class BatchOutcome:
     frames, failed, tracks : numbers of frames, of those that failed, and of tracks in all.
     suspect : how many frames are SUSPECT, as they do not seem to belong to the rig.
     earlier : how many of the frames an earlier run had done.
+    without : cameras of the rig of which the recording has no picture.
     workers : how many worked at once.
     """
 
@@ -47,6 +48,7 @@ class BatchOutcome:
     tracks: int
     earlier: int
     workers: int
+    without: tuple[str, ...] = ()
 
 
 def match_recording(
@@ -72,7 +74,8 @@ def match_recording(
     ----------
     frames : a folder, or a CSV table with the columns frame and one for each camera of the rig.
         Files are pictures, or segments as `load_segments` reads them.
-    rig : the cameras; a frame needs a file of each.
+    rig : the cameras; a frame needs a file of each. Cameras of which no frame has a file are left
+        out where three or more have some.
     out : the folder of results. Where it holds some of the same recording, the rest is done.
     template : how the files are named, such as "{frame}_{camera}.png" or
         "{camera}/{frame}.tif"; the usual ways are tried where it is None.
@@ -97,17 +100,20 @@ def match_recording(
 
     Raises InputError: no frames, results of something else in `out`, another program at work there.
     """
+    check_kind(rig, Rig, "rig", A_RIG)
     given = {
         "frames_per_file": frames_per_file,
         "threads_at_most": threads_at_most,
         "memory_gb": memory_gb,
     }
     for name, value in given.items():
-        if value is not None and not value > 0:
+        if value is not None and not real_number(value, name) > 0:
             raise InputError(f"{name} is {value}, but must be more than 0.")
     if ending not in (None, ".npz", ".parquet"):
         raise InputError(f'ending is "{ending}": choose ".npz" or ".parquet".')
     source = find_frames(frames, rig.names, template)
+    without = tuple(name for name in rig if name not in source.views)
+    rig = rig.take(source.views)
     own = share_parts(cut_into_parts(source.frames, frames_per_file), shard)
     ending = ending or _ending_there(Path(out)) or frames_ending()
     work = MatchingJob(source.folder.resolve(), rig, dict(find or {}), depth_range_mm)
@@ -151,6 +157,7 @@ def match_recording(
             tracks=tally["tracks"],
             earlier=earlier,
             workers=workers.count,
+            without=without,
         )
 
 

@@ -5,20 +5,25 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_path
 from trinoc.io.atomic import read_text
 from trinoc.io.images import IMAGE_SUFFIXES, refuse_videos
-from trinoc.recording.frame_table import Frame, frames_of_table
+from trinoc.recording.frame_table import ENOUGH_VIEWS, Frame, frames_of_table
 from trinoc.recording.name_templates import fitting_template, folder_depth, frames_of_names
 
 SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
 
 
 class Source(NamedTuple):
-    """Frames, and the folder that their files are relative to."""
+    """Frames, and the folder that their files are relative to.
+
+    views : the cameras that are wanted in each frame: all of the rig's, or those that have any
+        file where these are three or more.
+    """
 
     folder: Path
     frames: list[Frame]
+    views: tuple[str, ...]
 
 
 def find_frames(
@@ -28,16 +33,20 @@ def find_frames(
 
     Without a template the usual ones are tried. Raises InputError.
     """
+    expect_path(place)
     path = Path(place)
     if path.suffix.lower() == ".csv" and not path.is_dir():
         if template is not None:
             raise InputError(f"{path} lists the files by itself: leave the template out.")
-        return Source(path.parent, frames_of_table(read_text(path), cameras, str(path)))
+        frames = frames_of_table(read_text(path), cameras, str(path))
+        return Source(path.parent, frames, _views(frames, cameras))
     if not path.is_dir():
         refuse_videos([path])
         raise InputError(f"{path} is no folder and no CSV table: give the recording's folder.")
     try:
-        names = sorted(_files(path, 1 if template is None else folder_depth(template)))
+        folders = max(camera.count("/") for camera in cameras)
+        depth = folders + (1 if template is None else folder_depth(template))
+        names = sorted(_files(path, depth))
     except OSError as error:
         raise InputError(f"{error.filename} cannot be listed ({error.strerror}).") from error
     if template is None:
@@ -47,7 +56,14 @@ def find_frames(
         if not names:
             refuse_videos(there)
         template = fitting_template(names, cameras)
-    return Source(path, frames_of_names(names, template, cameras))
+    frames = frames_of_names(names, template, cameras)
+    return Source(path, frames, _views(frames, cameras))
+
+
+def _views(frames: Sequence[Frame], cameras: Sequence[str]) -> tuple[str, ...]:
+    """Those of the cameras that have a file, where these are enough; else all."""
+    named = set().union(*(frame.files for frame in frames))
+    return tuple(c for c in cameras if c in named or len(named) < ENOUGH_VIEWS)
 
 
 def _files(folder: Path, depth: int, prefix: str = "") -> Iterator[str]:

@@ -20,6 +20,7 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError, check_kind
 from trinoc.geometry.intrinsics import A_LENS, Intrinsics
 from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
+from trinoc.geometry.rig import check_camera_names
 from trinoc.numerics.precision import in_float64
 
 
@@ -52,6 +53,7 @@ def calibrate_detections(
     orientation: Orientation = None,
 ) -> CalibrationResult:
     """`trinoc.calibrate` from circles that are already found. Raises as it does."""
+    check_camera_names(detections)
     lenses = lens_of_each(lens, detections)
     model = pose_model_over_sheet(pose_model)
     search = Search(tuple(detections), detections, {}, {})

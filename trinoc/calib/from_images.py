@@ -16,6 +16,7 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import DetectionError, InputError, check_kind
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
+from trinoc.geometry.rig import check_camera_names
 from trinoc.image.grey import grey_image
 from trinoc.numerics.precision import ArrayLike, in_float64
 
@@ -93,6 +94,7 @@ def expect_pictures(images: Any, pattern: object) -> None:
     check_kind(pattern, Pattern, "pattern", A_PATTERN)
     each = 'a dictionary of each camera\'s name and picture, such as {"left": image}'
     check_kind(images, Mapping, "set of pictures", each)
+    check_camera_names(images)
     for name, image in images.items():
         if image is None or np.ndim(image) not in (2, 3):
             given = "None" if image is None else f"a {type(image).__name__}"

@@ -29,7 +29,8 @@ from trinoc.geometry.lenses.registry import promote_lens, simplify_lens
 from trinoc.geometry.lenses.skewed import SKEW, SkewedThinPrism, skew_lens, straighten_lens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.information import LARGEST_SIGMA
-from trinoc.numerics.precision import ArrayLike, in_float64
+from trinoc.numerics.precision import ArrayLike, in_float64, real_array
+from trinoc.numerics.values import Value
 
 _SKEW = (
     "The camera has a skew of {:.3g} +- {:.1g} px, which no sensor has: it is tilted against its "
@@ -37,7 +38,7 @@ _SKEW = (
 )
 
 
-class PointsCalibration(eqx.Module):
+class PointsCalibration(Value):
     """A camera fitted to given correspondences.
 
     Fields
@@ -109,7 +110,8 @@ def calibrate_points(
     CalibrationError : the points do not determine the camera, lie behind it (a left-handed
         frame), or the fit did not converge.
     """
-    points, seen = (np.ascontiguousarray(each, np.float64) for each in (points_mm, uv_px))
+    points = np.ascontiguousarray(real_array(points_mm, "points_mm"))
+    seen = np.ascontiguousarray(real_array(uv_px, "uv_px"))
     model = PoseModel.of(pose_model)
     names = tuple((() if lens is not None else AFFINE_PARAMETERS) if free is None else free)
     _check(points, seen, lens, image_size_px, names)

@@ -14,9 +14,10 @@ from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
+from trinoc.numerics.values import Value
 
 
-class IntrinsicsResult(eqx.Module):
+class IntrinsicsResult(Value):
     """A calibrated lens with covariance, the fit of each picture, and what to do next.
 
     Fields

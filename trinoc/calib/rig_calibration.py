@@ -41,8 +41,8 @@ from trinoc.calib.starts.pictures import FoundBoards, Pictures, find_boards
 from trinoc.calib.starts.placing import PlacedRig, ShotBoard, place_rig, take_out
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.uncertainty.systematics import Systematics
-from trinoc.errors import CalibrationError, InputError
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.errors import CalibrationError, InputError, check_kind, list_names
+from trinoc.geometry.intrinsics import A_LENS, Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.polynomial import BrownConrady
 from trinoc.geometry.lenses.registry import (
@@ -52,6 +52,7 @@ from trinoc.geometry.lenses.registry import (
     promote_lens,
 )
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
+from trinoc.geometry.rig import check_camera_names
 from trinoc.numerics.precision import in_float64
 
 # numerical: rounds in which images of other moments are taken out of their shots: a round that
@@ -115,6 +116,7 @@ def calibrate_rig(
         shots are out of step, or, with `throw`, parameters that the shots do not determine.
     """
     expect_method(method, board, images)
+    check_camera_names(images)
     known = _given_lenses(lens, tuple(images))
     systematics = _known_of_rig(systematics)
     factors = _lens_factors(systematics, known, tuple(images))
@@ -424,10 +426,12 @@ def _given_lenses(
         return {}
     if isinstance(lens, Intrinsics):
         return dict.fromkeys(cameras, lens)
-    for name in lens:
+    check_kind(lens, Mapping, "lens", f"{A_LENS}, or a dictionary of each camera's")
+    for name, each in lens.items():
+        check_kind(each, Intrinsics, f'lens of "{name}"', A_LENS)
         if name not in cameras:
             raise InputError(
-                f'A lens is given for "{name}", but the cameras are {", ".join(cameras)}.'
+                f'A lens is given for "{name}", but the cameras are {list_names(cameras)}.'
             )
     return lens
 
@@ -435,6 +439,7 @@ def _given_lenses(
 def _known_of_rig(given: Systematics | None) -> Systematics:
     """What is known of board and lenses: aims are what is found here."""
     known = Systematics.typical({}) if given is None else given
+    check_kind(known, Systematics, "knowledge of the board", "trinoc.Systematics")
     known.check()
     return known._replace(aim_sigma_mm=0.0)
 

@@ -29,7 +29,7 @@ from trinoc.calib.shot_messages import (
 from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.targets.board_set import board_names
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.errors import InputError, check_kind
+from trinoc.errors import InputError, check_kind, list_names
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.registry import simplify_lens
@@ -160,8 +160,8 @@ def _choose_world(
     if world in cameras:
         return World(None, np.asarray(cameras.index(world)))
     raise InputError(
-        f'The world is to lie in "{world}", which is neither a camera ({", ".join(cameras)}) nor a '
-        "shot in which the board was found."
+        f'The world is to lie in "{world}", which is neither a camera ({list_names(cameras)}) '
+        "nor a shot in which the board was found."
     )
 
 

@@ -13,6 +13,7 @@ from trinoc.calib.result.calibration import Status
 from trinoc.calib.starts.placing import boards_are_parallel
 from trinoc.calib.targets.board_set import board_names, list_boards
 from trinoc.calib.tuning.every_group import TUNING
+from trinoc.errors import list_names
 from trinoc.geometry.pose import Pose
 
 # The words for a camera's picture of a shot, by their numbers.
@@ -21,8 +22,7 @@ Where = Callable[[int, int], str]
 
 def undetermined_sentence(problem: Problem, names: Sequence[str]) -> str:
     """Which parameters the shots do not determine, and why where that is plain."""
-    few = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-    return f"The shots do not determine {few}{_reason(problem)}."
+    return f"The shots do not determine {list_names(names, 8)}{_reason(problem)}."
 
 
 def _reason(problem: Problem) -> str:

@@ -16,9 +16,10 @@ from trinoc.errors import InputError
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
+from trinoc.numerics.values import Value
 
 
-class RigFromShots(eqx.Module):
+class RigFromShots(Value):
     """Lenses and cameras fitted together, with their covariance, and what each shot said.
 
     Fields
@@ -163,13 +164,11 @@ def summarise_shots(result: RigFromShots) -> str:
             f"{camera}: {places} places in {pictures} pictures, rms {result.rms_px(camera):.3f} px,"
             f" sigmas x {result.sigma_factor[camera]:.2f}"
         )
-        prefix = f"{camera}."
         lines += [
-            f"  {name.removeprefix(prefix):12} {_words(result, name)}"
+            f"  {key:12} {_words(result, name)}"
             for name in result.parameters
-            if name.startswith(prefix)
-            and result.sigma(name) != 0.0
-            and name.removeprefix(prefix) not in SPLINE_PARAMETERS
+            for owner, _, key in (name.rpartition("."),)
+            if owner == camera and result.sigma(name) != 0.0 and key not in SPLINE_PARAMETERS
         ]
     lines += [
         f"{name:14} {_words(result, name)}"

@@ -22,6 +22,7 @@ from trinoc.cli.command import (
 )
 from trinoc.cli.segments import DepthOption, FindOption
 from trinoc.cli.views import SEGMENT_SUFFIXES, doubts_table, find_doubts, read_rig
+from trinoc.errors import list_names
 
 if TYPE_CHECKING:
     from trinoc.batch.run import BatchOutcome, BatchProgress
@@ -120,6 +121,7 @@ class BatchCommand(DepthOption, FindOption, ReportOption, Command):
         results = load_recording(self.out)
         recording = frames_part(results, results.failures)
         source = find_frames(self.frames, rig.names, self.template)
+        rig = rig.take(source.views)
         (frame,) = (each for each in source.frames if each.name == recording.middle)
         files = {name: source.folder / frame.files[name] for name in rig.names}
         job = MatchingJob(source.folder, rig, self.find_settings(), self.depths_mm())
@@ -145,6 +147,8 @@ def _outcome(found: "BatchOutcome", report: Path | None) -> Outcome:
     parts = [f"{found.frames} frames done, {found.tracks} tracks"]
     if found.earlier:
         parts.append(f"{found.earlier} of the frames by an earlier run")
+    if found.without:
+        parts.append(f"no picture of {list_names(found.without)}, which were left out")
     if found.failed:
         parts.append(f"{found.failed} failed; the manifest says why")
     if found.suspect:

@@ -1,7 +1,6 @@
 """`trinoc calibrate`: one picture of the sheet per camera to a rig.json."""
 
 import dataclasses
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -156,7 +155,9 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
         included = ["noise", *result.systematics]
         refusal = None if self.accept_suspect else suspicion(result, self.out)
         if refusal is None:
-            save(result, self.out, provenance={**origin, "sigmas_include": included})
+            save(
+                result, self.out, provenance={**origin, "sigmas_include": included}, overwrite=True
+            )
         self.write_report(origin, result=result, sheet_pictures=images, title="Calibration")
         written = self.out if refusal is None else None, self.report
         return Outcome(result.summary(), calibration_record(result), refusal, written)
@@ -199,12 +200,12 @@ def calibration_record(result: "CalibrationResult") -> dict[str, Any]:
                 "status": status.name.lower(),
                 "method": result.fits[name].method,
                 "parameters": {
-                    parameter.removeprefix(f"{name}."): {
+                    parameter.rpartition(".")[2]: {
                         "value": float(value),
                         "sigma": result.rig.sigma(parameter),
                     }
                     for parameter, value in zip(result.parameters, result.values, strict=True)
-                    if parameter.startswith(f"{name}.")
+                    if parameter.rpartition(".")[0] == name
                 },
                 "circles": int(result.fits[name].used.sum()),
                 "rms_px": result.fits[name].rms_px,
@@ -241,14 +242,14 @@ def kept_of_failure(
     from trinoc.calib.result.calibration import CalibrationResult
     from trinoc.capture.annotated import failure_picture
     from trinoc.capture.judgement import judge
+    from trinoc.io.atomic import as_file_name
     from trinoc.io.images import write_picture
     from trinoc.io.saving import save
 
     said = [str(error)]
     for name in error.failures:
         faults = judge(name, images[name], pattern).faults
-        in_name = re.sub(r"[^\w.-]", "_", name)
-        place = out.with_name(f"{out.stem}-{in_name}-failed.png")
+        place = out.with_name(f"{out.stem}-{as_file_name(name)}-failed.png")
         write_picture(place, failure_picture(images[name], [error.failures[name], *faults]))
         causes = f" (there {'; '.join(faults)})" if faults else ""
         said.append(f'What was seen of "{name}" is in {place}{causes}.')
@@ -257,7 +258,7 @@ def kept_of_failure(
         why = refusal(result)
         place = out.with_name(f"{out.stem}-incomplete.json")
         if why is None:
-            save(result, place, provenance=provenance)
+            save(result, place, provenance=provenance, overwrite=True)
             others = ", ".join(result.rig.names)
             kept = "is as it was" if out.exists() else "was not written"
             why = f"{place} holds the others ({others}); {out} {kept}."

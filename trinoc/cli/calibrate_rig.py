@@ -133,7 +133,7 @@ class CalibrateRigCommand(ReportOption, Command):
                 progress=bar.show,
             )
         made_by = provenance(command_line, board_files(self.board))
-        save(result, self.out, provenance=made_by)
+        save(result, self.out, provenance=made_by, overwrite=True)
         advice = next_shot(result)
         said = "" if advice is None else advice.sentence
         self.write_report(

@@ -146,8 +146,8 @@ def _write(
         for view, path in files.items()
     }
     report, rig, matches = (folder / name for name in ("report.html", "rig.json", "matches.npz"))
-    save(work.result, rig, provenance=origin)
-    save(work.matches, matches)
+    save(work.result, rig, provenance=origin, overwrite=True)
+    save(work.matches, matches, overwrite=True)
     rows = [
         ("length put out (mm)", f"{score.edges.length_put_out_mm:.0f}"),
         ("precision of it", f"{score.edges.precision:.1%}"),
@@ -250,7 +250,7 @@ def keep_inputs(folder: Path) -> list[Path]:
             copy = inputs / f"{kind}_{view}{Path(path).suffix}"
             shutil.copyfile(path, copy)
             written.append(copy)
-    save(demo_pattern(), inputs / "sheet.json")
+    save(demo_pattern(), inputs / "sheet.json", overwrite=True)
     write_text(folder / "trinoc.toml", _toml())
     return [*written, inputs / "sheet.json", folder / "trinoc.toml"]
 

@@ -77,10 +77,11 @@ class EvaluateCommand(Command):
             crease_deg=self.crease_deg,
             grey_step=self.grey_step,
         )
-        rig = None if self.rig is None else read_rig(self.rig)
+        matches = load_matches(self.matches)
+        rig = None if self.rig is None else read_rig(self.rig).take(matches.views)
         if rig is not None and shape.wants_every_edge:
             shape = shape.seen_by(rig)
-        lines = self._lines(load_matches(self.matches), rig)
+        lines = self._lines(matches, rig)
         evaluation = evaluate(lines, shape, tolerances_mm=self.within_mm, aligned=self.align)
         choice = {name: getattr(self, name) for name in ("form", "stage", "least_posterior")}
         row = {**choice, **evaluation.record()}

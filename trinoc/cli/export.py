@@ -8,7 +8,7 @@ import tyro
 
 from trinoc.cli.command import LOGGER, Command, Outcome, UsageError
 from trinoc.cli.views import files_of_views
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 
 if TYPE_CHECKING:
     from trinoc.geometry.intrinsics import Intrinsics
@@ -150,11 +150,13 @@ class ExportCommand(Command):
         lenses = self._lenses()
         value = source.load(file, unit_mm=self.unit_mm, lenses=lenses, names=names)
         expect_replaceable(self.out, type(value), force=self.force)
-        save(value, self.out, provenance=provenance(command_line, _list_inputs(file)))
+        save(
+            value, self.out, provenance=provenance(command_line, _list_inputs(file)), overwrite=True
+        )
         match value:
             case Rig():
                 known = "with" if value.parameters else "without"
-                found = f"{len(value)} cameras, {known} covariance: {', '.join(value.names)}"
+                found = f"{len(value)} cameras, {known} covariance: {list_names(value)}"
             case Segments():
                 found = f"{len(value)} segments, with sigmas of a plain detector"
             case _:

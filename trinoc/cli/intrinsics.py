@@ -115,6 +115,7 @@ class IntrinsicsCommand(Command):
             result,
             self.out,
             provenance=provenance(command_line, {**inputs, **board_files(self.board)}),
+            overwrite=True,
         )
         return Outcome(result.summary(), intrinsics_record(result), written=(self.out,))
 
@@ -188,6 +189,7 @@ class UndistortCommand(Command):
         from trinoc.cli.command import provenance
         from trinoc.geometry.rig import PARAMETER_NAMES, Rig
         from trinoc.image.ideal_pictures import rectify, undistort
+        from trinoc.io.atomic import as_file_name
         from trinoc.io.images import expect_size, read_views, write_picture
         from trinoc.io.rig_json import load_rig_status, save_rig, status_of_names
         from trinoc.io.saving import save
@@ -196,7 +198,7 @@ class UndistortCommand(Command):
         files = files_of_rig(self.images, rig.names)
         expect_names(files, rig, self.rig)
         pictures = dict(zip(files, self._new_pictures(files.values(), files), strict=True))
-        maps = {view: self.out / f"{view}-maps.npz" for view in files}
+        maps = {view: self.out / f"{as_file_name(view)}-maps.npz" for view in files}
         place = self.out / "rig.json"
         self._expect_places(files.values(), pictures.values(), maps.values(), {place: Rig})
         images = read_views(files)
@@ -208,7 +210,7 @@ class UndistortCommand(Command):
             covariance=rig.covariance,
         )
         ideal = (rectify if self.rectify else undistort)(chosen, alpha=self.alpha)
-        notes, has_sigmas = [], bool(ideal.rig.parameters)
+        notes, has_sigmas = [*ideal.notes], bool(ideal.rig.parameters)
         if rig.parameters and not has_sigmas:
             known = {own.rpartition(".") for own in rig.parameters}
             is_open = any(own not in PARAMETER_NAMES for view, _, own in known if view in files)
@@ -221,7 +223,7 @@ class UndistortCommand(Command):
             notes.append(f"The new rig has no sigmas: {why}.")
         make_folder(self.out)
         for view in each(tuple(files), "undistorting", quiet=self.quiet):
-            save(ideal.maps[view], maps[view])
+            save(ideal.maps[view], maps[view], overwrite=True)
             write_picture(pictures[view], ideal.maps[view].resample(images[view]))
         origin = provenance(command_line, {"rig": self.rig, **files})
         status = status_of_names(load_rig_status(self.rig), ideal.rig.names, sigmas=has_sigmas)
@@ -264,8 +266,13 @@ class UndistortCommand(Command):
                 )
         ideal = undistort(lens, alpha=self.alpha)
         make_folder(self.out)
-        save(ideal.lens, place, provenance=provenance(command_line, {"lens": self.rig}))
-        save(ideal.maps, maps)
+        save(
+            ideal.lens,
+            place,
+            provenance=provenance(command_line, {"lens": self.rig}),
+            overwrite=True,
+        )
+        save(ideal.maps, maps, overwrite=True)
         for new, file in each(pictures.items(), "undistorting", quiet=self.quiet):
             write_picture(new, ideal.maps.resample(read_image(file)))
         named = {"lens": ideal.lens}
@@ -279,9 +286,11 @@ class UndistortCommand(Command):
 
         Raises UsageError where two would have one name.
         """
+        from trinoc.io.atomic import as_file_name
+
         names = [file.stem for file in files]
         if len(set(names)) < len(names):
-            names = [f"{view}_{name}" for view, name in zip(views, names)] or names
+            names = [f"{as_file_name(v)}_{name}" for v, name in zip(views, names)] or names
         new = [self.out / f"{name}.png" for name in names]
         files = list(files)
         for k, place in enumerate(new):

@@ -107,8 +107,8 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
             begin=lambda step: LOGGER.info(step.said),
         )
         for kind, own in features.items():
-            save(own, self.place_of(kind))
-        save(matches, self.out)
+            save(own, self.place_of(kind), overwrite=True)
+        save(matches, self.out, overwrite=True)
         self.write_report(
             provenance(command_line, {**files, "rig": self.rig}),
             rig=rig,

@@ -52,7 +52,7 @@ class RefineCommand(Command):
     """Cameras that were knocked since the calibration, whose old place no longer counts."""
 
     out: Out = Path("refined.json")
-    """Where the refined rig goes."""
+    """Where the refined rig goes: the cameras that the matches are of."""
 
     def run(self, command_line: str) -> Outcome:
         """Refine and write the rig; nothing is written where the refinement fails."""
@@ -63,19 +63,21 @@ class RefineCommand(Command):
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
         from trinoc.io.saving import expect_replaceable, save
+        from trinoc.recording.camera_words import camera_words
 
         expect_place(self.out)
         expect_replaceable(self.out, Rig, force=self.force)
         rig = read_rig(self.rig)
+        words = camera_words(rig.names)
         scene = read_scene(self.images, self.matches, rig, self.rig, quiet=self.quiet)
-        LOGGER.info("refining %d cameras and %d lines", len(rig), len(scene.matches))
+        LOGGER.info("refining the cameras of %d lines", len(scene.matches))
         again = [scene.tolerant, scene.strict] if self.moved else [scene.strict]
         result = refine(
             rig,
             scene.matches,
             pose_model=self.pose_model,
             free_lens=self.free_lens or None,
-            moved=self.moved,
+            moved=[words.get(name, name) for name in self.moved],
             match_again=[match for match in again if match is not None] or None,
         )
         if result.status is RefineStatus.AMBIGUOUS:
@@ -90,7 +92,7 @@ class RefineCommand(Command):
                 "that the matches were made with this rig, and match again."
             )
         inputs = {"rig": self.rig, **scene.files}
-        save(result.rig, self.out, provenance=provenance(command_line, inputs))
+        save(result.rig, self.out, provenance=provenance(command_line, inputs), overwrite=True)
         return Outcome(result.summary(), refine_record(result), written=(self.out,))
 
 
@@ -151,14 +153,14 @@ class CheckCommand(Command):
         expect_replaceable(self.out, Rig, force=self.force)
         rig = read_rig(self.rig)
         scene = read_scene(self.images, self.matches, rig, self.rig, quiet=self.quiet)
-        LOGGER.info("checking %d cameras with %d lines", len(rig), len(scene.matches))
+        LOGGER.info("checking the cameras of %d lines", len(scene.matches))
         again = [match for match in (scene.tolerant, scene.strict) if match is not None]
         check = check_rig(rig, scene.matches, match_again=again or None)
         refined = check.refined
         written = None if refined is None else self.out
         if refined is not None and written is not None:
             inputs = {"rig": self.rig, **scene.files}
-            save(refined.rig, written, provenance=provenance(command_line, inputs))
+            save(refined.rig, written, provenance=provenance(command_line, inputs), overwrite=True)
         record = {
             "conclusive": check.conclusive,
             "moved": list(check.moved),

@@ -94,7 +94,7 @@ class SegmentsCommand(Command):
         expect_replaceable(self.out, Segments, force=self.force)
         image = read_image(self.image)
         segments = find_segments(image, **settings)
-        save(segments, self.out)
+        save(segments, self.out, overwrite=True)
         count = len(segments)
         median_px = float(sorted(segments.length_px)[count // 2]) if count else 0.0
         nothing = None if count else why_nothing(image, least_contrast=self.least_contrast)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from trinoc.cli.command import LOGGER, UsageError, each
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,15 +22,20 @@ _BETWEEN = "_-. "
 
 
 def files_of_views(
-    arguments: Sequence[str], *, guess: bool = False, say: bool = True
+    arguments: Sequence[str],
+    *,
+    guess: bool = False,
+    say: bool = True,
+    words: Mapping[str, str] | None = None,
 ) -> dict[str, Path]:
     """The file of each view, in the order given.
 
     guess : where no name is given at all, take them from the files' names; say : and say so.
+    words : the camera of a rig that each word names, where there is a rig.
 
     Raises UsageError.
     """
-    named = [argument.partition("=") for argument in arguments]
+    named = [_name_and_file(argument, words) for argument in arguments]
     if guess and arguments and all(not separator for _, separator, _ in named):
         return _guess_names([Path(argument) for argument in arguments], say=say)
     files: dict[str, Path] = {}
@@ -43,6 +48,16 @@ def files_of_views(
             raise UsageError(f'The view "{name}" is given twice: name each camera once.')
         files[name] = Path(file)
     return files
+
+
+def _name_and_file(argument: str, words: Mapping[str, str] | None) -> tuple[str, str, str]:
+    """NAME, = and FILE of an argument; the name of a camera may hold an = itself."""
+    parts = argument.split("=")
+    for k in range(1, len(parts)):
+        name = "=".join(parts[:k])
+        if name in (words or {}):
+            return (words or {})[name], "=", "=".join(parts[k:])
+    return argument.partition("=")
 
 
 def _guess_names(files: Sequence[Path], *, say: bool) -> dict[str, Path]:
@@ -85,21 +100,42 @@ def _whole_parts(shared: str) -> str:
 
 
 def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, Path]:
-    """Files for the cameras of a rig: where no name is given, by the rig's own where these tell.
+    """Files for the cameras of a rig, named by any of `camera_words`.
 
+    Where no name is given, it is in the path of the file, or the file's name holds it.
     Raises UsageError.
     """
-    files = files_of_views(arguments, guess=True)
+    from trinoc.recording.camera_words import camera_words
+
+    words = camera_words(tuple(names))
+    files = files_of_views(arguments, guess=True, words=words)
     if set(files) <= set(names) or any("=" in argument for argument in arguments):
         return files
-    found = {}
-    for file in files.values():
-        inside = [name for name in names if name.lower() in file.stem.lower()]
-        if len(inside) != 1 or inside[0] in found:
-            return files
-        found[inside[0]] = file
-    LOGGER.info("by the rig: %s", " ".join(f"{name}={file}" for name, file in found.items()))
-    return found
+    for find in (lambda name, _: words.get(name), lambda _, file: _camera_of_file(file, words)):
+        cameras = [find(name, file) for name, file in files.items()]
+        if all(cameras) and len(set(cameras)) == len(cameras):
+            of_rig = dict(zip(map(str, cameras), files.values(), strict=True))
+            LOGGER.info(
+                "by the rig: %s", " ".join(f"{name}={file}" for name, file in of_rig.items())
+            )
+            return of_rig
+    return files
+
+
+def _camera_of_file(file: Path, words: Mapping[str, str]) -> str | None:
+    """The only camera that the end of a path names, or a part of the file's name; None for none.
+
+    Of words in the name, one that is a part of a longer one does not count.
+    """
+    path, stem = f"/{file.as_posix()}", file.stem.lower()
+    ends = (path, path.removesuffix(file.suffix))
+    whole = [word for word in words if any(end.endswith(f"/{word}") for end in ends)]
+    inside = [word for word in words if word.lower() in stem]
+    longest = [
+        word for word in inside if not any(word in other and word != other for other in inside)
+    ]
+    cameras = {words[max(whole, key=len)]} if whole else {words[word] for word in longest}
+    return cameras.pop() if len(cameras) == 1 else None
 
 
 def make_folder(folder: Path) -> None:
@@ -190,7 +226,7 @@ def expect_names(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
     for name in files:
         if name not in rig.names:
             raise InputError(
-                f'{rig_file} has no camera "{name}", but {", ".join(rig.names)}: use these names.'
+                f'{rig_file} has no camera "{name}", but {list_names(rig)}: use these names.'
             )
 
 
@@ -204,7 +240,7 @@ def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
             f"add {missing[0]}=FILE."
         )
     if missing:
-        LOGGER.warning("no picture of %s: matching without", ", ".join(missing))
+        LOGGER.warning("no picture of %s: matching without", list_names(missing))
 
 
 # After a knock the matcher first takes the ends of segments to be this far off. With 8 px it finds
@@ -233,7 +269,11 @@ def read_scene(
     if matches is not None:
         from trinoc.io.saving import load_matches
 
-        return SceneInput(load_matches(matches), None, None, {"matches": matches})
+        tracks = load_matches(matches)
+        others = [name for name in rig if name not in tracks.views]
+        if others:
+            LOGGER.warning("%s has no view of %s: left out", matches, list_names(others))
+        return SceneInput(tracks, None, None, {"matches": matches})
 
     from trinoc.match.matcher import match_segments
     from trinoc.segments.find import find_segments

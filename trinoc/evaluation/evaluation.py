@@ -18,6 +18,7 @@ from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_err
 from trinoc.geometry.uncertain_lines import UncertainLines
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.values import Value
 from trinoc.synth.truth import SceneTruth
 
 TOLERANCES_MM = (0.1, 0.25, 0.5, 1.0)
@@ -62,7 +63,7 @@ class LinesInSpace(Protocol):
         ...
 
 
-class Evaluation(Displayable, eqx.Module):
+class Evaluation(Displayable, Value):
     """Lines in space beside known edges.
 
     Fields

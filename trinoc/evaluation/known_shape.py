@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.rig import Rig
 from trinoc.numerics.buckets import blocks
+from trinoc.numerics.values import Value
 from trinoc.synth.truth import SceneTruth, parts_in_views_mm, points_along, shown_parts_mm
 from trinoc.synth.visibility import visible_parts
 
@@ -17,7 +18,7 @@ EVERY_EDGE = "every edge"
 _AT_ONCE = 1_000_000
 
 
-class KnownShape(eqx.Module):
+class KnownShape(Value):
     """Edges in space, and which parts of them ought to be found.
 
     Fields

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from trinoc.calib.bundle.camera import CameraState, camera_state, stack_states
 from trinoc.calib.bundle.covariance import segment_and_errors
 from trinoc.calib.bundle.factors import d_parameters_d_delta
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.rig import Rig
@@ -43,9 +43,10 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     missing = [name for name in matches.views if name not in rig.names]
     if missing:
         raise InputError(
-            f'The rig has no camera "{missing[0]}", but {", ".join(rig.names)}: give the rig that '
+            f'The rig has no camera "{missing[0]}", but {list_names(rig)}: give the rig that '
             "these matches were made with."
         )
+    rig = rig.take(matches.views)
     ends, own = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
     pose_model = _pose_model(rig)
     if pose_model is None or matches.fragments_covariance_px2 is None or len(matches) == 0:

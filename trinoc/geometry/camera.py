@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
@@ -22,13 +21,15 @@ from trinoc.numerics.precision import (
     as_float,
     in_float64,
     is_traced,
+    real_array,
 )
+from trinoc.numerics.values import Value
 
 # Of the method's four parameters.
 POSE_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
 
 
-class Camera(eqx.Module):
+class Camera(Value):
     """A calibrated camera. Its pan, tilt, swing, distance and aim are derived from the pose.
 
     Constructors and properties give NumPy numbers in double precision; what `jit`, `grad` or
@@ -41,8 +42,11 @@ class Camera(eqx.Module):
     def __repr__(self) -> str:
         if is_traced(self):
             return super().__repr__()
-        own = (f"{name}={getattr(self, name):.6g}" for name in POSE_NAMES)
-        return f"<Camera: {', '.join(own)}, {self.intrinsics!r}>"
+        numbers = [f"{name}={getattr(self, name):.6g}" for name in POSE_NAMES]
+        if not np.isfinite(self.distance_mm):
+            x, y, z = (f"{each:.6g}" for each in self.centre_world_mm)
+            numbers[-1] = f"centre_world_mm=({x}, {y}, {z})"
+        return f"<Camera: {', '.join(numbers)}, {self.intrinsics!r}>"
 
     @classmethod
     @in_float64
@@ -57,7 +61,16 @@ class Camera(eqx.Module):
         aim_mm: Sequence[ScalarLike] | Float[ArrayLike, "2"] = (0.0, 0.0),
     ) -> "Camera":
         """A camera from the method's parameters as people write them."""
-        given = (pan_deg, tilt_deg, swing_deg, distance_mm, *aim_mm)
+        angles = (pan_deg, tilt_deg, swing_deg, distance_mm)
+        if not is_traced(angles, aim_mm):
+            aim_mm = real_array(aim_mm, "aim_mm")
+            numbers = real_array(angles, "The pose")
+            if numbers.shape != (4,) or aim_mm.shape != (2,):
+                raise InputError(
+                    "A pose is one number each for pan, tilt, swing and distance, and two for "
+                    f"aim_mm, but these have the shapes {numbers.shape[1:]} and {aim_mm.shape}."
+                )
+        given = (*angles, *aim_mm)
         xp = array_namespace(given)
         values = xp.stack([xp.asarray(value, float) for value in given])
         parameters = xp.concatenate([xp.radians(values[:3]), values[3:]])
@@ -71,7 +84,7 @@ class Camera(eqx.Module):
         shape, entries that are not finite, or a camera without a finite centre. Source:
         Hartley and Zisserman, section 6.2.4.
         """
-        matrix = np.asarray(projection_px, dtype=np.float64)
+        matrix = real_array(projection_px, "The projection matrix")
         if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
             raise InputError(
                 f"A projection matrix must be 3x4 with finite entries, but this one has shape "
@@ -140,6 +153,13 @@ class Camera(eqx.Module):
 
     def project(self, point_world_mm: Float[ArrayLike, "3"]) -> Float[NumpyOrTraced, "2"]:
         """The pixel that images a point, lens distortion included (see `project`)."""
+        if not is_traced(point_world_mm):
+            point_world_mm = real_array(point_world_mm, "The point")
+            if point_world_mm.shape != (3,):
+                raise InputError(
+                    f"The point has shape {point_world_mm.shape}, but must be (3,): X, Y and Z in "
+                    "mm; `jax.vmap` of `trinoc.geometry.project` takes many."
+                )
         return _project(self, point_world_mm)
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, real_number
 from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.intrinsics import Intrinsics, whole_size_px
 from trinoc.geometry.picture_window import border_in_plane, fit_windows
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
@@ -34,7 +34,7 @@ def undistort_lens(
     that folds the picture.
     """
     expect_alpha(alpha)
-    size_px = image_size_px or lens.image_size_px
+    size_px = lens.image_size_px if image_size_px is None else whole_size_px(image_size_px)
     if not lens.has_distortion and size_px == lens.image_size_px:
         return lens
     shape = np.asarray(lens.matrix[:2, :2] / lens.matrix[0, 0])
@@ -49,7 +49,7 @@ def undistort_lens(
 
 def expect_alpha(alpha: float) -> None:
     """Raise InputError for a share of the field that is none."""
-    if not 0 <= alpha <= 1:
+    if not 0 <= real_number(alpha, "alpha") <= 1:
         raise InputError(
             f"alpha is {alpha:g}: give 0 for valid pixels alone, 1 for the whole field, or a "
             "number between."

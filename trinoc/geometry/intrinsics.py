@@ -23,8 +23,10 @@ from trinoc.numerics.precision import (
     as_float,
     in_float64,
     is_traced,
+    real_array,
 )
 from trinoc.numerics.programs import kept_jit
+from trinoc.numerics.values import Value
 
 # What to give where a lens is wanted.
 A_LENS = "trinoc.Intrinsics, such as load reads from a camera.json"
@@ -34,7 +36,7 @@ FOLD_REMEDY = (
 )
 
 
-class Intrinsics(eqx.Module):
+class Intrinsics(Value):
     """A lens in front of a sensor: pinhole with optional skew and distortion.
 
     Pixel (u, v) = (column, row), with (0, 0) the centre of the top-left pixel. Numbers that are
@@ -70,8 +72,8 @@ class Intrinsics(eqx.Module):
         along u and one along v). `principal_point_px` defaults to ((W-1)/2, (H-1)/2), the
         centre of the picture. `distortion` is the coefficients of `distortion_model`, a name in
         `lenses.registry.LENS_MODELS`: by default up to five of Brown-Conrady, k1, k2, p1, p2, k3,
-        those left out being zero; None is a lens without distortion. Raises InputError for what
-        cannot be a camera, as far as the numbers are not traced.
+        those left out being zero; not p1 without p2. None is a lens without distortion. Raises
+        InputError for what cannot be a camera, as far as the numbers are not traced.
         """
         pitch = None if pixel_pitch_mm is None else _positive_pair("pixel_pitch_mm", pixel_pitch_mm)
         if focal_length_px is not None and focal_length_mm is None:
@@ -83,12 +85,7 @@ class Intrinsics(eqx.Module):
                 "The focal length is not determined: give focal_length_mm with pixel_pitch_mm, "
                 "or focal_length_px alone."
             )
-        width, height = (int(side) for side in image_size_px)
-        if width < 1 or height < 1 or (width, height) != tuple(image_size_px):
-            raise InputError(
-                f"image_size_px is {tuple(image_size_px)}, but must be (width, height) in whole "
-                "positive pixels."
-            )
+        width, height = whole_size_px(image_size_px)
         middle = ((width - 1) / 2, (height - 1) / 2)
         model, coefficients = _distortion(distortion, distortion_model)
         self.lens = model(
@@ -202,6 +199,20 @@ class Intrinsics(eqx.Module):
         return jnp.asarray(self.lens.distort_pixel(uv_px))
 
 
+def whole_size_px(size: object) -> tuple[int, int]:
+    """(width, height) of pictures as a caller gave it. Raises InputError for what is none."""
+    try:
+        sides = np.array(size if np.ndim(size) == 1 else ())  # pyright: ignore
+    except ValueError:  # lists of several lengths
+        sides = np.zeros(0)
+    is_size = sides.shape == (2,) and sides.dtype.kind in "iuf" and np.isfinite(sides).all()
+    if not (is_size and (sides >= 1).all() and (sides == np.round(sides)).all()):
+        raise InputError(
+            f"image_size_px is {size}, but must be (width, height) in whole positive pixels."
+        )
+    return int(sides[0]), int(sides[1])
+
+
 def _distortion(
     given: Sequence[ScalarLike] | ArrayLike | None, model_name: str | None
 ) -> tuple[type[AbstractLens], Float[ArrayLike, "c"]]:
@@ -211,27 +222,40 @@ def _distortion(
     else:
         model = Pinhole if given is None else DEFAULT_DISTORTION
     names = model.coefficient_names
-    coefficients = _array(()) if given is None else _array(given).reshape(-1)
+    coefficients = _array(()) if given is None else _array(given, "distortion").reshape(-1)
     if len(coefficients) > len(names):
         raise InputError(
             f"distortion has {len(coefficients)} coefficients, but {model.model} takes at most "
             f"{len(names)}: {', '.join(names) or 'none'}."
         )
+    if names[len(coefficients) - 1 : len(coefficients) + 1] == ("p1", "p2"):
+        raise InputError(
+            f"distortion has {len(coefficients)} coefficients, which end with p1 and lack p2: the "
+            f"order is {', '.join(names[:5])}, so give 0 for those that are not known."
+        )
     xp, missing = array_namespace(coefficients), len(names) - len(coefficients)
     return model, xp.concatenate([coefficients, xp.zeros(missing, coefficients.dtype)])
 
 
-def _array(value: object) -> Float[ArrayLike, "*n"]:
-    """A traced value as a JAX array, any other as a NumPy array of float64."""
+def _array(value: object, name: str = "A lens") -> Float[ArrayLike, "*n"]:
+    """A traced value as a JAX array, any other as a NumPy array of float64.
+
+    Raises InputError, with the `name`, for what are no numbers.
+    """
     if is_traced(value):
         return jnp.asarray(value)
-    return np.array(value, dtype=np.float64)
+    array = real_array(value, name).copy()
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} has {value!r}, but must be finite: check its numbers.")
+    return array
 
 
 def _positive_pair(
     name: str, value: Sequence[ScalarLike] | ArrayLike | ScalarLike
 ) -> Float[ArrayLike, "2"]:
-    pair = _array(value)
+    pair = _array(value, name)
+    if pair.shape not in ((), (1,), (2,)):
+        raise InputError(f"{name} is {value}, but must be one number, or two for u and v.")
     pair = array_namespace(pair).broadcast_to(pair, (2,))
     if not is_traced(pair) and not (pair > 0).all():
         raise InputError(f"{name} is {value}, but must be positive: check the number and its unit.")

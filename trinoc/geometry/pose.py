@@ -3,7 +3,6 @@ that are free."""
 
 from enum import Enum
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from trinoc.geometry.rotation import (
     vector_from_rotation,
 )
 from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
+from trinoc.numerics.values import Value
 
 
 class PoseModel(Enum):
@@ -70,7 +70,7 @@ def pose_model_over_sheet(pose_model: PoseModel | str) -> PoseModel:
     return model
 
 
-class Pose(eqx.Module):
+class Pose(Value):
     """A rigid motion `cam_from_world` = [R | t]: x_cam = R x_world + t.
 
     Fits take small steps from a pose (`retract`), in local coordinates that have no pole: pan and

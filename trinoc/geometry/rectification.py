@@ -5,10 +5,11 @@ then moves by f b / z along the rows from picture to picture. Source: Hartley an
 11.12.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
@@ -18,9 +19,10 @@ from trinoc.geometry.ideal_cameras import (
     say_which_camera,
     with_covariance,
 )
+from trinoc.geometry.intrinsics import whole_size_px
 from trinoc.geometry.picture_window import WIDEST_DEG, border_in_plane, fit_windows
 from trinoc.geometry.pose import Pose
-from trinoc.geometry.projection import project_points
+from trinoc.geometry.projection import project_points, unproject_pixels
 from trinoc.geometry.rig import Rig, at_one_place
 from trinoc.numerics.precision import in_float64
 
@@ -29,6 +31,10 @@ _MOST_TURN_DEG = 60.0
 # The sine of the angle with the line under which a camera would be turned that far.
 _ALONG = np.sin(np.radians(90 - _MOST_TURN_DEG))
 _OWN_FRAME = Pose(np.eye(3, 4))
+# Of the field that both cameras see: less than this is no pair, and less than that is noted.
+LEAST_SHARE, NOTED_SHARE = 0.1, 0.75
+# numerical: points of the field along each side of a picture; a great distance, in baselines.
+_FIELD_STEPS, _FAR = 33, 100.0
 
 
 class Disparity(NamedTuple):
@@ -63,7 +69,8 @@ def rectify_pair(
 
     The covariance of the poses is propagated; where lenses are not exact, there is none. Raises
     InputError for another number of cameras, cameras at one place, a camera that looks along the
-    line of the centres or sees the other one, and cameras that see no common rows.
+    line of the centres or sees the other one, cameras that see no common rows, and where less than
+    a tenth of the common field is left (`share_of_common_field`).
     """
     expect_alpha(alpha)
     if len(rig) != 2:
@@ -83,21 +90,92 @@ def rectify_pair(
             border = border_in_plane(camera.intrinsics, ideal_from_world @ camera.pose.rotation.T)
         borders.append(border @ shape.T)
     sizes = zip(*(camera.image_size_px for camera in rig.cameras), strict=True)
-    size_px = image_size_px or tuple(max(sides) for sides in sizes)
-    windows = fit_windows(borders, size_px, alpha)
-    if windows is None:
+    largest = tuple(max(sides) for sides in sizes)
+    size_px = largest if image_size_px is None else whole_size_px(image_size_px)
+
+    def frame_pictures(alpha: float) -> dict[str, Camera]:
+        windows = fit_windows(borders, size_px, alpha)
+        if windows is None:
+            raise InputError(
+                f"The pictures of {', '.join(rig.names)} show nothing in common rows: give cameras "
+                "that look at one scene."
+            )
+        return {
+            name: Camera(
+                ideal_lens(shape, windows.scale_px, origin_px, size_px),
+                Pose.from_centre(ideal_from_world, camera.centre_world_mm),
+            )
+            for (name, camera), origin_px in zip(rig.items(), windows.origins_px, strict=True)
+        }
+
+    cameras = frame_pictures(alpha)
+    share = share_of_common_field(rig, cameras)
+    if share < LEAST_SHARE:
+        whole = share_of_common_field(rig, frame_pictures(1.0))
+        remedy = (
+            f"give alpha 1, which keeps {100 * whole:.0f} %, or "
+            if whole > LEAST_SHARE
+            else "give "
+        )
         raise InputError(
-            f"The pictures of {', '.join(rig.names)} show nothing in common rows: give cameras "
-            "that look at one scene."
+            f"The new pictures would show {100 * share:.0f} % of what both cameras look at, since "
+            f"their directions differ by {_angle_deg(rig):.0f} degrees: {remedy}cameras that look "
+            "in more nearly the same direction."
         )
-    cameras = {
-        name: Camera(
-            ideal_lens(shape, windows.scale_px, origin_px, size_px),
-            Pose.from_centre(ideal_from_world, camera.centre_world_mm),
-        )
-        for (name, camera), origin_px in zip(rig.items(), windows.origins_px, strict=True)
-    }
     return with_covariance(cameras, rig), _disparity(cameras)
+
+
+@in_float64
+def share_of_common_field(rig: Rig, cameras: Mapping[str, Camera]) -> float:
+    """Of the places that both cameras of a rig image: the share that both new `cameras` image.
+
+    The places are where the optical axes come nearest to each other, on planes across the axes; at
+    a great distance for axes that do not come nearer in front of the cameras. NaN for none.
+    """
+    first, second = rig.cameras
+    depths = _depths_of_approach(first, second)
+    points = []
+    for camera, other, depth in ((first, second, depths[0]), (second, first, depths[1])):
+        size = np.array(camera.image_size_px) - 1.0
+        grid = np.stack(np.meshgrid(*2 * [np.linspace(0, 1, _FIELD_STEPS)]), axis=-1)
+        rays = unproject_pixels(camera.intrinsics.lens, grid.reshape(-1, 2) * size)
+        rays = rays[rays[:, 2] > np.cos(np.radians(WIDEST_DEG))]
+        in_camera = depth * rays / rays[:, 2:]
+        places = in_camera @ np.asarray(camera.pose.rotation) + camera.centre_world_mm
+        points.append(places[_is_imaged(other, places)])
+    common = np.concatenate(points)
+    if not len(common):
+        return float("nan")
+    kept = np.all([_is_imaged(camera, common) for camera in cameras.values()], axis=0)
+    return float(kept.mean())
+
+
+def _is_imaged(camera: Camera, points_mm: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+    """Whether a picture shows points."""
+    in_camera = points_mm @ np.asarray(camera.cam_from_world)[:, :3].T
+    in_camera = in_camera + np.asarray(camera.cam_from_world)[:, 3]
+    uv_px = project_points(_OWN_FRAME, camera.intrinsics.lens, in_camera)
+    inside = ((uv_px >= -0.5) & (uv_px <= np.array(camera.image_size_px) - 0.5)).all(axis=1)
+    return inside & (in_camera[:, 2] > 0)
+
+
+def _depths_of_approach(first: Camera, second: Camera) -> tuple[float, float]:
+    """How far along each optical axis the other one is nearest."""
+    axes = np.stack([first.pose.rotation[2], second.pose.rotation[2]])
+    baseline = np.asarray(second.centre_world_mm - first.centre_world_mm)
+    far_mm = _FAR * float(np.linalg.norm(baseline))
+    cosine = float(axes[0] @ axes[1])
+    if 1 - cosine**2 < _FAR**-2:
+        return far_mm, far_mm
+    depths = np.linalg.solve([[1, -cosine], [cosine, -1]], axes @ baseline)
+    near = (depths > 0).all() and (depths < far_mm).all()
+    return (float(depths[0]), float(depths[1])) if near else (far_mm, far_mm)
+
+
+def _angle_deg(rig: Rig) -> float:
+    """Between the optical axes of two cameras."""
+    first, second = (camera.pose.rotation[2] for camera in rig.cameras)
+    return float(np.degrees(np.arccos(np.clip(first @ second, -1, 1))))
 
 
 def _disparity(cameras: dict[str, Camera]) -> Disparity:

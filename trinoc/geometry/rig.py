@@ -1,25 +1,45 @@
 """Several cameras in one world frame, with what is known of their errors."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.errors import InputError, check_kind
+from trinoc.errors import InputError, check_kind, list_names
 from trinoc.geometry.camera import POSE_NAMES, Camera
 from trinoc.numerics.display import Displayable
-from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.precision import ArrayLike, is_traced, real_array
+from trinoc.numerics.values import Value
 
 # Centres nearer to each other than this share of their distance from the sheet are one place.
 _ONE_PLACE = 1e-6
+# Names that folders give to themselves and to what is above them.
+_NO_NAMES = (".", "..")
 # What to give where a rig is wanted.
 A_RIG = "a trinoc.Rig, such as load_rig reads from a file"
 PARAMETER_NAMES = (*POSE_NAMES, "aim_x_mm", "aim_y_mm")
 
 
-class Rig(Displayable, eqx.Module):
+def is_camera_name(name: object) -> bool:
+    """Whether files, tables and messages can hold a name: printable characters, not all blank."""
+    text = isinstance(name, str)
+    return text and name.isprintable() and bool(name.strip()) and name not in _NO_NAMES
+
+
+def check_camera_names(names: Iterable[object]) -> None:
+    """Raise InputError for a name that a camera cannot have."""
+    for name in names:
+        if not is_camera_name(name):
+            raise InputError(
+                f"A camera is named {name!r}: give it a name of printable characters, which is not "
+                "blank, . or .. alone."
+            )
+
+
+class Rig(Displayable, Value):
     """Named cameras, in the order the user gave them.
 
     Fields
@@ -43,12 +63,18 @@ class Rig(Displayable, eqx.Module):
         covariance: Float[ArrayLike, "p p"] | None = None,
     ) -> None:
         check_kind(cameras, Mapping, "set of cameras", "a dictionary of names and cameras")
+        check_camera_names(cameras)
         for name, camera in cameras.items():
             check_kind(camera, Camera, f'camera "{name}"', "a trinoc.Camera")
         self.names = tuple(cameras)
         self.cameras = tuple(cameras.values())
+        check_kind(parameters, (list, tuple), "list of parameters", 'names such as "left.pan_deg"')
         self.parameters = tuple(parameters)
-        self.covariance = np.zeros((0, 0)) if covariance is None else covariance
+        if covariance is None:
+            covariance = np.zeros((0, 0))
+        elif not is_traced(covariance):
+            covariance = real_array(covariance, "The covariance")
+        self.covariance = covariance
 
     def __check_init__(self) -> None:
         if not self.names:
@@ -69,18 +95,38 @@ class Rig(Displayable, eqx.Module):
 
         `image_size_px` is one (width, height), or one per camera. Raises InputError.
         """
+        each = "a dictionary of each camera's name and 3x4 projection matrix"
+        check_kind(matrices_px, Mapping, "set of matrices", each)
         cameras = {}
         for name, matrix in matrices_px.items():
-            size = image_size_px[name] if isinstance(image_size_px, Mapping) else image_size_px
+            size: Any = image_size_px
+            if isinstance(image_size_px, Mapping):
+                size = image_size_px.get(name)
             try:
-                cameras[name] = Camera.from_matrix(np.asarray(matrix), (int(size[0]), int(size[1])))
+                cameras[name] = Camera.from_matrix(matrix, size)
             except InputError as error:
                 raise InputError(f'Camera "{name}": {error}') from error
         return cls(cameras)
 
+    def take(self, names: Collection[str]) -> "Rig":
+        """The rig of some of its cameras, in its own order, with their part of the covariance.
+
+        Raises InputError for a name that is no camera of it.
+        """
+        check_kind(names, Collection, "set of names", "names of cameras")
+        for name in names:
+            self[name]
+        cameras = {name: camera for name, camera in self.items() if name in names}
+        rows = [k for k, each in enumerate(self.parameters) if each.rpartition(".")[0] in cameras]
+        return type(self)(
+            cameras,
+            parameters=[self.parameters[row] for row in rows],
+            covariance=np.asarray(self.covariance)[np.ix_(rows, rows)],
+        )
+
     def __getitem__(self, name: str) -> Camera:
         if name not in self.names:
-            raise InputError(f'There is no camera "{name}"; this rig has {", ".join(self.names)}.')
+            raise InputError(f'There is no camera "{name}"; this rig has {list_names(self)}.')
         return self.cameras[self.names.index(name)]
 
     def __iter__(self) -> Iterator[str]:
@@ -103,6 +149,7 @@ class Rig(Displayable, eqx.Module):
 
         Raises InputError for another name.
         """
+        check_kind(parameter, str, "name of the parameter", 'one such as "left.pan_deg"')
         name, _, own = parameter.rpartition(".")
         if own not in PARAMETER_NAMES:
             raise InputError(
@@ -125,6 +172,7 @@ class Rig(Displayable, eqx.Module):
 
         Raises InputError for a name that is neither of `PARAMETER_NAMES` nor the lens's.
         """
+        check_kind(parameter, str, "name of the parameter", 'one such as "left.pan_deg"')
         if parameter not in self.parameters:
             name, _, own = parameter.rpartition(".")
             if own not in self[name].intrinsics.lens.parameter_names:

@@ -9,7 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, real_number
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.tables import (
@@ -24,6 +24,7 @@ from trinoc.numerics.tables import (
     check_number,
     take_rows,
 )
+from trinoc.numerics.values import Value
 
 # The body of a segment, not one of its ends, lies on a junction.
 BODY = -1
@@ -137,14 +138,14 @@ class Segments(Displayable, Table):
         sigma_along_px: float = DEFAULT_SIGMA_ALONG_PX,
         image_size_px: tuple[int, int] | None = None,
     ) -> "Segments":
-        """Segments of any detector: (n, 4) rows x1 y1 x2 y2, or (n, 2, 2).
+        """Segments of any detector: (n, 4) rows x1 y1 x2 y2, (n, 1, 4) as of OpenCV, or (n, 2, 2).
 
         `sigma_px` is the standard deviation of each end across the segment, `sigma_along_px`
         along it. Raises InputError for sigmas that are not positive, for other shapes, for
         coordinates that are not finite and for segments without length, and names the first.
         """
         for name, sigma in (("sigma_px", sigma_px), ("sigma_along_px", sigma_along_px)):
-            if not sigma > 0:
+            if not real_number(sigma, name) > 0:
                 raise InputError(f"{name} is {sigma}, but must be positive: no end is exact.")
         array = as_endpoints(endpoints_px)
         broken = np.flatnonzero(~np.isfinite(array).all(axis=(1, 2)))
@@ -196,6 +197,11 @@ class Segments(Displayable, Table):
 
 def as_endpoints(given: ArrayLike) -> Float[np.ndarray, "n 2 2"]:
     """Rows x1 y1 x2 y2, or pairs of ends, as pairs. Raises InputError for other shapes."""
+    if given is None:
+        raise InputError(
+            "Segments are None, which OpenCV's detectors give where they find none: give "
+            "np.zeros((0, 4)) then, or what find_segments finds."
+        )
     try:
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -205,10 +211,10 @@ def as_endpoints(given: ArrayLike) -> Float[np.ndarray, "n 2 2"]:
         ) from error
     if array.size == 0:
         return array.reshape(0, 2, 2)
-    if array.shape[1:] not in ((4,), (2, 2)):
+    if array.shape[1:] not in ((4,), (1, 4), (2, 2)):
         raise InputError(
-            f"Segments have shape {array.shape}, but must be (n, 4) with rows x1 y1 x2 y2, or "
-            "(n, 2, 2); those of a picture are what find_segments finds."
+            f"Segments have shape {array.shape}, but must be (n, 4) with rows x1 y1 x2 y2, "
+            "(n, 1, 4) or (n, 2, 2); those of a picture are what find_segments finds."
         )
     return array.reshape(-1, 2, 2)
 
@@ -230,7 +236,7 @@ def covariance_of_ends(
     return covariance
 
 
-class LineObservations(eqx.Module):
+class LineObservations(Value):
     """Tracks of fragments, and a first estimate of the line that each shows.
 
     Fields

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.numerics.precision import ArrayLike, in_float64
+from trinoc.numerics.values import Value
 
 
 class Measure(NamedTuple):
@@ -19,7 +19,7 @@ class Measure(NamedTuple):
     sigma: float
 
 
-class UncertainLines(eqx.Module):
+class UncertainLines(Value):
     """3-D segments with the covariance of any number of them together.
 
     Fields

@@ -37,8 +37,8 @@ class GreyImage(NamedTuple):
 
     Fields
     ------
-    grey : (h, w) grey levels, on the scale of the picture's own numbers; of real numbers up to 1
-        and of truth values: times 255.
+    grey : (h, w) grey levels, on the scale of the picture's own numbers; of real numbers up to 1:
+        times 255.
     quantum : step between two levels, 0 for real numbers.
     white : the largest level that can be told from a larger one; infinite where not known.
     full : the level of full white in the picture's own range: the least of 255, 1023, 4095, 16383
@@ -75,8 +75,19 @@ def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
     colours and alpha. Raises InputError for what is no picture: other shapes and types, pictures
     under 16 pixels a side, values that are not finite.
     """
+    if image is None or isinstance(image, str) or hasattr(image, "__fspath__"):
+        given = "None" if image is None else f'the name "{image}"'
+        raise InputError(
+            f"The picture is {given}, but must be an array: read the file first, as by cv2.imread, "
+            "and check that it was found."
+        )
     array = np.asarray(image)
-    if array.dtype.kind not in "buif":
+    if array.dtype == np.bool_:
+        raise InputError(
+            "The picture is of truth values, which have no grey levels: give the picture itself, "
+            "or 255 times the mask as uint8 where black and white is meant."
+        )
+    if array.dtype.kind not in "uif":
         raise InputError(
             f"A picture of {array.dtype} holds no grey levels: give an array of numbers."
         )
@@ -105,7 +116,7 @@ def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
     if not whole and not np.isfinite(grey.sum(dtype=np.float64)):
         raise InputError("The picture has values that are not finite: replace them first.")
     largest = 0.0 if array.dtype == np.uint8 else float(np.abs(grey).max())
-    if array.dtype == np.bool_ or (not whole and largest <= _SLACK):
+    if not whole and largest <= _SLACK:
         grey, quantum, largest = grey * np.float32(255), 255 * quantum, 255.0
     full = _full_white(largest if whole else largest / _SLACK)
     return GreyImage(grey, quantum, _white(array.dtype, full), full)

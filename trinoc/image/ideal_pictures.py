@@ -12,12 +12,17 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Shaped
 
-from trinoc.errors import InputError, check_kind
+from trinoc.errors import InputError, check_kind, list_names
 from trinoc.geometry.ideal_cameras import undistort_lens, undistort_rig
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_points
-from trinoc.geometry.rectification import Disparity, rectify_pair
+from trinoc.geometry.rectification import (
+    NOTED_SHARE,
+    Disparity,
+    rectify_pair,
+    share_of_common_field,
+)
 from trinoc.geometry.rig import A_RIG, Rig
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.precision import in_float64
@@ -90,11 +95,13 @@ class IdealRig(NamedTuple):
     rig : at the same centres; with a covariance where that of the rig before holds for it.
     maps : of each camera.
     disparity : of a rectified pair, from which depth follows.
+    notes : sentences on what a rectified pair loses of the field that both cameras see.
     """
 
     rig: Rig
     maps: dict[str, PictureMaps]
     disparity: Disparity | None = None
+    notes: tuple[str, ...] = ()
 
     def resample(
         self, pictures: Mapping[str, Shaped[np.ndarray, "..."]]
@@ -104,7 +111,7 @@ class IdealRig(NamedTuple):
         for name, picture in pictures.items():
             if name not in self.maps:
                 raise InputError(
-                    f'There is no camera "{name}"; this rig has {", ".join(self.maps)}.'
+                    f'There is no camera "{name}"; this rig has {list_names(self.maps)}.'
                 )
             made[name] = self.maps[name].resample(picture)
         return made
@@ -164,11 +171,18 @@ def rectify(
     are not exact either, there is none.
 
     Raises InputError where the cameras stand at one place, look along the line of their centres or
-    at opposite sides, see each other, or have no rows in common.
+    at opposite sides, see each other, have no rows in common, or where less than a tenth of what
+    both look at would be left.
     """
     check_kind(rig, Rig, "rig", A_RIG)
     ideal, disparity = rectify_pair(rig, alpha=alpha, image_size_px=image_size_px)
-    return IdealRig(ideal, _maps(rig, ideal), disparity)
+    share, notes = share_of_common_field(rig, dict(ideal.items())), ()
+    if share < NOTED_SHARE:
+        notes = (
+            f"The new pictures show {100 * share:.0f} % of what both cameras look at; a larger "
+            "alpha keeps more.",
+        )
+    return IdealRig(ideal, _maps(rig, ideal), disparity, notes)
 
 
 def _maps(rig: Rig, ideal: Rig) -> dict[str, PictureMaps]:
@@ -195,6 +209,7 @@ def picture_maps(
         v, u = np.mgrid[rows, :width].reshape(2, -1)
         rays = np.stack([u, v, np.ones_like(u)], axis=1) @ cam_from_pixel.T
         maps[:, rows] = _image_rays(lens, rays).T.reshape(2, -1, width)
+    maps.flags.writeable = False
     return PictureMaps(maps[0], maps[1], lens.image_size_px)
 
 

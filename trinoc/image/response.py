@@ -6,6 +6,7 @@ name in `_NAMED`.
 """
 
 import abc
+import numbers
 from types import ModuleType
 from typing import ClassVar, Literal, NamedTuple
 
@@ -137,7 +138,8 @@ def find_response(given: ResponseLike | str) -> AbstractResponse:
     if isinstance(given, str):
         found = _NAMED.get(given)
     else:
-        found = PowerResponse(float(given)) if least <= given <= most else None
+        is_bend = isinstance(given, numbers.Real) and least <= given <= most
+        found = PowerResponse(float(given)) if is_bend else None
     if found is None:
         raise InputError(
             f'response is {given!r}, but must be "linear", "srgb" or a number from '

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_path
 from trinoc.io.atomic import atomic_write
 
 # Unpacked, all arrays together: matches of half a million tracks.
@@ -50,6 +50,7 @@ def read_arrays(
     Raises InputError for a file that is missing, broken or far too large, or of another format or
     version.
     """
+    expect_path(path)
     file = Path(path)
     arrays = _arrays(file)
     found = _one(arrays.pop("format", None))

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_path
 
 # A file is written in seconds; another program may be writing a younger one.
 ABANDONED_S = 3600
@@ -33,6 +33,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
 
     No more than `most` bytes are read, also of a pipe or a device, which have no size.
     """
+    expect_path(path)
     file = Path(path)
     try:
         with file.open("rb") as stream:
@@ -124,6 +125,18 @@ def expect_place(*paths: str | os.PathLike[str] | None) -> None:
                 f"{named} is a device or a pipe, which cannot be replaced in one step: give the "
                 "name of a file to write."
             )
+
+
+def as_file_name(name: str) -> str:
+    """A name, such as a camera's, as a part of a file's name; other names give other ones.
+
+    What parts folders, or what some system refuses, becomes %XX, and so do dots at its ends.
+    """
+    return re.sub(
+        r'[%/\\:*?"<>|]|^[. ]+|[. ]+$',
+        lambda part: "".join(f"%{ord(letter):02X}" for letter in part[0]),
+        name,
+    )
 
 
 def _resolve_link(path: Path) -> Path:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_path
 from trinoc.io.arrays_npz import MOST_BYTES
 from trinoc.io.atomic import atomic_write
 from trinoc.io.frames_table import (
@@ -245,6 +245,7 @@ def load_recording(folder: str | os.PathLike[str]) -> RecordingMatches:
 
     Frames come in the order of the recording. Raises InputError where there are none.
     """
+    expect_path(folder)
     place = Path(folder)
     lines: dict[str, list[dict]] = {}
     for manifest in sorted(place.glob("manifest*.jsonl")):

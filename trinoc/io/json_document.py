@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_path
 from trinoc.io.atomic import read_text, write_text
 
 # Everything that trinoc reads is at most eight deep; Python's own parser fails at thousands.
@@ -188,6 +188,7 @@ def read_document(path: str | os.PathLike[str], format_name: str, version: int) 
 
     Raises InputError for a file that is missing, is not JSON, or has another format or version.
     """
+    expect_path(path)
     file = Path(path)
     values = parsed_json(read_text(file), file)
     if not isinstance(values, dict) or values.get("format") != format_name:

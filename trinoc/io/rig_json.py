@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig, is_camera_name
 from trinoc.io.atomic import read_text, write_text
 from trinoc.io.intrinsics_json import (
     CONVENTIONS,
@@ -131,6 +131,10 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     cameras = {name: _camera(block) for name, block in document.block("cameras").blocks()}
     if not cameras:
         raise document.error("cameras", "names no camera: add at least one.")
+    for name in cameras:
+        if not is_camera_name(name):
+            problem = "is no name of printable characters: rename the camera."
+            raise InputError(f'{document.file}: the key {name!r} of "cameras" {problem}')
     status_of_document(document)
     parameters, covariance = parse_covariance(document, cameras)
     expect_apart(cameras, document.file)
@@ -164,7 +168,7 @@ def load_lens(path: str | os.PathLike[str], camera: str | None = None) -> KnownL
     name = camera if camera in tuple(rig) else next(iter(rig)) if len(rig) == 1 else None
     if name is None:
         raise InputError(
-            f"{path} is a rig of {', '.join(rig)}, "
+            f"{path} is a rig of {list_names(rig)}, "
             + ("a lens is that of one: " if camera is None else f'none of which is "{camera}": ')
             + "write NAME=rig.json with one of these names, or give a camera.json."
         )
@@ -249,9 +253,8 @@ def _camera_to_block(rig: Rig, name: str) -> dict[str, Any]:
 
 def _sigmas(rig: Rig, name: str) -> dict[str, float]:
     """Standard deviation of each parameter of one camera, by the parameter's own name."""
-    prefix = name + "."
-    own = (parameter for parameter in rig.parameters if parameter.startswith(prefix))
-    return {parameter.removeprefix(prefix): rig.sigma(parameter) for parameter in own}
+    parted = ((parameter, *parameter.rpartition(".")) for parameter in rig.parameters)
+    return {key: rig.sigma(parameter) for parameter, camera, _, key in parted if camera == name}
 
 
 def _camera(block: Block) -> Camera:

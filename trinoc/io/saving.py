@@ -10,7 +10,7 @@ import numpy as np
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_path
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
@@ -60,7 +60,11 @@ def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
 
 
 def expect_replaceable(
-    path: str | os.PathLike[str] | None, kind: type, *, force: bool = False
+    path: str | os.PathLike[str] | None,
+    kind: type,
+    *,
+    force: bool = False,
+    remedy: str = "--force",
 ) -> None:
     """Before a long job: raise InputError for a name that `save` would refuse a value of a kind,
     and, unless forced, where a file stands that holds something else."""
@@ -73,7 +77,7 @@ def expect_replaceable(
         stated = None
     if stated not in _list_formats(kind):
         held = f"a file of {stated}" if isinstance(stated, str) and stated else "something else"
-        raise InputError(_say_lost(path, held))
+        raise InputError(_say_lost(path, held, remedy))
 
 
 def expect_marked(path: str | os.PathLike[str] | None, mark: bytes, *, force: bool = False) -> None:
@@ -97,8 +101,8 @@ def expect_foreign(path: str | os.PathLike[str], *, force: bool = False) -> None
         raise InputError(_say_lost(path, f"a file of {stated}"))
 
 
-def _say_lost(path: str | os.PathLike[str], held: str) -> str:
-    return f"{path} is there and holds {held}, which would be lost: give another name, or --force."
+def _say_lost(path: str | os.PathLike[str], held: str, remedy: str = "--force") -> str:
+    return f"{path} is there and holds {held}, which would be lost: give another name, or {remedy}."
 
 
 def _stated_format(file: Path) -> object:
@@ -125,19 +129,22 @@ def save(
     path: str | os.PathLike[str],
     *,
     provenance: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write a value to a file, whole or not at all.
 
     A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
     (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
     JSON; Segments, Matches, a Detection, a Wireframe, Rims and PictureMaps become npz.
-    `provenance`, of rigs and lenses, says how it was found ("command", "version", "inputs"). Raises
-    InputError for other values and for a name whose ending is not that of the file.
+    `provenance`, of rigs and lenses, says how it was found ("command", "version", "inputs"). With
+    `overwrite` the file may be one of something else. Raises InputError for other values, for a
+    name whose ending is not that of the file, and where a file of something else would be lost.
     """
+    expect_path(path)
     more: dict[str, Any] = {}
     if not isinstance(value, (*(kind for kind, _ in _DOCUMENTS), *tables(), PictureMaps)):
         value, more = _content_of_result(value, path)
-    expect_ending(path, type(value))
+    expect_replaceable(path, type(value), force=overwrite, remedy="overwrite=True")
     match value:
         case Rig():
             rig_json.save_rig(value, path, provenance=provenance, **more)
@@ -164,6 +171,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     Raises InputError for other files, and, with the field and the first row, for what no such value
     holds.
     """
+    expect_path(path)
     file = Path(path)
     if file.is_dir():
         return load_recording(file)

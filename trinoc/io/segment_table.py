@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, expect_path
 from trinoc.geometry.segments import Segments
 from trinoc.io.arrays_npz import MOST_BYTES, load_array
 from trinoc.io.atomic import read_text
@@ -30,6 +30,7 @@ def load_segments(path: str | os.PathLike[str]) -> Segments:
     row, for values that no segment has: other shapes, coordinates that are not finite or beyond
     all pictures, covariances that are none.
     """
+    expect_path(path)
     file = Path(path)
     if file.suffix.lower() not in TABLE_SUFFIXES:
         return load_npz(Segments, file)

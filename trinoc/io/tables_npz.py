@@ -94,7 +94,7 @@ def _read(field: Field, fields: "ArrayFields", read: Content, words: Mapping[str
         inner, sides = fields.below(field.below), typing.get_args(field.type)[1].dim_str.split()
         if "..." in sides:
             return {own: inner.arrays[inner.prefix + own] for own in inner.remaining()}
-        return {own: inner.take(own, "U", (None,), "words") for own in inner.remaining()}
+        return {own: inner.take(own, "U", (None,), "words") for own in inner.every()}
     if column.blocks:
         sizes = column.blocks(read)
         ends = np.cumsum([0, *(size**2 for size in sizes)])
@@ -152,10 +152,13 @@ class ArrayFields:
         """The arrays whose names begin so."""
         return ArrayFields(self.arrays, self.file, self.prefix + prefix) if prefix else self
 
+    def every(self) -> list[str]:
+        """All names, which may themselves hold a /, as those of cameras do."""
+        return [n.removeprefix(self.prefix) for n in self.arrays if n.startswith(self.prefix)]
+
     def remaining(self) -> list[str]:
         """The names that were not taken, and that are not below another."""
-        own = (n.removeprefix(self.prefix) for n in self.arrays if n.startswith(self.prefix))
-        return [name for name in own if name not in self._taken and "/" not in name]
+        return [name for name in self.every() if name not in self._taken and "/" not in name]
 
     def take(self, name: str, kind: str, shape: tuple[int | None, ...], what: str) -> np.ndarray:
         """An array of a kind ("f", "i", "b" or "U"), as float64, int64, bool or text.

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Shaped
@@ -32,6 +31,7 @@ from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.buckets import bucket
 from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.programs import one_compiles
+from trinoc.numerics.values import Value
 
 OK = "ok"
 # numerical: frames with more segments in a view than this, or of more views, fill a problem
@@ -41,7 +41,7 @@ LARGEST_FRAME, LARGEST_STACK, MOST_VIEWS = 1 << 8, 1 << 13, 3
 MOST_THREADS = 4
 
 
-class MatchBatch(eqx.Module):
+class MatchBatch(Value):
     """Matches of each item, None where there are none; `status` (n,) is "ok" or says why."""
 
     matches: tuple[Matches | None, ...]

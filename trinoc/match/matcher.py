@@ -47,9 +47,9 @@ def match_segments(
 
     Parameters
     ----------
-    segments : camera names to Segments, or to (n, 4) arrays of x1 y1 x2 y2 from any detector,
-        in pixels of the picture. Two views give pairs only, three or more give triples, and
-        pairs of what the others do not show.
+    segments : camera names to Segments, or to arrays of x1 y1 x2 y2 from any detector, (n, 4) or
+        (n, 1, 4), in pixels of the picture. Two views give pairs only, three or more give triples,
+        and pairs of what the others do not show.
     rig : holds a camera of every name in `segments`, and may hold more.
     sigma_px : standard deviation of the ends across the segments, in place of their own.
     depth_range_mm : least and greatest depth before every camera that sees a line; by default

@@ -15,6 +15,9 @@ from jax.core import Tracer
 from jax.extend.core import get_opaque_trace_state
 from jaxtyping import Float
 
+from trinoc.errors import InputError
+from trinoc.numerics.forked import expect_no_fork, note_computation
+
 # Indexing a NumPy array yields NumPy's own scalars, which are no arrays but behave as such.
 # Type checkers do not see them: their scalar type lacks operators that all arrays have.
 if TYPE_CHECKING:
@@ -43,6 +46,14 @@ with jax.ensure_compile_time_eval():
     _OUTSIDE = get_opaque_trace_state()
 
 
+def real_array(value: Any, name: str) -> np.ndarray:
+    """An array of float64 of what a caller gave. Raises InputError for what are no numbers."""
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is {value!r:.60}, but must be numbers.") from error
+
+
 def is_traced(*trees: Any) -> bool:
     """Whether `jit`, `grad` or `vmap` follows some array of the trees."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
@@ -66,7 +77,10 @@ def as_numpy(tree: Any) -> Any:
 def _leaf_as_numpy(leaf: Any) -> Any:
     if isinstance(leaf, dict):  # JAX would sort its keys; callers named their cameras in order
         return {key: as_numpy(value) for key, value in leaf.items()}
-    return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
+    if not isinstance(leaf, jax.Array):
+        return leaf
+    note_computation()
+    return np.asarray(leaf)
 
 
 def as_float(value: Any) -> Any:
@@ -88,6 +102,7 @@ def in_float64(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, 
     def wrapper(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
         if is_traced(args, kwargs):
             return function(*args, **kwargs)
+        expect_no_fork()
         # Constants inside a trace are computed at once; elsewhere to say so costs compilations.
         at_once = contextlib.nullcontext() if is_outside() else jax.ensure_compile_time_eval()
         with at_once, jax.enable_x64(True):

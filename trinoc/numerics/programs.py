@@ -26,6 +26,7 @@ import numpy as np
 from trinoc.numerics.buckets import FEW_ROWS
 from trinoc.numerics.compile_notice import compiling, notice_compiling
 from trinoc.numerics.compiler_options import quick_compiling
+from trinoc.numerics.forked import expect_no_fork, note_computation
 from trinoc.numerics.precision import as_numpy, is_outside, is_traced
 
 # Whose classes a version number or the store's own key stands for.
@@ -142,11 +143,13 @@ def kept_jit(
         config: Any = jax.config
         if is_traced(args, kwargs) or not is_outside():
             return inner(*args, **kwargs)
+        expect_no_fork()
         if few_rows_of is not None:
             given = signature.bind(*args, **kwargs)
             if len(given.arguments[few_rows_of]) <= FEW_ROWS:
                 with np.errstate(all="ignore"):
                     return function(*as_numpy(args), **kwargs)
+        note_computation()
         if store is None or config.jax_disable_jit or jax.default_backend() != "cpu":
             notice_compiling(is_kept=False)
             return choose_jit(args, kwargs)(*args, **kwargs)

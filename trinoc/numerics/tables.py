@@ -14,10 +14,11 @@ import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar, overload
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
+
+from trinoc.numerics.values import Value
 
 _Rows = TypeVar("_Rows")
 _Options = TypeVar("_Options")
@@ -87,7 +88,7 @@ class Field(NamedTuple):
         return "" if self.column.beside else self.column.below or f"{self.name}/"
 
 
-class Table(eqx.Module):
+class Table(Value):
     """A value whose columns are declared.
 
     `KIND` names it in files, `IN_WORDS` in sentences. `SIDES` has words for what is counted along

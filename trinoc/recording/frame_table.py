@@ -7,10 +7,13 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.match.tracks.matches import Matches
+from trinoc.recording.camera_words import camera_words
 
 OK = "ok"
+# From as many views on, those of a recording may be fewer than the cameras of its rig.
+ENOUGH_VIEWS = 3
 
 
 class Frame(NamedTuple):
@@ -31,20 +34,24 @@ class FrameMatches(NamedTuple):
 def frames_of_table(text: str, cameras: Sequence[str], where: str) -> list[Frame]:
     """The frames of a CSV text, in its order; `where` names it in errors.
 
-    Its first line names the columns; those of no camera are read over, and an empty cell is a
-    camera without a picture. Files are named relative to the table's folder, and may not lie
-    outside it. Raises InputError, with the line.
+    Its first line names the columns, cameras by any of `camera_words`; those of no camera are read
+    over, and an empty cell is a camera without a picture. Files are named relative to the table's
+    folder, and may not lie outside it. Raises InputError, with the line.
     """
     try:
         rows = list(csv.reader(text.splitlines(), strict=True))
     except csv.Error as error:
         raise InputError(f"{where} is not a table in CSV ({error}): write it again.") from error
-    head = [name.strip() for name in rows[0]] if rows else []
-    for column in ("frame", *cameras):
+    words = {word.strip(): camera for word, camera in camera_words(cameras).items()}
+    head = [words.get(name.strip(), name.strip()) for name in rows[0]] if rows else []
+    named = [camera for camera in cameras if camera in head]
+    # A rig may have more cameras than a recording has views.
+    wanted = named if len(named) >= ENOUGH_VIEWS else cameras
+    for column in ("frame", *wanted):
         if head.count(column) != 1:
             raise InputError(
                 f'{where} must have one column "{column}" in its first line, but has '
-                f"{', '.join(head) or 'none'}: name frame, {', '.join(cameras)}."
+                f"{list_names(head) or 'none'}: name frame, {list_names(cameras)}."
             )
     frames: dict[str, Frame] = {}
     for line, row in enumerate(rows[1:], 2):
@@ -59,7 +66,7 @@ def frames_of_table(text: str, cameras: Sequence[str], where: str) -> list[Frame
         if not name or name in frames:
             problem = f'names the frame "{name}" again' if name else "names no frame"
             raise InputError(f"{where}, row {line}, {problem}: give each frame one name.")
-        files = {camera: cells[camera] for camera in cameras if cells[camera]}
+        files = {camera: cells[camera] for camera in wanted if cells[camera]}
         for file in files.values():
             _expect_inside(file, f"{where}, row {line}")
         frames[name] = Frame(name, files)

@@ -8,12 +8,14 @@ from jaxtyping import Float
 
 from trinoc.calib.result.calibration import CalibrationResult, CameraFit, ImageQuality, Status
 from trinoc.calib.shots_result import RigFromShots
+from trinoc.errors import list_names
 from trinoc.geometry.rig import Rig
 from trinoc.report.coverage import Coverage
 from trinoc.report.numbers import with_decimals, with_sign
 from trinoc.report.parameter_table import (
     PAIR_HEAD,
     Rows,
+    is_without_sheet,
     pair_rows,
     parameter_rows,
     parameter_rows_of_boards,
@@ -116,11 +118,25 @@ _DIGITS = "Value ± one sigma, to two digits of the sigma."
 
 
 def cameras_part(
-    rig: Rig, result: CalibrationResult | None, reference: Rig | None, reference_name: str
+    rig: Rig,
+    result: CalibrationResult | None,
+    reference: Rig | None,
+    reference_name: str,
+    others: Sequence[str] = (),
 ) -> CamerasPart:
-    """The parameters of a rig, and the status of each camera where there is a calibration."""
+    """The parameters of a rig, and the status of each camera where there is a calibration.
+
+    others : cameras of the same rig that have no view of the scene, and are left out.
+    """
     rows = parameter_rows(rig, reference)
     remarks = (_DIGITS,) if len(rig.parameters) else ("Sigmas are not known.",)
+    if is_without_sheet(rig):
+        remarks += (
+            "Not every optical axis meets the plane Z = 0: position and viewing direction in the "
+            "world stand here in place of pan, tilt, swing and distance.",
+        )
+    if others:
+        remarks += (f"Cameras without a view of this scene are left out: {list_names(others)}.",)
     name = reference_name if rows[0][1][0].reference else ""
     if result is None:
         return CamerasPart(rig.names, rows, remarks, name)

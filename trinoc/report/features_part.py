@@ -42,14 +42,19 @@ def features_layers(features: Feature) -> list[LineLayer]:
     if not len(features):
         return []
     rows, lines = zip(*features.wires().lines(), strict=True)
-    words = tuple(feature_words(features, row) for row in rows)
+    every = list_words(features)
+    words = tuple(every[row] for row in rows)
     name = f"{features.IN_WORDS} ({len(features)})"
     return [LineLayer(name, "joined", list(lines), True, (), words)]
 
 
-def feature_words(features: Feature, row: int) -> str:
-    """What is known of one of them: its numbers with their sigmas, and where it is seen."""
-    numbers = [f"{name} {value}" for name, value in feature_numbers(features, row).items()]
+def list_words(features: Feature) -> list[str]:
+    """What is known of each of them: its numbers with their sigmas, and where it is seen."""
+    return [_words(features, *item) for item in enumerate(list_numbers(features))]
+
+
+def _words(features: Feature, row: int, values: dict[str, str]) -> str:
+    numbers = [f"{name} {value}" for name, value in values.items()]
     seen = "; ".join(
         f"{view} {', '.join(map(str, own.tolist()))}"
         for view, own in features.segments_of(row).items()
@@ -59,22 +64,25 @@ def feature_words(features: Feature, row: int) -> str:
     return f"{features.KIND.removesuffix('s')} {row}: {whole}"
 
 
-def feature_numbers(features: Feature, row: int) -> dict[str, str]:
-    """By name, what people read first of a feature."""
-    found = {}
+def list_numbers(features: Feature) -> list[dict[str, str]]:
+    """By name, what people read first of each feature."""
+    numbers: list[dict[str, str]] = [{} for _ in range(len(features))]
     for column in features.READ_FIRST:
         stem, unit = _split_unit(column)
-        value = np.asarray(getattr(features, column))[row]
-        sigma = getattr(features, f"{stem}_sigma{unit and '_' + unit}", None)
-        text = with_decimals(float(value), 3)
-        text = text if sigma is None else with_sigma(float(value), float(sigma[row]))
-        found[in_words(stem)] = f"{text} {unit}".strip()
-    return found
+        values = np.asarray(getattr(features, column)).tolist()
+        sigmas = getattr(features, f"{stem}_sigma{unit and '_' + unit}", None)
+        texts = [with_decimals(float(value), 3) for value in values]
+        if sigmas is not None:
+            pairs = zip(values, np.asarray(sigmas).tolist(), strict=True)
+            texts = [with_sigma(float(value), float(sigma)) for value, sigma in pairs]
+        for each, text in zip(numbers, texts, strict=True):
+            each[in_words(stem)] = f"{text} {unit}".strip()
+    return numbers
 
 
 def feature_table(features: Feature) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """(head, rows) of a table of them."""
-    numbers = [feature_numbers(features, row) for row in range(len(features))]
+    numbers = list_numbers(features)
     head = (features.KIND.removesuffix("s"), *(numbers[0] if numbers else ()), "segments")
     counts = [sum(map(len, features.segments_of(row).values())) for row in range(len(features))]
     return head, [(str(k), *own.values(), str(counts[k])) for k, own in enumerate(numbers)]
@@ -82,8 +90,7 @@ def feature_table(features: Feature) -> tuple[tuple[str, ...], list[tuple[str, .
 
 def features_text(features: Feature) -> str:
     """A sentence, and a line for each, for people."""
-    lines = [feature_words(features, row) for row in range(len(features))]
-    return "\n".join([features.summary(), *(lines if features.READ_FIRST else [])])
+    return "\n".join([features.summary(), *(list_words(features) if features.READ_FIRST else [])])
 
 
 def features_record(features: Feature) -> dict[str, Any]:
@@ -148,10 +155,10 @@ def _outline(corners_mm: np.ndarray) -> np.ndarray:
 
 def edge_words(frame: Wireframe, edge: int) -> str:
     """What is known of an edge: its length, its posterior, the tracks that it is from."""
-    first, second = frame.lines_mm[edge]
+    first, second = frame.vertices_mm[frame.edges[edge]]
     length = float(np.linalg.norm(second - first))
     way = np.concatenate([first - second, second - first]) / max(length, np.finfo(float).tiny)
-    sigma = float(np.sqrt(max(way @ frame.covariance_mm2[edge] @ way, 0.0)))
+    sigma = float(np.sqrt(max(way @ frame.covariance_of(frame.edges[edge]) @ way, 0.0)))
     posterior = with_decimals(float(frame.posterior[edge]), 3)
     tracks = ", ".join(map(str, frame.tracks_of(edge).tolist()))
     return (

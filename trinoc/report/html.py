@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.starts.pictures import Pictures
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
@@ -37,6 +37,7 @@ from trinoc.report.features_part import feature_table, with_features
 from trinoc.report.field_part import field_part, halves_maps, uncertainty_maps
 from trinoc.report.frames_part import FramesPart
 from trinoc.report.matches_part import matches_part
+from trinoc.report.parameter_table import is_without_sheet
 from trinoc.report.pictures import PagePicture, page_pictures
 from trinoc.report.shot_images_part import shot_images_part
 from trinoc.report.shots_part import boards_in_space, shot_table
@@ -105,8 +106,11 @@ def write_report(
     features : found in `matches`, shown among them in space and as tables.
     recording : all frames of it; `matches` are those of its middle one.
 
+    A rig may have more cameras than the matches, or else the segments, have views: without a
+    calibration these are left out, which the page notes.
+
     Raises InputError where neither a rig nor a calibration nor segments are given, where the
-    segments' or matches' views are not those of the rig, where many shots stand beside a
+    rig lacks a camera of the segments or matches, where many shots stand beside a
     calibration or matches, or where `path` cannot be written.
     """
     write_text(
@@ -169,8 +173,12 @@ def render_report(
     rig = rig if rig is not None else (result.rig if result is not None else None)
     if rig is None:
         raise InputError("A report needs a rig or a calibration: give at least one of them.")
-    _check_views("segments", segments or {}, rig)
-    _check_views("matches", matches.views if matches is not None else (), rig)
+    views = matches.views if matches is not None else tuple(segments or {})
+    _check_views("segments" if matches is None else "matches", views, rig)
+    scene_rig, others = rig.take(views or rig.names), ()
+    if result is None:
+        others = tuple(name for name in rig if name not in scene_rig.names)
+        rig = scene_rig
     sizes = {name: camera.image_size_px for name, camera in rig.items()}
     if result is not None:
         sizes |= {name: fit.detection.image_size_px for name, fit in result.fits.items()}
@@ -182,14 +190,14 @@ def render_report(
         matches=matches,
         doubts=doubts or {},
         coverage=() if result is None else coverage_by_circles(result, sheet),
-        epipolar=_epipolar_parts(rig, result, matches, sheet, scene),
+        epipolar=_epipolar_parts(scene_rig, result, matches, sheet, scene),
         field=field_part(rig, pattern, matches, sheet if result is not None else scene),
         recording=recording,
     )
     parts = []
     if recording is not None:
         parts.append(ReportPart("recording", "All frames", "recording", recording))
-    cameras = cameras_part(rig, result, reference, reference_name)
+    cameras = cameras_part(rig, result, reference, reference_name, others)
     parts.append(ReportPart("cameras", "Cameras", "cameras", cameras))
     if result is not None and result.fits:
         found = sheet_part(result, subject.coverage, sheet)
@@ -199,7 +207,6 @@ def render_report(
     if subject.epipolar:
         parts.append(ReportPart("epipolar", "Epipolar check", "epipolar", subject.epipolar))
     if segments or matches is not None:
-        views = rig.names if matches is None else matches.views
         lines = matches_part(views, segments or {}, matches, scene)
         if lines.segments:
             parts.append(ReportPart("segments", "Segments found", "segments", lines))
@@ -213,7 +220,8 @@ def render_report(
     space = space_figure(rig, pattern, matches)
     parts.append(_space_part(with_features(space, features), tracks=matches is not None))
     pictures = [picture for picture in (*sheet.values(), *scene.values()) if picture.uri]
-    return _render(title, parts, subject, provenance, pictures, " with Z up out of the sheet")
+    world = "" if is_without_sheet(rig) else " with Z up out of the sheet"
+    return _render(title, parts, subject, provenance, pictures, world)
 
 
 def judge_shots(shots: RigFromShots) -> Verdict | None:
@@ -329,10 +337,9 @@ def _with_code(words: str) -> Markup:
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(words))))
 
 
-def _check_views(what: str, names: Mapping[str, Any] | Sequence[str], rig: Rig) -> None:
-    unknown = [name for name in names if name not in rig.names]
-    if unknown or (what == "matches" and names and set(names) != set(rig.names)):
+def _check_views(what: str, names: Sequence[str], rig: Rig) -> None:
+    if not set(names) <= set(rig.names):
         raise InputError(
-            f"The views of the {what} are {', '.join(names)}, but the cameras of the rig are "
-            f"{', '.join(rig.names)}: give the rig that the {what} belong to."
+            f"The views of the {what} are {list_names(names)}, but the cameras of the rig are "
+            f"{list_names(rig)}: give the rig that the {what} belong to."
         )

@@ -23,7 +23,15 @@ LABELS = {
     "distance_mm": "distance (mm)",
     "aim_x_mm": "aim X (mm)",
     "aim_y_mm": "aim Y (mm)",
+    "position_x_mm": "position X (mm)",
+    "position_y_mm": "position Y (mm)",
+    "position_z_mm": "position Z (mm)",
+    "direction_x": "viewing direction X",
+    "direction_y": "viewing direction Y",
+    "direction_z": "viewing direction Z",
 }
+# Of cameras in a world without a sheet, whose axes need not meet Z = 0.
+PLACE_NAMES = tuple(name for name in LABELS if name.startswith(("position_", "direction_")))
 # How a board is fixed to the first: it stands in sentences of its own.
 _FIXED = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm")
 
@@ -75,12 +83,32 @@ def _parameter_error(rig: Rig, reference: Rig, name: str, parameter: str) -> Par
     return ParameterError(name, parameter, value, sigma, known, error, over_sigma)
 
 
+def is_without_sheet(rig: Rig) -> bool:
+    """Whether some optical axis does not meet Z = 0, and no calibration over a sheet says so."""
+    known = {parameter.rpartition(".")[2] for parameter in rig.parameters}
+    distances = [camera.distance_mm for camera in rig.cameras]
+    return "distance_mm" not in known and not np.isfinite(distances).all()
+
+
 def shown_parameters(rig: Rig) -> tuple[str, ...]:
-    """The four parameters of the method, and the aim where it is not the world's origin."""
+    """The four parameters of the method, and the aim where it is not the world's origin; in a
+    world without a sheet positions and viewing directions."""
+    if is_without_sheet(rig):
+        return PLACE_NAMES
     aims = np.array([camera.aim_mm for _, camera in rig.items()])
     free = any(parameter.split(".")[-1].startswith("aim_") for parameter in rig.parameters)
     shown = free or np.any(np.abs(np.nan_to_num(aims)) > 1e-6)
     return PARAMETER_NAMES if shown else PARAMETER_NAMES[:4]
+
+
+def shown_value(rig: Rig, name: str, parameter: str) -> tuple[float, float]:
+    """Value and sigma of a parameter that `shown_parameters` lists."""
+    if parameter not in PLACE_NAMES:
+        return rig.value(f"{name}.{parameter}"), rig.sigma(f"{name}.{parameter}")
+    kind, axis = parameter.split("_")[:2]
+    camera = rig[name]
+    vector = camera.centre_world_mm if kind == "position" else camera.pose.rotation[2]
+    return float(vector["xyz".index(axis)]), float("nan")
 
 
 def parameter_rows(rig: Rig, reference: Rig | None) -> Rows:
@@ -92,8 +120,10 @@ def parameter_rows(rig: Rig, reference: Rig | None) -> Rows:
 
 
 def _cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> ParameterCell:
-    words, sigma = f"{name}.{parameter}", rig.sigma(f"{name}.{parameter}")
-    text = with_sigma(rig.value(words), sigma)
+    words, (value, sigma) = f"{name}.{parameter}", shown_value(rig, name, parameter)
+    if parameter in PLACE_NAMES:
+        return ParameterCell(words, with_decimals(value, 2 if parameter.endswith("_mm") else 4))
+    text = with_sigma(value, sigma)
     if reference is None or name not in reference.names:
         return ParameterCell(words, text)
     found = _parameter_error(rig, reference, name, parameter)
@@ -110,10 +140,10 @@ def _cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> Paramet
 def parameter_rows_of_shots(result: RigFromShots) -> Rows:
     """Lens and pose of every camera; a cell of no text is a parameter that the camera has not."""
     names = dict.fromkeys(
-        name.removeprefix(f"{camera}.")
+        key
         for camera in result.cameras
-        for name in result.parameters
-        if name.startswith(f"{camera}.")
+        for owner, _, key in (name.rpartition(".") for name in result.parameters)
+        if owner == camera
     )
     return tuple(
         (

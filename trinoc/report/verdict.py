@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.result.calibration import Status
+from trinoc.errors import list_names
 from trinoc.match.tracks.matches import TRINOCULAR, MatchStatus
 from trinoc.report.checks import Answer, Level, Limits, ReportCheck, Subject
 from trinoc.report.matches_part import share_matched
@@ -58,7 +59,7 @@ def _answer_on_calibration(subject: Subject) -> Answer | None:
     if suspects:
         notes = result.fits[suspects[0]].notes
         why = notes[0] if notes else result.status[suspects[0]].value
-        words = f"{', '.join(suspects)}: suspect. {why[:1].upper()}{why[1:]}"
+        words = f"{list_names(suspects)}: suspect. {why[:1].upper()}{why[1:]}"
         return Answer(len(suspects), figure, words)
     return Answer(0, figure, "all fits converged.")
 

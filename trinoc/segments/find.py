@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from trinoc.errors import InputError, check_kind
+from trinoc.errors import InputError, check_kind, real_number
 from trinoc.geometry.intrinsics import A_LENS, Intrinsics, distort_pixels, undistort_pixels
 from trinoc.geometry.segments import Segments
 from trinoc.image.light import Light
@@ -128,9 +128,9 @@ def find_segments(
 
 def _check_options(tolerance_px: float, false_alarms: float, least_contrast: float) -> None:
     for name, value in (("tolerance_px", tolerance_px), ("false_alarms", false_alarms)):
-        if not value > 0:
+        if not real_number(value, name) > 0:
             raise InputError(f"{name} is {value}, but must be positive.")
-    if not least_contrast >= 0:
+    if not real_number(least_contrast, "least_contrast") >= 0:
         raise InputError(f"least_contrast is {least_contrast}, but must not be negative.")
 
 

@@ -6,8 +6,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.numerics.values import Value
 
-class SeenParts(eqx.Module):
+
+class SeenParts(Value):
     """The parts of a scene's edges that one picture shows.
 
     Fields
@@ -23,7 +25,7 @@ class SeenParts(eqx.Module):
     grey_step: Float[np.ndarray, "k"]
 
 
-class SceneTruth(eqx.Module):
+class SceneTruth(Value):
     """Edges in space, and what each picture shows of them.
 
     Fields
@@ -38,7 +40,7 @@ class SceneTruth(eqx.Module):
     seen: dict[str, SeenParts]
 
 
-class SegmentTruth(eqx.Module):
+class SegmentTruth(Value):
     """Which edge each 2-D segment of each view comes from.
 
     Fields

@@ -1,5 +1,7 @@
 """Cameras over one sheet adjusted together: derivatives, coverage, symmetries."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -150,9 +152,9 @@ def test_two_cameras_know_more_of_the_bend_than_one() -> None:
 
 def test_a_circle_that_is_elsewhere_is_left_out() -> None:
     made = made_views(7)
-    camera = made.cameras[0]
-    camera.detection.centres_px[11] += 1.5
-    wrong = camera
+    detection = made.cameras[0].detection
+    centres = detection.centres_px + 1.5 * (np.arange(len(detection)) == 11)[:, None]
+    wrong = made.cameras[0]._replace(detection=dataclasses.replace(detection, centres_px=centres))
     found = adjusted([wrong, *made.cameras[1:]])
     assert np.flatnonzero(~found.used[0]).tolist() == [11]
     assert found.used[1].all()

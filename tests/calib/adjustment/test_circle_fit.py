@@ -128,7 +128,7 @@ def test_turning_the_sheet_turns_the_pan() -> None:
     plain = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
     # The line along the old X is the new Y, and the line along the new X is the old -Y.
     swapped = simulated_detection(camera, SHEET, seed=5)
-    swapped.lines_px[:] = detection.lines_px[::-1]
+    swapped = dataclasses.replace(swapped, lines_px=detection.lines_px[::-1])
     moved = calibrate_detections({"a": swapped}, turned, LENS, systematics=EXACT)
     np.testing.assert_allclose(moved.values - plain.values, [90.0, 0.0, 0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(moved.covariance, plain.covariance, rtol=1e-4, atol=1e-12)

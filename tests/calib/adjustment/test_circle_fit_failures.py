@@ -1,5 +1,7 @@
 """What the circle fit says when circles are wrong, few, or of another sheet or lens."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -35,7 +37,9 @@ def detect(**options: object) -> Detection:
 def test_a_circle_located_wrongly_is_dropped_and_counted(shift_px: float) -> None:
     detection = detect()
     clean = calibrate_detections({"a": detect()}, SHEET, LENS, systematics=EXACT)
-    detection.centres_px[7] += [shift_px, -0.5 * shift_px]
+    shift = np.zeros_like(detection.centres_px)
+    shift[7] = [shift_px, -0.5 * shift_px]
+    detection = dataclasses.replace(detection, centres_px=detection.centres_px + shift)
     result = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
     assert np.flatnonzero(~result.fits["a"].used).tolist() == [7]
     assert "1 circle was located wrongly" in " ".join(result.fits["a"].notes)
@@ -45,7 +49,9 @@ def test_a_circle_located_wrongly_is_dropped_and_counted(shift_px: float) -> Non
 
 def test_four_circles_of_25_located_wrongly_are_dropped() -> None:
     detection = detect()
-    detection.centres_px[[0, 6, 13, 24]] += np.array([[9.0, 4.0], [-3, 8], [1, 1], [30, -20]])
+    centres = detection.centres_px.copy()
+    centres[[0, 6, 13, 24]] += np.array([[9.0, 4.0], [-3, 8], [1, 1], [30, -20]])
+    detection = dataclasses.replace(detection, centres_px=centres)
     result = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
     assert np.flatnonzero(~result.fits["a"].used).tolist() == [0, 6, 13, 24]
 
@@ -93,14 +99,14 @@ def test_a_failed_camera_is_named_and_the_others_are_kept() -> None:
 
 def test_a_sheet_of_another_shape_is_refused_with_the_next_step() -> None:
     other = Pattern.cross_grid(rows=5, columns=5, pitch_mm=20.0, radius_mm=6.0, rings="none")
-    other.centres_mm[:, 1] *= 1.4
+    other = dataclasses.replace(other, centres_mm=other.centres_mm * [1.0, 1.4])
     with pytest.raises(CalibrationError, match="pattern"):
         calibrate_detections({"a": detect()}, other, LENS, systematics=EXACT)
 
 
 def test_sigmas_grow_with_the_residuals() -> None:
     noisy = simulated_detection(UPPER, SHEET, seed=3, sigma_px=10 * SIGMA_PX)
-    noisy.covariance_px2[:] /= 100.0
+    noisy = dataclasses.replace(noisy, covariance_px2=noisy.covariance_px2 / 100.0)
     result = calibrate_detections({"a": noisy}, SHEET, LENS, systematics=EXACT)
     honest = simulated_detection(UPPER, SHEET, seed=3, sigma_px=10 * SIGMA_PX)
     expected = calibrate_detections({"a": honest}, SHEET, LENS, systematics=EXACT)

@@ -1,5 +1,7 @@
 """When two answers of one picture differ, and when blocks of a sheet do."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
 from trinoc.calib.adjustment.model_tests import information_left
 from trinoc.calib.photometric.views import PictureFit
 from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.rig_fit import choose_answer
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -86,6 +89,12 @@ def _residuals_px(circles: Adjustment) -> np.ndarray:
     return circles.near.residual[0][: 2 * len(SHEET)].reshape(-1, 2) * SIGMA_PX
 
 
+def moved_circles(camera: SheetCamera, shift_px: np.ndarray) -> SheetCamera:
+    """The same with its circles found elsewhere."""
+    centres = camera.detection.centres_px + shift_px
+    return camera._replace(detection=dataclasses.replace(camera.detection, centres_px=centres))
+
+
 def scatters(shared_px: float) -> list[float]:
     """Of 20 pictures whose circles share an error with those of their block."""
     found = []
@@ -94,7 +103,7 @@ def scatters(shared_px: float) -> list[float]:
         places = SHEET.centres_mm
         cell = np.floor((places - places.min()) / 81 * 4).astype(int)
         block = np.random.default_rng([3, seed]).normal(size=(4, 4, 2))[cell[:, 0], cell[:, 1]]
-        camera.detection.centres_px[:] += shared_px * block
+        camera = moved_circles(camera, shared_px * block)
         found.append(scatter_of_blocks(adjusted([camera]), 0))
     return found
 
@@ -140,7 +149,7 @@ def test_grey_levels_of_sharpened_pictures_that_differ_give_way_to_sound_circles
     circles, finer_px = adjusted([camera], known), SIGMA_PX / np.sqrt(1.75)
     noise = np.random.default_rng(1).normal(size=(len(SHEET), 2))
     places_px = _images_px(circles) + SIGMA_PX + finer_px * noise
-    camera.detection.centres_px[:] += shared_px * smooth
+    camera = moved_circles(camera, shared_px * smooth)
     circles = adjusted([camera], known)
     root = np.eye(2 * len(SHEET)) / finer_px
     points = SheetPoints(SHEET.centres_mm, places_px, root)

@@ -62,6 +62,22 @@ def test_sheet_and_segments_together_know_more_than_the_sheet_and_say_how_much()
     assert np.mean(np.square(after)) < 0.9 * np.mean(np.square(spread_before))
 
 
+def test_cameras_without_a_view_change_nothing():
+    lines, rig = made_tracks(7, 40)[0], sheet_estimate(8)
+    more = {f"camera {k}": rig.cameras[0] for k in range(3)}
+    names = [f"{camera}.{name}" for camera in more for name in PARAMETERS]
+    covariance = np.eye(len(NAMES) + len(names))
+    covariance[: len(NAMES), : len(NAMES)] = rig.covariance
+    larger = Rig({**more, **dict(rig.items())}, parameters=(*NAMES, *names), covariance=covariance)
+    expected, answer = refine(rig, lines), refine(larger, lines)
+    assert answer.rig.names == rig.names
+    assert answer.parameters == expected.parameters
+    np.testing.assert_array_equal(answer.values, expected.values)
+    np.testing.assert_array_equal(answer.covariance, expected.covariance)
+    with pytest.raises(InputError, match="no camera camera 0 that could have moved"):
+        refine(larger, lines, moved=("camera 0",))
+
+
 def test_wrong_matches_are_found_and_do_not_pull():
     lines, _, bad = made_tracks(7, 120, wrong=0.25)
     assert bad.sum() > 15

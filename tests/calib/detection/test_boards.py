@@ -176,7 +176,8 @@ def test_boards_that_cannot_be_are_refused():
         ({"rows": 1, "columns": 1}, "two tags"),
         ({"spacing": 2.0}, "gaps"),
         ({"border": 3}, "borders of 3"),
-        ({"tag_mm": np.nan}, "give a side"),
+        ({"tag_mm": np.nan}, "a finite number"),
+        ({"tag_mm": 0.0}, "give a side"),
         ({"dictionary": "9x9"}, "unknown"),
     ):
         with pytest.raises(InputError, match=says):

@@ -133,7 +133,7 @@ def test_missing_and_new_cameras_are_told() -> None:
     )
     sentences = " ".join(compare_rigs(one, whole).sentences)
     assert '"x" is not in the earlier rig' in sentences
-    assert '"left" of the earlier rig is missing' in sentences
+    assert "upper, right, left of the earlier rig are missing" in sentences
 
 
 def test_print_scale_moves_distances_in_proportion() -> None:

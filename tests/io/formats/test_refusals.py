@@ -326,7 +326,7 @@ def test_cameras_that_nothing_joins_are_no_rig(tmp_path):
     document = json.loads((tmp_path / "tf.json").read_text())
     document["transforms"][0]["header"]["frame_id"] = "elsewhere"
     (tmp_path / "tf.json").write_text(json.dumps(document))
-    with pytest.raises(InputError, match="elsewhere and world, which nothing joins"):
+    with pytest.raises(InputError, match="elsewhere, world, which nothing joins"):
         FORMATS["tf"].load(tmp_path / "tf.json", lenses=dict.fromkeys(RIG.names, LENS))
 
 

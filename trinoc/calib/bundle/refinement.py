@@ -19,7 +19,7 @@ from trinoc.calib.bundle.estimate import FreeParameters, joint_estimate, squared
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.errors import CalibrationError, InputError, check_kind
+from trinoc.errors import CalibrationError, InputError, check_kind, list_names
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.geometry.rig import A_RIG, Rig
@@ -71,18 +71,19 @@ def refine(
     `sigma_px`): each refines the rig for the next, and the last decides.
 
     `start` is where the cameras start from, where that is not where the sheet placed them.
+    Cameras of the rig that the matches are not of are left out of the result.
 
     Raises InputError where matches and rig do not belong together, CalibrationError where no
     track is left.
     """
     rig = calibrated.rig if isinstance(calibrated, CalibrationResult) else calibrated
     check_kind(rig, Rig, "rig", A_RIG)
-    check_kind(matches, (MatchedTracks, LineObservations), "set of matches", A_MATCH)
+    rig = rig_of_tracks(rig, matches)
     unknown = sorted(set(moved) - set(rig.names))
     if unknown:
         raise InputError(
-            f"There is no camera {', '.join(unknown)} that could have moved; this rig has "
-            f"{', '.join(rig.names)}."
+            f"There is no camera {list_names(unknown)} that could have moved; the matches are of "
+            f"{list_names(rig)}."
         )
     trusted = tuple(name for name in rig.names if name not in moved)
     usual = _usual_pose_model(rig)
@@ -95,7 +96,7 @@ def refine(
     is_free = lens_is_open if free_lens is None else free_lens
     choice = FreeParameters(model, is_free, trusted, aim_held, lens_held=free_lens is None)
     refinement = _Refinement(calibrated, rig, choice)
-    first = refinement.refine_matches(start or rig, matches)
+    first = refinement.refine_matches(start.take(rig.names) if start else rig, matches)
     if match_again is None:
         return first
     matchers = [match_again] if callable(match_again) else list(match_again)
@@ -173,16 +174,28 @@ def _usual_pose_model(rig: Rig) -> PoseModel:
 
 
 def _line_observations(matches: MatchedTracks | LineObservations) -> LineObservations:
+    check_kind(matches, (MatchedTracks, LineObservations), "set of matches", A_MATCH)
     return matches if isinstance(matches, LineObservations) else matches.line_observations()
+
+
+def rig_of_tracks(rig: Rig, matches: MatchedTracks | LineObservations) -> Rig:
+    """The cameras of the rig that the tracks are of. Raises InputError where it lacks one."""
+    views = _line_observations(matches).views
+    _expect_cameras(set(views) <= set(rig.names), views, rig)
+    return rig.take(views)
+
+
+def _expect_cameras(belong: bool, views: Sequence[str], rig: Rig) -> None:
+    if not belong:
+        raise InputError(
+            f"The matches are of the views {list_names(views)}, but the rig has the cameras "
+            f"{list_names(rig)}: give the rig that these matches were made with."
+        )
 
 
 def _observations_of_rig(matches: MatchedTracks | LineObservations, rig: Rig) -> LineObservations:
     lines = _line_observations(matches)
-    if set(lines.views) != set(rig.names):
-        raise InputError(
-            f"The matches are of the views {', '.join(lines.views)}, but the rig has the cameras "
-            f"{', '.join(rig.names)}: give the rig that these matches were made with."
-        )
+    _expect_cameras(set(lines.views) == set(rig.names), lines.views, rig)
     if len(lines) == 0:
         raise CalibrationError(
             "There is no track to refine with: match segments of pictures that overlap first."

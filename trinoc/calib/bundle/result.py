@@ -10,6 +10,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import LineObservations
 from trinoc.geometry.uncertain_lines import UncertainLines
 from trinoc.numerics.display import Displayable
+from trinoc.numerics.values import Value
 
 
 class RefineStatus(enum.Enum):
@@ -21,7 +22,7 @@ class RefineStatus(enum.Enum):
     AMBIGUOUS = "Other rigs explain the segments about as well: the rig is returned as it was."
 
 
-class RefineResult(Displayable, eqx.Module):
+class RefineResult(Displayable, Value):
     """Cameras and lines refined together.
 
     Fields

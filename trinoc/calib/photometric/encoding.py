@@ -50,7 +50,8 @@ class Encoding(NamedTuple):
 
     def check(self) -> None:
         """Raise InputError for words that say nothing."""
-        if self.bayer is not None and sorted(self.bayer) != sorted("RGGB"):
+        is_text = isinstance(self.bayer, str)
+        if self.bayer is not None and not (is_text and sorted(self.bayer) == sorted("RGGB")):
             raise InputError(
                 f'bayer is "{self.bayer}", but must be "RGGB", "BGGR", "GRBG" or "GBRG".'
             )

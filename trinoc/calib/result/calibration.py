@@ -12,6 +12,7 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.numerics.display import Displayable
+from trinoc.numerics.values import Value
 
 
 class Status(enum.Enum):
@@ -66,7 +67,7 @@ class Alternative(NamedTuple):
         return is_rare and self.strain > TUNING.answer.strain_sigmas
 
 
-class ImageQuality(eqx.Module):
+class ImageQuality(Value):
     """What the fit of the picture's grey levels says about picture and fit.
 
     Fields
@@ -97,7 +98,7 @@ class ImageQuality(eqx.Module):
         return (self.noise / self.noise_floor) ** 2 if self.noise_floor > 0 else float("nan")
 
 
-class CameraFit(eqx.Module):
+class CameraFit(Value):
     """What the fit of one camera's picture says about itself.
 
     Fields
@@ -132,7 +133,7 @@ class CameraFit(eqx.Module):
         return float(np.sqrt(np.mean(np.sum(self.residuals_px[self.used] ** 2, axis=1))))
 
 
-class CalibrationResult(Displayable, eqx.Module):
+class CalibrationResult(Displayable, Value):
     """A calibrated rig with parameters, covariance, and the fit of each camera.
 
     Fields

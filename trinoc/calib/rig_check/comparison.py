@@ -1,5 +1,6 @@
 """A calibration against an earlier one: which camera moved, and whose pictures were swapped."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.propagation import field_places_px, projection_sigma
+from trinoc.errors import list_names
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.projection import project_points, unproject_pixels
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
@@ -88,13 +90,17 @@ def compare_rigs(
         one, other = (" x ".join(map(str, rig[name].image_size_px)) for rig in (now, before))
         if one != other:
             sentences.append(f'The pictures of "{name}" are {one} px, and were {other} px.')
-    sentences.extend(
-        f'Camera "{name}" is not in the earlier rig.' for name in now if name not in common
-    )
-    sentences.extend(
-        f'Camera "{name}" of the earlier rig is missing.' for name in before if name not in common
-    )
+    new, missing = ([name for name in rig if name not in common] for rig in (now, before))
+    if new:
+        sentences.append("{} {} not in the earlier rig.".format(*_subject(new)))
+    if missing:
+        sentences.append("{} of the earlier rig {} missing.".format(*_subject(missing)))
     return RigComparison(cameras, swapped, tuple(sentences or ["No camera moved."]))
+
+
+def _subject(names: Sequence[str]) -> tuple[str, str]:
+    """Subject and verb of a sentence on one or several cameras."""
+    return (f'Camera "{names[0]}"', "is") if len(names) == 1 else (list_names(names), "are")
 
 
 def _change(now: Rig, before: Rig, name: str) -> CameraChange:

@@ -16,7 +16,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.bundle.refinement import MatchedTracks, Matcher, refine
+from trinoc.calib.bundle.refinement import MatchedTracks, Matcher, refine, rig_of_tracks
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.rig_check.comparison import sigmas_of_chi_square
 from trinoc.calib.tuning.every_group import TUNING
@@ -24,6 +24,7 @@ from trinoc.errors import CalibrationError, check_kind
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.rig import A_RIG, Rig
 from trinoc.geometry.segments import LineObservations
+from trinoc.numerics.values import Value
 
 
 @runtime_checkable
@@ -36,7 +37,7 @@ class CountedTracks(Protocol):
         ...
 
 
-class CameraMotion(eqx.Module):
+class CameraMotion(Value):
     """How far the scene's segments place one camera from where the sheet had placed it.
 
     Fields
@@ -55,7 +56,7 @@ class CameraMotion(eqx.Module):
     sigma: Float[np.ndarray, "p"]
 
 
-class RigCheck(eqx.Module):
+class RigCheck(Value):
     """Whether a rig still stands as it was calibrated.
 
     Fields
@@ -120,6 +121,7 @@ def check_rig(
     see the scene: two views of lines agree with any motion.
     """
     check_kind(rig, Rig, "rig", A_RIG)
+    rig = rig_of_tracks(rig, matches)
     if not rig.parameters or len(rig) < 3:
         raise CalibrationError(
             "Whether a camera moved can be told only for three or more cameras with the "
@@ -210,7 +212,7 @@ def _free_cameras(
 def _motion(
     rig: Rig, name: str, at_rest: RefineResult, freed: RefineResult, noise: float
 ) -> CameraMotion:
-    rows = [i for i in _pose_rows(freed) if freed.parameters[i].startswith(name + ".")]
+    rows = [i for i in _pose_rows(freed) if freed.parameters[i].rpartition(".")[0] == name]
     keys = [freed.parameters[i] for i in rows]
     sheet = np.nan_to_num([rig.sigma(key) for key in keys])
     change = freed.values[rows] - [rig.value(key) for key in keys]

@@ -11,7 +11,7 @@ from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.registry import detect_target
 from trinoc.calib.starts.board_readings import find_reading
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.errors import InputError, TrinocError
+from trinoc.errors import InputError, TrinocError, check_kind
 
 # numerical: detectors of OpenCV and NumPy leave the interpreter free while they work.
 _THREADS = 4
@@ -120,6 +120,8 @@ def _name_pictures(camera: str, given: Pictures) -> dict[str, Picture]:
             f'Camera "{camera}" has one picture, not a list: put the pictures of its shots in one.'
         )
     else:
+        what = f'set of pictures of "{camera}"'
+        check_kind(given, (Sequence, np.ndarray), what, "a list of pictures, or one by shot")
         width = len(str(len(given)))
         pairs = [(f"shot {k + 1:0{width}d}", item) for k, item in enumerate(given)]
     return {str(name): item for name, item in pairs if item is not None}

@@ -18,7 +18,7 @@ from trinoc.calib.starts.sightings import Sighting, label_sighting
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import board_names
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.errors import CalibrationError
+from trinoc.errors import CalibrationError, list_names
 from trinoc.geometry.pose import Pose
 
 # A shot by its name, and a board by its number.
@@ -110,7 +110,7 @@ def place_rig(
                     "other's name, all cameras show the board in one place."
                 )
         agreeing = [each.camera for each in own if not any(each is other for other in away)]
-        others = ", ".join(dict.fromkeys(names[camera] for camera in agreeing))
+        others = list_names(dict.fromkeys(names[camera] for camera in agreeing))
         for camera in dict.fromkeys(each.camera for each in away):
             left = [each for each in away if each.camera == camera]
             while left:
@@ -226,7 +226,7 @@ def explain_cameras_apart(
                 f"{abs(shift)} shot{'' if abs(shift) == 1 else 's'} {earlier}: the cameras are out "
                 "of step; leave out the pictures that only one of them has, or name them alike."
             )
-    parts = "; ".join(", ".join(names[k] for k in sorted(group)) for group in groups)
+    parts = "; ".join(list_names(names[k] for k in sorted(group)) for group in groups)
     if broken:
         (a, b), link = broken[0]
         for number in (a, b):
@@ -258,7 +258,7 @@ def explain_cameras_apart(
 
 def explain_boards_apart(groups: Sequence[Mapping[int, Pose]], names: Sequence[str]) -> str:
     """Which boards nothing connects, and what to do."""
-    parts = "; ".join(", ".join(names[k] for k in sorted(group)) for group in groups)
+    parts = "; ".join(list_names(names[k] for k in sorted(group)) for group in groups)
     return (
         f"No shot tells how the boards are fixed to each other: the groups are {parts}. Show "
         "boards of two groups in one shot, to one camera or to cameras that other shots connect, "

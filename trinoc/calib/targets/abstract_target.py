@@ -4,16 +4,17 @@ import abc
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, NamedTuple
 
-import equinox as eqx
 import numpy as np
 from equinox import AbstractVar
 from jaxtyping import Float
+
+from trinoc.numerics.values import Value
 
 # What to give where a board is wanted.
 A_BOARD = "a Pattern, Chessboard, Charuco, AprilGrid or BoardSet"
 
 
-class AbstractTarget(eqx.Module):
+class AbstractTarget(Value):
     """Places that a detector labels: centres of circles, or corners.
 
     Seen from the printed side, X points right and Y up; Z points out of the board.

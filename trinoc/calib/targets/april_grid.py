@@ -15,7 +15,7 @@ from trinoc.calib.targets.markers import (
     opencv_dictionary,
 )
 from trinoc.calib.targets.squares import MOST_EACH_WAY, AbstractSquareBoard, CellGrid, grid_mm
-from trinoc.errors import InputError
+from trinoc.errors import InputError, real_number, whole_number
 
 # numerical: corners of a tag about its middle, in tags: from the lower left counter-clockwise.
 _CORNERS = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -69,9 +69,10 @@ class AprilGrid(AbstractSquareBoard):
         first: int = 0,
         name: str | None = None,
     ) -> None:
-        self.rows, self.columns, self.first = int(rows), int(columns), int(first)
-        self.tag_mm, self.spacing = float(tag_mm), float(spacing)
-        self.dictionary, self.border = dictionary, int(border)
+        self.rows, self.columns = whole_number(rows, "rows"), whole_number(columns, "columns")
+        self.first, self.border = whole_number(first, "first"), whole_number(border, "border")
+        self.tag_mm, self.spacing = real_number(tag_mm, "tag_mm"), real_number(spacing, "spacing")
+        self.dictionary = dictionary
         self.name = name or f"aprilgrid_{rows}x{columns}_{tag_mm:g}mm"
 
     def __check_init__(self) -> None:

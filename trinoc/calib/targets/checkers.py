@@ -20,7 +20,7 @@ from trinoc.calib.targets.squares import (
     dark_squares,
     grid_mm,
 )
-from trinoc.errors import InputError
+from trinoc.errors import InputError, real_number, whole_number
 
 
 class Chessboard(AbstractSquareBoard):
@@ -51,7 +51,8 @@ class Chessboard(AbstractSquareBoard):
     def __init__(
         self, *, rows: int, columns: int, square_mm: float, name: str | None = None
     ) -> None:
-        self.rows, self.columns, self.square_mm = int(rows), int(columns), float(square_mm)
+        self.rows, self.columns = whole_number(rows, "rows"), whole_number(columns, "columns")
+        self.square_mm = real_number(square_mm, "square_mm")
         self.name = name or f"chessboard_{rows}x{columns}_{square_mm:g}mm"
 
     def __check_init__(self) -> None:
@@ -143,10 +144,12 @@ class Charuco(AbstractSquareBoard):
         first: int = 0,
         name: str | None = None,
     ) -> None:
-        self.rows, self.columns = int(rows), int(columns)
-        self.square_mm = float(square_mm)
-        self.marker_mm = 0.75 * self.square_mm if marker_mm is None else float(marker_mm)
-        self.dictionary, self.legacy, self.first = dictionary, bool(legacy), int(first)
+        self.rows, self.columns = whole_number(rows, "rows"), whole_number(columns, "columns")
+        self.square_mm = real_number(square_mm, "square_mm")
+        given_mm = 0.75 * self.square_mm if marker_mm is None else marker_mm
+        self.marker_mm = real_number(given_mm, "marker_mm")
+        self.dictionary, self.legacy = dictionary, bool(legacy)
+        self.first = whole_number(first, "first")
         self.name = name or f"charuco_{rows}x{columns}_{square_mm:g}mm"
 
     def __check_init__(self) -> None:

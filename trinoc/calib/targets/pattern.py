@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float, Int
 from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Marks, Polygon
 from trinoc.calib.targets.ring_code import ring_code
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.errors import InputError
+from trinoc.errors import InputError, real_number, whole_number
 from trinoc.numerics.display import Displayable
-from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.precision import ArrayLike, real_array
 
 LINE_STYLES = ("stop", "through", "white")
 
@@ -102,6 +102,8 @@ class Pattern(Displayable, AbstractBoard):
         ------
         InputError : circles overlap, a size is not positive, or the rings do not fit.
         """
+        rows, columns = whole_number(rows, "rows"), whole_number(columns, "columns")
+        pitch_mm, radius_mm = real_number(pitch_mm, "pitch_mm"), real_number(radius_mm, "radius_mm")
         if rows < 1 or columns < 1:
             raise InputError(f"A grid of {rows} x {columns} circles has none; give both >= 1.")
         if not isinstance(rings, str):
@@ -116,10 +118,15 @@ class Pattern(Displayable, AbstractBoard):
             is_ring = np.zeros((rows, columns), dtype=bool)
         else:
             raise InputError(f'`rings` is {rings!r}; give "code", "none" or an array.')
-        hole_mm = 0.5 * radius_mm if inner_radius_mm is None else inner_radius_mm
+        hole_mm = 0.5 * radius_mm
+        if inner_radius_mm is not None:
+            hole_mm = real_number(inner_radius_mm, "inner_radius_mm")
         if line_half_length_mm is None:
             line_half_length_mm = (0.5 * pitch_mm * (columns + 0.5), 0.5 * pitch_mm * (rows + 0.5))
-        half_x_mm, half_y_mm = line_half_length_mm
+        halves = real_array(line_half_length_mm, "line_half_length_mm")
+        if halves.shape != (2,):
+            raise InputError(f"line_half_length_mm is {line_half_length_mm}, but must be (x, y).")
+        half_x_mm, half_y_mm = halves
         row, column = np.divmod(np.arange(rows * columns), columns)
         lattice = np.stack([column, rows - 1 - row], axis=1)
         middle = np.array([0.5 * (columns - 1), 0.5 * (rows - 1)])
@@ -129,10 +136,10 @@ class Pattern(Displayable, AbstractBoard):
             radius_mm=np.full(rows * columns, float(radius_mm)),
             inner_radius_mm=np.where(is_ring.ravel(), float(hole_mm), 0.0),
             lattice=lattice,
-            line_width_mm=float(line_width_mm),
+            line_width_mm=real_number(line_width_mm, "line_width_mm"),
             line_half_length_mm=(float(half_x_mm), float(half_y_mm)),
             line_style=line_style,
-            line_gap_mm=float(line_gap_mm),
+            line_gap_mm=real_number(line_gap_mm, "line_gap_mm"),
         )
 
     @classmethod
@@ -154,7 +161,7 @@ class Pattern(Displayable, AbstractBoard):
             line_width_mm=0.0,
             line_half_length_mm=(0.0, 0.0),
             line_gap_mm=0.0,
-            name=name or f"circles_{rows}x{columns}_{pitch_mm:g}mm",
+            name=name or f"circles_{rows}x{columns}_{real_number(pitch_mm, 'pitch_mm'):g}mm",
         )
 
     @classmethod
@@ -175,6 +182,7 @@ class Pattern(Displayable, AbstractBoard):
         Ordered row by row, the first row not shifted, as OpenCV's object points
         ((2 j + i mod 2) s, i s) with their second axis turned up; the origin is the middle.
         """
+        spacing_mm = real_number(spacing_mm, "spacing_mm")
         even = cls.circle_grid(
             rows=rows,
             columns=columns,

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.registry import promote_lens
@@ -96,7 +96,7 @@ class Systematics(NamedTuple):
             if name not in lenses:
                 raise InputError(
                     f'`lens_covariance` names the camera "{name}", but the cameras are '
-                    f"{', '.join(lenses)}."
+                    f"{list_names(lenses)}."
                 )
         return {
             name: _factor(_check_covariance(matrix, lens.lens, f'of camera "{name}"'))
@@ -144,7 +144,7 @@ class Systematics(NamedTuple):
             terms.append(f"flatness of the sheet ({self.flatness_mm:.3g} mm)")
         if self.lens_covariance is not None:
             given = self.lens_covariance
-            of = f" of {', '.join(given)}" if isinstance(given, Mapping) else ""
+            of = f" of {list_names(given)}" if isinstance(given, Mapping) else ""
             terms.append(f"the lens's own covariance{of}")
         return tuple(terms)
 

@@ -3,13 +3,13 @@
 import abc
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.geometry.lenses.newton import inverse_in_plane
 from trinoc.numerics.precision import ArrayLike, array_namespace
+from trinoc.numerics.values import Value
 
 # Type checkers know this one by the name that it has in a class that is not abstract.
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def _smallest_root(polynomial: Float[np.ndarray, "k"]) -> float:
     return float(roots.real[positive].min(initial=np.inf))
 
 
-class AbstractLens(eqx.Module):
+class AbstractLens(Value):
     """A lens of one model; all its fields are arrays, so that lenses of one model stack.
 
     A lens bends rays (`distort`) and then maps them to pixels by the calibration matrix K. A model

@@ -25,7 +25,7 @@ DEFAULT_LENS = "default"
 
 def lens_model(name: str) -> type[AbstractLens]:
     """The lens of a model's name. Raises InputError for one that is not known."""
-    if name not in LENS_MODELS:
+    if not isinstance(name, str) or name not in LENS_MODELS:
         raise InputError(
             f"The lens model is {name!r}, but must be one of {', '.join(LENS_MODELS)}."
         )

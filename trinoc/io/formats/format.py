@@ -11,10 +11,10 @@ import numpy as np
 
 from trinoc.calib.intrinsics_result import IntrinsicsResult
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.features import Feature
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.rig import Rig
+from trinoc.geometry.rig import Rig, is_camera_name
 from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import expect_place
 from trinoc.io.intrinsics_json import expect_readable
@@ -164,7 +164,10 @@ class Format:
         source = Path(path)
         if not source.exists():
             raise InputError(f"{source} does not exist: check the name.")
-        value = self.read(source, self._unit(unit_mm), lenses)
+        try:
+            value = self.read(source, self._unit(unit_mm), lenses)
+        except InputError as error:
+            raise error if str(path) in str(error) else InputError(f"{path}: {error}") from error
         if isinstance(value, (Rig, Intrinsics)):
             expect_readable(value, str(source))
         return value if names is None else _rename_cameras(value, tuple(names), source)
@@ -233,7 +236,7 @@ def _expect_writable(value: object, target: Path) -> None:
         case _:
             return
     for name in names:
-        if not (name.isprintable() and name.strip()):
+        if not is_camera_name(name):
             raise InputError(f"The camera {name!r} has no name that a text file can hold.")
     numbers += [array for lens in lenses for array in (lens.lens.parameters, lens.skew_px)]
     if not all(np.isfinite(np.asarray(array)).all() for array in numbers):
@@ -250,7 +253,7 @@ def _rename_cameras(value: object, names: tuple[str, ...], source: Path) -> Rig:
         raise InputError(f"{source} holds no cameras with names: leave the names out.")
     if len(names) != len(value) or len(set(names)) < len(names) or not all(names):
         raise InputError(
-            f"{source} holds {len(value)} cameras ({', '.join(value.names)}): give as many "
+            f"{source} holds {len(value)} cameras ({list_names(value)}): give as many "
             "different names."
         )
     new_of = dict(zip(value.names, names, strict=True))

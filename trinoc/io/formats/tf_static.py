@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
@@ -71,7 +71,7 @@ def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
         cameras[name] = Camera(lenses[name], Pose(inverse(world_from_cam)))
     if len(roots) > 1:
         raise InputError(
-            f"{path}: the cameras hang from {' and '.join(sorted(roots))}, which nothing joins: "
+            f"{path}: the cameras hang from {list_names(sorted(roots))}, which nothing joins: "
             "add the transform between them."
         )
     return Rig(cameras)
@@ -85,7 +85,7 @@ def _find_frames(lenses: Lenses, parents: Collection[str], path: Path) -> dict[s
         if frame is None:
             raise InputError(
                 f'{path} has no frame of the camera "{name}" ({name}{SUFFIXES[0]}), but '
-                f"{', '.join(parents)}: give the lenses under these names."
+                f"{list_names(parents)}: give the lenses under these names."
             )
         frames[name] = frame
     order = list(parents)

@@ -8,7 +8,6 @@ their corners by least squares under the constraint, all that hang together at o
 
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
@@ -22,13 +21,14 @@ from trinoc.numerics.joins import group_labels
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, whitening
 from trinoc.numerics.tables import take_rows
 from trinoc.numerics.tails import chi_square_tail
+from trinoc.numerics.values import Value
 from trinoc.numerics.vectors import complete_axes
 
 # numerical: rounds in which shares are learned, which converge.
 _ROUNDS = 3
 
 
-class Corners(eqx.Module):
+class Corners(Value):
     """Where lines meet, and the lines carried there.
 
     `corner`, `line` and `end` are one table with a row for each end at each corner.

@@ -1,11 +1,12 @@
 """Straight lines in space, each from all the tracks that lie on it."""
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
+from trinoc.numerics.values import Value
 
-class JoinedLines(eqx.Module):
+
+class JoinedLines(Value):
     """Lines that one or more tracks show.
 
     Fields

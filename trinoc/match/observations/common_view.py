@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
@@ -67,7 +67,7 @@ def mirror_rig(rig: Rig) -> Rig:
 def mirrored_rig_error(names: Iterable[str], before: int, behind: int) -> InputError:
     """What to raise where more lines lie behind all cameras than before them."""
     return InputError(
-        f"The rig of {', '.join(names)} is mirrored: {behind} lines lie behind its cameras and "
+        f"The rig of {list_names(names)} is mirrored: {behind} lines lie behind its cameras and "
         f"{before} before them: give the matrices of unmirrored pictures in a right-handed world."
     )
 

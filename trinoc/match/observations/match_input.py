@@ -14,7 +14,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.errors import InputError, MatchError, check_kind
+from trinoc.errors import InputError, MatchError, check_kind, list_names, real_number
 from trinoc.geometry.intrinsics import (
     FOLD_REMEDY,
     Intrinsics,
@@ -248,12 +248,12 @@ def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None
     if missing:
         raise MatchError(
             f'Segments are given for "{missing[0]}", but the rig has only the cameras '
-            f"{', '.join(rig.names)}: name the segments after the cameras."
+            f"{list_names(rig)}: name the segments after the cameras."
         )
     if len(segments) < 2:
         raise MatchError(
             f"Matching needs segments of at least two cameras, but got {len(segments)}: give "
-            f"those of {', '.join(rig.names)}."
+            f"those of {list_names(rig)}."
         )
 
 
@@ -300,7 +300,7 @@ def _as_segments(given: Segments | ArrayLike, sigma_px: float | None) -> Segment
         return Segments.from_endpoints(given, sigma_px=stated)
     if sigma_px is None:
         return given
-    if not sigma_px > 0:
+    if not real_number(sigma_px, "sigma_px") > 0:
         raise InputError(f"sigma_px is {sigma_px}, but must be positive: no end is exact.")
     ends = np.asarray(given.endpoints_px)
     covariance = covariance_of_ends(ends, sigma_px, 4 * sigma_px)

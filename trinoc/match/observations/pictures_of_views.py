@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.numerics.precision import ArrayLike
@@ -46,5 +46,5 @@ def _expect_all(doing: str, views: Sequence[str], what: str, held: Mapping[str, 
     if missing:
         raise InputError(
             f'{doing} needs the {what} of every view, but "{missing[0]}" has none: give what was '
-            f"matched of {', '.join(views)}."
+            f"matched of {list_names(views)}."
         )

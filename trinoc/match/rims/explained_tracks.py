@@ -5,11 +5,10 @@ import dataclasses
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.errors import InputError
+from trinoc.errors import InputError, list_names
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.observations.match_input import prepare
@@ -29,6 +28,7 @@ from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.precision import ArrayLike, in_float64
+from trinoc.numerics.values import Value
 from trinoc.numerics.vectors import cross_3d
 
 
@@ -153,7 +153,7 @@ _ROWS = (
 )
 
 
-class MatchesWithRims(eqx.Module):
+class MatchesWithRims(Value):
     """Matches of straight edges and pieces of rims, and the segments that they number.
 
     Fields
@@ -201,8 +201,8 @@ def add_rims(
     given, more = (segments_of_views("Adding rims", views, each) for each in (segments, chords))
     if rims.views != views:
         raise InputError(
-            f"The rims are of the views {', '.join(rims.views)}, but the matches of "
-            f"{', '.join(views)}: find both in the same pictures, the views in one order."
+            f"The rims are of the views {list_names(rims.views)}, but the matches of "
+            f"{list_names(views)}: find both in the same pictures, the views in one order."
         )
     own = collect_chords(prepare(given, rig, None), views)
     circles = Circles(rims.centre_mm, rims.normal, rims.radius_mm)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,62 @@ def in_line(centre_mm: Float[np.ndarray, "f v 3"]) -> Bool[np.ndarray, "f"]:
     centred = centre_mm - centre_mm.mean(axis=1, keepdims=True)
     spread = np.linalg.svd(centred, compute_uv=False)
     return spread[:, 1] < DEFAULT.tracks.in_line_share * spread[:, 0]
+
+
+def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
+    """A sentence where cameras stand nearly at one place, for what their pictures show."""
+    tuning, names = DEFAULT.tracks, frame.names
+    centres = frame.cameras.centre_mm
+    apart_mm = np.linalg.norm(centres[:, None] - centres, axis=2)
+    # Among three cameras or more, others are farther apart.
+    limit_mm = np.inf if len(names) == 2 else tuning.narrow_baselines * apart_mm.max()
+    narrow = [
+        (first, second, share)
+        for first, second in combinations(range(len(names)), 2)
+        if apart_mm[first, second] < limit_mm
+        and (share := _share_at_infinity(frame, first, second)) > tuning.narrow_share
+    ]
+    if not narrow:
+        return ()
+    first, second, share = narrow[0]
+    more = f", and {len(narrow) - 1} more pairs of cameras as well" if len(narrow) > 1 else ""
+    pair = " and ".join(f'"{name}"' for name in sorted((names[first], names[second])))
+    baseline_mm = apart_mm[first, second]
+    return (
+        f"The cameras {pair} stand nearly at one place, {baseline_mm:.2g} mm apart{more}: "
+        f"{100 * share:.0f} % of the segments lie in both pictures as if they were infinitely far, "
+        "so that the two give no depth; move one of the cameras, or check the rig.",
+    )
+
+
+def _share_at_infinity(frame: FrameInput, first: int, second: int) -> float:
+    """Of the longest segments of one view: the share that lies, as if it were infinitely far, on a
+    segment of another view."""
+    tuning = DEFAULT.tracks
+    ends, others = frame.ends_px[first], frame.ends_px[second]
+    if min(len(ends), len(others)) < tuning.narrow_segments[0]:
+        return 0.0
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    ends = ends[np.argsort(-length, kind="stable")[: tuning.narrow_segments[1]]]
+    matrices = frame.cameras.matrix_px[:, :, :3]
+    at_infinity = matrices[second] @ np.linalg.inv(matrices[first])
+    moved = np.concatenate([ends, np.ones((len(ends), 2, 1))], axis=2) @ at_infinity.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = np.where(moved[..., 2:] > 0, moved[..., :2] / moved[..., 2:], np.inf)
+    step = others[:, 1] - others[:, 0]
+    other_length = np.linalg.norm(step, axis=1)
+    direction = step / other_length[:, None]
+    with np.errstate(invalid="ignore"):
+        offset = moved[:, :, None] - others[:, 0]
+        across = np.abs(offset[..., 0] * direction[:, 1] - offset[..., 1] * direction[:, 0])
+        along = np.sum(offset.mean(axis=1) * direction, axis=2)
+    variances = [
+        np.median(np.linalg.eigvalsh(frame.covariance_px2[view][:, :2, :2])[:, 0])
+        for view in (first, second)
+    ]
+    limit_px = tuning.narrow_sigmas * np.sqrt(sum(variances))
+    is_on = (across.max(axis=1) < limit_px) & (along > 0) & (along < other_length)
+    return float(is_on.any(axis=1).mean())
 
 
 def write_notes(
@@ -227,13 +284,16 @@ def answers(
                 reasons=why,
                 counts=numbers | count_reasons(why),
                 noise_scale=scale,
-                notes=write_notes(
-                    len(called),
-                    bool(aligned[number]),
-                    numbers[UNLOCATED],
-                    scale,
-                    numbers[LET_GO],
-                    tuning,
+                notes=(
+                    *write_notes(
+                        len(called),
+                        bool(aligned[number]),
+                        numbers[UNLOCATED],
+                        scale,
+                        numbers[LET_GO],
+                        tuning,
+                    ),
+                    *narrow_notes(seen.frames[number]),
                 ),
                 noise_tail=float(tail[number]),
             )

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from trinoc.errors import InputError
 from trinoc.geometry.features import Wires
 from trinoc.geometry.line_lengths import line_sigmas
+from trinoc.geometry.rig import is_camera_name
 from trinoc.geometry.segments import LineObservations
 from trinoc.match.tracks.unequal_errors import degrees_of_misfit, ellipsoid_limit
 from trinoc.match.tuning.tracks import DecoyTuning
@@ -139,6 +140,10 @@ class Matches(Displayable, Table):
             ColumnCheck(
                 "must be two or more different ones",
                 lambda views, _: len(set(views)) >= max(len(views), 2),
+            ),
+            ColumnCheck(
+                "must be names of printable characters",
+                lambda views, _: all(map(is_camera_name, views)),
             ),
             side="v",
         ),

@@ -8,5 +8,6 @@ chosen by hand, on made scenes, or come from the prototype, a numerical study th
 comment says where one was fitted or measured, and on what. Numbers of scales and of components
 are fixed: tables have a column for each. Block sizes, the layers of the table of cells and
 numerical guards stand where they are used, marked `# numerical:`, as no answer should depend on
-them. `in_line_share` is read from `DEFAULT`; to try others, change that.
+them. `in_line_share` and `narrow_share` with what belongs to it are read from `DEFAULT`; to try
+others, change that.
 """

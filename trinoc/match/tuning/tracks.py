@@ -47,6 +47,14 @@ class TrackTuning:
     # Centres lie on a line where they are off it by less than this share of their spread along it:
     # for a note. By hand.
     in_line_share: float = 0.05
+    # Two cameras are nearly at one place where more than this share of the segments, the longest
+    # of them, lie in both pictures, within so many sigmas, as if they were infinitely far: fewest
+    # and most segments that are compared. In sets of three views or more, of pairs whose baseline
+    # is below this share of the longest. For a note. By hand.
+    narrow_share: float = 0.5
+    narrow_sigmas: float = 3.0
+    narrow_segments: tuple[int, int] = (5, 200)
+    narrow_baselines: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,7 @@ class ViewSupportTuning:
     # Weights of the evidence of views, which are not independent, and of a misfit. Chosen on two
     # real scenes of six views, a robot cell and a house front, by how often views that were held
     # out support a track; shown by other scenes.
-    weight_of_views: float = 0.2
+    weight_of_views: float = 0.3
     weight_of_misfit: float = 0.4
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from trinoc.calib.bundle.result import RefineResult
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.errors import list_names
 from trinoc.evaluation.evaluation import Evaluation
 from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
@@ -84,7 +85,7 @@ def heading(value: object) -> str:
 @heading.register
 def _(rig: Rig) -> str:
     known = "with a covariance" if len(rig.parameters) else "without a covariance"
-    return f"{len(rig)} cameras ({', '.join(rig.names)}), {known}"
+    return f"{len(rig)} cameras ({list_names(rig)}), {known}"
 
 
 @heading.register
@@ -123,7 +124,7 @@ def _(matches: Matches) -> str:
     three, two = int((stage == TRINOCULAR).sum()), int((stage == BINOCULAR).sum())
     sure = int((np.asarray(matches.posterior) > DecoyTuning.sure).sum())
     return (
-        f"{three} tracks in three views or more, {two} in two ({', '.join(matches.views)}); "
+        f"{three} tracks in three views or more, {two} in two ({list_names(matches.views)}); "
         f"{sure} of probability over {DecoyTuning.sure}"
     )
 

@@ -11,7 +11,7 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.evaluation.evaluation import Evaluation
 from trinoc.geometry.rig import Rig
 from trinoc.numerics.tables import Table
-from trinoc.report.parameter_table import shown_parameters
+from trinoc.report.parameter_table import shown_parameters, shown_value
 
 Columns = dict[str, Any]
 
@@ -28,8 +28,8 @@ def _rig(rig: Rig) -> Columns:
     return {
         "camera": [name for name, _ in rows],
         "parameter": [parameter for _, parameter in rows],
-        "value": [rig.value(f"{name}.{parameter}") for name, parameter in rows],
-        "sigma": [rig.sigma(f"{name}.{parameter}") for name, parameter in rows],
+        "value": [shown_value(rig, *row)[0] for row in rows],
+        "sigma": [shown_value(rig, *row)[1] for row in rows],
     }
 
 
