@@ -10,18 +10,28 @@ import pytest
 from simulation import Detector, loose_segments, simulate_segments
 from simulation.scenes import see_through_boxes
 from tests.io.formats.bench import bench_matches
+from tests.match.made import loose_lines, pictures
+from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.decoys import SureTracks, is_above_chance, say_excluded_depths
+from trinoc.match.batch import match_many
+from trinoc.match.decoys import (
+    SureTracks,
+    check_set,
+    count_sure,
+    is_above_chance,
+    say_excluded_depths,
+)
 from trinoc.match.explanations import (
     MIRRORED,
     TURNED,
     UPSIDE_DOWN,
     change_view,
     estimate_shift,
+    seems_shifted,
     take_longest,
 )
-from trinoc.match.matcher import match_segments
+from trinoc.match.matcher import check_verification, match_segments
 from trinoc.match.observations.match_input import prepare_frame
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, MatchStatus
 from trinoc.match.tuning.every_group import DEFAULT
@@ -52,6 +62,69 @@ def test_exchanged_views_are_suspect_by_name_and_nothing_in_them_is_sure(boxes):
     assert "are exchanged" in matches.notes[0]
     assert '"right"' not in matches.notes[0]
     assert (matches.posterior < 0.9).all()
+
+
+def test_a_quick_check_refuses_a_set_without_the_mistake_and_none_refuses_nothing(boxes):
+    exchanged = boxes | {"upper": boxes["left"], "left": boxes["upper"]}
+    quick = match_segments(exchanged, RIG, verify="quick")
+    assert quick.status is MatchStatus.SUSPECT
+    assert "Most likely" not in quick.notes[0]
+    unchecked = match_segments(exchanged, RIG, verify="off")
+    assert unchecked.status is MatchStatus.MATCHED
+    np.testing.assert_array_equal(unchecked.index, quick.index)
+    with pytest.raises(InputError, match='verify is "never": give "full", "quick" or "off"'):
+        check_verification("never")
+
+
+def test_of_many_sets_of_a_rig_the_mistake_is_looked_for_once(boxes):
+    exchanged = boxes | {"upper": boxes["left"], "left": boxes["upper"]}
+    batch = match_many([boxes, exchanged, exchanged], RIG)
+    assert [m.status for m in batch.matches] == [MatchStatus.MATCHED] + 2 * [MatchStatus.SUSPECT]
+    named = ["Most likely" in m.notes[0] for m in batch.matches[1:]]
+    assert named == [True, False]
+
+
+def with_clutter(segments, count):
+    """The same segments among as many more of each view that are of no line."""
+    rng, cluttered = np.random.default_rng(7), {}
+    for name, own in segments.items():
+        middle, angle = rng.uniform(20, 450, (count, 1, 2)), rng.uniform(0, np.pi, count)
+        half = 15 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        strays = middle + np.stack([-half, half], axis=1)
+        cluttered[name] = Segments.from_endpoints(np.concatenate([own.endpoints_px, strays]))
+    return cluttered
+
+
+def test_lines_that_are_next_to_certain_clear_a_cluttered_set_without_another_matching(boxes):
+    """However few of its segments they are."""
+    cluttered = with_clutter(boxes, 400)
+    frame = prepare_frame(cluttered, RIG, None)
+    matches = match_segments(cluttered, RIG, verify="off")
+    sure = count_sure(matches)
+    assert sure.in_three < DEFAULT.decoys.clear_share * min(map(len, cluttered.values()))
+    assert sure.certain >= DEFAULT.decoys.clear_certain
+
+    def match(frame, **kwargs):
+        raise AssertionError("matched again")
+
+    checked = check_set(frame, RIG.names, matches, match, DEFAULT.decoys)
+    assert checked.status is MatchStatus.MATCHED
+
+
+@pytest.mark.parametrize("view", range(3))
+def test_a_shift_shows_in_what_segments_miss_the_lines_of_the_other_views_by(view):
+    """Noise of any size does not show one."""
+    lines_mm, random = loose_lines(40, seed=3), np.random.default_rng(4)
+    index = np.tile(np.arange(40)[:, None], (1, 3))
+    for noise_px, shift_px, shifted in ((3.0, (0, 0), False), (0.3, (6, -4), True)):
+        seen = pictures(RIG, lines_mm, noise_px, seed=5)
+        name = RIG.names[view]
+        seen[name] = seen[name] + shift_px
+        frame = prepare_frame(seen, RIG, None)
+        numbers = [np.argsort(order) for order in frame.order]
+        rows = np.stack([number[index[:, 0]] for number in numbers], axis=1)
+        rows = random.permutation(rows)
+        assert seems_shifted(frame, rows, DEFAULT.decoys) is shifted
 
 
 def test_depths_that_leave_out_the_scene_are_named_and_not_the_rig(boxes):

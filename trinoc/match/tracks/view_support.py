@@ -59,7 +59,7 @@ def with_view_support(inputs: MatchInput, tracks: Tracks, tuning: MatchTuning) -
     tail = tail_of_tracks(index, fitted.misfit, tuning)
     gate = tuning.candidates.gate
     shown = lines_in_pictures(inputs.lines, fitted.ends_mm) | (index >= 0)
-    chance = chance_rates(inputs, fitted, shown, gate, tuning)
+    chance = chance_rates(inputs, fitted, gate, tuning)
     right = right_rates(index, shown, probability(tracks.posterior_log_odds), rules)
     rates = HitRates(right, chance)
     views = view_evidence(index, shown, rates, rules)
@@ -91,7 +91,6 @@ def lines_in_pictures(
 def chance_rates(
     inputs: MatchInput,
     tracks: FittedTracks,
-    shown: Bool[np.ndarray, "t v"],
     gate: float,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "v"]:
