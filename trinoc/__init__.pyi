@@ -12,6 +12,7 @@ from .calib.targets.checkers import Charuco as Charuco, Chessboard as Chessboard
 from .calib.targets.pattern import Pattern as Pattern
 from .calib.uncertainty.systematics import Systematics as Systematics
 from .evaluation.evaluation import evaluate as evaluate
+from .evaluation.lines_of_rig import with_rig_covariance as with_rig_covariance
 from .geometry.camera import Camera as Camera
 from .geometry.intrinsics import Intrinsics as Intrinsics
 from .geometry.rig import Rig as Rig

@@ -71,6 +71,7 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
         depths = self.depths_mm()
 
         from trinoc.cli.command import provenance
+        from trinoc.evaluation.lines_of_rig import with_rig_covariance
         from trinoc.io.atomic import expect_place
         from trinoc.io.saving import expect_replaceable, save
         from trinoc.match.features import FEATURES
@@ -108,6 +109,7 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
         )
         for kind, own in features.items():
             save(own, self.place_of(kind), overwrite=True)
+        matches = with_rig_covariance(matches, rig)
         save(matches, self.out, overwrite=True)
         self.write_report(
             provenance(command_line, {**files, "rig": self.rig}),

@@ -6,6 +6,7 @@ two rooms do not know each other.
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -61,6 +62,28 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     return UncertainLines(ends, own, by_parameters, rig.covariance_of(names))
 
 
+@in_float64
+def with_rig_covariance(matches: Matches, rig: Rig) -> Matches:
+    """Matches with `rig_covariance_mm2`: what errors of the rig add to the covariance of each line.
+
+    Parameters
+    ----------
+    matches : of `match_segments`; `covariance_mm2` stays that of the segments' errors alone.
+    rig : the rig that they were matched with. The field stays None where its covariance is not
+        known, or not of the poses of all its cameras.
+
+    Raises InputError where the rig lacks a camera of the matches.
+    """
+    if rig.parameters and _known_pose_model(rig) is None:
+        return replace(matches, rig_covariance_mm2=None)
+    lines = lines_of_rig(matches, rig)
+    if lines.by_parameters.shape[2] == 0:
+        return replace(matches, rig_covariance_mm2=None)
+    by = np.asarray(lines.by_parameters)
+    covariance = by @ np.asarray(lines.parameter_covariance) @ by.transpose(0, 2, 1)
+    return replace(matches, rig_covariance_mm2=(covariance + covariance.transpose(0, 2, 1)) / 2)
+
+
 def lines_of_form(matches: Matches, rig: Rig, form: str) -> UncertainLines:
     """As `lines_of_rig`, of what the tracks are put together to: `JOINED` straight lines, these
     carried to their `CORNERS`, or the edges of a `WIREFRAME`.
@@ -113,15 +136,21 @@ def _carry_derivative(
 
 def _pose_model(rig: Rig) -> PoseModel | None:
     """What the rig's covariance is of; None where it holds none."""
-    for pose_model in (PoseModel.AIM_FREE, PoseModel.AIMED):
-        names = itertools.product(rig.names, pose_model.parameter_names)
-        if {f"{name}.{parameter}" for name, parameter in names} <= set(rig.parameters):
-            return pose_model
-    if rig.parameters:
+    pose_model = _known_pose_model(rig)
+    if pose_model is None and rig.parameters:
         raise InputError(
             "The covariance of the rig is not of pan, tilt, swing and distance of every camera: "
             "calibrate all of them together, or give the rig without a covariance."
         )
+    return pose_model
+
+
+def _known_pose_model(rig: Rig) -> PoseModel | None:
+    """The parametrization whose parameters of all cameras the rig's covariance holds."""
+    for pose_model in (PoseModel.AIM_FREE, PoseModel.AIMED):
+        names = itertools.product(rig.names, pose_model.parameter_names)
+        if {f"{name}.{parameter}" for name, parameter in names} <= set(rig.parameters):
+            return pose_model
     return None
 
 

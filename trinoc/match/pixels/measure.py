@@ -193,6 +193,7 @@ def apply_measurements(
         covariance_mm2=np.where(holds[:, None, None], of_ends, matches.covariance_mm2),
         counts=matches.counts | counts,
         fragments_covariance_px2=of_fragments,
+        rig_covariance_mm2=None,
         misfit=None if matches.misfit is None else np.where(holds & three, misfit, matches.misfit),
     )
     return measured.with_marks(measure=words)

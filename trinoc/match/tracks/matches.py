@@ -111,6 +111,9 @@ class Matches(Displayable, Table):
     member_posterior : (t, v) probability that the segment of each view is of the line that the
         track's other segments show; NaN where not seen. Of a track in two or three views it is the
         track's posterior, as too few others are left. None where not known.
+    rig_covariance_mm2 : (t, 6, 6) what errors of the rig's parameters add to `covariance_mm2` of
+        each track (`with_rig_covariance`). These errors are common to all tracks: they move and
+        turn the scene as a whole. None where not known.
     marks : what later steps say of tracks, (t,) or (t, v), by name: truth values, probabilities or
         words; False, 0 or "" where a view sees no line. Each step names its own: "measure"
         (`measure_lines`), "silhouette" (`find_rims`).
@@ -224,6 +227,7 @@ class Matches(Displayable, Table):
             parts=lambda matches: [f"{view}_posterior" for view in matches.views],
         ),
     ] = None
+    rig_covariance_mm2: Annotated[Float[np.ndarray, "t 6 6"] | None, Column(COVARIANCE)] = None
     marks: Annotated[
         dict[str, Shaped[np.ndarray, "..."]],
         Column(
