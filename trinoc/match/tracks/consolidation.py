@@ -97,6 +97,7 @@ def _grow(
     hold no view."""
     significance = chi_square_tail(tuning.candidates.gate, 2)
     nearby = float(misfit_limit(significance, np.array(2), noise_tail))
+    nearby = min(nearby, tuning.tracks.widest_gate)
     alive = np.asarray((now.index >= 0).any(axis=1))
     refused: set[tuple[int, ...]] = set()
     changed = alive.copy()

@@ -18,6 +18,8 @@ class TrackTuning:
     # or standard deviations. By hand; shown by benchmarks/real_scenes.py ("members off by") and by
     # the published rows of the corridor that stay whole.
     largest_tail: float = 0.25
+    # A track looks for segments up to this chi-square of 2 degrees of freedom at most, for time.
+    widest_gate: float = 100.0
     farthest_px: float = 2.0
     farthest_sigmas: float = 3.0
     # A further view must show this share of a track's common part. By hand.
@@ -63,8 +65,8 @@ class ViewSupportTuning:
 
     # Of fewer tracks nothing is learned. By hand.
     fewest_tracks: int = 10
-    # Copies of each track, and the shares of the depth by which they are moved. By hand.
-    copies: int = 4
+    # Number of copies of tracks, and the shares of the depth by which they are moved. By hand.
+    copies: int = 600
     moved: tuple[float, float] = (0.08, 0.2)
     # Rates before they are known, and how many lines these count for. By hand.
     prior_right: float = 0.7
