@@ -56,7 +56,8 @@ NOT_RUN = {
     "python benchmarks/render_pictures.py colours DIR/colours --seeds $(seq 400 405)": (
         "needs POV-Ray"
     ),
-    "python benchmarks/segments.py --scenes DIR/blocks --scenes DIR/blocks_fine": "a benchmark",
+    "python benchmarks/segments.py --scenes DIR/blocks --scenes DIR/blocks_fine "
+    "--photographs DIR": "a benchmark",
     "python benchmarks/matching.py --rendered DIR/blocks --seeds 0 --no-files --no-times": (
         "a benchmark"
     ),

@@ -110,6 +110,11 @@ def with_rows(
 ) -> Matches:
     """The tracks that are kept, and after them the rows of pieces, whose segments are matched."""
     index = rows["index"]
+    # Nothing is known of what the rig adds to the rows.
+    matches = dataclasses.replace(matches, rig_covariance_mm2=None)
+    if matches.member_posterior is not None:
+        members = np.where(index >= 0, np.asarray(rows["posterior"])[:, None], np.nan)
+        rows = {**rows, "member_posterior": members}
     silhouette = np.append(tracks.silhouette, np.zeros(len(index)))
     longer = matches.take(tracks.kept).append(rows).with_marks(silhouette=silhouette)
     words = {name: column.copy() for name, column in matches.reasons.items()}
