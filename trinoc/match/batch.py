@@ -105,15 +105,12 @@ def match_many(
             except TrinocError as error:
                 status[number] = str(error)
             else:
-                found[number] = check_together(
-                    frames[number],
-                    tuple(item),
-                    matches,
-                    depth_range_mm,
-                    tuning,
-                    "quick" if verify == "full" and id(rig) in refused_rigs else verify,
+                how = "quick" if verify == "full" and id(rig) in refused_rigs else verify
+                checked = check_together(
+                    frames[number], tuple(item), matches, depth_range_mm, tuning, how
                 )
-                if found[number].status is MatchStatus.SUSPECT:
+                found[number] = checked
+                if checked.status is MatchStatus.SUSPECT:
                     refused_rigs.add(id(rig))
     return MatchBatch(tuple(found), np.array(status, dtype=np.str_))
 

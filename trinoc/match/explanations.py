@@ -86,7 +86,7 @@ def seems_shifted(frame: FrameInput, index: Int[np.ndarray, "t 3"], tuning: Deco
             rest = np.abs(miss_px - normal @ shift)
             weight = 1 / (1 + (rest / max(np.median(rest), 1e-9)) ** 2)
         before, after = (np.median(np.abs(miss_px - normal @ s)) for s in (np.zeros(2), shift))
-        if np.hypot(*shift) > tuning.least_shift_px and after < tuning.quieter * before:
+        if np.linalg.norm(shift) > tuning.least_shift_px and after < tuning.quieter * before:
             return True
     return False
 

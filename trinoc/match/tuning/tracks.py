@@ -93,7 +93,7 @@ class DecoyTuning:
     # likely as `certain`, no decoy is matched. Right sets show .46 to .95, mixed ones up to .2; of
     # mixed ones up to 2 tracks are that likely, of pictures shifted by 14 px 6.
     clear_share: float = 0.5
-    clear_certain: int = 10
+    clear_certain: int = 8
     # A set needs so many times the decoys' mean, so many standard deviations of a count of it, and
     # so many more; and where its share is below `few_share`.
     some: tuple[float, float, float] = (1.5, 3.0, 2.0)
