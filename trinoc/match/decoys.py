@@ -6,9 +6,9 @@ the tracks among them are what chance gives in this scene. Where the rig has har
 its tracks may be sure. Most sets have so many tracks in three views, or so many that are next to
 certain, that no decoy is needed; others are compared with one.
 
-A set is SUSPECT, too, where its errors are large and one view is shifted against the lines of the
-others. Which mistake a refused set holds is looked for by undoing each that is likely, on the
-longest segments: some 30 matchings, which `verify="quick"` leaves out.
+A set is SUSPECT, too, where its errors are large and a shift of one view explains them. Which
+mistake a refused set holds is looked for by undoing each that is likely, on the longest segments:
+some 30 matchings, some 10 for a shift alone. `verify="quick"` leaves them out.
 
 Source: Elias and Gygi, "Target-decoy search strategy", Nature Methods 4, 2007.
 """

@@ -20,7 +20,7 @@ class TrackTuning:
     largest_tail: float = 0.25
     # A track looks for segments up to this chi-square of 2 degrees of freedom at most, for time.
     widest_gate: float = 100.0
-    farthest_px: float = 2.0
+    farthest_px: float = 2.5
     farthest_sigmas: float = 3.0
     # A further view must show this share of a track's common part. By hand.
     min_shared: float = 0.5
