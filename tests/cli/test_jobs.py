@@ -260,7 +260,8 @@ def test_scene_that_hardly_matches_says_what_to_check(run, shuffled):
     files = shuffled.split() if "=" in shuffled else [f"{name}={shuffled}.csv" for name in RIG]
     status, out, _ = run("match", *files, "--rig", "rig.json", "-o", "none.npz")
     assert status == 0
-    assert "Few segments were matched in three views: check" in out
+    assert "Use these matches with care. 0 sure lines in three views" in out
+    assert "check that this rig took these pictures" in out
 
 
 @pytest.mark.parametrize("paper", ["a4", "letter"])

@@ -13,7 +13,7 @@ import trinoc
 from tests.io.formats.bench import bench_matches
 from trinoc.cli.command import expect_places
 from trinoc.cli.main import AnyCommand, main
-from trinoc.cli.match import remarks
+from trinoc.match.tracks.reliability import assess_matches
 from trinoc.synth import table1_rig
 
 VIEWS = ("upper", "left", "right")
@@ -114,8 +114,7 @@ def test_depths_that_leave_nothing_are_named():
     matches = bench_matches()
     words = {view: np.full(len(w), "outside depth") for view, w in matches.reasons.items()}
     none = dataclasses.replace(matches, stage=np.full(len(matches), "binocular"), reasons=words)
-    (said,) = remarks(none)
-    assert "check depth_range_mm" in said
+    assert "check depth_range_mm" in assess_matches(none).sentence
 
 
 def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):

@@ -7,6 +7,7 @@ import trinoc
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold
+from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io import FORMATS
 
@@ -61,3 +62,28 @@ def test_what_is_written_is_read_and_what_is_not_read_is_not_written(k1, tmp_pat
         return
     trinoc.save(rig_of(lens), path)
     assert trinoc.load_rig(path).names == ("a", "b")
+
+
+@pytest.mark.parametrize("digits", [1, 2, 3, 5, 6, 7, 8, 9])
+def test_a_rotation_rounded_to_some_digits_is_read_once_it_is_written(digits, tmp_path) -> None:
+    rig = rig_of(Intrinsics(image_size_px=(640, 480), focal_length_px=800.0))
+    rounded = {}
+    for name, camera in rig.items():
+        pose = np.array(camera.cam_from_world)
+        pose[:, :3] = pose[:, :3].round(digits)
+        rounded[name] = Camera(camera.intrinsics, Pose(pose))
+    path = tmp_path / "rig.json"
+    if digits < 4:
+        with pytest.raises(InputError, match=r'the pose of the camera ".*" is no rotation matrix'):
+            trinoc.save(Rig(rounded), path)
+        assert not path.exists()
+        return
+    trinoc.save(Rig(rounded), path)
+    again = trinoc.load_rig(path)
+    for name, camera in again.items():
+        rotation = np.asarray(camera.cam_from_world)[:, :3]
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        written = np.asarray(rounded[name].cam_from_world)
+        np.testing.assert_allclose(camera.cam_from_world, written, atol=10.0**-digits)
+    trinoc.save(again, path, overwrite=True)
+    assert trinoc.load_rig(path) == again

@@ -5,7 +5,8 @@ import numpy as np
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
-from trinoc.match.tracks.matches import Matches
+from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
+from trinoc.match.tracks.reliability import scene_extent_mm
 
 # Pan, tilt and swing in degrees, distance in mm.
 POSES = {
@@ -63,3 +64,26 @@ def as_set(matches: Matches, views: tuple[str, ...]) -> set[tuple[int, ...]]:
     """The segments of every track, in the order of `views`."""
     order = [matches.views.index(view) for view in views]
     return {tuple(row) for row in matches.index[:, order].tolist()}
+
+
+def sure_matches(
+    sigma_share: float = 0.002, count: int = 40, views: tuple[str, ...] = ("upper", "left", "right")
+) -> Matches:
+    """Sure lines in all views of a scene, and their sigma across as a share of its extent."""
+    random = np.random.default_rng(count)
+    lines = random.uniform(-100, 100, (count, 2, 3))
+    sigma = sigma_share * scene_extent_mm(lines)
+    index = np.tile(np.arange(count)[:, None], (1, len(views)))
+    # Ends with independent errors leave half the variance to the midpoint.
+    return Matches(
+        views=views,
+        index=index,
+        fragments_px=random.uniform(0, 500, (count, len(views), 2, 2)),
+        lines_mm=lines,
+        covariance_mm2=np.tile(2 * sigma**2 * np.eye(6), (count, 1, 1)),
+        stage=np.full(count, TRINOCULAR if len(views) > 2 else BINOCULAR),
+        posterior=np.full(count, 0.99),
+        rival_posterior=np.zeros(count),
+        reasons={view: np.full(count, "matched") for view in views},
+        counts={},
+    )

@@ -20,7 +20,6 @@ from trinoc.match.decoys import (
     check_set,
     count_sure,
     is_above_chance,
-    say_excluded_depths,
 )
 from trinoc.match.explanations import (
     MIRRORED,
@@ -34,6 +33,7 @@ from trinoc.match.explanations import (
 from trinoc.match.matcher import check_verification, match_segments
 from trinoc.match.observations.match_input import prepare_frame
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, MatchStatus
+from trinoc.match.tracks.reliability import say_excluded_depths
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.synth import table1_rig
 
@@ -70,7 +70,7 @@ def test_a_quick_check_refuses_a_set_without_the_mistake_and_none_refuses_nothin
     assert quick.status is MatchStatus.SUSPECT
     assert "Most likely" not in quick.notes[0]
     unchecked = match_segments(exchanged, RIG, verify="off")
-    assert unchecked.status is MatchStatus.MATCHED
+    assert unchecked.status is not MatchStatus.SUSPECT
     np.testing.assert_array_equal(unchecked.index, quick.index)
     with pytest.raises(InputError, match='verify is "never": give "full", "quick" or "off"'):
         check_verification("never")
@@ -182,10 +182,10 @@ def test_all_pictures_of_half_the_size_are_suspect_by_name(boxes):
     assert (matches.posterior <= 0.5).all()
 
 
-def test_a_right_set_with_noise_far_above_what_is_stated_is_matched(boxes):
+def test_a_right_set_with_noise_far_above_what_is_stated_is_not_suspect(boxes):
     matches = match_segments(boxes, RIG, sigma_px=0.15)
     assert matches.noise_scale > DEFAULT.decoys.noisy_above
-    assert matches.status is MatchStatus.MATCHED
+    assert matches.status is MatchStatus.UNCERTAIN
     assert (matches.posterior > 0.9).mean() > 0.9
 
 

@@ -27,6 +27,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 def test_one_object_on_stdout_and_progress_on_stderr(run: Run) -> None:
     assert run.status == 0
     assert isinstance(run.record, dict)
+    assert run.record["status"] == "matched"
+    assert run.record["verdict"].startswith("You can use these matches. ± ")
     assert "calibrating" in run.stderr
     assert "matching" in run.stderr
 

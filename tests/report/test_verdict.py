@@ -9,13 +9,21 @@ import pytest
 
 from trinoc.calib import CalibrationResult, Status, point_covariance
 from trinoc.geometry.rig import Rig
-from trinoc.match.tracks.matches import SUSPECT_SETS, Matches
+from trinoc.match.tracks.matches import SUSPECT_SETS, Matches, MatchStatus
+from trinoc.match.tracks.reliability import assess_matches
+from trinoc.match.tuning.tracks import DecoyTuning, TrackTuning
 from trinoc.report.checks import Level, Subject
 from trinoc.report.coverage import Coverage, coverage_by_circles
 from trinoc.report.field_part import FieldPart, field_part
 from trinoc.report.matches_part import HEIGHT, LETTER, place_labels
 from trinoc.report.pictures import PagePicture, Window
-from trinoc.report.verdict import CHECKS, Verdict, find_verdict
+from trinoc.report.verdict import (
+    CHECKS,
+    LEVEL_OF_STATUS,
+    QUESTION_ON_MATCHES,
+    Verdict,
+    find_verdict,
+)
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +67,11 @@ def test_a_suspect_camera_decides_in_the_words_of_its_note(result: CalibrationRe
 
 
 @pytest.mark.parametrize("why", ["Its residuals are a swirl.", ""], ids=["why", "a file without"])
-def test_a_rig_that_was_doubted_spoils_its_matches(matches: Matches, why: str) -> None:
+def test_matches_of_a_rig_that_was_doubted_ask_for_care(matches: Matches, why: str) -> None:
     assert judged(matches=matches).level is Level.GOOD
     verdict = judged(matches=matches, doubts={"upper": why})
-    assert verdict.sentence == "Do not rely on these matches."
-    assert f"suspect. {why}" in verdict.reason
+    assert verdict.sentence == "Use these matches with care."
+    assert f"suspect. {why}".rstrip() in verdict.reason
 
 
 def test_residuals_beyond_noise_ask_for_care_and_then_are_bad(result: CalibrationResult) -> None:
@@ -93,11 +101,21 @@ def test_a_set_that_does_not_belong_to_its_rig_decides_in_the_words_of_its_note(
     assert verdict.reason == "SUSPECT: Most likely they are exchanged."
 
 
-def test_few_matches_are_no_matches(matches: Matches) -> None:
-    three = np.flatnonzero(matches.stage == "trinocular")
-    stage = np.array(matches.stage)
-    stage[three[8:]] = "binocular"
-    assert judged(matches=dataclasses.replace(matches, stage=stage)).level is Level.BAD
+def test_the_page_has_the_verdict_of_the_matches_and_every_finding(matches: Matches) -> None:
+    changes = {
+        MatchStatus.MATCHED: {},
+        MatchStatus.UNCERTAIN: {"posterior": np.full(len(matches), 0.6)},
+        MatchStatus.SUSPECT: {"counts": {SUSPECT_SETS: 1}, "notes": ("Exchanged.",)},
+    }
+    for status, change in changes.items():
+        changed = dataclasses.replace(matches, **change)
+        assessment = assess_matches(changed)
+        assert assessment.status is changed.status is status
+        verdict = judged(matches=changed)
+        assert (verdict.sentence, verdict.level) == (status.value, LEVEL_OF_STATUS[status])
+        assert verdict.reason == assessment.deciding.reason
+        rows = [(check.figure, check.words, check.remedy) for check in verdict.checks]
+        assert rows == [(f.figure, f.words, f.remedy) for f in assessment.findings]
 
 
 def test_coverage_is_the_share_that_the_circles_surround(
@@ -147,7 +165,16 @@ def test_a_rig_without_errors_has_no_maps(rig: Rig, pictures: dict[str, PagePict
 def test_the_docs_say_every_limit() -> None:
     page = (Path(__file__).parents[2] / "docs" / "report.md").read_text(encoding="utf-8")
     rows = [line for line in page.splitlines() if line.startswith("| ") and "? |" in line]
-    assert len(rows) == len(CHECKS)
+    assert len(rows) == len(CHECKS) + len(QUESTION_ON_MATCHES)
+    numbers = {
+        "rig": "", "set": "SUSPECT",
+        "count": f"{TrackTuning.fewest_sure} ",
+        "agreement": f"{DecoyTuning.noisy_above:g} times",
+        "uncertainty": f"{100 * TrackTuning.largest_sigma_of_scene:g} %",
+    }  # fmt: skip
+    for topic, (question, _) in QUESTION_ON_MATCHES.items():
+        (line,) = (line for line in rows if line.startswith(f"| {question} |"))
+        assert numbers[topic] in line
     for row in CHECKS:
         said = [line for line in rows if line.startswith(f"| {row.question} |")]
         assert said, row.question

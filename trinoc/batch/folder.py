@@ -36,8 +36,8 @@ DESCRIPTION = "recording.json"
 class Folder:
     """Results of one job in a folder.
 
-    done : number of a part to its manifest lines. tally : "frames", "failed", "suspect" and
-    "tracks" of all.
+    done : number of a part to its manifest lines. tally : "frames", "failed", "suspect",
+    "uncertain" and "tracks" of all.
     """
 
     def __init__(self, path: Path, ending: str, manifest: Path, stream: Any) -> None:
@@ -90,6 +90,7 @@ class Folder:
             self.tally["frames"] += 1
             self.tally["failed"] += line["status"] != OK
             self.tally["suspect"] += "suspect" in line
+            self.tally["uncertain"] += "uncertain" in line
             self.tally["tracks"] += sum(line.get("tracks", {}).values())
 
 

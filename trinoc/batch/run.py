@@ -35,6 +35,7 @@ class BatchOutcome:
 
     frames, failed, tracks : numbers of frames, of those that failed, and of tracks in all.
     suspect : how many frames are SUSPECT, as they do not seem to belong to the rig.
+    uncertain : how many frames are UNCERTAIN, to be used with care.
     earlier : how many of the frames an earlier run had done.
     without : cameras of the rig of which the recording has no picture.
     workers : how many worked at once.
@@ -49,6 +50,7 @@ class BatchOutcome:
     earlier: int
     workers: int
     without: tuple[str, ...] = ()
+    uncertain: int = 0
 
 
 def match_recording(
@@ -158,6 +160,7 @@ def match_recording(
             earlier=earlier,
             workers=workers.count,
             without=without,
+            uncertain=tally["uncertain"],
         )
 
 

@@ -153,10 +153,13 @@ def _outcome(found: "BatchOutcome", report: Path | None) -> Outcome:
         parts.append(f"{found.failed} failed; the manifest says why")
     if found.suspect:
         parts.append(f"{found.suspect} do not seem to belong to the rig")
+    if found.uncertain:
+        parts.append(f"use {found.uncertain} with care; the manifest says why")
     record = {
         "frames": found.frames,
         "failed": found.failed,
         "suspect": found.suspect,
+        "uncertain": found.uncertain,
         "tracks": found.tracks,
         "earlier": found.earlier,
         "workers": found.workers if here else 0,

@@ -13,7 +13,7 @@ import tyro
 
 from trinoc.cli.calibrate import calibration_record
 from trinoc.cli.command import LOGGER, Command, Outcome
-from trinoc.cli.match import match_record
+from trinoc.cli.match import match_record, refusal_of
 from trinoc.cli.views import make_folder
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from trinoc.geometry.rig import Rig
     from trinoc.geometry.segments import Segments
     from trinoc.match.tracks.matches import Matches
+    from trinoc.match.tracks.reliability import MatchAssessment
 import shutil
 
 TOLERANCE_MM = 1.0
@@ -45,10 +46,12 @@ class DemoCommand(Command):
 
     def run(self, command_line: str) -> Outcome:
         """Do the whole job, the same functions as the other commands in the same order."""
+        from trinoc.match.tracks.reliability import assess_matches
+
         seconds: dict[str, float] = {}
         make_folder(self.out)
         work = _work(seconds)
-        score = _score(work.matches)
+        score, assessment = _score(work.matches), assess_matches(work.matches)
         with _step("writing the report", seconds):
             written = _write(self.out, work, score, command_line)
         kept, by_hand = [], ""
@@ -57,13 +60,14 @@ class DemoCommand(Command):
             by_hand = _by_hand(self.out)
         LOGGER.info("done in %.1f s", sum(seconds.values()))
         return Outcome(
-            _text(work, score, written) + by_hand,
+            _text(work, assessment, score, written) + by_hand,
             {
-                **_record(work, score),
+                **_record(work, assessment, score),
                 "seconds": seconds,
                 "written": [str(path) for path in (*written, *kept)],
                 "commands": commands() if self.keep_inputs else [],
             },
+            refusal_of(assessment),
         )
 
 
@@ -181,12 +185,14 @@ def _sentence(score: Score) -> str:
     )
 
 
-def _text(work: DemoWork, score: Score, written: tuple[Path, Path, Path]) -> str:
+def _text(
+    work: DemoWork, assessment: "MatchAssessment", score: Score, written: tuple[Path, Path, Path]
+) -> str:
     from trinoc.report.parameter_table import parameter_errors
     from trinoc.report.text import counts_text, errors_text, reasons_text
 
     report, rig, matches = written
-    tracks = match_record(work.segments, work.matches)["tracks"]
+    tracks = match_record(work.segments, work.matches, assessment)["tracks"]
     return "\n\n".join(
         (
             errors_text(parameter_errors(work.result.rig, work.known), REFERENCE_NAME),
@@ -194,12 +200,13 @@ def _text(work: DemoWork, score: Score, written: tuple[Path, Path, Path]) -> str
             reasons_text(work.matches),
             f"{tracks['trinocular']} tracks seen in three views, {tracks['binocular']} in two.\n"
             f"{_sentence(score)}",
+            assessment.sentence,
             f"written: {rig}, {matches}\nreport, for a browser: {report}",
         )
     )
 
 
-def _record(work: DemoWork, score: Score) -> dict[str, Any]:
+def _record(work: DemoWork, assessment: "MatchAssessment", score: Score) -> dict[str, Any]:
     from trinoc.report.parameter_table import parameter_errors
 
     return {
@@ -212,7 +219,7 @@ def _record(work: DemoWork, score: Score) -> dict[str, Any]:
             }
             for found in parameter_errors(work.result.rig, work.known)
         },
-        **match_record(work.segments, work.matches),
+        **match_record(work.segments, work.matches, assessment),
         "score": {
             "tolerance_mm": TOLERANCE_MM,
             "grey_step": GREY_STEP,

@@ -32,6 +32,7 @@ from trinoc.io.tables_npz import (
     save_npz,
 )
 from trinoc.match.tracks.matches import Matches, MatchStatus
+from trinoc.match.tracks.reliability import assess_matches
 from trinoc.numerics.tables import list_fields
 from trinoc.recording.frame_table import FrameMatches
 
@@ -200,10 +201,14 @@ def _fate(result: FrameMatches) -> dict[str, Any]:
     if result.matches is None:
         return {"status": "failed", "why": result.status}
     stage = result.matches.stage
-    is_suspect = result.matches.status is MatchStatus.SUSPECT
+    assessment, reason = assess_matches(result.matches), {}
+    if assessment.status is MatchStatus.SUSPECT:
+        reason = {"suspect": assessment.deciding.words}
+    elif assessment.status is MatchStatus.UNCERTAIN:
+        reason = {"uncertain": assessment.deciding.reason}
     return {
         "status": result.status,
-        **({"suspect": result.matches.notes[0]} if is_suspect else {}),
+        **reason,
         "segments": {view: len(words) for view, words in result.matches.reasons.items()},
         "tracks": {name: int((stage == name).sum()) for name in ("trinocular", "binocular")},
     }

@@ -13,6 +13,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import FOLD_REMEDY, Intrinsics, describe_fold
 from trinoc.geometry.lenses.registry import LENS_MODELS, promote_lens
 from trinoc.geometry.rig import Rig, at_one_place
+from trinoc.io.formats.motions import checked_rotation
 from trinoc.io.json_document import Block, read_document, write_document
 from trinoc.numerics.tables import is_covariance
 
@@ -73,6 +74,8 @@ def expect_readable(value: Rig | Intrinsics, where: str) -> None:
         return
     for name, camera in value.items():
         expect_lens(camera.intrinsics, f'{where}: the camera "{name}"')
+        rotation = np.asarray(camera.cam_from_world)[:, :3]
+        checked_rotation(rotation, f'{where}: the pose of the camera "{name}"')
     expect_apart(dict(value.items()), where)
 
 

@@ -13,6 +13,7 @@ from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig, is_camera_name
 from trinoc.io.atomic import read_text, write_text
+from trinoc.io.formats.motions import checked_rotation
 from trinoc.io.intrinsics_json import (
     CONVENTIONS,
     expect_apart,
@@ -236,6 +237,11 @@ def rig_text(
 
 def _camera_to_block(rig: Rig, name: str) -> dict[str, Any]:
     camera = rig[name]
+    # A rotation rounded to a few digits is brought to the nearest one: extrinsics and matrix agree.
+    pose = np.asarray(camera.cam_from_world)
+    rotation = checked_rotation(pose[:, :3], f'The pose of the camera "{name}"')
+    if (rotation != pose[:, :3]).any():
+        camera = Camera(camera.intrinsics, Pose(np.column_stack([rotation, pose[:, 3]])))
     block: dict[str, Any] = {
         "image_size_px": list(camera.image_size_px),
         "intrinsics": intrinsics_to_block(camera.intrinsics),
@@ -283,17 +289,15 @@ def _extrinsics(block: Block) -> dict[str, Any]:
 
 def _rigid_motion(block: Block) -> np.ndarray:
     matrix = block.numbers("cam_from_world", (3, 4))
-    rotation = matrix[:, :3]
-    if not (
-        np.abs(rotation @ rotation.T - np.eye(3)).max() < _CONSISTENT
-        and np.linalg.det(rotation) > 0
-    ):
+    try:
+        rotation = checked_rotation(matrix[:, :3], "cam_from_world")
+    except InputError as error:
         raise block.error(
             "cam_from_world",
             "must be [R | t] with a rotation R, but its first three columns are none: "
             "correct them, or remove the key where extrinsics are given.",
-        )
-    return matrix
+        ) from error
+    return np.column_stack([rotation, matrix[:, 3]])
 
 
 def _check_consistent(block: Block, camera: Camera, other: Camera) -> None:

@@ -31,8 +31,9 @@ from trinoc.match.explanations import (
 )
 from trinoc.match.observations.match_input import FrameInput
 from trinoc.match.observations.unusable import EQUAL, UNPLACED
-from trinoc.match.tracks.answers import CERTAIN, MATCHED, OUTSIDE, SURE
+from trinoc.match.tracks.answers import CERTAIN, SURE
 from trinoc.match.tracks.matches import EVEN, SUSPECT_SETS, TRINOCULAR, Matches
+from trinoc.match.tracks.reliability import say_excluded_depths
 from trinoc.match.tuning.tracks import DecoyTuning
 
 UNKNOWN = (
@@ -125,18 +126,6 @@ def _tracks_in_three(matches: Matches, frame: FrameInput) -> Int[np.ndarray, "t 
         columns.append(np.where(segments >= 0, number[segments], -1))
     index = np.stack(columns, axis=1)
     return index[(index >= 0).all(axis=1)]
-
-
-def say_excluded_depths(found: Matches) -> str | None:
-    """What to check where the allowed depths leave out more segments than are matched."""
-    words = np.concatenate([np.asarray(words, dtype=str) for words in found.reasons.values()])
-    excluded = int((words == OUTSIDE).sum())
-    if excluded <= np.char.startswith(words, MATCHED).sum():
-        return None
-    return (
-        f"{excluded} segments have no partner in the depths allowed: check depth_range_mm, which "
-        "is from each camera, in mm."
-    )
 
 
 def count_by_chance(

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.match.tracks.matches import TRINOCULAR, Matches, MatchStatus
+from trinoc.match.tracks.reliability import assess_matches
 from trinoc.report.matches_part import share_matched
 from trinoc.report.numbers import percent, with_decimals
 
@@ -32,6 +33,8 @@ class FrameFate(NamedTuple):
     share : of all segments, those on a track.
     agreement : the noise scale of its matches.
     said : why it failed or is suspect; empty where it is well.
+    status : that of its matches in small letters; "failed" without any.
+    care : why it is to be used with care; empty where it is not.
     """
 
     name: str
@@ -39,6 +42,8 @@ class FrameFate(NamedTuple):
     share: float
     agreement: float
     said: str
+    status: str
+    care: str = ""
 
 
 class FrameChart(NamedTuple):
@@ -86,11 +91,13 @@ def frames_part(frames: Mapping[str, Matches | None], failures: Mapping[str, str
     median = float(np.median(tracks))
     middle = well[int(np.argmin(np.abs(tracks - median)))].name
     few = f"fewer tracks than {percent(FEW)} of the median ({median:.0f})"
-    odd = [
-        fate if fate.said else fate._replace(said=few)
-        for fate in fates
-        if fate.said or fate.tracks < FEW * median
-    ]
+    # Where most frames are to be used with care, such as those of two views, one is not listed.
+    is_usual = sum(bool(fate.care) for fate in well) > len(well) / 2
+    odd = []
+    for fate in fates:
+        why = fate.said or ("" if is_usual else fate.care)
+        if why or fate.tracks < FEW * median:
+            odd.append(fate._replace(said=why or few))
     numbers = np.array([(f.tracks, f.share, f.agreement) for f in fates]).T
     many, share, agreement = (_columns(row) for row in numbers)
     most = max(float(np.nanmax(numbers[0])), 1.0)
@@ -114,15 +121,18 @@ def frames_part(frames: Mapping[str, Matches | None], failures: Mapping[str, str
 
 def _frame_fate(name: str, matches: Matches | None, failure: str) -> FrameFate:
     if matches is None:
-        return FrameFate(name, np.nan, np.nan, np.nan, failure or "failed")
+        return FrameFate(name, np.nan, np.nan, np.nan, failure or "failed", "failed")
     in_three = np.asarray(matches.stage) == TRINOCULAR
-    suspect = matches.status is MatchStatus.SUSPECT
+    assessment = assess_matches(matches)
+    words = assessment.deciding.words
     return FrameFate(
         name,
         float(in_three.sum() if len(matches.views) > 2 else len(matches)),
         share_matched(matches),
         float(matches.noise_scale) if in_three.any() else np.nan,
-        matches.notes[0] if suspect else "",
+        words if assessment.status is MatchStatus.SUSPECT else "",
+        assessment.status.name.lower(),
+        assessment.deciding.reason if assessment.status is MatchStatus.UNCERTAIN else "",
     )
 
 

@@ -1,5 +1,6 @@
 """May this rig be used, and may these matches? One table of checks; the worst of them decides.
 
+Of matches, checks and verdict are those of `assess_matches`, as in texts, records and exit codes.
 The limits stand in docs/report.md too, with the reason for each.
 """
 
@@ -10,11 +11,30 @@ import numpy as np
 
 from trinoc.calib.result.calibration import Status
 from trinoc.errors import list_names
-from trinoc.match.tracks.matches import TRINOCULAR, MatchStatus
+from trinoc.match.tracks.matches import MatchStatus
+from trinoc.match.tracks.reliability import MatchFinding, assess_matches
 from trinoc.report.checks import Answer, Level, Limits, ReportCheck, Subject
-from trinoc.report.matches_part import share_matched
 from trinoc.report.numbers import millimetres, percent, with_decimals
 from trinoc.report.shots_part import shot_table
+
+SENTENCE_ON_RIG = {
+    Level.GOOD: "You can use this rig.",
+    Level.CARE: "Use this rig with care.",
+    Level.BAD: "Do not rely on this rig.",
+}
+LEVEL_OF_STATUS = {
+    MatchStatus.MATCHED: Level.GOOD,
+    MatchStatus.UNCERTAIN: Level.CARE,
+    MatchStatus.SUSPECT: Level.BAD,
+}
+# Each finding on matches as a question, and the part of the page to look at.
+QUESTION_ON_MATCHES = {
+    "rig": ("Was the rig calibrated well?", "cameras"),
+    "set": ("Do segments and rig belong together?", "matches"),
+    "count": ("Are enough lines sure?", "matches"),
+    "agreement": ("Do the three views agree on the scene?", "epipolar"),
+    "uncertainty": ("How well are the segments known?", "matches"),
+}
 
 
 class Verdict(NamedTuple):
@@ -31,17 +51,28 @@ def find_verdict(subject: Subject) -> Verdict | None:
     calibration = subject.result is not None or subject.shots is not None
     if not calibration and subject.matches is None:
         return None
-    checks = tuple(found for row in CHECKS if (found := row.check(subject)) is not None)
+    checks = [check for row in CHECKS if (check := row.check(subject)) is not None]
+    assessment = None
+    if subject.matches is not None:
+        # The calibration of a page has a check of its own.
+        assessment = assess_matches(subject.matches, {} if subject.result else subject.doubts)
+        checks += map(_check_of_finding, assessment.findings)
     order = list(Level)
     worst = min(checks, key=lambda check: order.index(check.level))
     level = worst.level if worst.level in (Level.BAD, Level.CARE) else Level.GOOD
-    what = "this rig" if calibration else "these matches"
-    sentence = {
-        Level.GOOD: f"You can use {what}.",
-        Level.CARE: f"Use {what} with care.",
-        Level.BAD: f"Do not rely on {what}.",
-    }[level]
-    return Verdict(level, sentence, f"{worst.figure}: {worst.words}", checks)
+    reason = f"{worst.figure}: {worst.words}"
+    if calibration:
+        return Verdict(level, SENTENCE_ON_RIG[level], reason, tuple(checks))
+    if level is Level.GOOD and assessment is not None:
+        reason = assessment.deciding.reason
+    (sentence,) = (status.value for status in MatchStatus if LEVEL_OF_STATUS[status] is level)
+    return Verdict(level, sentence, reason, tuple(checks))
+
+
+def _check_of_finding(finding: MatchFinding) -> ReportCheck:
+    question, part = QUESTION_ON_MATCHES[finding.topic]
+    level = LEVEL_OF_STATUS[finding.status]
+    return ReportCheck(question, level, finding.figure, finding.words, finding.remedy, part)
 
 
 def _answer_on_calibration(subject: Subject) -> Answer | None:
@@ -62,14 +93,6 @@ def _answer_on_calibration(subject: Subject) -> Answer | None:
         words = f"{list_names(suspects)}: suspect. {why[:1].upper()}{why[1:]}"
         return Answer(len(suspects), figure, words)
     return Answer(0, figure, "all fits converged.")
-
-
-def _answer_on_doubts(subject: Subject) -> Answer | None:
-    if subject.result is not None or not subject.doubts:
-        return None
-    name, why = next(iter(subject.doubts.items()))
-    words = f"the calibration of {name} was suspect. {why[:1].upper()}{why[1:]}"
-    return Answer(len(subject.doubts), f"{len(subject.doubts)} suspect", words)
 
 
 def _answer_on_rank(subject: Subject) -> Answer | None:
@@ -214,41 +237,6 @@ def _pixel(subject: Subject) -> Answer | None:
     return Answer(there.worst_px, f"± {there.median_px:.2g} px", words)
 
 
-def _answer_on_set(subject: Subject) -> Answer | None:
-    matches = subject.matches
-    if matches is None or matches.status is not MatchStatus.SUSPECT:
-        return None
-    return Answer(1, "SUSPECT", matches.notes[0])
-
-
-def _answer_on_matches(subject: Subject) -> Answer | None:
-    matches = subject.matches
-    if matches is None:
-        return None
-    in_three = int((np.asarray(matches.stage) == TRINOCULAR).sum())
-    fewest = min((len(words) for words in matches.reasons.values()), default=0)
-    two_views = len(matches.views) < 3
-    found = len(matches) if two_views else in_three
-    figure = f"{found} tracks in {'both views' if two_views else 'three views or more'}"
-    words = (
-        f"and {len(matches) - found} in two; {percent(share_matched(matches))} of all segments are "
-        "on a track."
-    )
-    return Answer(found / max(fewest, 1), figure, words)
-
-
-def _agreeing(subject: Subject) -> Answer | None:
-    matches = subject.matches
-    if matches is None or (np.asarray(matches.stage) != TRINOCULAR).all():
-        return None
-    scale = float(matches.noise_scale)
-    words = (
-        "by which the views place a segment differently; near 1 they agree as well as the "
-        "segments were measured."
-    )
-    return Answer(scale, f"{with_decimals(scale, 2)} times their sigma", words)
-
-
 def _answer_on_frames(subject: Subject) -> Answer | None:
     recording = subject.recording
     if recording is None:
@@ -256,6 +244,9 @@ def _answer_on_frames(subject: Subject) -> Answer | None:
     bad = [fate for fate in recording.frames if fate.said]
     count = len(recording.frames)
     words = f"Frame {bad[0].name}: {bad[0].said}" if bad else "none failed, and none is suspect."
+    uncertain = sum(bool(fate.care) for fate in recording.frames)
+    if uncertain:
+        words += f" Of these, use {uncertain:,} with care."
     return Answer(len(bad) / count, f"{count - len(bad):,} of {count:,} frames are well", words)
 
 
@@ -267,15 +258,6 @@ def _answer_on_time(subject: Subject) -> Answer | None:
     words = "medians of frames in a row, by which the views place a segment differently."
     figure = f"{with_decimals(least, 2)} to {with_decimals(most, 2)} times their sigma"
     return Answer(most, figure, words)
-
-
-def _answer_on_sigmas(subject: Subject) -> Answer | None:
-    matches = subject.matches
-    if matches is None or not len(matches):
-        return None
-    across = float(np.nanmedian(matches.across_sigma_mm))
-    words = "the median sigma across a segment in space; each has its own, in the table."
-    return Answer(across, f"± {millimetres(across)}", words)
 
 
 # Halves of the shots differ by 1 claimed sigma where the model is right; a ratio over tens of
@@ -301,13 +283,6 @@ CHECKS = (
         "The picture is not what the model says, so its sigmas are too small: check the pattern "
         "file, the lens, focus and light, and calibrate again.",
         _answer_on_calibration,
-        Level.BAD,
-    ),
-    Limits(
-        "Was the rig calibrated well?", "cameras", 0,
-        "The segments in space inherit this error, and their sigmas do not hold it: calibrate "
-        "again.",
-        _answer_on_doubts,
         Level.BAD,
     ),
     Limits(
@@ -382,30 +357,5 @@ CHECKS = (
         "If that is too much: measure the bars of the sheet (--print-scale), calibrate the lens, "
         "put the cameras farther apart.",
         _place,
-    ),
-    Limits(
-        "Do segments and rig belong together?", "matches", 0,
-        "No line here is likelier than not.",
-        _answer_on_set,
-        Level.BAD,
-    ),
-    Limits(
-        "Were the segments matched?", "matches", 0.25,
-        "Too few for a rig that took these pictures: check that each name stands before its own "
-        "picture and that no camera was moved (trinoc check).",
-        _answer_on_matches,
-        Level.BAD,
-        at_least=True,
-    ),
-    Limits(
-        "Do the three views agree on the scene?", "epipolar", 2,
-        "A camera may have been knocked (run trinoc check), or the pictures are sharpened or "
-        "moved; the sigmas on this page have grown to match.",
-        _agreeing,
-    ),
-    Limits(
-        "How well are the segments known?", "matches", None,
-        "If that is too much: more light and focus, a longer lens, or cameras farther apart.",
-        _answer_on_sigmas,
     ),
 )  # fmt: skip

@@ -75,10 +75,16 @@ def _are_marks(marks: Mapping[str, np.ndarray], table: Content) -> bool:
 
 
 class MatchStatus(enum.Enum):
-    """Whether segments and rig belong together; the value is the sentence shown to people."""
+    """Whether the matches can be used; the value is the sentence shown to people.
 
-    MATCHED = "The rig finds more lines in three views than chance gives."
-    SUSPECT = "Segments and rig do not seem to belong together: see the notes."
+    SUSPECT where segments and rig do not seem to belong together; UNCERTAIN where nothing is
+    against them, but too few lines are sure, their errors are far above those stated, or they are
+    large against the scene. `assess_matches` has the reason and the remedy.
+    """
+
+    MATCHED = "You can use these matches."
+    UNCERTAIN = "Use these matches with care."
+    SUSPECT = "Do not rely on these matches."
 
 
 class Matches(Displayable, Table):
@@ -238,8 +244,10 @@ class Matches(Displayable, Table):
 
     @property
     def status(self) -> MatchStatus:
-        """SUSPECT where chance gives about as many lines as the rig: see the first note."""
-        return MatchStatus.SUSPECT if self.counts.get(SUSPECT_SETS) else MatchStatus.MATCHED
+        """Whether the matches can be used; of SUSPECT ones the first note says why not."""
+        from trinoc.match.tracks.reliability import assess_matches
+
+        return assess_matches(self).status
 
     @property
     def share_in_three_views(self) -> float:

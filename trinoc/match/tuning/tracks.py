@@ -57,6 +57,12 @@ class TrackTuning:
     narrow_sigmas: float = 3.0
     narrow_segments: tuple[int, int] = (5, 200)
     narrow_baselines: float = 0.05
+    # What makes matches usable (`assess_matches`). So many sure lines in three views: each has two
+    # numbers to spare, of which an error of one camera takes six from all. By hand.
+    fewest_sure: int = 5
+    # And a median sigma across these lines below this share of the scene's extent. By hand: ten
+    # real scenes show .1 to .5 % in three views, a camera that moves along its axis 1.9 %.
+    largest_sigma_of_scene: float = 0.03
 
 
 @dataclass(frozen=True)

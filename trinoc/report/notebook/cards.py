@@ -124,8 +124,8 @@ def _(matches: Matches) -> str:
     three, two = int((stage == TRINOCULAR).sum()), int((stage == BINOCULAR).sum())
     sure = int((np.asarray(matches.posterior) > DecoyTuning.sure).sum())
     return (
-        f"{three} tracks in three views or more, {two} in two ({list_names(matches.views)}); "
-        f"{sure} of probability over {DecoyTuning.sure}"
+        f"{matches.status.value} {three} tracks in three views or more, {two} in two "
+        f"({list_names(matches.views)}); {sure} of probability over {DecoyTuning.sure}"
     )
 
 
