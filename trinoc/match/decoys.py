@@ -6,8 +6,8 @@ the tracks among them are what chance gives in this scene. Where the rig has har
 its tracks may be sure. Most sets have so many tracks in three views, or so many that are next to
 certain, that no decoy is needed; others are compared with one.
 
-A set is SUSPECT, too, where its errors are large and a shift of one view explains them. Which
-mistake a refused set holds is looked for by undoing each that is likely, on the longest segments:
+A set is SUSPECT, too, where its errors are large and a shift of one view explains them, or where
+it has few lines and far more once a mistake is undone. Mistakes are undone on the longest segments:
 some 30 matchings, some 10 for a shift alone. `verify="quick"` leaves them out.
 
 Source: Elias and Gygi, "Target-decoy search strategy", Nature Methods 4, 2007.
@@ -32,7 +32,7 @@ from trinoc.match.explanations import (
 from trinoc.match.observations.match_input import FrameInput
 from trinoc.match.observations.unusable import EQUAL, UNPLACED
 from trinoc.match.tracks.answers import CERTAIN, SURE
-from trinoc.match.tracks.matches import EVEN, SUSPECT_SETS, TRINOCULAR, Matches
+from trinoc.match.tracks.matches import EVEN, SUSPECT_SETS, Matches
 from trinoc.match.tracks.reliability import say_excluded_depths
 from trinoc.match.tuning.tracks import DecoyTuning
 
@@ -74,7 +74,8 @@ def check_set(
     matches : of the frame. Only those of three views are checked.
     match : matches a frame as if no pattern repeated: of patterns little is sure, and that says
         nothing about the set.
-    verify : "full" looks for the mistake in a refused set, "quick" does not, "off" checks nothing.
+    verify : "full" looks for the mistake in a refused or very doubtful set, "quick" does not, "off"
+        checks nothing.
 
     Returns
     -------
@@ -88,19 +89,19 @@ def check_set(
     sure = count_sure(matches)
     share, noise = sure.in_three / fewest, matches.noise_scale
     is_clear = share >= tuning.clear_share
+    # However few of its segments they are, so many lines are no chance.
+    is_certain = sure.certain >= tuning.clear_certain
     chance: list[SureTracks] = []
-    if not is_clear and sure.certain < tuning.clear_certain:
+    if not (is_clear or is_certain):
         chance = count_by_chance(frame, sure, share, match, tuning)
     by_chance = bool(chance) and not is_above_chance(sure, chance, share, tuning)
-    is_in_three = matches.stage == TRINOCULAR
-    may_be_shifted = noise > (tuning.noisy_above if is_clear else tuning.shifted_above)
     cause = say_excluded_depths(matches) if by_chance else None
     if cause is None and verify == "full":
-        is_shifted = may_be_shifted and seems_shifted(
-            frame, _tracks_in_three(matches, frame), tuning
+        every = by_chance or (share < tuning.few_share and not is_certain)
+        # Where most segments are sure, the tracks show a shift; elsewhere it is to be tried.
+        is_shifted = noise > (tuning.noisy_above if is_clear else tuning.shifted_above) and (
+            not is_clear or seems_shifted(frame, _tracks_in_three(matches, frame), tuning)
         )
-        # Where no track in three views is sure, there is nothing to lose.
-        every = by_chance or not is_in_three[matches.posterior > tuning.sure].any()
         if every or is_shifted:
             cause = find_cause(frame, match, tuning, every=every)
     if by_chance or cause:

@@ -56,8 +56,8 @@ def match_segments(
         lines lie anywhere before the cameras.
     verify : how thoroughly three views are checked for belonging to the rig. "quick" compares
         doubtful sets with what chance gives, which takes a part of the matching's own time;
-        "full" also looks for the mistake in a refused set, up to 30 matchings of its longest
-        segments; "off" checks nothing.
+        "full" also looks for the mistake in a refused or very doubtful set, up to 30 matchings of
+        its longest segments; "off" checks nothing.
     tuning : every tuned constant of the method; a benchmark or a study changes them.
 
     Returns
