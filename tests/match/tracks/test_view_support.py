@@ -116,16 +116,22 @@ def test_a_foreign_segment_is_told_from_those_of_the_line(scene: MadeScene) -> N
 
 def test_no_segment_is_far_from_its_line_however_unequal_errors_are(scene: MadeScene) -> None:
     """A heavy tail makes any misfit likely enough."""
-    rig, tuning = rig_of(*VIEWS), DEFAULT.tracks
-    for off_px, near in ((tuning.farthest_px / 2, True), (4 * tuning.farthest_px, False)):
+    rig, far_px = rig_of(*VIEWS), DEFAULT.tracks.farthest_px
+    for sigma_px, tail, off_px, near in (
+        (0.3, 1.0, far_px / 2, True),
+        (0.3, 1.0, 4 * far_px, False),
+        # Ten sigmas are too many where errors are equal, however few pixels they are.
+        (0.1, 0.0, 1.0, False),
+    ):
         seen = pictures(rig, scene.lines_mm, 0.0)
         way = np.diff(seen["low"], axis=1)[:, 0]
         normal = np.stack([-way[:, 1], way[:, 0]], axis=1)
         normal = normal / np.linalg.norm(way, axis=1, keepdims=True)
         seen["low"] = seen["low"] + off_px * normal[:, None]
-        made = seen_by(rig, scene.lines_mm, seen, 0.3)
+        made = seen_by(rig, scene.lines_mm, seen, sigma_px)
         tracks = fit_tracks(made.seen, made.true, scene.lines_mm)
-        assert consistent(made.seen, tracks, DEFAULT, 1.0).all() == near
+        fits = consistent(made.seen, tracks, DEFAULT, tail)
+        assert (fits == near).mean() > 0.9
 
 
 def test_posteriors_of_members_are_of_the_views_that_see_a_track() -> None:
