@@ -232,7 +232,8 @@ def test_what_is_lost_of_the_common_field_is_said_or_refused(angle_deg, alpha):
     def are_shown(matrices: np.ndarray) -> np.ndarray:
         image = points @ np.swapaxes(matrices, 1, 2)
         uv = image[..., :2] / image[..., 2:]
-        return ((uv > -0.5) & (uv < [1279.5, 959.5]) & (image[..., 2:] > 0)).all(axis=(0, 2))
+        inside = (uv > -0.5) & (uv < [1279.5, 959.5]) & (image[..., 2:] > 0)
+        return np.asarray(inside.all(axis=(0, 2)))
 
     common = are_shown(rig.matrices_px)
     if alpha == 0.0 and angle_deg > 70:

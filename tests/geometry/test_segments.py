@@ -56,7 +56,7 @@ def test_arrays_of_opencv_s_detectors_are_taken_as_they_are():
     cv2.rectangle(picture, (40, 50), (200, 140), 190, -1)
     by_lsd = cv2.createLineSegmentDetector().detect(picture)[0]
     by_hough = cv2.HoughLinesP(cv2.Canny(picture, 50, 150), 1, np.pi / 180, 30, minLineLength=30)
-    for given in (by_lsd, by_hough):
+    for given in (np.asarray(by_lsd), np.asarray(by_hough)):
         assert len(given) >= 4
         # Most versions give (n, 1, 4), some (n, 4).
         flat = given.reshape(-1, 4).astype(np.float64)
@@ -65,7 +65,7 @@ def test_arrays_of_opencv_s_detectors_are_taken_as_they_are():
         np.testing.assert_array_equal(Segments.from_endpoints(rows).endpoints_px, expected)
         np.testing.assert_array_equal(as_endpoints(rows).reshape(-1, 4), flat)
     with pytest.raises(InputError, match=r"None.*np\.zeros\(\(0, 4\)\)"):
-        Segments.from_endpoints(None)
+        Segments.from_endpoints(None)  # pyright: ignore[reportArgumentType]
 
 
 def test_ends_err_by_their_sigmas_along_and_across():

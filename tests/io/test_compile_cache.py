@@ -194,7 +194,7 @@ def test_a_script_that_configures_logging_reads_what_it_asked_for(
     root = nobody_configured_logging
     root.handlers[:] = [logging.StreamHandler()]
     monkeypatch.setattr(root, "level", level)
-    LOGGER.manager._clear_cache()
+    LOGGER.manager._clear_cache()  # pyright: ignore[reportAttributeAccessIssue]
     log_compiling(True, 0.0)
     assert len(capsys.readouterr().err.splitlines()) == lines
 

@@ -79,8 +79,9 @@ def test_a_quick_check_refuses_a_set_without_the_mistake_and_none_refuses_nothin
 def test_of_many_sets_of_a_rig_the_mistake_is_looked_for_once(boxes):
     exchanged = boxes | {"upper": boxes["left"], "left": boxes["upper"]}
     batch = match_many([boxes, exchanged, exchanged], RIG)
-    assert [m.status for m in batch.matches] == [MatchStatus.MATCHED] + 2 * [MatchStatus.SUSPECT]
-    named = ["Most likely" in m.notes[0] for m in batch.matches[1:]]
+    checked = [matches for matches in batch.matches if matches is not None]
+    assert [m.status for m in checked] == [MatchStatus.MATCHED] + 2 * [MatchStatus.SUSPECT]
+    named = ["Most likely" in m.notes[0] for m in checked[1:]]
     assert named == [True, False]
 
 
@@ -116,7 +117,7 @@ def test_a_shift_shows_in_what_segments_miss_the_lines_of_the_other_views_by(vie
     """Noise of any size does not show one."""
     lines_mm, random = loose_lines(40, seed=3), np.random.default_rng(4)
     index = np.tile(np.arange(40)[:, None], (1, 3))
-    for noise_px, shift_px, shifted in ((3.0, (0, 0), False), (0.3, (6, -4), True)):
+    for noise_px, shift_px, shifted in ((12.0, (0, 0), False), (0.3, (6, -4), True)):
         seen = pictures(RIG, lines_mm, noise_px, seed=5)
         name = RIG.names[view]
         seen[name] = seen[name] + shift_px

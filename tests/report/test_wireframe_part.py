@@ -119,6 +119,7 @@ def test_no_loop_reads_what_a_property_computes(make, tmp_path, monkeypatch) -> 
     for kind in (Wireframe, Rims, Matches):
         for name, member in vars(kind).items():
             if isinstance(member, property) and name != "checked":
+                assert member.fget is not None
                 monkeypatch.setattr(kind, name, count_reads(kind, name, member.fget))
 
     def reads_of(features: Feature) -> Counter:

@@ -92,7 +92,8 @@ def test_published_segments_of_photographs_are_found(name: str, least: float) ->
     if not pictures:
         pytest.skip(f"TRINOC_DATA holds no {name}")
     published = np.load(next(folder.glob("*.npz")))["segments_0"][:, :4].reshape(-1, 2, 2)
-    ends = find_segments(cv2.imread(str(pictures[0]), cv2.IMREAD_GRAYSCALE)).endpoints_px
+    picture = np.asarray(cv2.imread(str(pictures[0]), cv2.IMREAD_GRAYSCALE))
+    ends = find_segments(picture).endpoints_px
     way = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(way, axis=1)
     way /= length[:, None]
