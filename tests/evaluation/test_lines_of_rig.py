@@ -1,8 +1,11 @@
 """What errors of the rig add to each line of the matches."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import trinoc
 from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.evaluation.lines_of_rig import with_rig_covariance
 from trinoc.geometry.camera import Camera
@@ -34,7 +37,9 @@ def across(lines_mm: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", VIEWS)
-def test_lines_move_with_a_camera_by_what_the_covariance_of_its_pan_says(name: str) -> None:
+def test_lines_move_with_a_camera_by_what_the_covariance_of_its_pan_says(
+    name: str, tmp_path: Path
+) -> None:
     """A camera panned by one sigma moves each line across itself by the root of the covariance."""
     rig, sigma_deg = rig_of(*VIEWS), 1e-3
     seen = pictures(rig, loose_lines(20, seed=3))
@@ -42,8 +47,12 @@ def test_lines_move_with_a_camera_by_what_the_covariance_of_its_pan_says(name: s
     variance = [sigma_deg**2 * (each == f"{name}.pan_deg") for each in parameters]
     known = Rig(dict(rig.items()), parameters=parameters, covariance=np.diag(variance))
     matches = match_segments(seen, known)
-    covariance = with_rig_covariance(matches, known).rig_covariance_mm2
+    with_rig = with_rig_covariance(matches, known)
+    covariance = with_rig.rig_covariance_mm2
     assert covariance is not None
+    # One error moves all: the covariance has rank 1, and its file is read all the same.
+    trinoc.save(with_rig, tmp_path / "matches.npz")
+    assert trinoc.load_matches(tmp_path / "matches.npz") == with_rig
     again = match_segments(seen, turned(rig, name, sigma_deg))
     np.testing.assert_array_equal(again.index, matches.index)
     off = np.einsum("tij,tej->tei", across(matches.lines_mm), again.lines_mm - matches.lines_mm)

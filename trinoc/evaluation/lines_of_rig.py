@@ -74,8 +74,10 @@ def with_rig_covariance(matches: Matches, rig: Rig) -> Matches:
 
     Raises InputError where the rig lacks a camera of the matches.
     """
-    if rig.parameters and _known_pose_model(rig) is None:
-        return replace(matches, rig_covariance_mm2=None)
+    if set(matches.views) <= set(rig.names):
+        rig_of_views = rig.take(matches.views)
+        if rig_of_views.parameters and _known_pose_model(rig_of_views) is None:
+            return replace(matches, rig_covariance_mm2=None)
     lines = lines_of_rig(matches, rig)
     if lines.by_parameters.shape[2] == 0:
         return replace(matches, rig_covariance_mm2=None)

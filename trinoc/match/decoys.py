@@ -4,7 +4,7 @@ Segments of pictures that a rig did not take meet by chance in two views, and no
 how often depends on the scene. The same segments with one view mirrored or upside down are decoys:
 the tracks among them are what chance gives in this scene. Where the rig has hardly more, none of
 its tracks may be sure. Most sets have so many tracks in three views, or so many that are next to
-certain, that no decoy is needed; others are compared with one.
+certain, that no decoy is needed; others are compared with up to three.
 
 A set is SUSPECT, too, where its errors are large and a shift of one view explains them, or where
 it has few lines and far more once a mistake is undone. Mistakes are undone on the longest segments:
