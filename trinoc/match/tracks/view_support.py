@@ -59,11 +59,11 @@ def with_view_support(inputs: MatchInput, tracks: Tracks, tuning: MatchTuning) -
         return tracks._replace(posterior_log_odds=log_odds, member_posterior=members)
     tail = tail_of_tracks(index, fitted.misfit, tuning)
     gate = tuning.candidates.gate
-    shown = lines_in_pictures(inputs.lines, fitted.ends_mm) | (index >= 0)
+    in_picture = lines_in_pictures(inputs.lines, fitted.ends_mm) | (index >= 0)
     chance = chance_rates(inputs, fitted, gate, tuning)
-    right = right_rates(index, shown, probability(tracks.posterior_log_odds), rules)
+    right = right_rates(index, in_picture, probability(tracks.posterior_log_odds), rules)
     rates = HitRates(right, chance)
-    views = view_evidence(index, shown, rates, rules)
+    views = view_evidence(index, in_picture, rates, rules)
     fit = np.minimum(misfit_evidence(index, fitted.misfit, gate, tail), 0.0)
     support = rules.weight_of_views * views + rules.weight_of_misfit * fit
     return tracks._replace(
@@ -95,11 +95,11 @@ def chance_rates(
     gate: float,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "v"]:
-    """Share of lines that lie nowhere on which each view has a segment: of copies of the tracks,
-    moved in depth along the rays of the mean centre of the cameras that show them."""
+    """Share of wrong lines on which each view has a segment. Wrong lines are copies of the tracks,
+    moved in depth along the rays of the mean centre of their cameras."""
     rules, random = tuning.view_support, np.random.default_rng(0)
     # A sample of some hundreds says the share well enough, in a time that does not grow.
-    rows = random.permutation(np.resize(np.arange(len(tracks.index)), rules.copies))
+    rows = np.resize(random.permutation(len(tracks.index)), rules.copies)
     tracks = take_rows(tracks, rows)
     centre = np.asarray(inputs.lines.centre_mm)
     members = tracks.index >= 0
@@ -123,15 +123,15 @@ def chance_rates(
 
 def right_rates(
     index: Int[np.ndarray, "t v"],
-    shown: Bool[np.ndarray, "t v"],
+    in_picture: Bool[np.ndarray, "t v"],
     posterior: Float[np.ndarray, "t"],
     rules: ViewSupportTuning,
 ) -> Float[np.ndarray, "v v"]:
-    """Share of right lines, in view v, that have a segment there, given that view u shows them and
-    that three views beside v do: these would be tracks without it."""
+    """Share of right lines that have a segment in view v, of those that have one in view u and in
+    three views other than v, which are tracks with or without v."""
     member = index >= 0
-    beside = (member.sum(axis=1, keepdims=True) - member) >= 3
-    weight = posterior[:, None] * (shown & beside)
+    has_three_others = (member.sum(axis=1, keepdims=True) - member) >= 3
+    weight = posterior[:, None] * (in_picture & has_three_others)
     hits = (weight * member).T @ member
     number = weight.T @ member.astype(float)
     np.fill_diagonal(hits, 0.0)
@@ -142,14 +142,15 @@ def right_rates(
 
 def view_evidence(
     index: Int[np.ndarray, "t v"],
-    shown: Bool[np.ndarray, "t v"],
+    in_picture: Bool[np.ndarray, "t v"],
     rates: HitRates,
     rules: ViewSupportTuning,
 ) -> Float[np.ndarray, "t"]:
     """Log likelihood ratio of the views beyond the three that found each track."""
     member, right = index >= 0, expected_rates(index, rates, rules)
     met = np.where(member, np.log(right / rates.chance), 0.0).sum(axis=1)
-    missed = np.where(shown & ~member, np.log((1 - right) / (1 - rates.chance)), 0.0).sum(axis=1)
+    log_missed = np.log((1 - right) / (1 - rates.chance))
+    missed = np.where(in_picture & ~member, log_missed, 0.0).sum(axis=1)
     count = member.sum(axis=1)
     return met * (count - 3) / count + missed
 
@@ -162,7 +163,7 @@ def expected_rates(
     right = np.where((index >= 0)[:, None, :], rates.right[None], 0.0)
     views = np.arange(index.shape[1])
     right[:, views, views] = 0.0
-    return np.clip(right.max(axis=2), rates.chance, rules.largest_rate)
+    return np.maximum(np.minimum(right.max(axis=2), rules.largest_rate), rates.chance)
 
 
 def member_posteriors(
@@ -175,8 +176,9 @@ def member_posteriors(
 ) -> Float[np.ndarray, "t v"]:
     """Probability that each segment of tracks in four views or more is of the line of the others.
 
-    A segment is there by right, or it is one of chance where the right one is missing. What the
-    misfit gains by it is its chi-square about the line of the others.
+    Either a segment is of the line, or chance put it where the line's own segment is missing. By
+    how much it raises the misfit is its chi-square about the line of the others. NaN where these
+    give no line.
     """
     index = tracks.index
     posterior = np.full(index.shape, np.nan)
@@ -186,10 +188,10 @@ def member_posteriors(
     others = index[row]
     others[np.arange(len(row)), view] = -1
     without = fit_tracks(inputs, others, tracks.common_mm[row]).misfit
-    gain = np.maximum(np.nan_to_num(tracks.misfit[row] - without), 0.0)
+    misfit_rise = np.maximum(tracks.misfit[row] - without, 0.0)
     right = expected_rates(index, rates, rules)[row, view]
     log_odds = np.log(right / (1 - right)) - np.log(rates.chance[view])
-    log_odds += student_log_density(gain, noise_tail) + np.log(gate)
+    log_odds += student_log_density(misfit_rise, noise_tail) + np.log(gate)
     posterior[row, view] = probability(log_odds)
     return posterior
 
