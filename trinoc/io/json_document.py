@@ -120,7 +120,7 @@ class Block:
         """The object under a key."""
         value = self.values.get(key)
         if not isinstance(value, dict):
-            raise self.error(key, f"must be an object in braces, but is {_show_value(value)}.")
+            raise self.error(key, f"must be an object in braces, but is {show_value(value)}.")
         return Block(value, self.file, self._path(key))
 
     def blocks(self) -> "Iterator[tuple[str, Block]]":
@@ -132,16 +132,14 @@ class Block:
         """The string under a key."""
         value = self.values.get(key)
         if not isinstance(value, str):
-            raise self.error(key, f"must be a text in quotes, but is {_show_value(value)}.")
+            raise self.error(key, f"must be a text in quotes, but is {show_value(value)}.")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
         """The list of strings under a key."""
         value = self.values.get(key)
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            raise self.error(
-                key, f"must be a list of texts in quotes, but is {_show_value(value)}."
-            )
+            raise self.error(key, f"must be a list of texts in quotes, but is {show_value(value)}.")
         return tuple(value)
 
     def number(self, key: str) -> float:
@@ -152,7 +150,7 @@ class Block:
         """The finite numbers under a key, as float64; None in `shape` is any length."""
         value = self.values.get(key)
         if not _only_numbers(value):
-            raise self.error(key, f"must be {_describe_shape(shape)}, but is {_show_value(value)}.")
+            raise self.error(key, f"must be {_describe_shape(shape)}, but is {show_value(value)}.")
         try:
             array = np.array(value, dtype=np.float64)
         except (ValueError, OverflowError):
@@ -164,7 +162,7 @@ class Block:
             and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
             and np.isfinite(array).all()
         ):
-            raise self.error(key, f"must be {_describe_shape(shape)}, but is {_show_value(value)}.")
+            raise self.error(key, f"must be {_describe_shape(shape)}, but is {show_value(value)}.")
         if (np.abs(array) > LARGEST).any():
             raise self.error(
                 key,
@@ -194,12 +192,12 @@ def read_document(path: str | os.PathLike[str], format_name: str, version: int) 
     if not isinstance(values, dict) or values.get("format") != format_name:
         found = values.get("format") if isinstance(values, dict) else None
         raise InputError(
-            f'{file} has the format {_show_value(found)}, but "{format_name}" is needed: '
+            f'{file} has the format {show_value(found)}, but "{format_name}" is needed: '
             "give another file."
         )
     if isinstance(values.get("version"), bool) or values.get("version") != version:
         raise InputError(
-            f"{file} has version {_show_value(values.get('version'))} of {format_name}, but this "
+            f"{file} has version {show_value(values.get('version'))} of {format_name}, but this "
             f"trinoc reads version {version}: update trinoc or write the file again."
         )
     return Block(values, str(file), "")
@@ -240,7 +238,8 @@ def _describe_shape(shape: tuple[int | None, ...]) -> str:
     return f"a list of {size} finite numbers"
 
 
-def _show_value(value: Any) -> str:
+def show_value(value: Any) -> str:
+    """A value as JSON, cut at 60 letters."""
     text = "missing" if value is None else json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."
 

@@ -1,5 +1,6 @@
 """COLMAP's text and binary files, after https://colmap.github.io/format.html."""
 
+import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -106,10 +107,12 @@ def text_records(folder: Path) -> ColmapRecords:
         if number in cameras:
             raise InputError(f"{where} has the camera {number} again: remove one.")
         cameras[number] = camera
-    images, is_image = [], True
+    images: list[ColmapImage] = []
+    # Below each image stands a line of its points, which programs leave out where there are none.
+    may_be_points = False
     for where, words in _lines(folder / "images.txt", keep_empty=True):
-        if not is_image:  # its points
-            is_image = True
+        if may_be_points and _are_points(words):
+            may_be_points = False
             continue
         if not words:
             continue
@@ -119,8 +122,17 @@ def text_records(folder: Path) -> ColmapRecords:
             images.append(ColmapImage(number, numbers[:4], numbers[4:], camera, words[9]))
         except (ValueError, IndexError) as error:
             raise InputError(f"{where} is no image of COLMAP: correct it.") from error
-        is_image = False
+        may_be_points = True
     return ColmapRecords(cameras, images)
+
+
+def _are_points(words: list[str]) -> bool:
+    """Whether a line is x, y and number of each point; a line of an image has a name besides ten
+    words or, with a blank in it, a word that is no number."""
+    try:
+        return len(words) % 3 == 0 and all(map(math.isfinite, map(float, words)))
+    except ValueError:
+        return False
 
 
 def _lines(file: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, list[str]]]:

@@ -8,6 +8,7 @@ cameras stand there as `M1`, `D1`, `M2`, `D2` and `R`, `T` (second from first) b
 `covariance`, in degrees and mm, as in rig.json.
 """
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import read_text, write_text
 from trinoc.io.formats.format import PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import chain_motions, inverse, motion
 from trinoc.io.formats.text_files import make_block, scalar_or_list
@@ -43,8 +45,57 @@ READ = (
     *(LensRow("", model, _ALL) for model in ("brown_conrady", "rational", "thin_prism")),
     _FISHEYE,
 )
+# Words of other programs that write FileStorage, by the row of lenses.
+_LENS_WORDS = {
+    **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), _FISHEYE.called),
+    **dict.fromkeys(
+        ("", "pinhole", "perspective", "opencv", "brown_conrady", "radtan", "plumb_bob",
+         "rational_polynomial", "brown-conrady", "standard"), ""
+    ),
+}  # fmt: skip
+_WORD_KEYS = ("distortion_model", "camera_model", "model", "lens_model")
+_FISHEYE_KEYS = ("fisheye_model", "fisheye", "is_fisheye")
+_MATRIX_KEYS = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
+_DISTORTION_KEYS = (
+    *("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "D"),
+)
+_WIDTH_KEYS = ("image_width", "image_Width")
+_HEIGHT_KEYS = ("image_height", "image_Height")
+_NO_MIRROR = (
+    "it is the mirror parameter of cv2.omnidir's unified model, which is none of trinoc's lenses: "
+    "calibrate with cv2.fisheye"
+)
+_REFUSED = {
+    **{key: Refused(_NO_MIRROR, (0, [[0]])) for key in ("xi", "xi1", "xi2", "Xi")},
+    **{
+        key: Refused("trinoc's lenses have none: calibrate without it", (0, [[0]]))
+        for key in ("alpha", "skew")
+    },
+}
+# What samples of OpenCV say of the board and of how they calibrated.
+_LEFT_OUT = ("fix_k3", "fix_aspect_ratio", "image_scale", "units", "unit", "square_unit")
+LENS_KEYS = Keys(
+    read=(
+        *("name", "R", "T", *_MATRIX_KEYS, *_DISTORTION_KEYS, *_WIDTH_KEYS, *_HEIGHT_KEYS),
+        *(*_FISHEYE_KEYS, *_WORD_KEYS),
+    ),
+    left_out=_LEFT_OUT,
+    refused=_REFUSED,
+)
 _STEREO = (("M1", "D1", "M2", "D2"), ("K1", "D1", "K2", "D2"),
            ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"))  # fmt: skip
+
+
+PAIR_KEYS = Keys(
+    read=(
+        *("cameras", "covariance", "R", "T", *itertools.chain(*_STEREO)),
+        *(*_WIDTH_KEYS, *_HEIGHT_KEYS, *_FISHEYE_KEYS, *_WORD_KEYS),
+    ),
+    # cv2.stereoRectify's: of rectified pictures, R, T, M and D are those of the raw ones.
+    left_out=(*_LEFT_OUT, "P1", "P2", "R1", "R2", "rectified_roi1", "rectified_roi2",
+              "roi1", "roi2", "validRoi1", "validRoi2", "valid_roi1", "valid_roi2"),
+    refused=_REFUSED,
+)  # fmt: skip
 
 
 def write_opencv(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
@@ -69,15 +120,15 @@ def read_opencv(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intr
     """A lens, where the file has no poses; a rig otherwise."""
     document = read_storage(path)
     if "cameras" in document.values:
-        return _list_cameras(document, unit_mm)
+        return _list_cameras(PAIR_KEYS.take(document), unit_mm)
     for keys in _STEREO:
         if keys[0] in document.values:
-            return _pair(document, keys, unit_mm)
-    if "camera_matrix" not in document.values:
+            return _pair(PAIR_KEYS.take(document), keys, unit_mm)
+    if not any(key in document.values for key in _MATRIX_KEYS):
         raise document.error(
             "camera_matrix", "is missing, and so are cameras and M1: give a file of calibration."
         )
-    return _lens_from_map(document, "camera_matrix", "distortion_coefficients")
+    return _lens_from_map(LENS_KEYS.take(document))
 
 
 def _lens_to_map(lens: Intrinsics, camera: str) -> dict[str, Any]:
@@ -129,11 +180,11 @@ def _list_cameras(document: Block, unit_mm: float) -> Rig:
     cameras: dict[str, Camera] = {}
     for number, entry in enumerate(entries):
         block = Block({"": entry}, document.file, "cameras").block("")
-        block = Block(block.values, document.file, f"cameras[{number}]")
+        block = LENS_KEYS.take(Block(block.values, document.file, f"cameras[{number}]"))
         name = block.text("name")
         if name in cameras:
             raise block.error("name", f'is "{name}" as of a camera before it: rename one.')
-        lens = _lens_from_map(block, "camera_matrix", "distortion_coefficients")
+        lens = _lens_from_map(block)
         cameras[name] = Camera(lens, Pose(_pose(block, unit_mm)))
     parameters, covariance = parse_covariance(document, cameras)
     return Rig(cameras, parameters=parameters, covariance=covariance)
@@ -153,21 +204,56 @@ def _pose(block: Block, unit_mm: float) -> np.ndarray:
     return motion(block.numbers("R", (3, 3)), translation * unit_mm, f'{block.file}: "R"')
 
 
-def _lens_from_map(block: Block, matrix_key: str, distortion_key: str) -> Intrinsics:
+def _lens_from_map(
+    block: Block,
+    matrix_key: str | None = None,
+    distortion_key: str | None = None,
+) -> Intrinsics:
+    """The lens under two keys; by default under those of one camera, as programs call them."""
+    matrix_key = matrix_key or _first_key(block, _MATRIX_KEYS)
+    distortion_key = distortion_key or _first_key(block, _DISTORTION_KEYS)
     matrix = block.numbers(matrix_key, (3, 3))
     if abs(matrix[2] - (0, 0, 1)).max() > 0 or matrix[1, 0] != 0 or matrix[0, 1] != 0:
         raise block.error(matrix_key, "must be fx 0 cx, 0 fy cy, 0 0 1: correct it.")
     coefficients: list[float] = []
     if distortion_key in block.values:
         coefficients = block.numbers(distortion_key, (None, None)).reshape(-1).tolist()
-    size = Block({"size": [block.number("image_width"), block.number("image_height")]},
-                 block.file, block.place).image_size_px("size")  # fmt: skip
-    fisheye = "fisheye_model" in block.values and block.number("fisheye_model") != 0
-    called = _FISHEYE.called if fisheye else ""
+    sides = [block.number(_first_key(block, keys)) for keys in (_WIDTH_KEYS, _HEIGHT_KEYS)]
+    size = Block({"size": sides}, block.file, block.place).image_size_px("size")
     numbers = LensNumbers(
-        called, (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2]), 0.0, coefficients
-    )
+        _called(block), (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2]), 0.0,
+        coefficients,
+    )  # fmt: skip
     return make_lens(numbers, size, READ, block.file)
+
+
+def _first_key(block: Block, keys: tuple[str, ...]) -> str:
+    """The first of several names of a value that a map has; the first where it has none."""
+    return next((key for key in keys if key in block.values), keys[0])
+
+
+def _called(block: Block) -> str:
+    """Which row of lenses a map names. Raises InputError for words that contradict or are unknown.
+
+    FileStorage has no word for it: programs add their own.
+    """
+    named: dict[str, str] = {}
+    for key in _FISHEYE_KEYS:
+        if key in block.values:
+            value = block.values[key]
+            is_fisheye = value not in (0, "0", "false", "False", "no")
+            named[key] = _FISHEYE.called if is_fisheye else ""
+    for key in _WORD_KEYS:
+        if key in block.values:
+            word = block.text(key)
+            if word.lower() not in _LENS_WORDS:
+                known = ", ".join(filter(None, _LENS_WORDS))
+                raise block.error(key, f'is "{word}", but trinoc reads {known} here: convert it.')
+            named[key] = _LENS_WORDS[word.lower()]
+    if len(set(named.values())) > 1:
+        first, second = list(named)[:2]
+        raise block.error(second, f"is of another lens than {first} says: correct one of them.")
+    return next(iter(named.values()), "")
 
 
 opencv = Format(
@@ -183,6 +269,7 @@ opencv = Format(
     loses=(PIXEL_PITCH,),
     write=write_opencv,
     read=read_opencv,
+    keys={"one lens, or cameras[]": LENS_KEYS, "two cameras, or the file": PAIR_KEYS},
 )
 
 

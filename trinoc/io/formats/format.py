@@ -17,6 +17,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig, is_camera_name
 from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import expect_place
+from trinoc.io.formats.keys import Keys
 from trinoc.io.intrinsics_json import expect_readable
 from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
@@ -89,7 +90,11 @@ class Format:
     frames : where the origin of its pixels lies, and how its axes point.
     loses : of `losses.LOSSES`, what it cannot hold although projections stay the same.
     write : (value, path, unit_mm), with the value and the place already checked.
-    read : (path, unit_mm, lenses); None where the format is only written.
+    read : (path, unit_mm, lenses); None where the format is only written. For a format that states
+        its unit, unit_mm is None where the caller gives none.
+    keys : for each map in a file, by its place, the keys that are read, left out and refused; empty
+        where the places of numbers say what they are.
+    states_unit : whether each file says its unit, so that none is assumed.
     """
 
     name: str
@@ -103,7 +108,9 @@ class Format:
     frames: str
     loses: tuple[str, ...]
     write: Callable[[Any, Path, float], None]
-    read: Callable[[Path, float, Lenses | None], Any] | None = None
+    read: Callable[[Path, Any, Lenses | None], Any] | None = None
+    keys: Mapping[str, Keys] = dataclasses.field(default_factory=dict)
+    states_unit: bool = False
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -165,7 +172,8 @@ class Format:
         if not source.exists():
             raise InputError(f"{source} does not exist: check the name.")
         try:
-            value = self.read(source, self._unit(unit_mm), lenses)
+            stated = self.states_unit and unit_mm is None
+            value = self.read(source, None if stated else self._unit(unit_mm), lenses)
         except InputError as error:
             raise error if str(path) in str(error) else InputError(f"{path}: {error}") from error
         if isinstance(value, (Rig, Intrinsics)):

@@ -1,4 +1,5 @@
-"""Kalibr's camchain YAML: cam0, cam1, ..., each with `T_cn_cnm1` from the camera before it.
+"""Kalibr's camchain YAML: cam0, cam1, ..., each with `T_cn_cnm1` from the camera before it, or with
+`T_cam_imu` from an inertial unit that all hang on.
 
 Kalibr has no world but the first camera, and no names but numbers: both are lost. Its radtan has
 exactly k1, k2, p1, p2.
@@ -16,13 +17,35 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import COVARIANCE, NAMES, PIXEL_PITCH, WORLD, Format, Lenses
+from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
-from trinoc.io.formats.motions import chain_motions, from_homogeneous, homogeneous, inverse
+from trinoc.io.formats.motions import (
+    chain_motions,
+    from_homogeneous,
+    homogeneous,
+    inverse,
+    rotation_vector,
+)
 from trinoc.io.formats.text_files import read_yaml, yaml_text
 from trinoc.io.json_document import Block
 
 TITLE = "Kalibr's camchain"
 METRE_MM = 1000.0
+# How far two statements of one pose may differ: Kalibr computes one from the other.
+_SAME_RAD, _SAME_MM = 1e-3, 1.0
+KEYS = Keys(
+    read=(
+        *("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution"),
+        *("T_cn_cnm1", "T_cam_imu"),
+    ),
+    refused={
+        "line_delay": Refused(
+            "rows are taken one after the other, which trinoc does not model: take pictures with a "
+            "global shutter",
+            (0,),
+        )
+    },
+)
 ROWS = (
     LensRow("radtan", "brown_conrady", ("k1", "k2", "p1", "p2")),
     LensRow("equidistant", "kannala_brandt", ("k1", "k2", "k3", "k4")),
@@ -56,18 +79,55 @@ def read_kalibr(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     document = read_yaml(path)
     if "cam0" not in document.values:
         raise document.error("cam0", "is missing: give the camchain that Kalibr writes.")
-    cameras: dict[str, Camera] = {}
-    pose = np.eye(3, 4)
+    blocks = []
     for number, name in enumerate(document.values):
         if name != f"cam{number}":
             raise document.error(name, f"stands where cam{number} belongs: order the cameras.")
-        block = document.block(name)
-        if number:
-            step = block.numbers("T_cn_cnm1", (4, 4))
-            where = f'{document.file}: "{name}.T_cn_cnm1"'
-            pose = chain_motions(from_homogeneous(step, unit_mm, where), pose)
-        cameras[name] = Camera(_lens(block), Pose(pose))
-    return Rig(cameras)
+        blocks.append(KEYS.take(document.block(name)))
+    poses = _poses(blocks, unit_mm)
+    return Rig(
+        {
+            block.place: Camera(_lens(block), Pose(pose))
+            for block, pose in zip(blocks, poses, strict=True)
+        }
+    )
+
+
+def _poses(blocks: list[Block], unit_mm: float) -> list[np.ndarray]:
+    """cam_from_cam0 of each, by the chain, or by the inertial unit where there is no chain.
+
+    Raises InputError where both are there and differ, or neither is.
+    """
+    from_imu = [
+        _motion(block, "T_cam_imu", unit_mm) if "T_cam_imu" in block.values else None
+        for block in blocks
+    ]
+    poses = [np.eye(3, 4)]
+    for block, imu in zip(blocks[1:], from_imu[1:], strict=True):
+        by_imu = None
+        if from_imu[0] is not None and imu is not None:
+            by_imu = chain_motions(imu, inverse(from_imu[0]))
+        if by_imu is not None and "T_cn_cnm1" not in block.values:
+            poses.append(by_imu)
+            continue
+        pose = chain_motions(_motion(block, "T_cn_cnm1", unit_mm), poses[-1])
+        if by_imu is not None and not _is_same(pose, by_imu):
+            raise block.error(
+                "T_cam_imu", "has the camera elsewhere than T_cn_cnm1: remove the wrong one."
+            )
+        poses.append(pose)
+    return poses
+
+
+def _motion(block: Block, key: str, unit_mm: float) -> np.ndarray:
+    where = f'{block.file}: "{block.place}.{key}"'
+    return from_homogeneous(block.numbers(key, (4, 4)), unit_mm, where)
+
+
+def _is_same(pose: np.ndarray, other: np.ndarray) -> bool:
+    turn = rotation_vector(pose[:, :3].T @ other[:, :3])
+    away = np.linalg.norm(pose[:, 3] - other[:, 3])
+    return bool(np.linalg.norm(turn) < _SAME_RAD and away < _SAME_MM)
 
 
 def _lens(block: Block) -> Intrinsics:
@@ -100,4 +160,5 @@ kalibr = Format(
     loses=(WORLD, NAMES, COVARIANCE, PIXEL_PITCH),
     write=write_kalibr,
     read=read_kalibr,
+    keys={"cam0, cam1, ...": KEYS},
 )

@@ -3,11 +3,12 @@
 MATLAB knows pairs. For each camera after the first there is a struct `stereoParams` (of two
 cameras), or `stereoParams_2`, `stereoParams_3`, ...: the first camera and that one, with the fields
 of `toStruct`; `stereoParameters(S.stereoParams_2)` makes the object. Its pixels count from 1, its
-matrices are transposed (row vectors: x2 = x1 R + t), and it counts in mm. `camera_names` and
-`cam1_from_world` (4 x 4) stand beside, so that names and world come back, and `covariance`, in
+matrices are transposed (row vectors: x2 = x1 R + t), and each file states its unit. `camera_names`
+and `cam1_from_world` (4 x 4) stand beside, so that names and world come back, and `covariance`, in
 degrees and mm, with its `parameters` and its `matrix`.
 """
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import atomic_write
 from trinoc.io.formats.format import PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.mat_file import mat_variables
 from trinoc.io.formats.motions import chain_motions, from_homogeneous, homogeneous, inverse, motion
@@ -29,6 +31,32 @@ from trinoc.io.json_document import Block
 from trinoc.io.rig_json import parse_covariance
 
 TITLE = "MATLAB's stereoParameters"
+UNITS_MM = {
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 1.0),
+    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), 10.0),
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1000.0),
+    **dict.fromkeys(("in", "inch", "inches"), 25.4),
+    **dict.fromkeys(("ft", "foot", "feet"), 304.8),
+}
+PAIR_KEYS = Keys(
+    read=("CameraParameters1", "CameraParameters2", "RotationOfCamera2", "TranslationOfCamera2"),
+    left_out=("RectificationParams",),
+)
+LENS_KEYS = Keys(
+    read=(
+        *("IntrinsicMatrix", "K", "RadialDistortion", "TangentialDistortion", "ImageSize"),
+        "WorldUnits",
+    ),
+    # `Skew` stands in the matrix, too.
+    left_out=(
+        *("EstimateSkew", "NumRadialDistortionCoefficients", "EstimateTangentialDistortion"),
+        "Skew",
+    ),
+    refused={
+        key: Refused("trinoc has no fisheye of Scaramuzza's model: calibrate with another")
+        for key in ("MappingCoefficients", "StretchMatrix")
+    },
+)
 FIRST_PX = 1.0
 VARIABLE = "stereoParams"
 RADIAL, TANGENTIAL = ("k1", "k2", "k3"), ("p1", "p2")
@@ -39,7 +67,8 @@ def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
     """Write the structs. Raises InputError for a rig of one camera."""
     if len(rig) < 2:
         raise InputError(f"{TITLE} is of two cameras: give a rig of two or more.")
-    lenses = [_to_struct(camera.intrinsics, name) for name, camera in rig.items()]
+    unit = next((name for name, mm in UNITS_MM.items() if mm == unit_mm), f"{unit_mm!r} mm")
+    lenses = [_to_struct(camera.intrinsics, name, unit) for name, camera in rig.items()]
     poses = [np.asarray(camera.cam_from_world) for camera in rig.cameras]
     variables: dict[str, Any] = {
         "camera_names": np.array(rig.names, dtype=object),
@@ -61,14 +90,22 @@ def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
         scipy.io.savemat(file, variables)
 
 
-def read_matlab(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
+def read_matlab(path: Path, unit_mm: float | None, lenses: Lenses | None) -> Rig:
     """The rig of one or several structs of stereoParameters; without `cam1_from_world` the world
-    is the first camera."""
+    is the first camera. `unit_mm` is needed only where a file does not state its unit."""
     document = make_block(mat_variables(path), path)
     pairs = [name for name in document.values if name.startswith(VARIABLE)]
     if not pairs:
         raise document.error(VARIABLE, "is missing: save toStruct(stereoParams) under that name.")
-    blocks = [document.block(name) for name in pairs]
+    blocks = [PAIR_KEYS.take(document.block(name)) for name in pairs]
+    units = {
+        _stated_unit_mm(block.block(key), unit_mm)
+        for block in blocks
+        for key in ("CameraParameters1", "CameraParameters2")
+    }
+    if len(units) > 1:
+        raise document.error(VARIABLE, "states two WorldUnits: calibrate both cameras in one.")
+    unit_mm = units.pop()
     first_pose = np.eye(3, 4)
     if "cam1_from_world" in document.values:
         matrix = document.numbers("cam1_from_world", (4, 4))
@@ -93,7 +130,7 @@ def read_matlab(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     return Rig(named, parameters=parameters, covariance=covariance)
 
 
-def _to_struct(lens: Intrinsics, camera: str) -> dict[str, Any]:
+def _to_struct(lens: Intrinsics, camera: str, unit: str) -> dict[str, Any]:
     numbers = list_lens_numbers(lens, ROWS, TITLE, camera, origin_px=FIRST_PX, skew=True)
     (fx, fy), (cx, cy) = numbers.focal_px, numbers.centre_px
     radial, tangential = numbers.coefficients[:3], numbers.coefficients[3:]
@@ -102,7 +139,7 @@ def _to_struct(lens: Intrinsics, camera: str) -> dict[str, Any]:
         "RadialDistortion": np.array([radial[:terms]]),
         "TangentialDistortion": np.array([tangential]),
         "WorldPoints": np.zeros((0, 2)),
-        "WorldUnits": "mm",
+        "WorldUnits": unit,
         "EstimateSkew": bool(numbers.skew_px),
         "NumRadialDistortionCoefficients": float(terms),
         "EstimateTangentialDistortion": any(tangential),
@@ -114,7 +151,29 @@ def _to_struct(lens: Intrinsics, camera: str) -> dict[str, Any]:
     }
 
 
-def _lens(block: Block) -> Intrinsics:
+def _stated_unit_mm(lens: Block, unit_mm: float | None) -> float:
+    """The unit of a file's lengths, in mm. Raises InputError where it is unknown, or another than
+    the caller gives."""
+    stated = lens.values.get("WorldUnits")
+    if not stated:
+        return 1.0 if unit_mm is None else unit_mm
+    name = lens.text("WorldUnits").strip()
+    number, _, rest = name.partition(" ")
+    of_file = UNITS_MM.get(name.lower())
+    if of_file is None and rest == "mm":
+        with contextlib.suppress(ValueError):
+            of_file = float(number)
+    if of_file is None and unit_mm is None:
+        raise lens.error("WorldUnits", f'is "{name}": say how long that is by --unit-mm.')
+    if of_file is not None and unit_mm is not None and unit_mm != of_file:
+        raise lens.error(
+            "WorldUnits", f'is "{name}", but --unit-mm is {unit_mm:g}: leave --unit-mm out.'
+        )
+    return of_file or unit_mm or 1.0
+
+
+def _lens(lens: Block) -> Intrinsics:
+    block = LENS_KEYS.take(lens)
     if "IntrinsicMatrix" in block.values:
         matrix = block.numbers("IntrinsicMatrix", (3, 3)).T
     else:
@@ -157,4 +216,6 @@ matlab = Format(
     loses=(PIXEL_PITCH,),
     write=write_matlab,
     read=read_matlab,
+    keys={"stereoParams": PAIR_KEYS, "CameraParameters1 and 2": LENS_KEYS},
+    states_unit=True,
 )

@@ -17,6 +17,7 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import read_text, write_text
 from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.keys import Keys
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
 from trinoc.io.formats.text_files import atomic_folder, expect_file_name, make_block
@@ -34,6 +35,12 @@ ROWS = (
 )
 # The key of the pose, as mrcal writes it now and wrote it before.
 POSE_KEYS = ("extrinsics", "rt_cam_ref")
+
+
+KEYS = Keys(
+    read=("lensmodel", "intrinsics", "imagersize", *POSE_KEYS),
+    left_out=("valid_intrinsics_region",),
+)
 
 
 def write_mrcal(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
@@ -79,7 +86,7 @@ def _text(lens: Intrinsics, pose: np.ndarray, camera: str, unit_mm: float) -> st
 
 
 def _camera(path: Path, unit_mm: float) -> Camera:
-    block = _parse_literal(path)
+    block = KEYS.take(_parse_literal(path))
     intrinsics = block.numbers("intrinsics", (None,)).tolist()
     if len(intrinsics) < 4:
         raise block.error("intrinsics", "must begin with fx, fy, cx, cy: correct it.")
@@ -126,4 +133,5 @@ mrcal = Format(
     loses=(COVARIANCE, PIXEL_PITCH),
     write=write_mrcal,
     read=read_mrcal,
+    keys={"a file": KEYS},
 )

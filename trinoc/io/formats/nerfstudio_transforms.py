@@ -3,10 +3,13 @@
 Cameras look along -z with y up, as OpenGL's, and poses are world_from_cam. The world stays as it
 is, Z up, as nerfstudio likes it. Pixels count from the corner of the top-left one, as in COLMAP,
 from which nerfstudio takes its principal points. `file_path` is images/NAME.png: put the pictures
-there.
+there. Read are also instant-ngp's files, whose focal length is an angle of view.
+
+Source: nerfstudio_dataparser.py and cameras.py of nerfstudio, nerf_loader.cu of instant-ngp.
 """
 
 import json
+import math
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -18,6 +21,7 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import from_homogeneous, homogeneous, inverse
 from trinoc.io.formats.text_files import expect_file_name, read_json
@@ -26,11 +30,42 @@ from trinoc.io.json_document import Block
 TITLE = "nerfstudio's transforms.json"
 HALF_PX = 0.5
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")
-ROWS = (
+FISHEYE = "OPENCV_FISHEYE"
+_FISHEYE_ROW = LensRow(FISHEYE, "kannala_brandt", ("k1", "k2", "k3", "k4"))
+WRITTEN = (
     LensRow("OPENCV", "brown_conrady", COEFFICIENTS),
-    LensRow("OPENCV_FISHEYE", "kannala_brandt", ("k1", "k2", "k3", "k4")),
+    _FISHEYE_ROW,
     LensRow("PINHOLE", "none", ()),
-    LensRow("SIMPLE_PINHOLE", "none", ()),
+)
+# nerfstudio takes the coefficients whatever the perspective model is called.
+_PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+READ = (
+    *(LensRow(name, "brown_conrady", COEFFICIENTS) for name in _PERSPECTIVE),
+    _FISHEYE_ROW,
+)
+_NO_SUCH_LENS = "no lens of trinoc is like that: convert the pictures to a perspective camera first"
+KEYS = Keys(
+    read=(
+        *("file_path", "transform_matrix", "camera_model", "is_fisheye"),
+        *("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y"),
+        *(*COEFFICIENTS, "distortion_params"),
+    ),
+    left_out=(
+        *("applied_scale", "scale", "aabb_scale", "orientation_override"),
+        *("depth_unit_scale_factor", "integer_depth_scale", "auto_scale_poses_override"),
+        *("fisheye_crop_radius", "camera_label"),
+    ),
+    refused={
+        "rolling_shutter": Refused(
+            "rows are taken one after the other, which trinoc does not model: take pictures with "
+            "a global shutter, or with the camera at rest",
+            ([0, 0, 0, 0], [0, 0, 0], False),
+        ),
+        "equirectangular": Refused(_NO_SUCH_LENS, (False,)),
+        "latlong": Refused(_NO_SUCH_LENS, (False,)),
+        "orthographic": Refused(_NO_SUCH_LENS, (False,)),
+        **{f"ftheta_p{k}": Refused(_NO_SUCH_LENS) for k in range(5)},
+    },
 )
 # A camera that looks along -z with y up, from one that looks along z with y down.
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -40,9 +75,9 @@ def write_nerfstudio(rig: Rig, path: Path, unit_mm: float) -> None:
     """Write the frames."""
     frames = []
     for name, camera in rig.items():
-        numbers = list_lens_numbers(camera.intrinsics, ROWS, TITLE, name, origin_px=HALF_PX)
+        numbers = list_lens_numbers(camera.intrinsics, WRITTEN, TITLE, name, origin_px=HALF_PX)
         world_from_cam = homogeneous(inverse(np.asarray(camera.cam_from_world)), unit_mm)
-        row = next(row for row in ROWS if row.called == numbers.called)
+        row = next(row for row in WRITTEN if row.called == numbers.called)
         frames.append(
             {
                 "file_path": f"images/{expect_file_name(name, TITLE)}.png",
@@ -71,7 +106,7 @@ def read_nerfstudio(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     shared = {key: value for key, value in document.values.items() if key != "frames"}
     for number, frame in enumerate(frames):
         own: dict[str, Any] = frame if isinstance(frame, dict) else {}
-        block = Block({**shared, **own}, document.file, f"frames[{number}]")
+        block = KEYS.take(Block({**shared, **own}, document.file, f"frames[{number}]"))
         name = PurePosixPath(block.text("file_path")).stem
         if not name or name in cameras:
             raise block.error("file_path", "names no picture, or one before it: correct it.")
@@ -83,19 +118,66 @@ def read_nerfstudio(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
 
 
 def _lens(block: Block) -> Intrinsics:
-    called = block.text("camera_model") if "camera_model" in block.values else "OPENCV"
-    row = next((row for row in ROWS if row.called == called), None)
+    size_px = Block({"size": [block.number("w"), block.number("h")]}, block.file, block.place)
+    width, height = size_px.image_size_px("size")
+    called = _called(block)
+    row = next((row for row in READ if row.called == called), None)
     names = COEFFICIENTS if row is None else row.coefficients
+    coefficients = {key: block.number(key) for key in COEFFICIENTS if key in block.values}
+    if "distortion_params" in block.values:
+        if coefficients:
+            raise block.error(
+                "distortion_params", "stands beside k1 or another of its numbers: remove either."
+            )
+        coefficients = dict(
+            zip(COEFFICIENTS, block.numbers("distortion_params", (6,)).tolist(), strict=True)
+        )
+    for key, value in coefficients.items():
+        if value and key not in names:
+            raise block.error(key, f"is {value:g}, which {called} does not have: correct it.")
     numbers = LensNumbers(
         called,
-        (block.number("fl_x"), block.number("fl_y" if "fl_y" in block.values else "fl_x")),
-        (block.number("cx"), block.number("cy")),
+        _focal_px(block, width, height),
+        (_centre(block, "cx", width), _centre(block, "cy", height)),
         0.0,
-        [block.number(name) if name in block.values else 0.0 for name in names],
+        [coefficients.get(name, 0.0) for name in names],
     )
-    size = Block({"size": [block.number("w"), block.number("h")]}, block.file, block.place)
     where = f'{block.file}: "{block.place}"'
-    return make_lens(numbers, size.image_size_px("size"), ROWS, where, origin_px=HALF_PX)
+    return make_lens(numbers, (width, height), READ, where, origin_px=HALF_PX)
+
+
+def _called(block: Block) -> str:
+    """The camera model, or what instant-ngp says in its place."""
+    called = block.text("camera_model") if "camera_model" in block.values else ""
+    if not block.values.get("is_fisheye"):
+        return called or "OPENCV"
+    if called not in ("", FISHEYE):
+        raise block.error("is_fisheye", f"is true beside the camera_model {called}: correct one.")
+    return FISHEYE
+
+
+def _focal_px(block: Block, width: int, height: int) -> tuple[float, float]:
+    """The focal lengths, by the angles of view where these stand alone, as in instant-ngp."""
+    if "fl_x" in block.values or "camera_angle_x" not in block.values:
+        fl_x = block.number("fl_x")
+        return fl_x, block.number("fl_y") if "fl_y" in block.values else fl_x
+    fl_x = _focal_of_angle(block, "camera_angle_x", width)
+    both = "camera_angle_y" in block.values
+    return fl_x, _focal_of_angle(block, "camera_angle_y", height) if both else fl_x
+
+
+def _focal_of_angle(block: Block, key: str, side_px: int) -> float:
+    angle_rad = block.number(key)
+    if not 0 < angle_rad < math.pi:
+        raise block.error(key, f"is {angle_rad:g}, but must be an angle in rad: correct it.")
+    return side_px / 2 / math.tan(angle_rad / 2)
+
+
+def _centre(block: Block, key: str, side_px: int) -> float:
+    """The principal point, in the middle where a file has an angle of view alone."""
+    if key not in block.values and "fl_x" not in block.values:
+        return side_px / 2
+    return block.number(key)
 
 
 nerfstudio = Format(
@@ -112,4 +194,5 @@ nerfstudio = Format(
     loses=(COVARIANCE, PIXEL_PITCH),
     write=write_nerfstudio,
     read=read_nerfstudio,
+    keys={"frames[], and the file": KEYS},
 )

@@ -1,21 +1,27 @@
 """ROS `camera_info` YAML, as `camera_calibration` writes and `camera_info_manager` reads it.
 
-A camera_info has no pose. A rig is a folder: NAME.yaml for each camera, and its poses in
+A camera_info has no pose. A rig is written as a folder: NAME.yaml for each camera, and its poses in
 `tf_static.yaml`. The rectification is the identity and P is [K 0]: three cameras have no common
-rectified plane.
+rectified plane. Two that `camera_calibration` calibrated as a pair have one: without
+`tf_static.yaml` a folder is read by R and P.
+
+Source: sensor_msgs/CameraInfo; REP 104.
 """
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from trinoc.errors import InputError
+from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import (
     LensNumbers,
     LensRow,
@@ -23,6 +29,7 @@ from trinoc.io.formats.lens_rows import (
     list_lenses,
     make_lens,
 )
+from trinoc.io.formats.motions import chain_motions, checked_rotation, inverse
 from trinoc.io.formats.text_files import atomic_folder, read_yaml, yaml_text
 from trinoc.io.formats.tf_static import METRE_MM, read_tf, write_tf
 from trinoc.io.json_document import Block
@@ -31,6 +38,32 @@ TITLE = "ROS camera_info"
 POSES = "tf_static.yaml"
 _PLUMB_BOB = ("k1", "k2", "p1", "p2", "k3")
 _RATIONAL = (*_PLUMB_BOB, "k4", "k5", "k6")
+_BINNED = Refused(
+    "the pictures are binned, and the lens is that of the whole sensor: calibrate in the mode that "
+    "is used, or deliver pictures without binning",
+    (0, 1),
+)
+FILE_KEYS = Keys(
+    read=(
+        *("image_width", "image_height", "camera_matrix", "distortion_model"),
+        *("distortion_coefficients", "rectification_matrix", "projection_matrix"),
+    ),
+    refused={"binning_x": _BINNED, "binning_y": _BINNED},
+)
+MESSAGE_KEYS = Keys(
+    read=("width", "height", "distortion_model", *"kdrpKDRP", "roi"),
+    refused={"binning_x": _BINNED, "binning_y": _BINNED},
+)
+ROI_KEYS = Keys(
+    read=("x_offset", "y_offset", "width", "height"),
+    refused={
+        "do_rectify": Refused(
+            "the message is of rectified pictures, but its lens is that of those before: give the "
+            "camera_info of the raw pictures",
+            (False, 0),
+        )
+    },
+)
 ROWS = (
     LensRow("plumb_bob", "brown_conrady", _PLUMB_BOB),
     LensRow("rational_polynomial", "brown_conrady", _RATIONAL),
@@ -55,16 +88,20 @@ def write_ros(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
 
 
 def read_ros(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intrinsics:
-    """The lens of a file, or the rig of a folder with `tf_static.yaml`."""
+    """The lens of a file, or the rig of a folder: by `tf_static.yaml`, or, of a pair that was
+    rectified together, by R and P; the world is then the first camera."""
     if not path.is_dir():
-        return _lens(path)
+        return _read_info(path).lens
     files = sorted(file for file in path.glob("*.yaml") if file.name != POSES)
-    if not files or not (path / POSES).is_file():
+    if not files:
         raise InputError(
-            f"{path} must hold a camera_info for each camera and their poses in {POSES}: give one "
-            "camera_info file to read a lens alone."
+            f"{path} must hold a camera_info for each camera (NAME.yaml), and their poses in "
+            f"{POSES} or by R and P: give one camera_info file to read a lens alone."
         )
-    return read_tf(path / POSES, METRE_MM, {file.stem: _lens(file) for file in files})
+    infos = {file.stem: _read_info(file) for file in files}
+    if not (path / POSES).is_file():
+        return _rectified_rig(infos, path)
+    return read_tf(path / POSES, METRE_MM, {name: info.lens for name, info in infos.items()})
 
 
 def expect_ros_name(name: str) -> None:
@@ -98,25 +135,97 @@ def _matrix(rows: int, columns: int, data: list[float]) -> dict[str, Any]:
     return {"rows": rows, "cols": columns, "data": data}
 
 
-def _lens(path: Path) -> Intrinsics:
+class _Info(NamedTuple):
+    """A camera_info: the lens, and the rectification (3, 3) and projection (3, 4) of a pair."""
+
+    lens: Intrinsics
+    rectified_from_cam: np.ndarray
+    projection: np.ndarray
+
+
+def _read_info(path: Path) -> _Info:
     """From a calibration file, or from a message as `ros2 topic echo` prints it."""
     document = read_yaml(path)
     if "camera_matrix" in document.values:
-        size = [document.number("image_width"), document.number("image_height")]
-        matrix = document.block("camera_matrix").numbers("data", (9,))
-        coefficients = document.block("distortion_coefficients").numbers("data", (None,))
+        block = FILE_KEYS.take(document)
+        size = [block.number("image_width"), block.number("image_height")]
+        matrix = block.block("camera_matrix").numbers("data", (9,))
+        coefficients = block.block("distortion_coefficients").numbers("data", (None,))
+        rectification, projection = (
+            block.block(key).numbers("data", (count,)) if key in block.values else None
+            for key, count in (("rectification_matrix", 9), ("projection_matrix", 12))
+        )
     else:
-        keys = ("k", "d") if "k" in document.values else ("K", "D")
-        size = [document.number("width"), document.number("height")]
-        matrix, coefficients = document.numbers(keys[0], (9,)), document.numbers(keys[1], (None,))
+        block = MESSAGE_KEYS.take(document)
+        d, k, r, p = "dkrp" if "k" in block.values else "DKRP"
+        size = [block.number("width"), block.number("height")]
+        matrix, coefficients = block.numbers(k, (9,)), block.numbers(d, (None,))
+        rectification, projection = (
+            block.numbers(key, (count,)) if key in block.values else None
+            for key, count in ((r, 9), (p, 12))
+        )
+        if "roi" in block.values:
+            _expect_whole_picture(ROI_KEYS.take(block.block("roi")), size)
+    if not matrix.any():
+        raise InputError(
+            f"{path} has a camera matrix of zeros, as of a camera that is not calibrated: "
+            "calibrate it, or give the message after its calibration is loaded."
+        )
     (fx, skew, cx), (lower, fy, cy), last = matrix.reshape(3, 3).tolist()
     if skew or lower or last != [0, 0, 1]:
         raise document.error("camera_matrix", "must be fx 0 cx, 0 fy cy, 0 0 1: correct it.")
     numbers = LensNumbers(
-        document.text("distortion_model"), (fx, fy), (cx, cy), 0.0, coefficients.tolist()
+        block.text("distortion_model"), (fx, fy), (cx, cy), 0.0, coefficients.tolist()
     )
     size_px = Block({"size": size}, document.file, "").image_size_px("size")
-    return make_lens(numbers, size_px, ROWS, str(path))
+    return _Info(
+        make_lens(numbers, size_px, ROWS, str(path)),
+        np.eye(3) if rectification is None else rectification.reshape(3, 3),
+        np.zeros((3, 4)) if projection is None else projection.reshape(3, 4),
+    )
+
+
+def _expect_whole_picture(roi: Block, size: list[float]) -> None:
+    """Raise InputError for a part of the picture: the lens is that of the whole."""
+    part = [roi.number(key) if key in roi.values else 0.0 for key in ROI_KEYS.read]
+    if part not in ([0.0, 0.0, 0.0, 0.0], [0.0, 0.0, *size]):
+        raise InputError(
+            f'{roi.file}: "roi" is a part of the picture ({part[2]:g} x {part[3]:g} at '
+            f"{part[0]:g}, {part[1]:g}): deliver whole pictures, or calibrate those that are "
+            "delivered."
+        )
+
+
+def _rectified_rig(infos: dict[str, _Info], path: Path) -> Rig:
+    """Cameras that share a rectified frame: P of each is K' [I | t], t its shift to the side."""
+    names = list(infos)
+    shifts_mm = {}
+    for name, info in infos.items():
+        fx, fy = info.projection[0, 0], info.projection[1, 1]
+        if not (fx > 0 and fy > 0 and info.projection[2].tolist() == [0, 0, 1, 0]):
+            raise InputError(
+                f"{path / name}.yaml has a projection_matrix that is none: correct it."
+            )
+        shift = [info.projection[0, 3] / fx, info.projection[1, 3] / fy, 0.0]
+        shifts_mm[name] = np.array(shift) * METRE_MM
+    if len(names) < 2 or not any(shift.any() for shift in shifts_mm.values()):
+        raise InputError(
+            f"{path} has no {POSES}, and its files have no R and P of a stereo pair: add the "
+            "poses, or give one camera_info file to read a lens alone."
+        )
+    poses = {}
+    for name, info in infos.items():
+        where = f"{path / name}.yaml, rectification_matrix,"
+        cam_from_rectified = checked_rotation(info.rectified_from_cam, where).T
+        shift = cam_from_rectified @ shifts_mm[name]
+        poses[name] = np.concatenate([cam_from_rectified, shift[:, None]], axis=1)
+    to_first = inverse(poses[names[0]])
+    return Rig(
+        {
+            name: Camera(info.lens, Pose(chain_motions(poses[name], to_first)))
+            for name, info in infos.items()
+        }
+    )
 
 
 ros = Format(
@@ -133,4 +242,5 @@ ros = Format(
     loses=(COVARIANCE, PIXEL_PITCH),
     write=write_ros,
     read=read_ros,
+    keys={"a file": FILE_KEYS, "a message": MESSAGE_KEYS, "roi of a message": ROI_KEYS},
 )

@@ -69,13 +69,30 @@ def expect_file_name(name: str, title: str) -> str:
 
 # Parsing takes some hundred times as long as reading.
 MOST_BYTES_OF_YAML = 16_000_000
+# What cv2.FileStorage writes, without the blank that YAML wants; the line stays, for errors.
+_OPENCV_DIRECTIVE = re.compile(r"\A%YAML:.*")
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Block:
-    """The map of a YAML file.
+    """The map of a YAML file; of a stream of several, which must agree but for their `header`.
 
-    Tags, anchors and aliases are refused: no calibration needs them. Raises InputError, also
-    where ruamel.yaml is not installed.
+    Raises InputError as `read_yaml_stream`.
+    """
+    first, *others = read_yaml_stream(path)
+    for number, other in enumerate(others, 2):
+        if {**other.values, "header": None} != {**first.values, "header": None}:
+            raise InputError(
+                f"{path} holds {1 + len(others)} documents, and document {number} differs from the "
+                "first: keep the one that is meant."
+            )
+    return first
+
+
+def read_yaml_stream(path: str | os.PathLike[str]) -> list[Block]:
+    """The maps of a YAML file, one or several: `ros2 topic echo` ends each with the line `---`.
+
+    Tags, anchors and aliases are refused: no calibration needs them. OpenCV's own first line,
+    `%YAML:1.0`, is taken. Raises InputError, also where ruamel.yaml is not installed.
     """
     try:
         from ruamel.yaml import YAML
@@ -84,7 +101,7 @@ def read_yaml(path: str | os.PathLike[str]) -> Block:
         raise InputError(
             f"{path} is YAML, which needs ruamel.yaml: pip install 'trinoc[export]'."
         ) from error
-    text = read_text(path, MOST_BYTES_OF_YAML)
+    text = _OPENCV_DIRECTIVE.sub("", read_text(path, MOST_BYTES_OF_YAML))
     parser = YAML(typ="safe", pure=True)
     try:
         for event in parser.parse(text):
@@ -93,14 +110,15 @@ def read_yaml(path: str | os.PathLike[str]) -> Block:
                     f"{path} has a tag or an anchor in line {event.start_mark.line + 1}, which "
                     "trinoc does not follow: write plain numbers and texts."
                 )
-        values = parser.load(text)
+        documents = [values for values in parser.load_all(text) if values is not None]
     except (YAMLError, ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         mark = getattr(error, "problem_mark", None)
         line = "" if mark is None else f" (line {mark.line + 1}: {getattr(error, 'problem', '')})"
         raise InputError(f"{path} is not YAML{line}: correct it there.") from error
-    return make_block(_only_json(values, path), path)
+    blocks = [make_block(_only_json(values, path), path) for values in documents]
+    return blocks or [make_block(None, path)]
 
 
 def yaml_text(values: Any, indent: str = "") -> str:

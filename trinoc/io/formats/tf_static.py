@@ -4,6 +4,9 @@
 besides, under `static_transform_publisher`, the arguments of that program for each camera, as a
 launch file gives them. Each transform is the pose of the frame NAME_optical_frame (x right, y
 down, z forward) in the frame `world`: world_from_cam. Lenses are not in it.
+
+By REP 103 a frame without that ending looks along x, with z up: it is the camera's body, and no
+camera is read from it.
 """
 
 import json
@@ -19,6 +22,7 @@ from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import COVARIANCE, LENSES, Format, Lenses
+from trinoc.io.formats.keys import Keys
 from trinoc.io.formats.motions import (
     chain_motions,
     inverse,
@@ -26,12 +30,13 @@ from trinoc.io.formats.motions import (
     quaternion_wxyz,
     rotation_of_quaternion,
 )
-from trinoc.io.formats.text_files import read_json, read_yaml, yaml_text
+from trinoc.io.formats.text_files import read_json, read_yaml_stream, yaml_text
 from trinoc.io.json_document import Block
 
 METRE_MM = 1000.0
 WORLD = "world"
 SUFFIXES = ("_optical_frame", "_optical")
+KEYS = Keys(read=("header", "child_frame_id", "transform"))
 
 
 def write_tf(rig: Rig, path: Path, unit_mm: float) -> None:
@@ -55,8 +60,9 @@ def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     """The cameras of `lenses` at the poses of the file, in the frame that all hang from."""
     if not lenses:
         raise InputError(f"{path} holds poses alone: give the lenses, too (--lens rig.json).")
-    document = read_json(path) if path.suffix.lower() == ".json" else read_yaml(path)
-    parents = _parents(document, unit_mm)
+    is_json = path.suffix.lower() == ".json"
+    documents = [read_json(path)] if is_json else read_yaml_stream(path)
+    parents = _parents(documents, unit_mm)
     cameras, roots = {}, set()
     for name, frame in _find_frames(lenses, parents, path).items():
         world_from_cam = np.eye(3, 4)
@@ -81,7 +87,14 @@ def _find_frames(lenses: Lenses, parents: Collection[str], path: Path) -> dict[s
     """The frame of each camera, in the order of the file."""
     frames = {}
     for name in lenses:
-        frame = next((f for f in (name, *(name + s for s in SUFFIXES)) if f in parents), None)
+        endings = ("", *SUFFIXES) if name.endswith(SUFFIXES) else SUFFIXES
+        frame = next((name + ending for ending in endings if name + ending in parents), None)
+        if frame is None and name in parents:
+            raise InputError(
+                f'{path} has the frame "{name}", but no {name}{SUFFIXES[0]}: by REP 103 a frame '
+                "without this ending looks along x. Add the optical frame, or rename this one if "
+                "it looks along z."
+            )
         if frame is None:
             raise InputError(
                 f'{path} has no frame of the camera "{name}" ({name}{SUFFIXES[0]}), but '
@@ -113,25 +126,40 @@ def _arguments(entry: dict[str, Any]) -> list[str]:
     return [str(word) for pair in options.items() for word in pair]
 
 
-def _parents(document: Block, unit_mm: float) -> dict[str, tuple[str, np.ndarray]]:
-    """For each frame its parent and parent_from_frame."""
-    entries = document.values.get("transforms")
-    if not isinstance(entries, list) or not entries:
-        raise document.error("transforms", "must be a list of transforms: add one for each camera.")
+def _parents(documents: list[Block], unit_mm: float) -> dict[str, tuple[str, np.ndarray]]:
+    """For each frame its parent and parent_from_frame; each publisher sends a message of its own,
+    and some send theirs again."""
     parents: dict[str, tuple[str, np.ndarray]] = {}
-    for number, entry in enumerate(entries):
-        place = f"transforms[{number}]"
-        block = Block(entry if isinstance(entry, dict) else {}, document.file, place)
-        child, parent = block.text("child_frame_id"), block.block("header").text("frame_id")
-        if child in parents:
-            raise block.error("child_frame_id", f'is "{child}" as of one before it: remove one.')
-        turn, shift = (block.block("transform").block(key) for key in ("rotation", "translation"))
-        quaternion = np.array([turn.number(key) for key in "wxyz"])
-        translation = np.array([shift.number(key) for key in "xyz"]) * unit_mm
-        where = f'{document.file}: "{place}"'
-        rotation = rotation_of_quaternion(quaternion, where)
-        parents[child] = parent, motion(rotation, translation, where)
+    for document in documents:
+        entries = document.values.get("transforms")
+        if not isinstance(entries, list) or not entries:
+            raise document.error(
+                "transforms", "must be a list of transforms: add one for each camera."
+            )
+        in_message: set[str] = set()
+        for number, entry in enumerate(entries):
+            place = f"transforms[{number}]"
+            block = KEYS.take(Block(entry if isinstance(entry, dict) else {}, document.file, place))
+            child, parent = block.text("child_frame_id"), block.block("header").text("frame_id")
+            pose = _pose(block, unit_mm)
+            again = child in parents and not (
+                parents[child][0] == parent and np.array_equal(parents[child][1], pose)
+            )
+            if child in in_message or again:
+                raise block.error(
+                    "child_frame_id", f'is "{child}" as of one before it: remove one.'
+                )
+            in_message.add(child)
+            parents[child] = parent, pose
     return parents
+
+
+def _pose(block: Block, unit_mm: float) -> np.ndarray:
+    turn, shift = (block.block("transform").block(key) for key in ("rotation", "translation"))
+    quaternion = np.array([turn.number(key) for key in "wxyz"])
+    translation = np.array([shift.number(key) for key in "xyz"]) * unit_mm
+    where = f'{block.file}: "{block.place}"'
+    return motion(rotation_of_quaternion(quaternion, where), translation, where)
 
 
 tf = Format(
@@ -147,4 +175,5 @@ tf = Format(
     loses=(LENSES, COVARIANCE),
     write=write_tf,
     read=read_tf,
+    keys={"transforms[]": KEYS},
 )
