@@ -36,8 +36,25 @@ def row(form):
     place = form.place + (f": {', '.join(form.endings)}" if form.endings else "")
     unit = {None: "none", 1.0: "mm", 1000.0: "m"}[form.unit_mm]
     unit += "" if form.unit_is_fixed else ", or `--unit-mm`"
+    unit = "stated by the file" if form.states_unit else unit
     lost = "; ".join(LOSSES[loss] for loss in form.loses) or "nothing"
     return shorten(f"| `{form.name}` | {held} | {place} | {unit} | {form.frames} | {lost} |")
+
+
+def key_rows(form):
+    """A row for each map of a format, with the keys that its reader declares."""
+    for place, keys in form.keys.items():
+        cells = (
+            ", ".join(f"`{key}`" for key in group)
+            for group in (keys.read, keys.refused, keys.left_out)
+        )
+        yield f"| `{form.name}` | {place} | {' | '.join(cells)} |"
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_every_format_has_its_rows_of_keys(name):
+    rows = [line for line in PAGE.splitlines() if line.count("|") == 6]
+    assert [row for row in rows if row.startswith(f"| `{name}` |")] == list(key_rows(FORMATS[name]))
 
 
 @pytest.mark.parametrize("name", list(FORMATS))
@@ -46,7 +63,7 @@ def test_every_format_has_its_row(name):
 
 
 def test_the_page_has_no_other_row():
-    assert re.findall(r"^\| `([\w-]+)` \|.*\|.*\|.*\|.*\|", PAGE, re.MULTILINE) == list(FORMATS)
+    assert re.findall(r"^\| `([\w-]+)` \|.*\|.*\|.*\|.*\|.*\|", PAGE, re.MULTILINE) == list(FORMATS)
 
 
 def test_the_page_has_an_example_of_every_format():
