@@ -55,17 +55,14 @@ def test_a_stereo_pair_of_ros_has_its_poses_in_r_and_p(tmp_path):
     (tmp_path / "rig" / "tf_static.yaml").unlink()
     first, second = PAIR.cameras
     step = chain_motions(pose_of(second), inverse(pose_of(first)))
-    lenses = [
-        array
+    k1, d1, k2, d2 = (
+        np.asarray(array)
         for camera in PAIR.cameras
-        for array in (
-            np.asarray(camera.intrinsics.matrix),
-            np.asarray(camera.intrinsics.distortion),
-        )
-    ]
+        for array in (camera.intrinsics.matrix, camera.intrinsics.distortion)
+    )
     size = first.image_size_px
     rotation, shift = step[:, :3].copy(), step[:, 3:] / 1000
-    r1, r2, p1, p2, *_ = cv2.stereoRectify(*lenses, size, rotation, shift)
+    r1, r2, p1, p2, *_ = cv2.stereoRectify(k1, d1, k2, d2, size, rotation, shift)
     for name, turn, projection in zip(PAIR.names, (r1, r2), (p1, p2), strict=True):
         file = tmp_path / "rig" / f"{name}.yaml"
         values = yaml_values(file)

@@ -123,15 +123,16 @@ def _lens(block: Block) -> Intrinsics:
     called = _called(block)
     row = next((row for row in READ if row.called == called), None)
     names = COEFFICIENTS if row is None else row.coefficients
-    coefficients = {key: block.number(key) for key in COEFFICIENTS if key in block.values}
+    coefficients: dict[str, float] = {
+        key: block.number(key) for key in COEFFICIENTS if key in block.values
+    }
     if "distortion_params" in block.values:
         if coefficients:
             raise block.error(
                 "distortion_params", "stands beside k1 or another of its numbers: remove either."
             )
-        coefficients = dict(
-            zip(COEFFICIENTS, block.numbers("distortion_params", (6,)).tolist(), strict=True)
-        )
+        given = block.numbers("distortion_params", (len(COEFFICIENTS),)).tolist()
+        coefficients = dict(zip(COEFFICIENTS, given, strict=True))
     for key, value in coefficients.items():
         if value and key not in names:
             raise block.error(key, f"is {value:g}, which {called} does not have: correct it.")
