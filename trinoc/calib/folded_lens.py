@@ -126,7 +126,7 @@ def fit_wider_model(
         explains = rms_px <= TUNING.answer.most_rise_by_fixing * folding_rms_px
         if not explains or _folds(other.fit.problem):
             continue
-        lens_of_camera = np.asarray(folding.fit.problem.chart.lens_of_camera).tolist()
+        lens_of_camera = np.asarray(folding.fit.problem.parametrization.lens_of_camera).tolist()
         lens, fold = next(iter(folds.items()))
         return other, (
             f"The {folding.fit.problem.state.lenses.model} distortion of "
@@ -140,7 +140,7 @@ def _folds(problem: Problem) -> dict[int, str]:
     """What each fitted lens that folds its image does, by the number of the lens."""
     sizes, free = problem.image_sizes_px, free_of_lenses(problem)
     found = {}
-    for camera, lens in enumerate(np.asarray(problem.chart.lens_of_camera).tolist()):
+    for camera, lens in enumerate(np.asarray(problem.parametrization.lens_of_camera).tolist()):
         if lens in found or not free[lens].any() or camera not in sizes:
             continue
         intrinsics = Intrinsics.of_lens(simplify_lens(lens_number(problem, lens)), sizes[camera])
@@ -155,7 +155,7 @@ def _fixed_sentences(
 ) -> tuple[str, ...]:
     """Which coefficients were fixed and why, and what that costs, for each lens."""
     names = before.problem.state.lenses.parameter_names
-    lens_of_camera = np.asarray(before.problem.chart.lens_of_camera).tolist()
+    lens_of_camera = np.asarray(before.problem.parametrization.lens_of_camera).tolist()
     was, is_free = free_of_lenses(before.problem), free_of_lenses(after.problem)
     sentences = []
     for lens, fold in folds.items():

@@ -125,7 +125,7 @@ def calibrate_points(
         problem, names = extend_lens(problem, names)
     known = systematics or Systematics.typical({CAMERA: camera.intrinsics} if lens else {})
     factor = known.lens_factors({CAMERA: camera.intrinsics}).get(CAMERA, np.zeros((0, 0)))
-    held = np.zeros((problem.chart.lens_shape[1], factor.shape[1]))
+    held = np.zeros((problem.parametrization.lens_shape[1], factor.shape[1]))
     held[: len(factor)] = factor
     held[[name in names for name in problem.state.lenses.parameter_names]] = 0.0
     return _result(problem, names, model, camera.intrinsics, held)
@@ -139,10 +139,10 @@ def _result(
     held: Float[np.ndarray, "q r"],
 ) -> PointsCalibration:
     """held : change of the lens's parameters for a sigma of each error that is not fitted."""
-    (view,), chart = problem.views, problem.chart
+    (view,), parametrization = problem.views, problem.parametrization
     used = view.used
     every = whiten_views(problem).jacobian[0][: 2 * len(used)][np.repeat(used, 2)]
-    scale, pose_rows = np.asarray(chart.lens_scale)[0], chart.camera_rows(0)
+    scale, pose_rows = np.asarray(parametrization.lens_scale)[0], parametrization.slices.camera(0)
     rows = [problem.state.lenses.parameter_names.index(name) for name in names]
     columns = [*range(pose_rows.start, pose_rows.start + model.size), *rows]
     parameters = (*model.parameter_names, *names)
@@ -167,7 +167,7 @@ def _result(
         )
     by_step = np.zeros((len(columns), len(columns)))
     pose = Pose(np.asarray(problem.state.cam_from_rig)[0])
-    by_step[: model.size, : model.size] = degrees_by_step(pose, chart.unit_mm, model)
+    by_step[: model.size, : model.size] = degrees_by_step(pose, parametrization.unit_mm, model)
     by_step[model.size :, model.size :] = np.diag(scale[rows])
     inverse = (vectors / values) @ vectors.T
     by_error = inverse @ jacobian.T @ every[:, : len(scale)] @ (held / scale[:, None])

@@ -4,10 +4,10 @@ The lens is estimated, except for what is fixed of it, together with the pose of
 image and what is not exact of the board, as `calibrate_rig` does with one camera.
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -290,10 +290,10 @@ def _lens_problem(
     shots = tuple(of_one_moment(shot, _CAMERA) for shot in placed.shots)
     if ratio is None:
         return _LensStart(problem, shots)
-    basis = np.array(problem.chart.lens_basis)
+    basis = np.array(problem.parametrization.lens_basis)
     basis[0, _FY, _FX] = basis[0, _FY, _FY]
-    chart = eqx.tree_at(lambda c: c.lens_basis, problem.chart, basis)
-    return _LensStart(problem._replace(chart=chart), shots)
+    parametrization = dataclasses.replace(problem.parametrization, lens_basis=basis)
+    return _LensStart(problem._replace(parametrization=parametrization), shots)
 
 
 def _result_from_fit(
@@ -315,7 +315,7 @@ def _result_from_fit(
     status, information, *_ = outcome
     lens, size_px = lens_number(problem, 0), problem.image_sizes_px[0]
     names = lens.parameter_names
-    free = [k for k in information.free if k < problem.chart.lens_count]
+    free = [k for k in information.free if k < problem.slices.lenses.stop]
     covariance, gauge = _lens_covariance(problem, outcome)
     values = np.array(lens.parameters)
     values[gauge] = np.nan
@@ -354,7 +354,7 @@ def _result_from_fit(
         free=free_names,
         gauge=gauge_names,
         rank=sum(
-            int(k < problem.chart.lens_count)
+            int(k < problem.slices.lenses.stop)
             for row, k in enumerate(information.free)
             if row not in information.observability.gauge
         ),
@@ -389,11 +389,11 @@ def _lens_information(
 
     wide : the problem that was fitted, with the splines if there are any.
     """
-    information, free = outcome.information, np.flatnonzero(core.chart.free)
+    information, free = outcome.information, np.flatnonzero(core.free)
     if len(free) < len(information.free):
         # The steps of the core's lens come first, those of its board behind those of all lenses.
-        of_board = np.flatnonzero(information.free >= wide.chart.lens_count)
-        of_lens = int((free < core.chart.lens_count).sum())
+        of_board = np.flatnonzero(information.free >= wide.slices.lenses.stop)
+        of_lens = int((free < core.slices.lenses.stop).sum())
         rows = np.concatenate([np.arange(of_lens), of_board[: len(free) - of_lens]])
         return np.linalg.inv(outcome.covariance[np.ix_(rows, rows)])
     whole = information.of_shot.sum(axis=0)[np.ix_(free, free)] / outcome.variance_factor
@@ -406,8 +406,8 @@ def _lens_covariance(
     """Of the lens's parameters, zero for those that are held, NaN for those that are open; and
     which these are."""
     information = outcome.information
-    by_lens = np.asarray(problem.chart.lens_basis)[0]
-    by_head = np.pad(by_lens, ((0, 0), (0, len(problem.chart.free) - by_lens.shape[1])))
+    by_lens = np.asarray(problem.parametrization.lens_basis)[0]
+    by_head = np.pad(by_lens, ((0, 0), (0, len(problem.free) - by_lens.shape[1])))
     by_free = by_head[:, information.free]
     covariance = by_free @ outcome.covariance @ by_free.T
     is_open = np.any(by_free[:, list(information.observability.gauge)] != 0, axis=1)

@@ -1,5 +1,6 @@
 """The problem of one camera that sees points, and the lens that they ask for."""
 
+import dataclasses
 from collections.abc import Collection
 from typing import NamedTuple
 
@@ -9,7 +10,13 @@ from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.information import whiten_views
-from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
+from trinoc.calib.problem.problem import (
+    Problem,
+    lens_number,
+    with_head_free,
+    with_priors,
+    with_wider_lenses,
+)
 from trinoc.calib.problem.rao_test import HeldScore
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
@@ -66,7 +73,7 @@ def problem_of_points(
     target = _Points("points", points_mm, np.zeros(count))
     one = SheetCamera(CAMERA, seen, camera.intrinsics, None, pose)
     problem = sheet_problem([one], target, Systematics(), model, aim_sigma_mm=0.0)
-    count, _ = problem.chart.lens_shape
+    count, _ = problem.parametrization.lens_shape
     lenses = [skew_lens(lens_number(problem, k)) for k in range(count)]
     problem = with_wider_lenses(problem, lenses, [camera.image_size_px] * count)
     return with_lens_parameters_free(problem, names)
@@ -74,9 +81,9 @@ def problem_of_points(
 
 def with_lens_parameters_free(problem: Problem, names: Collection[str]) -> Problem:
     """The problem with these of the one lens's parameters free."""
-    free = np.array(problem.chart.free)
-    free[: problem.chart.lens_shape[1]] = [name in names for name in lens_parameter_names(problem)]
-    return problem._replace(chart=eqx.tree_at(lambda c: c.free, problem.chart, free))
+    free = np.array(problem.free)
+    free[problem.slices.lens(0)] = [name in names for name in lens_parameter_names(problem)]
+    return with_head_free(problem, free)
 
 
 def fit_without_outliers(problem: Problem) -> Problem:
@@ -153,7 +160,7 @@ def score_of_points(problem: Problem) -> HeldScore:
     """Of every step of the head at a problem's state, for residuals in px; of those that are
     fitted nothing is left."""
     near, (view,) = whiten_views(problem), problem.views
-    fitted = np.flatnonzero(problem.chart.free)
+    fitted = np.flatnonzero(problem.free)
     rows = np.flatnonzero(np.repeat(view.used, 2))
     by_head, residual = near.jacobian[0][rows], near.residual[0][rows]
     base, values, _ = np.linalg.svd(by_head[:, fitted], full_matrices=False)
@@ -185,23 +192,24 @@ def fit_under_prior(
     """The fit with `names` free, and the rest of the lens under what was said of it.
 
     held : change of the lens's parameters for a sigma of each error that is not fitted; what has
-        none is exact. The problem's chart stays as it is.
+        none is exact. The problem's parametrization stays as it is.
     """
-    chart, (view,) = problem.chart, problem.views
-    count, size = chart.lens_shape
-    scale, mean = np.asarray(chart.lens_scale)[0], np.asarray(lens_number(problem, 0).parameters)
+    parametrization, (view,) = problem.parametrization, problem.views
+    count, size = parametrization.lens_shape
+    scale = np.asarray(parametrization.lens_scale)[0]
+    mean = np.asarray(lens_number(problem, 0).parameters)
     directions, sizes, _ = np.linalg.svd(held / scale[:, None], full_matrices=False)
     is_open = sizes > _OPEN_SHARE * sizes[0]
     steps = int(is_open.sum())
     factor = scale[:, None] * directions[:, is_open] * sizes[is_open]
     inverse = np.linalg.pinv(factor / scale[:, None]) / scale
     rows = [row for row, name in enumerate(lens_parameter_names(problem)) if name in names]
-    basis, means = np.array(chart.lens_basis), np.array(chart.lens_mean)
+    basis, means = np.array(parametrization.lens_basis), np.array(problem.priors.lens_mean)
     basis[0] = 0.0
     basis[0][:, :steps] = factor
     basis[0][rows, steps + np.arange(len(rows))] = scale[rows]
     means[0] = mean
-    free = np.array(chart.free)
+    free = np.array(parametrization.free)
     free[:size] = np.arange(size) < steps + len(rows)
     freedom = max(2 * int(view.used.sum()) - int(free.sum()) + steps, 1)
     fitted = problem
@@ -210,11 +218,10 @@ def fit_under_prior(
         variance = float(np.sum(errors_px(fitted)[0][view.used] ** 2)) / freedom
         information = np.zeros((count, size, size))
         information[0] = variance * inverse.T @ inverse
-        opened = eqx.tree_at(
-            lambda c: (c.lens_basis, c.lens_mean, c.lens_information, c.free),
-            chart,
-            (basis, means, information, free),
-        )
-        fitted, _ = fit_places(fitted._replace(chart=opened))
+        known = with_priors(fitted, lens_mean=means, lens_information=information)
+        opened = dataclasses.replace(known.parametrization, lens_basis=basis, free=free)
+        fitted, _ = fit_places(known._replace(parametrization=opened))
     errors = inverse @ (np.asarray(lens_number(fitted, 0).parameters) - mean)
-    return FitUnderPrior(fitted._replace(chart=chart), float(np.abs(errors).max()))
+    return FitUnderPrior(
+        fitted._replace(parametrization=parametrization), float(np.abs(errors).max())
+    )

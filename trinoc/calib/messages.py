@@ -116,7 +116,10 @@ def notes_of_aim(adjustment: Adjustment, view: int, known: Knowledge) -> tuple[s
     if not known.aim_sigma_mm:
         return ()
     step = adjustment.rows(view)
-    aim_mm, unit_mm = adjustment.parameters(view)[4:6], float(adjustment.problem.chart.unit_mm)
+    aim_mm, unit_mm = (
+        adjustment.parameters(view)[4:6],
+        float(adjustment.problem.parametrization.unit_mm),
+    )
     if np.abs(aim_mm).max() < TUNING.answer.least_aim_mm:
         return ()
     covariance = adjustment.covariance[np.ix_(step, step)][4:6, 4:6] * unit_mm**2

@@ -4,7 +4,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -19,7 +18,13 @@ from trinoc.calib.messages import lens_strain_sentence
 from trinoc.calib.problem.coefficients import free_of_lenses
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.outcome import ShotScatter, shot_scatter
-from trinoc.calib.problem.problem import Problem, is_given, lens_number, with_wider_lenses
+from trinoc.calib.problem.problem import (
+    Problem,
+    is_given,
+    lens_number,
+    with_head_free,
+    with_wider_lenses,
+)
 from trinoc.calib.problem.rao_test import (
     HeldScore,
     RaoTest,
@@ -61,7 +66,7 @@ def refutations_of_points(
         if (rows := [every.index(name) for name in group if name not in open_])
     }
     if model is PoseModel.AIMED:
-        first = problem.chart.camera_rows(0).start + model.size
+        first = problem.slices.camera(0).start + model.size
         causes[_AIM] = [first, first + 1]
     notes, cause = [], score.strongest(causes)
     if cause is not None:
@@ -91,13 +96,13 @@ def _sentence_on_points(
     """What explains most of the residuals, and by how much it is off. test : of the cause, with
     the noise's covariance."""
     if cause is _AIM:
-        unit = float(problem.chart.unit_mm)
+        unit = float(problem.parametrization.unit_mm)
         off, sigma = unit * test.step, unit * np.sqrt(np.diag(test.covariance))
         return (
             f"The optical axis misses the origin by ({off[0]:.3g}, {off[1]:.3g}) +- "
             f'({sigma[0]:.1g}, {sigma[1]:.1g}) mm: use pose_model="aim-free".'
         )
-    by = _amounts(cause, np.asarray(problem.chart.lens_scale)[0][columns], test)
+    by = _amounts(cause, np.asarray(problem.parametrization.lens_scale)[0][columns], test)
     return (
         f"The points ask for another lens than was held, above all in {by}: free "
         f"{', '.join(cause)}, or see that places and pixels are those of one camera."
@@ -170,7 +175,7 @@ class HeldLenses(NamedTuple):
         if not is_held.any():
             return None
         opened = _with_lenses_open(problem, is_held)
-        information, (count, size) = compute_information(opened), opened.chart.lens_shape
+        information, (count, size) = compute_information(opened), opened.parametrization.lens_shape
         number, row = np.divmod(information.free, size)
         is_asked = np.isin(number, np.flatnonzero(is_held)) & (number < count)
         errors = np.concatenate([e[v.kept] for v, e in zip(problem.views, errors_px(problem))])
@@ -227,9 +232,12 @@ class HeldLenses(NamedTuple):
 
         This is Baarda's external reliability, as `adjustment.model_tests` has it of one picture.
         """
-        of_fit, lenses = self.information.of_steps(~self.is_asked), self.problem.chart.lens_count
+        of_fit, lenses = (
+            self.information.of_steps(~self.is_asked),
+            self.problem.slices.lenses.stop,
+        )
         asked = self.information.free[self.is_asked]
-        of_pose = (of_fit.free >= lenses) & (of_fit.free < self.problem.chart.boards_first)
+        of_pose = (of_fit.free >= lenses) & (of_fit.free < self.problem.slices.cameras.stop)
         by_fitted = -np.nan_to_num(of_fit.observability.covariance)[of_pose]
         by_asked = by_fitted @ self.information.of_shot.sum(axis=0)[np.ix_(of_fit.free, asked)]
         in_sigmas = by_asked / np.sqrt(np.diag(covariance)[of_pose])[:, None]
@@ -261,7 +269,9 @@ class HeldLenses(NamedTuple):
         """Change of each parameter of a cause for a step of one."""
         number, group = cause
         every = self.problem.state.lenses.parameter_names
-        return np.asarray(self.problem.chart.lens_scale)[number, [every.index(n) for n in group]]
+        return np.asarray(self.problem.parametrization.lens_scale)[
+            number, [every.index(n) for n in group]
+        ]
 
 
 def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
@@ -269,11 +279,16 @@ def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
 
     The strain is the largest step from the prior's mean along a principal axis, in its sigmas.
     """
-    chart, worst, said = problem.chart, TUNING.answer.strain_sigmas, None
-    for number in np.flatnonzero(is_given(chart)).tolist():
-        scale = np.asarray(chart.lens_scale)[number]
-        offset = np.asarray(lens_number(problem, number).parameters) - chart.lens_mean[number]
-        values, axes = np.linalg.eigh(chart.lens_information[number] * np.outer(scale, scale))
+    parametrization, worst, said = problem.parametrization, TUNING.answer.strain_sigmas, None
+    for number in np.flatnonzero(is_given(problem.priors)).tolist():
+        scale = np.asarray(parametrization.lens_scale)[number]
+        offset = (
+            np.asarray(lens_number(problem, number).parameters)
+            - parametrization.priors.lens_mean[number]
+        )
+        values, axes = np.linalg.eigh(
+            parametrization.priors.lens_information[number] * np.outer(scale, scale)
+        )
         strain = float(np.abs(np.sqrt(np.maximum(values, 0.0)) * (axes.T @ (offset / scale))).max())
         if strain > worst:
             worst = strain
@@ -283,7 +298,7 @@ def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
 
 def _owner(problem: Problem, cameras: Sequence[str], number: int) -> str:
     """The cameras that have a lens."""
-    of = np.asarray(problem.chart.lens_of_camera)
+    of = np.asarray(problem.parametrization.lens_of_camera)
     return ", ".join(f'"{name}"' for name, own in zip(cameras, of) if own == number)
 
 
@@ -291,12 +306,12 @@ def _with_lenses_open(problem: Problem, which: Bool[np.ndarray, "l"]) -> Problem
     """The problem with all parameters of some lenses free, those of the widest model that contains
     theirs. Of others as many are as were."""
     free, sizes = free_of_lenses(problem), problem.image_sizes_px
-    first = [int(np.argmax(problem.chart.lens_of_camera == k)) for k in range(len(which))]
+    first = [int(np.argmax(problem.parametrization.lens_of_camera == k)) for k in range(len(which))]
     lenses = [skew_lens(lens_number(problem, k)) for k in range(len(which))]
     wider = with_wider_lenses(problem, lenses, [sizes[camera] for camera in first])
     names, never = lenses[0].parameter_names, lenses[0].never_fitted
     free = np.pad(free, ((0, 0), (0, len(names) - free.shape[1])))
     free[which] = [name not in never for name in names]
-    head = np.array(wider.chart.free)
+    head = np.array(wider.free)
     head[: free.size] = free.ravel()
-    return wider._replace(chart=eqx.tree_at(lambda c: c.free, wider.chart, head))
+    return with_head_free(wider, head)

@@ -179,8 +179,11 @@ def choose_answer(
 
 def has_open_model(adjustment: Adjustment) -> bool:
     """Whether lens or sheet are estimated along with the poses."""
-    chart, weights = adjustment.problem.chart, prior_weights(adjustment.problem)
-    return bool(weights[: chart.lens_count].any() or weights[chart.sheet_first :].any())
+    parametrization, weights = adjustment.problem.parametrization, prior_weights(adjustment.problem)
+    return bool(
+        weights[parametrization.slices.lenses].any()
+        or weights[parametrization.slices.sheets.start :].any()
+    )
 
 
 def are_circles_displaced(of_circles: Adjustment, view: int) -> bool:

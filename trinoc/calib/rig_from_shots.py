@@ -171,7 +171,7 @@ def _lenses(
     """Lens of each camera: the given one, or the fitted one."""
     sizes, lenses = problem.image_sizes_px, {}
     for number, camera in enumerate(cameras):
-        lens = lens_number(problem, int(problem.chart.lens_of_camera[number]))
+        lens = lens_number(problem, int(problem.parametrization.lens_of_camera[number]))
         own = Intrinsics.of_lens(simplify_lens(lens), sizes[number])
         lenses[camera] = known.get(camera) or own
     return lenses

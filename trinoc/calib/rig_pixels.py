@@ -148,7 +148,7 @@ def _look(
     used = {str(k): view for k, view in enumerate(problem.views) if view.used.any()}
     poses = {name: cam_from_board(problem.state, view) for name, view in used.items()}
     lenses = {
-        name: lens_number(problem, int(problem.chart.lens_of_camera[view.camera]))
+        name: lens_number(problem, int(problem.parametrization.lens_of_camera[view.camera]))
         for name, view in used.items()
     }
     shifts = {}
@@ -188,7 +188,7 @@ def quarters_of_tags(problem: Problem, board: AprilGrid, read_grey: GreyOfView) 
     places = board.tags_mm[:, None] + board.tag_mm * np.stack([x, y], axis=-1).reshape(1, -1, 2)
     contrast = np.zeros(4)
     for view in [view for view in problem.views if view.used.any()][:_MOST_VIEWS]:
-        lens = lens_number(problem, int(problem.chart.lens_of_camera[view.camera]))
+        lens = lens_number(problem, int(problem.parametrization.lens_of_camera[view.camera]))
         cells_px = project_points(
             cam_from_board(problem.state, view), lens, on_board(places.reshape(-1, 2))
         )

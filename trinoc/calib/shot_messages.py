@@ -106,7 +106,7 @@ def notes_of_fit(
     notes += cause_sentences(causes, np.sqrt(variance_factor), cameras, shots)
     if held:
         notes.append(f"The shots cannot determine {', '.join(held)}, held at 0.")
-    if problem.chart.has_circles:
+    if problem.parametrization.has_circles:
         for camera, factor in zip(cameras, problem.sigma_factor, strict=True):
             if factor > np.sqrt(2.0):
                 notes.append(
@@ -182,10 +182,10 @@ def _cause_sentence(cause: MisfitCause, cameras: Sequence[str], shots: Sequence[
 
 def _surprises(problem: Problem) -> list[str]:
     """Where the board is not as it was said to be."""
-    information = np.asarray(problem.chart.sheet_information)
+    information = np.asarray(problem.priors.sheet_information)
     free = np.flatnonzero(np.diag(information) > 0)
     sigmas = np.sqrt(np.diag(np.linalg.inv(information[np.ix_(free, free)])))
-    several, terms = len(list_boards(problem.target)) > 1, problem.chart.sheet_model.names
+    several, terms = len(list_boards(problem.target)) > 1, problem.parametrization.sheet_model.names
     names = [(whose, name) for whose in board_names(problem.target) for name in terms]
     sentences = []
     for row, value, sigma in zip(free, np.asarray(problem.state.sheet)[free], sigmas, strict=True):

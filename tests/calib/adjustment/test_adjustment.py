@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -31,12 +30,12 @@ def off(found: Adjustment, truth: Pose, view: int) -> np.ndarray:
     here = found.pose(view)
     turn = vector_from_rotation(truth.rotation @ np.asarray(here.rotation).T)
     away = np.append(truth.distance_mm - here.distance_mm, truth.aim_mm - here.aim_mm)
-    return np.append(turn, away / found.problem.chart.unit_mm)
+    return np.append(turn, away / found.problem.parametrization.unit_mm)
 
 
 def pose_covariance(found: Adjustment, view: int) -> np.ndarray:
     """Of a camera's step in rad and mm."""
-    rows, unit_mm = found.rows(view), float(found.problem.chart.unit_mm)
+    rows, unit_mm = found.rows(view), float(found.problem.parametrization.unit_mm)
     units = np.diag([1.0] * 3 + [unit_mm] * 3)
     return units @ found.covariance[np.ix_(rows, rows)] @ units
 
@@ -71,7 +70,7 @@ def test_one_camera_is_known_by_the_rest_of_the_root(sigma_px) -> None:
     scale = np.sqrt(np.diag(found.covariance))
     assert np.linalg.eigvalsh(found.covariance / np.outer(scale, scale)).min() > -1e-15
     root, own = found.pose_root(1), pose_covariance(found, 1)
-    units = np.diag([1.0] * 3 + [1 / float(found.problem.chart.unit_mm)] * 3)
+    units = np.diag([1.0] * 3 + [1 / float(found.problem.parametrization.unit_mm)] * 3)
     np.testing.assert_allclose(root @ units @ own @ units @ root.T, np.eye(6), atol=1e-5)
     np.testing.assert_array_less(0, np.linalg.svd(root, compute_uv=False))
 
@@ -80,8 +79,8 @@ def test_the_root_is_that_of_the_pixels_and_of_all_that_was_known() -> None:
     # A lens from a data sheet leaves directions to the aim's prior, though it is wide.
     found = adjusted(made_views(0, lens_factor=10 * LENS_FACTOR).cameras)
     rows = np.concatenate(list(found.near.jacobian[..., found.free]))
-    state, chart = found.problem.state, found.problem.chart
-    known = np.asarray(jax.jit(evaluate_prior)(state, chart).information)[
+    state, parametrization = found.problem.state, found.problem.parametrization
+    known = np.asarray(jax.jit(evaluate_prior)(state, parametrization).information)[
         np.ix_(found.free, found.free)
     ]
     expected = rows.T @ rows + known
@@ -102,23 +101,23 @@ def test_derivatives_are_those_of_differences() -> None:
     """Of every step of poses, lenses and sheet, those that are held too."""
     problem = adjusted(made_views(3, lens_factor=LENS_FACTOR).cameras).problem
     # By how much a circle's image lies aside of its centre's is taken where a step begins.
-    chart = type(problem.chart)(**{**vars(problem.chart), "has_circles": False})
-    problem = problem._replace(chart=chart)
+    parametrization = dataclasses.replace(problem.parametrization, has_circles=False)
+    problem = problem._replace(parametrization=parametrization)
     jacobian = whiten_views(problem).jacobian
-    free = eqx.tree_at(lambda c: c.free, chart, np.ones(len(chart.free)))
+    every = np.ones(len(problem.free))
+    opened = dataclasses.replace(parametrization, free=every)
     boards = np.zeros((1, 6))
     # Steps of camera 1, its lens and the sheet.
-    _, size = chart.lens_shape
-    pose, sheet = chart.camera_rows(1), len(chart.free) - chart.sheet_first
-    move = jax.jit(retract)
-    columns = [*range(size, size + 5), *range(pose.start, pose.stop)]
-    columns += range(chart.sheet_first, chart.sheet_first + sheet)
+    slices, move = problem.slices, jax.jit(retract)
+    pose = slices.camera(1)
+    columns = [*range(slices.lens_size, slices.lens_size + 5), *range(pose.start, pose.stop)]
+    columns += range(slices.sheets.start, len(every))
     for column in columns:
-        step = 1e-3 * np.eye(len(chart.free))[column]
+        step = 1e-3 * np.eye(len(every))[column]
         step /= max(np.abs(jacobian[1][:, column]).max(), 1.0)
         ends = [
             whiten_views(
-                problem._replace(state=as_numpy(move(problem.state, free, sign * step, boards)))
+                problem._replace(state=as_numpy(move(problem.state, opened, sign * step, boards)))
             ).residual[1]
             for sign in (1, -1)
         ]

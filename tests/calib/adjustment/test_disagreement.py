@@ -80,8 +80,8 @@ def test_more_unknowns_take_what_a_whole_fit_with_them_takes() -> None:
 def _images_px(circles: Adjustment) -> np.ndarray:
     """The images of the circles' centres, as an adjustment has them."""
     problem = circles.problem
-    flat = type(problem.chart)(**{**vars(problem.chart), "has_circles": False})
-    errors = errors_px(problem._replace(chart=flat))[0]
+    flat = type(problem.parametrization)(**{**vars(problem.parametrization), "has_circles": False})
+    errors = errors_px(problem._replace(parametrization=flat))[0]
     return errors + problem.views[0].detection.centres_px
 
 

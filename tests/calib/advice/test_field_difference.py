@@ -26,12 +26,12 @@ def known():
 
 def a_half(problem, covariance, random):
     """Lenses and cameras off by errors of this covariance."""
-    head = np.zeros(len(problem.chart.free))
-    head[np.flatnonzero(problem.chart.free)] = random.multivariate_normal(
+    head = np.zeros(len(problem.free))
+    head[np.flatnonzero(problem.free)] = random.multivariate_normal(
         np.zeros(len(covariance)), covariance, method="cholesky"
     )
     boards = np.zeros((len(problem.state.rig_from_board), 6))
-    return as_numpy(retract(problem.state, problem.chart, head, boards))
+    return as_numpy(retract(problem.state, problem.parametrization, head, boards))
 
 
 def elsewhere(state):

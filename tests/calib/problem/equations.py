@@ -16,23 +16,29 @@ SHOTS = 8
 
 def cost_of_places(problem: PlacesProblem, state: RigState) -> jax.Array:
     """Robust chi-square of all places, and that of the prior."""
-    squared = jnp.sum(jnp.square(whitened_residuals(state, problem.chart, problem.table)), axis=-1)
+    squared = jnp.sum(
+        jnp.square(whitened_residuals(state, problem.parametrization, problem.table)), axis=-1
+    )
     of_views = jax.vmap(lambda loss, each: loss.rho(each))(problem.loss, squared)
-    return jnp.sum(of_views) + evaluate_prior(state, problem.chart).cost
+    return jnp.sum(of_views) + evaluate_prior(state, problem.parametrization).cost
 
 
 def assert_equations_are_those_of_the_cost(here: Problem) -> None:
     """Cost and half its gradient, a little off the state, are those of the equations, and their
     information that of the residuals' own derivatives, weighted by the loss, and of the prior."""
-    table, chart, state = jax.tree.map(jnp.asarray, (here.table, here.chart, here.state))
-    problem = PlacesProblem(chart, table, GemanMcClure.from_scale(jnp.full(len(table.shot), 3.0)))
-    off = 1e-3 * np.random.default_rng(0).normal(size=len(chart.free))
-    start = jax.jit(retract)(state, chart, off, np.zeros((SHOTS, 6)))
+    table, parametrization, state = jax.tree.map(
+        jnp.asarray, (here.table, here.parametrization, here.state)
+    )
+    problem = PlacesProblem(
+        parametrization, table, GemanMcClure.from_scale(jnp.full(len(table.shot), 3.0))
+    )
+    off = 1e-3 * np.random.default_rng(0).normal(size=len(parametrization.free))
+    start = jax.jit(retract)(state, parametrization, off, np.zeros((SHOTS, 6)))
 
     def at(head, boards):
         return cost_of_places(problem, problem.retract(start, head, boards))
 
-    zero = jnp.zeros(len(chart.free)), jnp.zeros((SHOTS, 6))
+    zero = jnp.zeros(len(parametrization.free)), jnp.zeros((SHOTS, 6))
     cost, gradients = jax.jit(jax.value_and_grad(at, argnums=(0, 1)))(*zero)
     equations = jax.jit(lambda state: problem.equations(state))(start)
     np.testing.assert_allclose(equations.cost, cost, rtol=1e-9)
@@ -40,14 +46,14 @@ def assert_equations_are_those_of_the_cost(here: Problem) -> None:
         np.testing.assert_allclose(2 * found, expected, rtol=1e-6, atol=1e-6)
 
     def residuals(head, boards):
-        values = whitened_residuals(problem.retract(start, head, boards), chart, table)
+        values = whitened_residuals(problem.retract(start, head, boards), parametrization, table)
         return values, values
 
     def weighed():
         by_step, values = jax.jacfwd(residuals, argnums=(0, 1), has_aux=True)(*zero)
         squared = jnp.sum(jnp.square(values), axis=-1)
         weight = jax.vmap(lambda loss, each: loss.weight(each))(problem.loss, squared)
-        return by_step, weight, evaluate_prior(start, chart).information
+        return by_step, weight, evaluate_prior(start, parametrization).information
 
     (by_head, by_boards), weight, known = jax.jit(weighed)()
     weighted = np.asarray(weight)[..., None, None] * by_head

@@ -29,12 +29,12 @@ def test_the_equations_are_those_of_the_cost(places_are_free):
 
 def test_a_circle_is_predicted_as_the_exact_model_has_it():
     sheet, lens, pose = Pattern.default(), lens_of("left"), board_poses(1)[0]
-    chart = problem(board_poses(1)).chart
-    chart = type(chart)(**{**vars(chart), "has_circles": True})
+    parametrization = problem(board_poses(1)).parametrization
+    parametrization = type(parametrization)(**{**vars(parametrization), "has_circles": True})
     places, radius = sheet.centres_mm[:5], sheet.radius_mm[:5]
     view = BoardView(lens, np.eye(3, 4), pose, None, np.zeros(4))
     found = jax.jit(predict_places)(
-        view, chart, 0, np.pad(places, ((0, 0), (0, 1))), np.zeros((5, 3)), radius
+        view, parametrization, 0, np.pad(places, ((0, 0), (0, 1))), np.zeros((5, 3)), radius
     )
     camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))
     exact = jax.jit(jax.vmap(image_of_circle_centre, (None, 0, 0)))(camera, places, radius)

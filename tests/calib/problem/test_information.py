@@ -43,13 +43,17 @@ def dense(here):
     """Residuals of each view, and their derivatives by steps of head and boards."""
     shots = len(here.state.rig_from_board)
 
-    state, chart, table = jax.tree.map(jnp.asarray, (here.state, here.chart, here.table))
+    state, parametrization, table = jax.tree.map(
+        jnp.asarray, (here.state, here.parametrization, here.table)
+    )
 
     @jax.jit
     def residuals(head, boards):
-        return whitened_residuals(retract(state, chart, head, boards), chart, table)
+        return whitened_residuals(
+            retract(state, parametrization, head, boards), parametrization, table
+        )
 
-    zero = jnp.zeros(len(here.chart.free)), jnp.zeros((shots, 6))
+    zero = jnp.zeros(len(here.free)), jnp.zeros((shots, 6))
     by_head, by_boards = jax.jit(jax.jacfwd(residuals, argnums=(0, 1)))(*zero)
     rows = np.asarray(residuals(*zero)), np.asarray(by_head), np.asarray(by_boards)
     views = len(here.views)
@@ -87,13 +91,13 @@ def test_the_covariance_is_that_of_all_unknowns_together_with_what_was_known(
     boards = by_boards[:, :, : here.shots].reshape(rows, -1)
     every = np.concatenate([by_head.reshape(rows, -1)[:, information.free], boards], axis=1)
     normal = every.T @ every
-    known = np.zeros(len(here.chart.free))
-    known[here.chart.sheet_first :] = 1.0
+    known = np.zeros(len(here.free))
+    known[here.slices.sheets.start :] = 1.0
     count = len(information.free)
-    sheet = np.asarray(here.chart.sheet_scale)
+    sheet = np.asarray(here.parametrization.sheet_scale)
     prior = np.zeros((len(known), len(known)))
-    prior[here.chart.sheet_first :, here.chart.sheet_first :] = (
-        sheet[:, None] * here.chart.sheet_information * sheet
+    prior[here.slices.sheets.start :, here.slices.sheets.start :] = (
+        sheet[:, None] * here.priors.sheet_information * sheet
     )
     normal[:count, :count] += prior[np.ix_(information.free, information.free)]
     scale = np.sqrt(np.diag(normal))

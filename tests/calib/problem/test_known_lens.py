@@ -101,10 +101,10 @@ def test_what_is_known_of_a_lens_stays_with_more_parameters_and_with_fewer_free(
     )
     assert found.ended is not None
     problem = found.ended.problem
-    before = evaluate_prior(problem.state, problem.chart).cost
+    before = evaluate_prior(problem.state, problem.parametrization).cost
     skewed = [skew_lens(lens_number(problem, number)) for number in range(2)]
     wider = with_wider_lenses(problem, skewed, [SIZE_PX, SIZE_PX])
-    assert evaluate_prior(wider.state, wider.chart).cost == pytest.approx(before)
+    assert evaluate_prior(wider.state, wider.parametrization).cost == pytest.approx(before)
     free = free_of_lenses(problem)
     free[:, -1] = free[:, 5] = False
     held = with_lens_free(problem, free).state.lenses

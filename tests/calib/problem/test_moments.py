@@ -74,7 +74,7 @@ def of_shots(*, late_mm=0.0, seed=0):
         name = ("left", "middle", "right")[view.camera]
         views[k] = view._replace(detection=detection(name, pose, random))
     here = here._replace(views=tuple(views))
-    held = with_head_free(here, np.zeros(len(here.chart.free)))
+    held = with_head_free(here, np.zeros(len(here.free)))
     return fit_places(held)[0]
 
 

@@ -25,7 +25,7 @@ def values_after(here, head, boards, world):
     """Values of the named parameters, counted from the poses before the step."""
     problem, information = here
     none = np.zeros((len(information.free),) * 2)
-    moved = as_numpy(eqx.filter_jit(retract)(problem.state, problem.chart, head, boards))
+    moved = as_numpy(eqx.filter_jit(retract)(problem.state, problem.parametrization, head, boards))
     return named_covariance(
         problem._replace(state=moved), information, none, 0.0, CAMERAS, world
     ).values
@@ -36,7 +36,7 @@ def test_a_step_of_the_head_moves_boards_along_and_names_with_both(here, world):
     problem, information = here
     random = np.random.default_rng(0)
     step = random.normal(size=len(information.free))
-    head = np.zeros(len(problem.chart.free))
+    head = np.zeros(len(problem.free))
     head[information.free] = 1e-6 * step
     boards = np.einsum("sph,h->sp", information.follow, head)
     slope = values_after(here, head, boards, world) - values_after(here, -head, -boards, world)
@@ -58,7 +58,7 @@ def test_the_world_s_board_has_an_error_of_its_own_with_the_variance_factor(here
     for column in np.eye(6):
         boards = np.zeros((len(problem.state.rig_from_board), 6))
         boards[1] = 1e-6 * column
-        head = np.zeros(len(problem.chart.free))
+        head = np.zeros(len(problem.free))
         ends = [values_after(here, head, sign * boards, WORLDS["a shot"]) for sign in (1, -1)]
         slopes.append((ends[0] - ends[1]) / 2e-6)
     by_board = np.stack(slopes, axis=1)

@@ -15,7 +15,7 @@ from trinoc.calib.problem.board_shape import with_free_places
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.problem import lens_number
 from trinoc.calib.problem.sheet import BentPaper, WarpedBoard
-from trinoc.calib.problem.variables import evaluate_prior, retract
+from trinoc.calib.problem.variables import Priors, evaluate_prior, retract
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.robust_loss import GemanMcClure
 
@@ -27,71 +27,78 @@ def with_every_prior(sheet_model):
     state is off every mean, and no place is seen: all that is left is what was known."""
     random = np.random.default_rng(0)
     here = with_free_places(problem(board_poses(2)))
-    chart, state = here.chart, here.state
-    lenses, size = chart.lens_shape
-    roots = np.asarray(chart.lens_scale)[:, :, None] * random.normal(0, 0.01, (lenses, size, size))
+    parametrization, state = here.parametrization, here.state
+    lenses, size = parametrization.lens_shape
+    roots = np.asarray(parametrization.lens_scale)[:, :, None] * random.normal(
+        0, 0.01, (lenses, size, size)
+    )
     covariance = roots @ np.swapaxes(roots, 1, 2)
     terms = len(sheet_model.names)
     sheet_root = random.normal(size=(terms, terms))
-    before, after = chart.free[: chart.sheet_first], chart.free[chart.shape_first :]
+    slices = parametrization.slices
+    before = parametrization.free[: slices.sheets.start]
+    after = parametrization.free[slices.places]
     shape_root = random.normal(size=(len(after), len(after)))
-    chart = dataclasses.replace(
-        chart,
-        lens_basis=roots,
-        lens_mean=np.stack([lens_number(here, k).parameters for k in range(lenses)])
-        + roots @ random.normal(size=size),
+    means = np.stack([lens_number(here, k).parameters for k in range(lenses)])
+    priors = Priors(
+        lens_mean=means + roots @ random.normal(size=size),
         lens_information=np.linalg.inv(covariance),
-        aim_information=random.uniform(0.5, 2.0, len(chart.aim_information)),
+        aim_information=random.uniform(0.5, 2.0, here.cameras),
+        sheet_information=sheet_root @ sheet_root.T,
+        shape_information=shape_root @ shape_root.T / len(after),
+    )
+    parametrization = dataclasses.replace(
+        parametrization,
+        lens_basis=roots,
+        priors=priors,
         pose_model=PoseModel.AIM_FREE,
         sheet_model=sheet_model,
         sheet_scale=random.uniform(0.5, 2.0, terms),
-        sheet_information=sheet_root @ sheet_root.T,
-        shape_information=shape_root @ shape_root.T / len(after),
         free=np.concatenate([np.ones_like(before), np.ones(terms), np.ones_like(after)]),
     )
     state = dataclasses.replace(
         state, sheet=random.normal(size=terms), shape=random.normal(size=state.shape.shape)
     )
     table = here.table
-    return state, chart, table._replace(whitening=np.zeros_like(table.whitening))
+    return state, parametrization, table._replace(whitening=np.zeros_like(table.whitening))
 
 
-def rows_of(chart, kind):
+def rows_of(parametrization, kind):
     """Where, in the head, the steps of a kind stand that has a prior."""
-    count = len(chart.free)
-    first, last = {
-        "lens": (0, chart.lens_count),
-        "aim": (chart.lens_count, chart.boards_first),
-        "sheet": (chart.sheet_first, chart.shape_first),
-        "places": (chart.shape_first, count),
+    slices = parametrization.slices
+    rows = {
+        "lens": slices.lenses,
+        "aim": slices.cameras,
+        "sheet": slices.sheets,
+        "places": slices.places,
     }[kind]
-    return np.arange(first, last)
+    return np.arange(rows.start, rows.stop)
 
 
 @eqx.filter_jit
-def _cost(state, chart, table, loss, head):
-    moved = retract(state, chart, head, np.zeros((len(state.rig_from_board), 6)))
-    return cost_of_places(PlacesProblem(chart, table, loss), moved)
+def _cost(state, parametrization, table, loss, head):
+    moved = retract(state, parametrization, head, np.zeros((len(state.rig_from_board), 6)))
+    return cost_of_places(PlacesProblem(parametrization, table, loss), moved)
 
 
 @functools.cache
 def known(sheet_model_name):
     models = {"board": WarpedBoard(np.array([[60.0, 50.0]])), "paper": BentPaper(np.array(80.0))}
-    state, chart, table = with_every_prior(models[sheet_model_name])
+    state, parametrization, table = with_every_prior(models[sheet_model_name])
     loss = GemanMcClure.from_scale(np.full(len(table.shot), np.inf))
-    equations = PlacesProblem(chart, table, loss)
+    equations = PlacesProblem(parametrization, table, loss)
     found = eqx.filter_jit(lambda each, at: each.equations(at))(equations, state)
-    return functools.partial(_cost, state, chart, table, loss), chart, found
+    return functools.partial(_cost, state, parametrization, table, loss), parametrization, found
 
 
 @pytest.mark.parametrize("sheet_model", ["board", "paper"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_prior_is_the_same_in_cost_gradient_and_information(kind, sheet_model):
     """A cost that is quadratic in the step: its differences are exact."""
-    cost, chart, found = known(sheet_model)
-    rows, random = rows_of(chart, kind), np.random.default_rng(1)
+    cost, parametrization, found = known(sheet_model)
+    rows, random = rows_of(parametrization, kind), np.random.default_rng(1)
     for _ in range(2):
-        step = np.zeros(len(chart.free))
+        step = np.zeros(len(parametrization.free))
         step[rows] = random.normal(size=len(rows))
         before, here, after = (float(cost(sign * step)) for sign in (-1.0, 0.0, 1.0))
         slope = 0.25 * (after - before)
@@ -103,24 +110,33 @@ def test_a_prior_is_the_same_in_cost_gradient_and_information(kind, sheet_model)
 
 
 def test_the_cost_is_the_squared_mahalanobis_distance_from_what_was_known():
-    state, chart, _ = with_every_prior(WarpedBoard(np.array([[60.0, 50.0]])))
-    off = np.asarray(jax.vmap(lambda lens: lens.parameters)(state.lenses)) - chart.lens_mean
-    expected = np.einsum("lp,lpq,lq->", off, chart.lens_information, off)
-    for cam_from_rig, information in zip(state.cam_from_rig, chart.aim_information, strict=True):
+    state, parametrization, _ = with_every_prior(WarpedBoard(np.array([[60.0, 50.0]])))
+    off = (
+        np.asarray(jax.vmap(lambda lens: lens.parameters)(state.lenses))
+        - parametrization.priors.lens_mean
+    )
+    expected = np.einsum("lp,lpq,lq->", off, parametrization.priors.lens_information, off)
+    for cam_from_rig, information in zip(
+        state.cam_from_rig, parametrization.priors.aim_information, strict=True
+    ):
         axis, centre = cam_from_rig[2, :3], -cam_from_rig[:, :3].T @ cam_from_rig[:, 3]
         aim_mm = (centre - centre[2] / axis[2] * axis)[:2]
         expected += information * aim_mm @ aim_mm
-    expected += state.sheet @ chart.sheet_information @ state.sheet
-    expected += state.shape.ravel() @ chart.shape_information @ state.shape.ravel()
-    assert float(jax.jit(evaluate_prior)(state, chart).cost) == pytest.approx(expected, rel=1e-9)
+    expected += state.sheet @ parametrization.priors.sheet_information @ state.sheet
+    expected += state.shape.ravel() @ parametrization.priors.shape_information @ state.shape.ravel()
+    assert float(jax.jit(evaluate_prior)(state, parametrization).cost) == pytest.approx(
+        expected, rel=1e-9
+    )
 
 
 def test_what_is_held_has_no_prior_to_pull_at_it():
-    state, chart, table = with_every_prior(WarpedBoard(np.array([[60.0, 50.0]])))
-    chart = eqx.tree_at(lambda c: c.free, chart, np.zeros_like(chart.free))
+    state, parametrization, table = with_every_prior(WarpedBoard(np.array([[60.0, 50.0]])))
+    parametrization = eqx.tree_at(
+        lambda c: c.free, parametrization, np.zeros_like(parametrization.free)
+    )
     loss = GemanMcClure.from_scale(np.full(len(table.shot), np.inf))
     found = eqx.filter_jit(lambda each, at: each.equations(at))(
-        PlacesProblem(chart, table, loss), state
+        PlacesProblem(parametrization, table, loss), state
     )
     np.testing.assert_array_equal(found.gradient[0], 0.0)
     np.testing.assert_array_equal(found.information.head, 0.0)

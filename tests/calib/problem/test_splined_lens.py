@@ -22,7 +22,7 @@ from trinoc.calib.problem.lens_correction import (
     correction_sentences,
     with_correction,
 )
-from trinoc.calib.problem.problem import Freedom, lens_number
+from trinoc.calib.problem.problem import Freedom, lens_number, with_priors
 from trinoc.calib.problem.robust_fit import RobustFit
 from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import View
@@ -101,18 +101,16 @@ def core_problem(count, seed=0):
 def test_the_equations_are_those_of_the_cost_with_control_points_and_their_prior():
     here = add_splines(core_problem(3), [SIZE_PX])
     prior = 9.0 * SplinedBrownConrady.correction_information()[None]
-    chart = type(here.chart)(**{**vars(here.chart), "lens_information": prior})
-    assert_equations_are_those_of_the_cost(here._replace(chart=chart))
+    assert_equations_are_those_of_the_cost(with_priors(here, lens_information=prior))
     lens = here.state.lenses
     held = [lens.parameter_names.index(name) for name in lens.never_fitted]
-    assert not np.asarray(chart.free)[held].any()
+    assert not np.asarray(here.free)[held].any()
 
 
 def test_control_points_are_told_as_far_as_the_shots_know_more_than_the_prior():
     here = add_splines(core_problem(3), [SIZE_PX])
     unit, sigma_px = SplinedBrownConrady.correction_information(), np.array([0.5])
-    chart = eqx.tree_at(lambda c: c.lens_information, here.chart, unit[None] / sigma_px**2)
-    here = here._replace(chart=chart)
+    here = with_priors(here, lens_information=unit[None] / sigma_px**2)
     values = np.array(here.state.lenses.coefficients)
     count = int(np.count_nonzero(np.diag(unit) > 0))
     values[:, -count:] = 0.1 * np.random.default_rng(0).normal(size=count)
@@ -121,7 +119,7 @@ def test_control_points_are_told_as_far_as_the_shots_know_more_than_the_prior():
     information = compute_information(here)
     covariance = np.nan_to_num(information.observability.covariance)
     own = np.flatnonzero(np.diag(information.prior) > 0)
-    own = own[own < np.searchsorted(information.free, chart.lens_count)]
+    own = own[own < np.searchsorted(information.free, here.slices.lenses.stop)]
     # The trace of what all shots say times the covariance, over the control points.
     shown = information.of_shot.sum(axis=0)[np.ix_(information.free, information.free)]
     assert told[0] == pytest.approx(np.trace((covariance @ shown)[np.ix_(own, own)]), rel=1e-5)
@@ -180,7 +178,7 @@ def corrected(seed):
     """The problem at the end of a splined fit, its lens, and errors and covariance of the field."""
     core = RobustFit(core_problem(24, seed), True, [], 0.0, 0)
     end = with_correction(core, [SIZE_PX]).problem
-    information, scale = compute_information(end), np.asarray(end.chart.lens_scale)[0]
+    information, scale = compute_information(end), np.asarray(end.parametrization.lens_scale)[0]
     rows = np.ix_(information.free[:249], information.free[:249])
     covariance = np.zeros((len(scale), len(scale)))
     covariance[rows] = information.observability.covariance[:249, :249]

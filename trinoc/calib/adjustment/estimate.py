@@ -71,7 +71,7 @@ class Adjustment(NamedTuple):
 
     def lens(self, view: int) -> AbstractLens:
         """What a camera looks through."""
-        row = self.problem.chart.lens_of_camera[view]
+        row = self.problem.parametrization.lens_of_camera[view]
         return jax.tree.map(lambda leaf: np.asarray(leaf)[row], self.problem.state.lenses)
 
     def distance_mm(self, view: int) -> float:
@@ -80,22 +80,28 @@ class Adjustment(NamedTuple):
 
     def rows(self, view: int) -> np.ndarray:
         """Which of the free steps are those of a camera's pose."""
-        own = self.problem.chart.camera_rows(view)
+        own = self.problem.slices.camera(view)
         return np.flatnonzero((self.free >= own.start) & (self.free < own.stop))
 
     def lens_steps(self, view: int) -> Float[np.ndarray, "r"]:
         """How far a lens is from the one that was said, along each direction, in its sigmas."""
-        chart = self.problem.chart
-        row = chart.lens_of_camera[view]
-        change = np.asarray(self.lens(view).parameters) - chart.lens_mean[row]
-        count = int(np.sum(chart.free[: chart.lens_count].reshape(chart.lens_shape)[row]))
-        steps, *_ = np.linalg.lstsq(chart.lens_basis[row][:, :count], change)
+        parametrization = self.problem.parametrization
+        row = parametrization.lens_of_camera[view]
+        change = np.asarray(self.lens(view).parameters) - parametrization.priors.lens_mean[row]
+        count = int(
+            np.sum(
+                parametrization.free[parametrization.slices.lenses].reshape(
+                    parametrization.lens_shape
+                )[row]
+            )
+        )
+        steps, *_ = np.linalg.lstsq(parametrization.lens_basis[row][:, :count], change)
         return steps
 
     def lens_rows(self, view: int) -> np.ndarray:
         """Which of the free steps are those of a camera's lens."""
-        _, size = self.problem.chart.lens_shape
-        first = size * int(self.problem.chart.lens_of_camera[view])
+        _, size = self.problem.parametrization.lens_shape
+        first = size * int(self.problem.parametrization.lens_of_camera[view])
         return np.flatnonzero((self.free >= first) & (self.free < first + size))
 
     def pose_root(self, view: int) -> Float[np.ndarray, "p p"]:
@@ -116,7 +122,7 @@ class Adjustment(NamedTuple):
 
     def degrees_by_step(self, view: int) -> Float[np.ndarray, "p p"]:
         """Derivative of the same, in degrees and mm, by a step of the pose."""
-        return degrees_by_step(self.pose(view), self.problem.chart.unit_mm, self.model)
+        return degrees_by_step(self.pose(view), self.problem.parametrization.unit_mm, self.model)
 
 
 def adjust_cameras(
@@ -193,7 +199,7 @@ def _pairs(views: WhitenedViews, view: int) -> Float[np.ndarray, "n 2"]:
 
 def _root(problem: Problem, views: WhitenedViews) -> tuple[Float[np.ndarray, "f f"], np.ndarray]:
     """R of the information R^T R of the free steps, the priors included, and which these are."""
-    free = np.flatnonzero(problem.chart.free)
+    free = np.flatnonzero(problem.free)
     rows = views.jacobian[..., free].reshape(-1, len(free))
     priors = np.diag(prior_weights(problem)[free])
     return _triangle(np.concatenate([rows, priors])), free
@@ -201,15 +207,20 @@ def _root(problem: Problem, views: WhitenedViews) -> tuple[Float[np.ndarray, "f 
 
 def prior_weights(problem: Problem) -> Float[np.ndarray, "h"]:
     """Square root of the information that the priors hold on each step of the head."""
-    chart = problem.chart
-    weights = np.zeros(len(chart.free))
+    parametrization = problem.parametrization
+    weights = np.zeros(len(parametrization.free))
     # A step of a lens or of the sheet is a standard deviation of its prior.
-    weights[: chart.lens_count] = 1.0
-    weights[chart.sheet_first :] = np.diag(chart.sheet_information) ** 0.5 * chart.sheet_scale
-    for camera, information in enumerate(chart.aim_information):
-        aim = slice(chart.camera_rows(camera).start + 4, chart.camera_rows(camera).stop)
-        weights[aim] = np.sqrt(information) * chart.unit_mm
-    return weights * chart.free
+    weights[parametrization.slices.lenses] = 1.0
+    weights[parametrization.slices.sheets.start :] = (
+        np.diag(parametrization.priors.sheet_information) ** 0.5 * parametrization.sheet_scale
+    )
+    for camera, information in enumerate(parametrization.priors.aim_information):
+        aim = slice(
+            parametrization.slices.camera(camera).start + 4,
+            parametrization.slices.camera(camera).stop,
+        )
+        weights[aim] = np.sqrt(information) * parametrization.unit_mm
+    return weights * parametrization.free
 
 
 def _triangle(rows: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "k k"]:

@@ -28,13 +28,13 @@ def alternatives(
 
     freedom : degrees of freedom of its residuals.
     """
-    chart, by_head = adjustment.problem.chart, adjustment.near.jacobian[view]
-    pose = chart.camera_rows(view).start
+    parametrization, by_head = adjustment.problem.parametrization, adjustment.near.jacobian[view]
+    pose = parametrization.slices.camera(view).start
     columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_held else {}
     if not lens_is_free:
         # A step of a lens that is exact is a change of one parameter.
-        row, (_, size) = int(chart.lens_of_camera[view]), chart.lens_shape
-        by_lens = by_head[:, row * size : (row + 1) * size] / chart.lens_scale[row]
+        row, (_, size) = int(parametrization.lens_of_camera[view]), parametrization.lens_shape
+        by_lens = by_head[:, row * size : (row + 1) * size] / parametrization.lens_scale[row]
         focal = np.asarray(adjustment.lens(view).focal_length_px)
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
         columns["aspect"] = by_lens[:, _FOCAL] @ (focal * _ASPECT)[:, None]
@@ -42,7 +42,7 @@ def alternatives(
             # Where the aim is held, its own test finds what displaces all alike.
             columns["principal point"] = by_lens[:, _CENTRE : _CENTRE + 2]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
-    unit = {"aim": float(chart.unit_mm)}
+    unit = {"aim": float(parametrization.unit_mm)}
     tests = [
         _score(name, extra, adjustment, view, freedom, unit.get(name, 1.0))
         for name, extra in columns.items()

@@ -175,9 +175,11 @@ def unknowns_with_priors(adjustment: Adjustment) -> list[Unknown]:
 
 def _offsets(adjustment: Adjustment) -> Float[np.ndarray, "f"]:
     """The free steps less their prior means; 0 for steps without a prior."""
-    chart, state = adjustment.problem.chart, adjustment.problem.state
-    whole = np.zeros(len(chart.free))
-    whole[chart.sheet_first :][: len(BentPaper.names)] = np.asarray(state.sheet) / chart.sheet_scale
+    parametrization, state = adjustment.problem.parametrization, adjustment.problem.state
+    whole = np.zeros(len(parametrization.free))
+    whole[parametrization.slices.sheets.start :][: len(BentPaper.names)] = (
+        np.asarray(state.sheet) / parametrization.sheet_scale
+    )
     offset = whole[adjustment.free]
     for view in range(len(adjustment.used)):
         rows = adjustment.lens_rows(view)
@@ -185,19 +187,19 @@ def _offsets(adjustment: Adjustment) -> Float[np.ndarray, "f"]:
             offset[rows] = adjustment.lens_steps(view)
         aim = adjustment.rows(view)[4:6]
         if len(aim):
-            offset[aim] = adjustment.parameters(view)[4:6] / float(chart.unit_mm)
+            offset[aim] = adjustment.parameters(view)[4:6] / float(parametrization.unit_mm)
     return offset
 
 
 def _of_lenses(adjustment: Adjustment) -> list[Unknown]:
-    chart, unknowns = adjustment.problem.chart, []
+    parametrization, unknowns = adjustment.problem.parametrization, []
     count = len(adjustment.used)
-    lens_of_camera = np.asarray(chart.lens_of_camera)[:count]
+    lens_of_camera = np.asarray(parametrization.lens_of_camera)[:count]
     for number in dict.fromkeys(lens_of_camera.tolist()):
         views = tuple(np.flatnonzero(lens_of_camera == number).tolist())
         rows = adjustment.lens_rows(views[0])
-        by_step = np.zeros((chart.lens_basis.shape[1], len(adjustment.free)))
-        by_step[:, rows] = np.asarray(chart.lens_basis)[number][:, : len(rows)]
+        by_step = np.zeros((parametrization.lens_basis.shape[1], len(adjustment.free)))
+        by_step[:, rows] = np.asarray(parametrization.lens_basis)[number][:, : len(rows)]
         focal_px = np.asarray(adjustment.lens(views[0]).focal_length_px)
         relative = by_step[:2] / focal_px[:, None]
         parts = {
@@ -211,7 +213,7 @@ def _of_lenses(adjustment: Adjustment) -> list[Unknown]:
 
 
 def _of_aims(adjustment: Adjustment) -> list[Unknown]:
-    unknowns, unit_mm = [], float(adjustment.problem.chart.unit_mm)
+    unknowns, unit_mm = [], float(adjustment.problem.parametrization.unit_mm)
     for view in range(len(adjustment.used)):
         rows = adjustment.rows(view)[4:6]
         by_step = np.zeros((len(rows), len(adjustment.free)))
@@ -221,12 +223,14 @@ def _of_aims(adjustment: Adjustment) -> list[Unknown]:
 
 
 def _of_sheet(adjustment: Adjustment) -> list[Unknown]:
-    chart = adjustment.problem.chart
+    parametrization = adjustment.problem.parametrization
     position = {int(step): k for k, step in enumerate(adjustment.free)}
     by_name = np.zeros((len(BentPaper.names), len(adjustment.free)))
     for k, _ in enumerate(BentPaper.names):
-        if chart.sheet_first + k in position:
-            by_name[k, position[chart.sheet_first + k]] = chart.sheet_scale[k]
+        if parametrization.slices.sheets.start + k in position:
+            by_name[k, position[parametrization.slices.sheets.start + k]] = (
+                parametrization.sheet_scale[k]
+            )
     size, along_x, along_y, *heights = by_name
     return [
         Unknown("print size", (), (size + 0.5 * (along_x + along_y))[None]),

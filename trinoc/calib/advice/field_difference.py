@@ -14,7 +14,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
-from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract, step_motion
+from trinoc.calib.problem.variables import (
+    POSE_SIZE,
+    Parametrization,
+    RigState,
+    retract,
+    step_motion,
+)
 from trinoc.calib.result.halves import FieldDifference
 from trinoc.calib.starts.sightings import IN_PLACE
 from trinoc.calib.targets.board_set import list_boards
@@ -40,18 +46,18 @@ def field_differences(
     """The maps of all cameras. `covariance` : of the difference of the halves, on the free head."""
     fields = [_image_field(problem, k) for k in range(len(cameras))]
     points = np.stack([field.points for field in fields])
-    by_motion, by_head = _derivatives(problem.state, problem.chart, points)
+    by_motion, by_head = _derivatives(problem.state, problem.parametrization, points)
     shape = np.shape(by_motion)[:-1]
     known = np.stack([field.has_ray for field in fields])
     known = np.broadcast_to(known[:, None, :, None], shape)
     at_boards = np.broadcast_to((np.arange(2) == 0)[:, None, None], shape)[known]
-    free = np.flatnonzero(problem.chart.free)
+    free = np.flatnonzero(problem.free)
     along, by_free = _alignment(
         np.asarray(by_motion)[known], np.asarray(by_head)[known][:, free], covariance, at_boards
     )
     seen_px = np.broadcast_to(np.stack([f.uv_px for f in fields])[:, None], shape)[known]
     first, second = (
-        _align_half(half, problem.chart, points, seen_px, known, along) for half in halves
+        _align_half(half, problem.parametrization, points, seen_px, known, along) for half in halves
     )
     difference_px, variance = np.full(shape, np.nan), np.full(shape, np.nan)
     difference_px[known] = first - second
@@ -79,7 +85,7 @@ def _image_field(problem: Problem, camera: int) -> _Field:
     # The middles of equal parts of the picture, row by row.
     u, v = ((np.arange(MAP_PLACES) + 0.5) * side / MAP_PLACES - 0.5 for side in sides)
     uv_px = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    lens = lens_number(problem, int(problem.chart.lens_of_camera[camera]))
+    lens = lens_number(problem, int(problem.parametrization.lens_of_camera[camera]))
     rays, boards = unproject_pixels(lens, uv_px), list_boards(problem.target)
     back_px = project_points(IN_PLACE, lens, rays)
     middles = [
@@ -98,19 +104,25 @@ def _image_field(problem: Problem, camera: int) -> _Field:
 
 
 @kept_jit
-def _derivatives(state: RigState, chart: Chart, points: ArrayLike) -> tuple[Array, Array]:
+def _derivatives(
+    state: RigState, parametrization: Parametrization, points: ArrayLike
+) -> tuple[Array, Array]:
     """Of the images (c, 2, n, 2) of each camera's points, by a motion of them all and by steps of
     the head."""
     still = jnp.zeros((state.rig_from_board.shape[0], POSE_SIZE))
 
     def images(motion: Array, head: Array) -> ArrayLike:
-        return _images(retract(state, chart, head, still), chart, _move(points, motion, chart))
+        return _images(
+            retract(state, parametrization, head, still),
+            parametrization,
+            _move(points, motion, parametrization),
+        )
 
-    zeros = jnp.zeros(POSE_SIZE), jnp.zeros(chart.free.shape[0])
+    zeros = jnp.zeros(POSE_SIZE), jnp.zeros(parametrization.free.shape[0])
     return jax.jacfwd(images, argnums=(0, 1))(*zeros)
 
 
-def _images(state: RigState, chart: Chart, points: ArrayLike) -> ArrayLike:
+def _images(state: RigState, parametrization: Parametrization, points: ArrayLike) -> ArrayLike:
     """Where each camera images its points (c, 2, n, 3), in px."""
 
     def of_camera(pose: ArrayLike, number: ArrayLike, own: ArrayLike) -> ArrayLike:
@@ -118,13 +130,15 @@ def _images(state: RigState, chart: Chart, points: ArrayLike) -> ArrayLike:
         return jax.vmap(jax.vmap(lambda point: project_point(Pose(pose), lens, point)))(own)
 
     return jax.vmap(of_camera)(
-        jnp.asarray(state.cam_from_rig), jnp.asarray(chart.lens_of_camera), jnp.asarray(points)
+        jnp.asarray(state.cam_from_rig),
+        jnp.asarray(parametrization.lens_of_camera),
+        jnp.asarray(points),
     )
 
 
-def _move(points: ArrayLike, step: ArrayLike, chart: Chart) -> ArrayLike:
+def _move(points: ArrayLike, step: ArrayLike, parametrization: Parametrization) -> ArrayLike:
     """All points after one rigid motion."""
-    motion = Pose(step_motion(jnp.eye(3, 4), step, chart.unit_mm))
+    motion = Pose(step_motion(jnp.eye(3, 4), step, parametrization.unit_mm))
     return jax.vmap(motion.transform)(points.reshape(-1, 3)).reshape(points.shape)
 
 
@@ -154,7 +168,7 @@ def _alignment(
 
 def _align_half(
     half: RigState,
-    chart: Chart,
+    parametrization: Parametrization,
     points: Float[np.ndarray, "c 2 n 3"],
     seen_px: Float[np.ndarray, "r"],
     known: Bool[np.ndarray, "c 2 n 2"],
@@ -162,6 +176,6 @@ def _align_half(
 ) -> Float[np.ndarray, "r"]:
     """Where a half images the points once it is moved to where these are."""
     for _ in range(_MOVES):
-        off = np.asarray(_jitted_images(half, chart, points))[known] - seen_px
-        points = np.asarray(_jitted_move(points, -(along @ off), chart))
-    return np.asarray(_jitted_images(half, chart, points))[known]
+        off = np.asarray(_jitted_images(half, parametrization, points))[known] - seen_px
+        points = np.asarray(_jitted_move(points, -(along @ off), parametrization))
+    return np.asarray(_jitted_images(half, parametrization, points))[known]

@@ -51,7 +51,7 @@ def candidate_shots(problem: Problem) -> list[Candidate]:
     set_from_board = [Pose(each) for each in np.asarray(problem.state.set_from_board)]
     shots = []
     for camera, size_px in problem.image_sizes_px.items():
-        lens = lens_number(problem, int(problem.chart.lens_of_camera[camera]))
+        lens = lens_number(problem, int(problem.parametrization.lens_of_camera[camera]))
         rig_from_cam = Pose(np.asarray(problem.state.cam_from_rig)[camera]).inverse
         for fill, (number, board) in product(rules.fills, enumerate(members)):
             which = f'"{names[number]}" ' if len(members) > 1 else ""
@@ -125,7 +125,7 @@ def foresee_shots(problem: Problem, candidates: list[Candidate]) -> list[Foresee
     candidates go through in portions of as many views and shots as there were.
     """
     sigma_px, shots = place_sigma_px(problem), []
-    lenses = [lens_number(problem, int(k)) for k in problem.chart.lens_of_camera]
+    lenses = [lens_number(problem, int(k)) for k in problem.parametrization.lens_of_camera]
     fold_rad = [lens.fold_angle_rad() for lens in lenses]
     in_each = problem.cameras * len(list_boards(problem.target))
     portion = max(1, min(len(problem.state.rig_from_board), len(problem.table.shot) // in_each))

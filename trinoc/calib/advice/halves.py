@@ -131,7 +131,7 @@ def compare_halves(
     each = np.abs(difference) / sigma
     worst = int(np.argmax(each))
     names = head_names(problem, cameras)
-    column = int(np.flatnonzero(problem.chart.free)[worst])
+    column = int(np.flatnonzero(problem.free)[worst])
     over_field = field_differences(problem, states, covariance, cameras)
     return HalvesCheck(ratio, names[column], float(each[worst]), directions, over_field)
 
@@ -165,17 +165,19 @@ def _squared_mahalanobis(
 
 def find_steps_to_half(problem: Problem, end: Problem) -> np.ndarray:
     """The step of the head that takes the whole fit to that of a half."""
-    chart, lenses = problem.chart, range(problem.chart.lens_shape[0])
+    parametrization, lenses = problem.parametrization, range(problem.parametrization.lens_shape[0])
     before, after = (
         np.stack([lens_number(each, k).parameters for k in lenses]) for each in (problem, end)
     )
-    by_lens = (after - before) / np.asarray(chart.lens_scale)
+    by_lens = (after - before) / np.asarray(parametrization.lens_scale)
     start, stop = (
         np.concatenate([each.state.cam_from_rig, each.state.set_from_board])
         for each in (problem, end)
     )
-    by_pose = np.asarray(_motions(start, stop)) / np.repeat([1.0, float(chart.unit_mm)], 3)
-    of_rest = np.zeros(len(chart.free) - chart.sheet_first)
+    by_pose = np.asarray(_motions(start, stop)) / np.repeat(
+        [1.0, float(parametrization.unit_mm)], 3
+    )
+    of_rest = np.zeros(len(parametrization.free) - parametrization.slices.sheets.start)
     return np.concatenate([by_lens.ravel(), by_pose.ravel(), of_rest])
 
 
@@ -195,8 +197,8 @@ def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
     """Names of the steps of the head, the places of the board left out."""
     of_lens = problem.state.lenses.parameter_names
     owner = [
-        cameras[int(np.flatnonzero(problem.chart.lens_of_camera == k)[0])]
-        for k in range(problem.chart.lens_shape[0])
+        cameras[int(np.flatnonzero(problem.parametrization.lens_of_camera == k)[0])]
+        for k in range(problem.parametrization.lens_shape[0])
     ]
     pose = ("turn_x", "turn_y", "turn_z", "x", "y", "z")
     names = [f"{name}.{each}" for name in owner for each in of_lens]
@@ -204,5 +206,5 @@ def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
     prefixes = board_prefixes(problem.target)
     if len(problem.state.set_from_board):
         names += [f"{prefix}{each}" for prefix in prefixes for each in pose]
-    sheet = [name.removesuffix("_mm") for name in problem.chart.sheet_model.names]
+    sheet = [name.removesuffix("_mm") for name in problem.parametrization.sheet_model.names]
     return [*names, *(f"{prefix}{each}" for prefix in prefixes for each in sheet)]

@@ -204,8 +204,8 @@ def _lens_sigmas(
     problem: Problem, covariance: Float[np.ndarray, "f f"], cameras: tuple[str, ...]
 ) -> dict[str, float]:
     """Standard deviations of what is free of the lenses, splines apart, as "camera.fx_px"."""
-    names, scale = head_names(problem, cameras), np.ravel(problem.chart.lens_scale)
-    free = np.flatnonzero(problem.chart.free)
+    names, scale = head_names(problem, cameras), np.ravel(problem.parametrization.lens_scale)
+    free = np.flatnonzero(problem.free)
     of_lens = free[free < len(scale)]
     sigma = np.sqrt(np.diag(covariance)[: len(of_lens)])
     return {

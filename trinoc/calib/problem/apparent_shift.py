@@ -30,8 +30,8 @@ def apparent_shift(problem: Problem, view: View, flat_pose: Pose, flat_lens: Abs
     flat_pose, flat_lens : of the camera before that sheet. What lies about a place of the board
     moves with it.
     """
-    state, chart = jax.tree.map(np.asarray, (problem.state, problem.chart))
-    here = board_view(state, chart, view.camera, view.shot, view.board)
+    state, parametrization = jax.tree.map(np.asarray, (problem.state, problem.parametrization))
+    here = board_view(state, parametrization, view.camera, view.shot, view.board)
     tree = point_tree(problem.target.centres_mm)
 
     def shift(place_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
@@ -40,7 +40,7 @@ def apparent_shift(problem: Problem, view: View, flat_pose: Pose, flat_lens: Abs
             aside_mm = state.shape[tree.query(place_mm)[1]]
 
         def of_block(places: np.ndarray, asides: np.ndarray) -> Float[ArrayLike, "n 2"]:
-            return _shifts(here, chart.sheet_model, flat_pose, flat_lens, places, asides)
+            return _shifts(here, parametrization.sheet_model, flat_pose, flat_lens, places, asides)
 
         return np.asarray(in_blocks(of_block, _BLOCK, place_mm, aside_mm))
 

@@ -15,7 +15,7 @@ from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.outcome import shot_scatter
 from trinoc.calib.problem.places import whitened_residuals
-from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.problem import Problem, with_head_free, with_priors
 from trinoc.calib.problem.robust_fit import (
     LEAST_CHANGE,
     RobustFit,
@@ -29,11 +29,10 @@ from trinoc.calib.problem.robust_fit import (
 )
 from trinoc.calib.problem.shape_prior import ShapePrior, shape_prior
 from trinoc.calib.problem.solver import gauss_newton_gain
-from trinoc.calib.problem.variables import Chart, RigState
+from trinoc.calib.problem.variables import Parametrization, RigState
 from trinoc.calib.problem.views import ViewTable
 from trinoc.calib.problem.wrong_circles import drop_wrong_circles
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
 # numerical: more places would make the equations of all shots too large.
@@ -52,7 +51,7 @@ def with_board_shape(fit: RobustFit) -> RobustFit:
     if not _is_shown(opened):
         return fit
     prior = shape_prior(problem.target, spread_mm)
-    opened = _with_information(opened, prior.information)
+    opened = with_priors(opened, shape_information=prior.information)
     by_pixels = any(view.shown is not None for view in opened.views)
     if not by_pixels:
         # Places that seemed to be located wrongly may only have lain elsewhere.
@@ -82,7 +81,7 @@ def _lenses_stay(before: Problem, after: Problem) -> bool:
 def _is_shown(opened: Problem) -> bool:
     """Whether free places would take more off the chi-square than chance."""
     gain, chi_square = (
-        float(part) for part in _chi_square_gain(opened.state, opened.chart, opened.table)
+        float(part) for part in _chi_square_gain(opened.state, opened.parametrization, opened.table)
     )
     unknowns = 3 * len(opened.target)
     left = degrees_of_freedom(opened) - unknowns
@@ -94,8 +93,8 @@ def _is_shown(opened: Problem) -> bool:
 
 def _may_lie_elsewhere(problem: Problem) -> bool:
     """Whether the board is not said to be exact, and small enough."""
-    first = problem.chart.sheet_first
-    return bool(np.any(problem.chart.free[first:])) and len(problem.target) <= _MOST_PLACES
+    first = problem.slices.sheets.start
+    return bool(np.any(problem.free[first:])) and len(problem.target) <= _MOST_PLACES
 
 
 def _residual_mm(problem: Problem) -> float:
@@ -104,7 +103,7 @@ def _residual_mm(problem: Problem) -> float:
     errors = np.concatenate(
         [each[view.kept] for view, each in zip(problem.views, errors_px(problem), strict=True)]
     )
-    return float(np.sqrt(np.mean(errors**2)) * problem.chart.unit_mm / focal_px)
+    return float(np.sqrt(np.mean(errors**2)) * problem.parametrization.unit_mm / focal_px)
 
 
 def with_free_places(
@@ -118,25 +117,17 @@ def with_free_places(
     if shape_information is None:
         shape_information = np.eye(3 * places)
     state = eqx.tree_at(lambda s: s.shape, problem.state, np.zeros((places, 3)))
-    free = np.concatenate([np.asarray(problem.chart.free), np.ones(3 * places)])
-    chart = eqx.tree_at(
-        lambda c: (c.free, c.shape_information), problem.chart, (free, shape_information)
-    )
-    return problem._replace(state=state, chart=chart)
+    free = np.concatenate([np.asarray(problem.free), np.ones(3 * places)])
+    known = with_priors(problem, shape_information=shape_information)
+    return with_head_free(known._replace(state=state), free)
 
 
-def _with_information(problem: Problem, information: Float[np.ndarray, "m m"]) -> Problem:
-    chart = eqx.tree_at(lambda c: c.shape_information, problem.chart, information)
-    return problem._replace(chart=chart)
-
-
-@kept_jit
-def _chi_square_gain(state: RigState, chart: Chart, table: ViewTable) -> tuple:
+def _chi_square_gain(state: RigState, parametrization: Parametrization, table: ViewTable) -> tuple:
     """What free places would take off the chi-square, to first order, and it."""
     plain = GemanMcClure.from_scale(jnp.full(len(table.shot), jnp.inf))
-    equations = PlacesProblem(chart, table, plain).equations(state)
+    equations = PlacesProblem(parametrization, table, plain).equations(state)
     gain = gauss_newton_gain(equations)
-    return gain, jnp.sum(jnp.square(whitened_residuals(state, chart, table)))
+    return gain, jnp.sum(jnp.square(whitened_residuals(state, parametrization, table)))
 
 
 def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, ShapePrior]:
@@ -154,7 +145,9 @@ def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, 
         after = prior.update(np.asarray(problem.state.shape), covariance_mm2)
         spent = prior.count_determined(covariance_mm2)
         problem = with_sigma_factors(problem._replace(spent=max(spent, 0.0)))
-        problem, converged = fit_places(_with_information(problem, factor * after.information))
+        problem, converged = fit_places(
+            with_priors(problem, shape_information=factor * after.information)
+        )
         if not converged:
             break
         change = np.abs(np.log(after.variance / prior.variance)).max()
@@ -166,7 +159,7 @@ def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, 
 
 def shape_covariance(problem: Problem) -> tuple[float, Float[np.ndarray, "m m"]]:
     """(variance factor of the shots, posterior covariance of the shape in mm^2 with it)."""
-    count, unit_mm = 3 * len(problem.target), float(problem.chart.unit_mm)
+    count, unit_mm = 3 * len(problem.target), float(problem.parametrization.unit_mm)
     information = compute_information(problem)
     factor = shot_scatter(information).variance_factor
     covariance = np.nan_to_num(information.observability.covariance)[-count:, -count:]

@@ -43,8 +43,8 @@ def hold_undetermined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
 
 def free_of_lenses(problem: Problem) -> Bool[np.ndarray, "l q"]:
     """Which parameters of each lens are fitted."""
-    return np.asarray(problem.chart.free)[: problem.chart.lens_count].reshape(
-        problem.chart.lens_shape
+    return np.asarray(problem.free)[problem.slices.lenses].reshape(
+        problem.parametrization.lens_shape
     ) > 0  # fmt: skip
 
 

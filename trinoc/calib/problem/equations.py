@@ -13,7 +13,7 @@ from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations
 from trinoc.calib.problem.variables import (
     POSE_SIZE,
-    Chart,
+    Parametrization,
     RigState,
     evaluate_prior,
     head_columns,
@@ -30,7 +30,7 @@ class PlacesProblem(AbstractArrowProblem):
 
     Fields
     ------
-    chart : units, and what is free.
+    parametrization : units, and what is free.
     table : v views.
     loss : of each view's places, along a first axis of its fields.
     """
@@ -38,7 +38,7 @@ class PlacesProblem(AbstractArrowProblem):
     # numerical: of some twenty shots.
     optimized_from: ClassVar[float] = 256
 
-    chart: Chart
+    parametrization: Parametrization
     table: ViewTable
     loss: AbstractRobustLoss
 
@@ -46,22 +46,24 @@ class PlacesProblem(AbstractArrowProblem):
         """Summed over views, weighted by the loss, the prior included."""
 
         def of_view(view: ViewTable, loss: AbstractRobustLoss) -> tuple[Array, ...]:
-            near = linearise(state, self.chart, view)
+            near = linearise(state, self.parametrization, view)
             squared = jnp.sum(jnp.square(near.residual), axis=-1)
-            return jnp.sum(loss.rho(squared)), near.columns, *near.weigh(self.chart, loss)
+            return jnp.sum(loss.rho(squared)), near.columns, *near.weigh(self.parametrization, loss)
 
         costs, *seen = jax.vmap(of_view)(self.table, self.loss)
         columns, own, gradient = seen
-        size, prior = columns.shape[1], evaluate_prior(state, self.chart)
+        size, prior = columns.shape[1], evaluate_prior(state, self.parametrization)
         # Views of one board by one camera have the same columns: sums are scattered, not views.
-        cameras, boards = state.cam_from_rig.shape[0], self.chart.boards
+        cameras, boards = state.cam_from_rig.shape[0], self.parametrization.boards
         kind = jnp.asarray(self.table.board) * cameras + self.table.camera
         of_kinds = jax.ops.segment_sum(own[:, :size, :size], kind, cameras * boards)
         every = jnp.arange(cameras * boards)
-        those = jax.vmap(lambda k: head_columns(self.chart, k % cameras, k // cameras))(every)
+        those = jax.vmap(lambda k: head_columns(self.parametrization, k % cameras, k // cameras))(
+            every
+        )
         head = jnp.asarray(prior.information).at[those[:, :, None], those[:, None, :]].add(of_kinds)
         of_head = jnp.asarray(prior.gradient).at[columns].add(gradient[:, :size])
-        coupling, blocks, of_boards = sum_boards(state, self.chart, self.table, *seen)
+        coupling, blocks, of_boards = sum_boards(state, self.parametrization, self.table, *seen)
         cost = jnp.sum(costs) + prior.cost
         return ArrowEquations(cost, BlockArrow(head, coupling, blocks), (of_head, of_boards))
 
@@ -69,12 +71,12 @@ class PlacesProblem(AbstractArrowProblem):
         self, state: RigState, head: Float[ArrayLike, "h"], blocks: Float[ArrayLike, "s 6"]
     ) -> RigState:
         """The state after a step."""
-        return retract(state, self.chart, head, blocks)
+        return retract(state, self.parametrization, head, blocks)
 
 
 def sum_boards(
     state: RigState,
-    chart: Chart,
+    parametrization: Parametrization,
     table: ViewTable,
     columns: Int[Array, "v k"],
     own: Float[Array, "v m m"],
@@ -83,7 +85,7 @@ def sum_boards(
     """Of the views' equations, summed over each shot: how its board goes with the head, its own
     information, and its gradient."""
     size, shot = columns.shape[1], jnp.asarray(table.shot)
-    shots, heads = state.rig_from_board.shape[0], chart.free.shape[0]
+    shots, heads = state.rig_from_board.shape[0], parametrization.free.shape[0]
     coupling = jnp.zeros((shots, heads, POSE_SIZE), own.dtype)
     coupling = coupling.at[shot[:, None], columns].add(own[:, :size, size:])
     blocks = jnp.zeros((shots, POSE_SIZE, POSE_SIZE), own.dtype)

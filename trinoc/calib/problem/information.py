@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from trinoc.calib.problem.equations import sum_boards
 from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, evaluate_prior
+from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, RigState, evaluate_prior
 from trinoc.calib.problem.views import ViewTable
 from trinoc.numerics.information import Observability, observability
 from trinoc.numerics.programs import kept_jit
@@ -62,24 +62,31 @@ class Information(NamedTuple):
 def compute_information(problem: Problem) -> Information:
     """The information at a problem's state."""
     of_shot, pulls, follow, own, prior = (
-        np.asarray(part) for part in _of_shots(problem.state, problem.chart, problem.table)
+        np.asarray(part)
+        for part in _of_shots(problem.state, problem.parametrization, problem.table)
     )
-    free = np.flatnonzero(problem.chart.free)
+    free = np.flatnonzero(problem.free)
     prior = prior[np.ix_(free, free)]
-    return Information(of_shot, pulls, follow, own, free, prior, problem.chart.shape_first)
+    return Information(of_shot, pulls, follow, own, free, prior, problem.slices.places.start)
 
 
 @kept_jit
-def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, ...]:
+def _of_shots(
+    state: RigState, parametrization: Parametrization, table: ViewTable
+) -> tuple[Array, ...]:
     plain = GemanMcClure.from_scale(jnp.asarray(jnp.inf))
 
     def of_view(view: ViewTable) -> tuple[Array, Array, Array]:
-        near = linearise(state, chart, view)
-        return near.columns, *near.weigh(chart, plain)
+        near = linearise(state, parametrization, view)
+        return near.columns, *near.weigh(parametrization, plain)
 
     seen = jax.vmap(of_view)(table)
     columns, own, gradient = seen
-    size, shots, heads = columns.shape[1], state.rig_from_board.shape[0], chart.free.shape[0]
+    size, shots, heads = (
+        columns.shape[1],
+        state.rig_from_board.shape[0],
+        parametrization.free.shape[0],
+    )
     shot = jnp.asarray(table.shot)
     # From each step of the head to its column, the last one for what a view does not have: to look
     # numbers up is quicker than to scatter them.
@@ -89,7 +96,7 @@ def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, .
     head = jax.ops.segment_sum(of_views, shot, shots)
     of_head = jnp.zeros((shots, heads), own.dtype)
     of_head = of_head.at[shot[:, None], columns].add(gradient[:, :size])
-    coupling, block, of_board = sum_boards(state, chart, table, *seen)
+    coupling, block, of_board = sum_boards(state, parametrization, table, *seen)
     inverse = jax.vmap(inverse_positive_definite)(block)
     determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
     inverse = jnp.where(determined[:, None, None], inverse, 0.0)
@@ -99,7 +106,7 @@ def _of_shots(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, .
         of_head + jnp.einsum("sph,sp->sh", follow, of_board),
         follow,
         inverse,
-        jnp.asarray(evaluate_prior(state, chart).information),
+        jnp.asarray(evaluate_prior(state, parametrization).information),
     )
 
 
@@ -120,17 +127,19 @@ def whiten_views(problem: Problem) -> WhitenedViews:
     """Residuals of each view and their derivatives; dense, for problems of few views."""
     columns, jacobian, residual = (
         np.asarray(part)[: len(problem.views)]
-        for part in _whiten_views(problem.state, problem.chart, problem.table)
+        for part in _whiten_views(problem.state, problem.parametrization, problem.table)
     )
-    dense = np.zeros((*jacobian.shape[:2], len(problem.chart.free)))
+    dense = np.zeros((*jacobian.shape[:2], len(problem.free)))
     for k, own in enumerate(columns):
         dense[k][:, own] = jacobian[k]
     return WhitenedViews(dense, residual)
 
 
 @partial(kept_jit, optimized_from=1 << 20)
-def _whiten_views(state: RigState, chart: Chart, table: ViewTable) -> tuple[Array, Array, Array]:
-    near = jax.vmap(lambda view: linearise(state, chart, view))(table)
+def _whiten_views(
+    state: RigState, parametrization: Parametrization, table: ViewTable
+) -> tuple[Array, Array, Array]:
+    near = jax.vmap(lambda view: linearise(state, parametrization, view))(table)
     views, places, _, _ = near.jacobian.shape
     by_places = jax.vmap(lambda one: one.by_all_places)(near)
     jacobian = jnp.concatenate([near.jacobian[..., :-POSE_SIZE], by_places], axis=-1)

@@ -7,12 +7,11 @@ is what the shots themselves show, of each lens by itself.
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.problem.information import compute_information
-from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
+from trinoc.calib.problem.problem import Problem, lens_number, with_priors, with_wider_lenses
 from trinoc.calib.problem.robust_fit import (
     LEAST_CHANGE,
     MOST_ROUNDS,
@@ -53,7 +52,7 @@ def add_splines(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Proble
     """The problem with splined lenses, whose corrections are zero and free, without a prior."""
     lenses = [
         spline_lens(lens_number(problem, k), each)
-        for k, each in enumerate(sizes_px[: problem.chart.lens_shape[0]])
+        for k, each in enumerate(sizes_px[: problem.parametrization.lens_shape[0]])
     ]
     return with_wider_lenses(problem, lenses, sizes_px)
 
@@ -61,7 +60,7 @@ def add_splines(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Proble
 def correction_sigmas_px(problem: Problem) -> Float[np.ndarray, "l"]:
     """Standard deviation of the correction of each lens over its field, by its prior; 0 where it
     has none."""
-    last = np.asarray(problem.chart.lens_information)[:, -1, -1]
+    last = np.asarray(problem.priors.lens_information)[:, -1, -1]
     model = type(problem.state.lenses)
     if not issubclass(model, AbstractSplinedLens):
         return np.zeros(len(last))
@@ -77,7 +76,9 @@ def correction_sentences(problem: Problem, cameras: Sequence[str]) -> tuple[str,
             continue
         lens = lens_number(problem, k)
         assert isinstance(lens, AbstractSplinedLens)
-        first = cameras[int(np.flatnonzero(np.asarray(problem.chart.lens_of_camera) == k)[0])]
+        first = cameras[
+            int(np.flatnonzero(np.asarray(problem.parametrization.lens_of_camera) == k)[0])
+        ]
         control = np.asarray(lens.control_px)
         sentences.append(
             f"Splines correct the lens {lens.core.model} of {first} by "
@@ -117,7 +118,7 @@ def assess_corrections(
     covariance = np.nan_to_num(information.observability.covariance)
     model = type(problem.state.lenses)
     assert issubclass(model, AbstractSplinedLens)
-    unit, scale = model.correction_information(), np.asarray(problem.chart.lens_scale)
+    unit, scale = model.correction_information(), np.asarray(problem.parametrization.lens_scale)
     count, size = scale.shape
     known = np.diag(unit) > 0
     squares, determined = np.zeros(count), np.zeros(count)
@@ -137,13 +138,12 @@ def _with_sigmas(problem: Problem, sigma_px: Float[np.ndarray, "l"]) -> Problem:
     assert issubclass(model, AbstractSplinedLens)
     inverse = np.divide(1.0, sigma_px**2, out=np.zeros_like(sigma_px), where=sigma_px > 0)
     information = inverse[:, None, None] * model.correction_information()[None]
-    chart = eqx.tree_at(lambda c: c.lens_information, problem.chart, information)
-    return problem._replace(chart=chart)
+    return with_priors(problem, lens_information=information)
 
 
 def _first_sigmas_px(problem: Problem) -> Float[np.ndarray, "l"]:
     """What the core leaves, for lenses that are fitted."""
-    count, size = problem.chart.lens_shape
-    is_free = np.asarray(problem.chart.free)[: count * size].reshape(count, size).any(axis=1)
+    count, size = problem.parametrization.lens_shape
+    is_free = np.asarray(problem.free)[: count * size].reshape(count, size).any(axis=1)
     errors = [each[view.kept] for view, each in zip(problem.views, errors_px(problem))]
     return np.where(is_free, np.sqrt(np.mean(np.concatenate(errors) ** 2)), 0.0)

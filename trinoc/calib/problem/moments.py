@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import errors_px, place_errors_in_sigmas
-from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
+from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, RigState
 from trinoc.calib.problem.views import ViewTable, shot_capacity
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.programs import kept_jit
@@ -149,17 +149,17 @@ def _pose_equations(
         if len(length):
             scale[k] = TUNING.problem.gate * max(float(np.median(length)), 1e-9)
     loss = GemanMcClure.from_scale(scale)
-    parts = _by_view(problem.state, problem.chart, problem.table, loss)
+    parts = _by_view(problem.state, problem.parametrization, problem.table, loss)
     information, gradient = (np.asarray(part)[:count] for part in parts)
     return information, gradient
 
 
 @kept_jit
 def _by_view(
-    state: RigState, chart: Chart, table: ViewTable, loss: GemanMcClure
+    state: RigState, parametrization: Parametrization, table: ViewTable, loss: GemanMcClure
 ) -> tuple[Float[Array, "v 6 6"], Float[Array, "v 6"]]:
     def of_view(view: ViewTable, own: GemanMcClure) -> tuple[Array, Array]:
-        information, gradient = linearise(state, chart, view).weigh(chart, own)
+        information, gradient = linearise(state, parametrization, view).weigh(parametrization, own)
         return information[-POSE_SIZE:, -POSE_SIZE:], gradient[-POSE_SIZE:]
 
     return jax.vmap(of_view)(table, loss)
@@ -199,12 +199,16 @@ def pose_jacobian_px(
     for k, rows in enumerate(place_mm):
         places[k, : len(rows)] = rows
     table = table._replace(whitening=plain, place_mm=places)
-    return np.asarray(_pose_jacobian(problem.state, problem.chart, table))[:count]
+    return np.asarray(_pose_jacobian(problem.state, problem.parametrization, table))[:count]
 
 
 @kept_jit
-def _pose_jacobian(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v n 2 6"]:
-    return jax.vmap(lambda view: linearise(state, chart, view).jacobian[..., -POSE_SIZE:])(table)
+def _pose_jacobian(
+    state: RigState, parametrization: Parametrization, table: ViewTable
+) -> Float[Array, "v n 2 6"]:
+    return jax.vmap(
+        lambda view: linearise(state, parametrization, view).jacobian[..., -POSE_SIZE:]
+    )(table)
 
 
 def errors_about_image_poses_px(

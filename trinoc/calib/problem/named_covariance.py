@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from trinoc.calib.problem.information import Information
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, retract
+from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, RigState, retract
 from trinoc.calib.targets.board_set import IN_SET_NAMES, board_prefixes
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.precision import ArrayLike
@@ -61,7 +61,8 @@ def named_covariance(
     model = PoseModel.AIM_FREE if is_over_sheet else PoseModel.RIGID
     shot = 0 if world.shot is None else world.shot
     values, by_head, by_board = (
-        np.asarray(part) for part in _parameters(problem.state, problem.chart, world, model=model)
+        np.asarray(part)
+        for part in _parameters(problem.state, problem.parametrization, world, model=model)
     )
     by_board = by_board[:, shot] if world.shot is not None else np.zeros((len(values), POSE_SIZE))
     by_free = by_head[:, information.free]
@@ -76,7 +77,7 @@ def named_covariance(
     for prefix in prefixes[1:]:
         names += [f"{prefix}{each}" for each in IN_SET_NAMES]
     for prefix in prefixes:
-        names += [f"{prefix}{each}" for each in problem.chart.sheet_model.names]
+        names += [f"{prefix}{each}" for each in problem.parametrization.sheet_model.names]
     return NamedCovariance(tuple(names), values, 0.5 * (covariance + covariance.T))
 
 
@@ -100,30 +101,30 @@ def poses_in_world(
 
 def open_rows(problem: Problem, information: Information, names: tuple[str, ...]) -> np.ndarray:
     """Which named parameters what is not determined touches."""
-    chart = problem.chart
-    count, size = chart.lens_shape
-    open_head = np.zeros(len(chart.free), dtype=bool)
+    parametrization = problem.parametrization
+    count, size = parametrization.lens_shape
+    open_head = np.zeros(len(parametrization.free), dtype=bool)
     open_head[information.free[list(information.observability.gauge)]] = True
     of_lens = open_head[: count * size].reshape(count, size)
     any_pose = bool(open_head[count * size :].any())
     rows = []
-    for lens in chart.lens_of_camera:
+    for lens in parametrization.lens_of_camera:
         rows += [any_pose or bool(of_lens.any())] * POSE_SIZE + of_lens[lens].tolist()
     rows += [any_pose] * (POSE_SIZE * max(len(problem.state.set_from_board) - 1, 0))
-    rows += open_head[chart.sheet_first : chart.shape_first].tolist()
+    rows += open_head[parametrization.slices.sheets].tolist()
     assert len(rows) == len(names)
     return np.array(rows)
 
 
 @partial(kept_jit, static_argnames=("model",))
 def _parameters(
-    state: RigState, chart: Chart, world: World, *, model: PoseModel
+    state: RigState, parametrization: Parametrization, world: World, *, model: PoseModel
 ) -> tuple[Array, Array, Array]:
     """Values of all named parameters, and their derivatives by a step of head and boards."""
     start = _poses_in_world(state, world)
 
     def values(head: Array, boards: Array) -> Array:
-        here = retract(state, chart, head, boards)
+        here = retract(state, parametrization, head, boards)
         poses = _poses_in_world(here, world)
 
         def of_camera(pose: ArrayLike, origin: ArrayLike, lens: ArrayLike) -> Array:
@@ -132,14 +133,14 @@ def _parameters(
             in_degrees = jnp.concatenate([jnp.degrees(numbers[:3]), numbers[3:]])
             return jnp.concatenate([in_degrees, own.parameters])
 
-        every = jax.vmap(of_camera)(poses, start, jnp.asarray(chart.lens_of_camera))
+        every = jax.vmap(of_camera)(poses, start, jnp.asarray(parametrization.lens_of_camera))
         # How far a board turns counts from where it stands; its reference does not move.
-        turn_deg = jnp.degrees((head * chart.free)[chart.boards_first : chart.sheet_first])
+        turn_deg = jnp.degrees((head * parametrization.free)[parametrization.slices.boards])
         turn_deg = turn_deg.reshape(-1, POSE_SIZE)[1:, :3]
         in_set = jnp.concatenate([turn_deg, here.set_from_board[1:, :, 3]], axis=1)
         return jnp.concatenate([every.ravel(), in_set.ravel(), here.sheet])
 
-    head = jnp.zeros_like(jnp.asarray(chart.free))
+    head = jnp.zeros_like(jnp.asarray(parametrization.free))
     boards = jnp.zeros((state.rig_from_board.shape[0], POSE_SIZE), head.dtype)
     by_head, by_boards = jax.jacfwd(values, argnums=(0, 1))(head, boards)
     return values(head, boards), by_head, by_boards

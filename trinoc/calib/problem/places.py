@@ -9,7 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from trinoc.calib.problem.sheet import AbstractSheet
-from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState, head_columns, step_motion
+from trinoc.calib.problem.variables import (
+    POSE_SIZE,
+    Parametrization,
+    RigState,
+    head_columns,
+    step_motion,
+)
 from trinoc.calib.problem.views import ViewTable
 from trinoc.geometry.image_of_circle import circle_centre_offset
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
@@ -36,10 +42,10 @@ class BoardView(eqx.Module):
     set_from_board: Float[ArrayLike, "3 4"] | None
     shape: Float[ArrayLike, "w"]
 
-    def retract(self, chart: Chart, step: Float[ArrayLike, "k"]) -> "BoardView":
+    def retract(self, parametrization: Parametrization, step: Float[ArrayLike, "k"]) -> "BoardView":
         """This view after a step of (lens's parameters, camera, board in its set, sheet, board in
         the shot)."""
-        terms, unit = len(chart.sheet_model.names), chart.unit_mm
+        terms, unit = len(parametrization.sheet_model.names), parametrization.unit_mm
         poses = [POSE_SIZE] * (2 if self.set_from_board is None else 3)
         of_lens = step.shape[0] - sum(poses) - terms
         sizes = [of_lens, *poses[:-1], terms, POSE_SIZE]
@@ -47,10 +53,10 @@ class BoardView(eqx.Module):
         in_set = self.set_from_board
         return BoardView(
             self.lens.retract(by_lens),
-            step_motion(self.cam_from_rig, by_camera, unit, chart.pose_model),
+            step_motion(self.cam_from_rig, by_camera, unit, parametrization.pose_model),
             step_motion(self.rig_from_board, by_board, unit),
             None if in_set is None else step_motion(in_set, by_set[0], unit),
-            self.shape + chart.sheet_scale[:terms] * by_sheet,
+            self.shape + parametrization.sheet_scale[:terms] * by_sheet,
         )
 
     def project(
@@ -68,20 +74,22 @@ class BoardView(eqx.Module):
         return self.lens.project_ray(Pose(self.cam_from_rig).transform(point))
 
 
-def board_view(state: RigState, chart: Chart, camera: Any, shot: Any, board: Any) -> BoardView:
+def board_view(
+    state: RigState, parametrization: Parametrization, camera: Any, shot: Any, board: Any
+) -> BoardView:
     """What a camera looks at in a shot; all three are numbers, or traced ones."""
     return BoardView(
-        jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[camera]], state.lenses),
+        jax.tree.map(lambda leaf: leaf[parametrization.lens_of_camera[camera]], state.lenses),
         state.cam_from_rig[camera],
         state.rig_from_board[shot],
         state.set_from_board[board] if len(state.set_from_board) else None,
-        state.sheet.reshape(-1, len(chart.sheet_model.names))[board],
+        state.sheet.reshape(-1, len(parametrization.sheet_model.names))[board],
     )
 
 
 def predict_places(
     here: BoardView,
-    chart: Chart,
+    parametrization: Parametrization,
     board: ArrayLike | int,
     place_mm: Float[ArrayLike, "n 3"],
     aside_mm: Float[ArrayLike, "n 3"],
@@ -96,14 +104,14 @@ def predict_places(
     The centre of a circle's image is not the image of its centre; by how much is taken where the
     step begins: it changes a thousand times less than the places themselves.
     """
-    after = here if step is None else here.retract(chart, step)
-    sheet = chart.sheet_model
+    after = here if step is None else here.retract(parametrization, step)
+    sheet = parametrization.sheet_model
 
     def image(place: ArrayLike, aside: ArrayLike) -> ArrayLike:
         return after.project(place, aside, sheet, board)
 
     predicted = jnp.asarray(jax.vmap(image)(place_mm, aside_mm))
-    if not chart.has_circles:
+    if not parametrization.has_circles:
         return predicted
     still, flat_mm = jax.lax.stop_gradient((here, aside_mm))
 
@@ -116,16 +124,20 @@ def predict_places(
     return predicted + jnp.asarray(jax.vmap(offset)(jnp.asarray(place_mm), flat_mm, radius_mm))
 
 
-def residuals_px(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v n 2"]:
+def residuals_px(
+    state: RigState, parametrization: Parametrization, table: ViewTable
+) -> Float[Array, "v n 2"]:
     """Predicted minus observed, of all places."""
-    return jax.vmap(lambda view: _residuals(state, chart, view))(table)
+    return jax.vmap(lambda view: _residuals(state, parametrization, view))(table)
 
 
-def whitened_residuals(state: RigState, chart: Chart, table: ViewTable) -> Float[Array, "v n 2"]:
+def whitened_residuals(
+    state: RigState, parametrization: Parametrization, table: ViewTable
+) -> Float[Array, "v n 2"]:
     """Residuals of all places in units of their sigmas; zero where unused."""
 
     def of_view(view: ViewTable) -> Array:
-        return _whiten(view.whitening, _residuals(state, chart, view)[..., None])[..., 0]
+        return _whiten(view.whitening, _residuals(state, parametrization, view)[..., None])[..., 0]
 
     return jax.vmap(of_view)(table)
 
@@ -166,15 +178,15 @@ class LinearisedView(eqx.Module):
         return every.reshape(*self.by_places.shape[:2], -1)
 
     def weigh(
-        self, chart: Chart, loss: AbstractRobustLoss
+        self, parametrization: Parametrization, loss: AbstractRobustLoss
     ) -> tuple[Float[Array, "k k"], Float[Array, "k"]]:
         """J^T W J and J^T W r by the free steps of the head, and then of the board; W the loss's
         weight of each place."""
         of_board, first = (
-            jnp.full(POSE_SIZE, chart.boards_free),
+            jnp.full(POSE_SIZE, parametrization.boards_free),
             self.jacobian.shape[-1] - POSE_SIZE,
         )
-        of_view, of_places = jnp.split(jnp.asarray(chart.free)[self.columns], [first])
+        of_view, of_places = jnp.split(jnp.asarray(parametrization.free)[self.columns], [first])
         weight = loss.weight(jnp.sum(jnp.square(self.residual), axis=-1))[:, None, None]
         jacobian = jnp.concatenate([of_view, of_board])[None, None] * self.jacobian
         scaled = weight * jacobian
@@ -209,30 +221,32 @@ class LinearisedView(eqx.Module):
         return information, jnp.concatenate([gradient[head], pull, gradient[board]])
 
 
-def linearise(state: RigState, chart: Chart, view: ViewTable) -> LinearisedView:
+def linearise(state: RigState, parametrization: Parametrization, view: ViewTable) -> LinearisedView:
     """One view's places (a row of a table) by all steps that move them."""
     places, poses = len(state.shape), 3 if len(state.set_from_board) else 2
-    basis = jnp.asarray(chart.lens_basis)[chart.lens_of_camera[view.camera]]
-    others = poses * POSE_SIZE + len(chart.sheet_model.names)
+    basis = jnp.asarray(parametrization.lens_basis)[parametrization.lens_of_camera[view.camera]]
+    others = poses * POSE_SIZE + len(parametrization.sheet_model.names)
     # Control points of splined lenses are many, and pixels are linear in them.
     linear = state.lenses.control_count if isinstance(state.lenses, AbstractSplinedLens) else 0
     curved = basis.shape[1] - linear
 
     def after(step: Float[Array, "k"]) -> tuple[Array, Array]:
         own = jnp.concatenate([basis[:, :curved] @ step[:curved], step[curved : curved + others]])
-        aside = chart.unit_mm * step[curved + others :] if places else None
-        residual = _residuals(state, chart, view, own, aside)
+        aside = parametrization.unit_mm * step[curved + others :] if places else None
+        residual = _residuals(state, parametrization, view, own, aside)
         return residual, residual
 
     zero = jnp.zeros(curved + others + (3 if places else 0), basis.dtype)
     jacobian, residual = jax.jacfwd(after, has_aux=True)(zero)
     by_lens, by_rest, by_aside = jnp.split(jacobian, [curved, curved + others], axis=-1)
     if linear:
-        by_control = jnp.diagonal(basis)[None, None, curved:] * _by_control(state, chart, view)
+        by_control = jnp.diagonal(basis)[None, None, curved:] * _by_control(
+            state, parametrization, view
+        )
         by_lens = jnp.concatenate([by_lens, by_control], axis=-1)
     every = jnp.concatenate([by_lens, by_rest, residual[..., None]], axis=-1)
     standard = _whiten(view.whitening, every)
-    columns = head_columns(chart, view.camera, view.board)
+    columns = head_columns(parametrization, view.camera, view.board)
     near = LinearisedView(
         columns, standard[..., :-1], by_aside, jnp.asarray(view.place), standard[..., -1]
     )
@@ -243,7 +257,7 @@ def linearise(state: RigState, chart: Chart, view: ViewTable) -> LinearisedView:
 
 def _residuals(
     state: RigState,
-    chart: Chart,
+    parametrization: Parametrization,
     view: ViewTable,
     step: Float[ArrayLike, "k"] | None = None,
     aside_mm: Float[ArrayLike, "3"] | None = None,
@@ -253,10 +267,10 @@ def _residuals(
     none = len(state.shape)
     shape = jnp.concatenate([jnp.asarray(state.shape), jnp.zeros((1, 3), view.uv_px.dtype)])
     own = shape[jnp.minimum(view.place, none)]
-    here = board_view(state, chart, view.camera, view.shot, view.board)
+    here = board_view(state, parametrization, view.camera, view.shot, view.board)
     predicted = predict_places(
         here,
-        chart,
+        parametrization,
         view.board,
         view.place_mm,
         own if aside_mm is None else own + aside_mm[None],
@@ -275,10 +289,14 @@ def _whiten(whitening: Float[ArrayLike, "g k k"], columns: Float[ArrayLike, "n 2
     return standard.reshape(columns.shape)
 
 
-def _by_control(state: RigState, chart: Chart, view: ViewTable) -> Float[Array, "n 2 k"]:
+def _by_control(
+    state: RigState, parametrization: Parametrization, view: ViewTable
+) -> Float[Array, "n 2 k"]:
     """Derivative of all places of a view by the control points of its splined lens."""
     assert isinstance(state.lenses, AbstractSplinedLens)
     cores = eqx.tree_at(lambda s: s.lenses, state, jax.vmap(lambda lens: lens.core)(state.lenses))
-    of_core_px = _residuals(cores, chart, view) + view.uv_px
-    lens = jax.tree.map(lambda leaf: leaf[chart.lens_of_camera[view.camera]], state.lenses)
+    of_core_px = _residuals(cores, parametrization, view) + view.uv_px
+    lens = jax.tree.map(
+        lambda leaf: leaf[parametrization.lens_of_camera[view.camera]], state.lenses
+    )
     return jax.vmap(lens.by_control)(of_core_px)

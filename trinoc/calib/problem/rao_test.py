@@ -196,7 +196,7 @@ def rational_lens_test(
 
     That is the rational lens whose last three coefficients are 0. image_sizes_px : of each lens.
     """
-    model, count = lens_model("rational"), problem.chart.lens_shape[0]
+    model, count = lens_model("rational"), problem.parametrization.lens_shape[0]
     lenses = [widen_lens(lens_number(problem, k), model) for k in range(count)]
     return wider_lens_test(
         problem, with_wider_lenses(problem, lenses, image_sizes_px), variance_factor
@@ -206,9 +206,9 @@ def rational_lens_test(
 def wider_lens_test(problem: Problem, wider: Problem, variance_factor: float) -> RaoTest:
     """Whether the shots ask for what `wider`, a problem `with_wider_lenses`, has besides."""
     information = compute_information(wider)
-    _, size = problem.chart.lens_shape
-    _, wider_size = wider.chart.lens_shape
-    column = np.arange(len(wider.chart.free))
-    is_added = (column < wider.chart.lens_count) & (column % wider_size >= size)
+    _, size = problem.parametrization.lens_shape
+    _, wider_size = wider.parametrization.lens_shape
+    column = np.arange(len(wider.free))
+    is_added = (column < wider.slices.lenses.stop) & (column % wider_size >= size)
     test = rao_test(information, is_added[information.free])
     return test.with_noise(variance_factor)

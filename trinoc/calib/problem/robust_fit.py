@@ -109,19 +109,19 @@ def fit_places(
     table = problem.table
     scale = np.full(len(table.shot), np.inf)
     scale[: len(problem.views)] = outlier_scale
-    observed = PlacesProblem(problem.chart, table, GemanMcClure.from_scale(scale))
+    observed = PlacesProblem(problem.parametrization, table, GemanMcClure.from_scale(scale))
     end = as_numpy(solve(observed, problem.state, first_damping))
     return problem._replace(state=end.state), bool(end.converged)
 
 
 def place_errors_in_sigmas(problem: Problem) -> Float[np.ndarray, "v n 2"]:
     """Residuals in sigmas, unused ones zero, padded as the table is."""
-    return np.asarray(_whitened(problem.state, problem.chart, problem.table))
+    return np.asarray(_whitened(problem.state, problem.parametrization, problem.table))
 
 
 def errors_px(problem: Problem) -> list[Float[np.ndarray, "_m 2"]]:
     """Predicted minus observed of all places of each view; 0 along a line that has no ends."""
-    every = np.asarray(_residuals(problem.state, problem.chart, problem.table))
+    every = np.asarray(_residuals(problem.state, problem.parametrization, problem.table))
     return [
         rows[: view.rows] if view.shown is None else _project_across(view.shown, rows[: view.rows])
         for rows, view in zip(every, problem.views)
@@ -207,7 +207,9 @@ def with_sigma_factors(problem: Problem) -> Problem:
     squared = np.sum(errors**2, axis=(1, 2))
     total = sum(view.numbers for view in problem.views)
     share = max(degrees_of_freedom(problem), 1) / max(total, 1)
-    are_known = problem.chart.has_circles or any(v.shown is not None for v in problem.views)
+    are_known = problem.parametrization.has_circles or any(
+        v.shown is not None for v in problem.views
+    )
     factor, views = np.array(problem.sigma_factor), list(problem.views)
     for camera in range(problem.cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == camera and view.numbers]
@@ -246,8 +248,8 @@ def degrees_of_freedom(problem: Problem) -> int:
     """Residuals less unknowns; those with a prior (sheet, places, lenses) by `Problem.spent`."""
     residuals = sum(view.numbers for view in problem.views)
     shots = {view.shot for view in problem.views if view.used.any()}
-    steps = np.array(problem.chart.free[: problem.chart.sheet_first])
-    known = np.einsum("lqq->lq", np.asarray(problem.chart.lens_information)) > 0
-    steps[: problem.chart.lens_count][known.ravel()] = 0
+    steps = np.array(problem.free[: problem.slices.sheets.start])
+    known = np.einsum("lqq->lq", np.asarray(problem.priors.lens_information)) > 0
+    steps[problem.slices.lenses][known.ravel()] = 0
     spent = problem.spent + problem.spent_on_lenses
     return residuals - int(steps.sum()) - 6 * len(shots) - round(spent)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.problem import Problem, basis_of_scales, stack_problem_lenses
 from trinoc.calib.problem.sheet import BentPaper
-from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
+from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, Priors, RigState
 from trinoc.calib.problem.views import LINE_PIECES, SheetPoints, View, pad_count
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.uncertainty.systematics import CAMERAS_AT_ONCE, Systematics
@@ -98,19 +98,21 @@ def sheet_problem(
     reach_mm = max(float(np.hypot(*_places_mm(one, target).T[:2]).max()) for one in cameras)
     unit_mm = np.median([_reach_of_camera_mm(one, target) for one in cameras])
     pose_free = np.outer(is_real, np.arange(POSE_SIZE) < model.size)
-    chart = Chart(
+    parametrization = Parametrization(
         lens_basis=basis,
-        lens_mean=np.stack([np.asarray(lens.parameters) for lens in lenses]),
-        lens_information=lens_information,
         unit_mm=np.asarray(unit_mm),
         sheet_model=BentPaper(np.asarray(reach_mm)),
         sheet_scale=np.where(sigma > 0, sigma, 1.0),
-        sheet_information=np.diag((sigma > 0) / np.where(sigma > 0, sigma, 1.0) ** 2),
-        shape_information=np.zeros((0, 0)),
-        aim_information=is_real / aim_sigma_mm**2 if aim_sigma_mm > 0 else np.zeros(len(padded)),
         lens_of_camera=lens_of_camera,
         free=np.concatenate([lens_free.ravel(), pose_free.ravel(), sigma > 0]).astype(float),
         boards_free=np.zeros(()),
+        priors=Priors(
+            lens_mean=np.stack([np.asarray(lens.parameters) for lens in lenses]),
+            lens_information=lens_information,
+            sheet_information=np.diag((sigma > 0) / np.where(sigma > 0, sigma, 1.0) ** 2),
+            shape_information=np.zeros((0, 0)),
+            aim_information=is_real * (aim_sigma_mm**-2 if aim_sigma_mm > 0 else 0.0),
+        ),
         pose_model=model if model is PoseModel.RIGID else PoseModel.AIM_FREE,
         has_circles=bool(np.any(target.radius_mm > 0)),
     )
@@ -134,7 +136,9 @@ def sheet_problem(
         )
         for k, one in enumerate(cameras)
     )
-    return Problem(views, target, state, chart, shots=1, sigma_factor=np.ones(len(padded)))
+    return Problem(
+        views, target, state, parametrization, shots=1, sigma_factor=np.ones(len(padded))
+    )
 
 
 def _lens_prior(

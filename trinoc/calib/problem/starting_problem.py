@@ -14,7 +14,7 @@ from trinoc.calib.problem.problem import (
     with_lens_free,
 )
 from trinoc.calib.problem.sheet import WarpedBoard
-from trinoc.calib.problem.variables import POSE_SIZE, Chart, RigState
+from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, Priors, RigState
 from trinoc.calib.problem.views import View, shot_capacity
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import list_boards
@@ -68,9 +68,8 @@ def start_problem(
     set_free[:1] = 0.0
     free = (freedom.free, pose_free, set_free, sheet_free)
     unit_mm = float(np.median(depths))
-    chart = Chart(
+    parametrization = Parametrization(
         lens_basis=basis_of_scales(scale),
-        lens_mean=np.zeros_like(scale),
         unit_mm=np.asarray(unit_mm),
         sheet_model=WarpedBoard(
             np.stack([np.abs(board.centres_mm).max(axis=0) for board in members])
@@ -78,16 +77,19 @@ def start_problem(
         sheet_scale=np.tile([1.0, 1.0, unit_mm, unit_mm], len(members)),
         lens_of_camera=np.asarray(freedom.lens_of_camera),
         free=np.concatenate([part.astype(float).ravel() for part in free]),
-        lens_information=np.zeros((*scale.shape, scale.shape[1])),
-        sheet_information=information,
-        shape_information=np.zeros((0, 0)),
-        aim_information=np.zeros(len(cam_from_rig)),
         boards_free=np.ones(()),
+        priors=Priors(
+            lens_mean=np.zeros_like(scale),
+            lens_information=np.zeros((*scale.shape, scale.shape[1])),
+            sheet_information=information,
+            shape_information=np.zeros((0, 0)),
+            aim_information=np.zeros(len(cam_from_rig)),
+        ),
         pose_model=PoseModel.RIGID,
         has_circles=bool(np.any(target.radius_mm > 0)),
     )
     factor = np.ones(len(cam_from_rig))
-    problem = Problem(tuple(views), target, state, chart, shots, factor)
+    problem = Problem(tuple(views), target, state, parametrization, shots, factor)
     return with_lens_free(problem, freedom.free)
 
 

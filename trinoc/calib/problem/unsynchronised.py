@@ -69,8 +69,8 @@ def with_images_apart(fit: RobustFit) -> RobustFit | None:
     problem, elsewhere = drop_wrong_places(problem, _errors_in_sigmas(problem, poses))
     later_images = [k for images in images_of_shots(problem).values() for k in images[1:]]
     apart = with_shots_of_their_own(problem, later_images)
-    free = np.array(apart.chart.free)
-    free[apart.chart.lens_count : apart.chart.boards_first] = 0.0
+    free = np.array(apart.free)
+    free[apart.slices.cameras] = 0.0
     apart, _ = fit_places(with_head_free(apart, free))
     return finish_fit(apart, [*fit.elsewhere, *elsewhere])
 
@@ -95,9 +95,9 @@ def with_motion_between_images(apart_fit: RobustFit, shots_fit: RobustFit) -> Ro
         view._replace(shot=shot_view.shot)
         for view, shot_view in zip(apart.views, shots.views, strict=True)
     )
-    free = np.array(apart.chart.free)
-    cameras = slice(apart.chart.lens_count, apart.chart.boards_first)
-    free[cameras] = np.asarray(shots.chart.free)[cameras]
+    free = np.array(apart.free)
+    cameras = apart.slices.cameras
+    free[cameras] = np.asarray(shots.free)[cameras]
     only_cameras = np.zeros_like(free)
     only_cameras[cameras] = free[cameras]
     uncorrelated = apart._replace(state=state, views=views_in_shots, shots=shots.shots)
@@ -173,7 +173,7 @@ def _moved_places_mm(
 ) -> Float[np.ndarray, "m 3"]:
     """Places of an image's board, moved within the frame of the shot's board as its pose is."""
     from_board = np.asarray(problem.state.rig_from_board[view.shot])
-    after = np.asarray(step_motion(from_board, step, problem.chart.unit_mm))
+    after = np.asarray(step_motion(from_board, step, problem.parametrization.unit_mm))
     drawn_mm = problem.target.centres_mm[view.detection.circle_index]
     drawn_mm = np.pad(drawn_mm, ((0, 0), (0, 3 - drawn_mm.shape[1])))
     return (drawn_mm @ after[:, :3].T + after[:, 3] - from_board[:, 3]) @ from_board[:, :3]

@@ -3,9 +3,10 @@
 Some cameras look at a board in some shots. What all shots share is the *head*: lenses, cameras,
 where several boards stand in their set, how each board was printed and bent, and where single
 places of it lie. Each shot has a *block*: where the board stands in it. A problem says which of
-these are free (`Chart.free`) and what was known of them beforehand.
+these are free (`Parametrization.free`) and what was known of them beforehand.
 """
 
+import itertools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -47,43 +48,87 @@ class RigState(eqx.Module):
     shape: Float[ArrayLike, "p 3"]
 
 
-class Chart(eqx.Module):
-    """Units of all steps, which are taken, and what was known of the unknowns beforehand.
+class Priors(eqx.Module):
+    """Normal laws of what was known of the unknowns beforehand.
+
+    Fields
+    ------
+    lens_mean : (l, q) parameters of each lens that were thought likeliest.
+    lens_information : (l, q, q) inverse covariance of these; zero where nothing was known.
+    sheet_information : (w, w) inverse covariance of `RigState.sheet`, whose mean is 0.
+    shape_information : (3p, 3p) inverse covariance of `RigState.shape`, whose mean is 0; no rows
+        where that has none.
+    aim_information : (c,) inverse variance, in 1/mm^2, of each coordinate of the point of Z = 0 on
+        each optical axis, whose mean is the origin.
+    """
+
+    lens_mean: Float[ArrayLike, "l q"]
+    lens_information: Float[ArrayLike, "l q q"]
+    sheet_information: Float[ArrayLike, "w w"]
+    shape_information: Float[ArrayLike, "m m"]
+    aim_information: Float[ArrayLike, "c"]
+
+
+class HeadSlices(NamedTuple):
+    """Where, in the head, the steps of each kind of unknown stand, in the order of the head.
+
+    Fields
+    ------
+    lenses : each has `lens_size` steps.
+    cameras : POSE_SIZE steps of each camera's pose.
+    boards : POSE_SIZE steps of the pose, in their set, of each of several boards; none of one.
+    sheets : of how each board is bent and stretched.
+    places : 3 steps of each place of the boards.
+    lens_size : steps of one lens.
+    """
+
+    lenses: slice
+    cameras: slice
+    boards: slice
+    sheets: slice
+    places: slice
+    lens_size: int
+
+    def lens(self, number: int) -> slice:
+        """The steps of one lens."""
+        return _part(self.lenses, number, self.lens_size)
+
+    def camera(self, number: int) -> slice:
+        """The steps of one camera's pose."""
+        return _part(self.cameras, number, POSE_SIZE)
+
+
+def _part(whole: slice, number: int, size: int) -> slice:
+    first = whole.start + number * size
+    return slice(first, first + size)
+
+
+class Parametrization(eqx.Module):
+    """What a step changes, by how much, and which steps are taken.
 
     Fields
     ------
     lens_basis : (l, q, r) change of each lens's q parameters by its r steps: units on a diagonal,
         or the factor of a covariance, whose steps are in standard deviations.
-    lens_mean : (l, q) parameters of each lens that were thought likeliest beforehand.
-    lens_information : (l, q, q) inverse covariance of the prior on the parameters; zero where
-        nothing was known.
     unit_mm : length of a step of one in translations.
     sheet_model : how a board is bent and stretched.
-    sheet_scale : (w,) change of `sheet` for a step of one.
-    sheet_information : (w, w) inverse covariance of the prior on `sheet`, whose mean is 0.
-    shape_information : (3p, 3p) inverse covariance of the prior on `shape`, whose mean is 0; no
-        rows where `shape` has none.
-    aim_information : (c,) inverse variance, in 1/mm^2, of the prior on each coordinate of the point
-        of Z = 0 on each optical axis, whose mean is the origin.
+    sheet_scale : (w,) change of `RigState.sheet` for a step of one.
     lens_of_camera : (c,) which of the lenses each camera has.
     free : (h,) 1 for steps of the head that are taken, 0 for others.
     boards_free : 1 where the boards of the shots move, 0 where they stay.
+    priors : what was known beforehand.
     pose_model : of the steps of cameras: RIGID, or AIM_FREE over a sheet that stays.
     has_circles : whether some place is a circle.
     """
 
     lens_basis: Float[ArrayLike, "l q r"]
-    lens_mean: Float[ArrayLike, "l q"]
-    lens_information: Float[ArrayLike, "l q q"]
     unit_mm: Float[ArrayLike, ""]
     sheet_model: AbstractSheet
     sheet_scale: Float[ArrayLike, "w"]
-    sheet_information: Float[ArrayLike, "w w"]
-    shape_information: Float[ArrayLike, "m m"]
-    aim_information: Float[ArrayLike, "c"]
     lens_of_camera: Int[ArrayLike, "c"]
     free: Float[ArrayLike, "h"]
     boards_free: Float[ArrayLike, ""]
+    priors: Priors
     pose_model: PoseModel = eqx.field(static=True)
     has_circles: bool = eqx.field(static=True)
 
@@ -99,51 +144,45 @@ class Chart(eqx.Module):
         return self.lens_basis.diagonal(axis1=1, axis2=2)
 
     @property
-    def lens_count(self) -> int:
-        """How many steps of the head are the lenses', which begin it."""
-        lenses, steps = self.lens_shape
-        return lenses * steps
-
-    @property
     def boards(self) -> int:
         """How many boards there are."""
         return self.sheet_scale.shape[0] // len(self.sheet_model.names)
 
     @property
-    def boards_first(self) -> int:
-        """Where, in the head, the steps of several boards' poses in their set begin."""
-        return self.lens_count + POSE_SIZE * self.lens_of_camera.shape[0]
-
-    @property
-    def sheet_first(self) -> int:
-        """Where, in the head, the steps of the sheets begin; those of their places follow."""
-        return self.boards_first + (POSE_SIZE * self.boards if self.boards > 1 else 0)
-
-    @property
-    def shape_first(self) -> int:
-        """Where, in the head, the steps of the boards' places begin."""
-        return self.sheet_first + self.sheet_scale.shape[0]
-
-    def camera_rows(self, camera: int) -> slice:
-        """Where, in the head, the steps of a camera's pose stand."""
-        first = self.lens_count + POSE_SIZE * camera
-        return slice(first, first + POSE_SIZE)
+    def slices(self) -> HeadSlices:
+        """Where the steps of each kind stand in the head."""
+        lenses, lens_size = self.lens_shape
+        sizes = (
+            lenses * lens_size,
+            POSE_SIZE * self.lens_of_camera.shape[0],
+            POSE_SIZE * self.boards if self.boards > 1 else 0,
+            self.sheet_scale.shape[0],
+        )
+        cameras, boards, sheets, places = itertools.accumulate(sizes)
+        return HeadSlices(
+            lenses=slice(0, cameras),
+            cameras=slice(cameras, boards),
+            boards=slice(boards, sheets),
+            sheets=slice(sheets, places),
+            places=slice(places, self.free.shape[0]),
+            lens_size=lens_size,
+        )
 
 
 def head_columns(
-    chart: Chart, camera: Int[ArrayLike, ""], board: Int[ArrayLike, ""]
+    parametrization: Parametrization, camera: Int[ArrayLike, ""], board: Int[ArrayLike, ""]
 ) -> Int[Array, "k"]:
     """Where, in the head, the steps of one camera's lens, its pose, that of one of several boards,
     this board's sheet and all places stand."""
-    _, size = chart.lens_shape
-    terms = len(chart.sheet_model.names)
-    lens = chart.lens_of_camera[camera] * size + jnp.arange(size)
-    pose = chart.lens_count + camera * POSE_SIZE + jnp.arange(POSE_SIZE)
+    slices, terms = parametrization.slices, len(parametrization.sheet_model.names)
+    size = slices.lens_size
+    lens = parametrization.lens_of_camera[camera] * size + jnp.arange(size)
+    pose = slices.cameras.start + camera * POSE_SIZE + jnp.arange(POSE_SIZE)
     in_set = jnp.zeros(0, int)
-    if chart.boards > 1:
-        in_set = chart.boards_first + board * POSE_SIZE + jnp.arange(POSE_SIZE)
-    sheet = chart.sheet_first + board * terms + jnp.arange(terms)
-    places = jnp.arange(chart.shape_first, chart.free.shape[0])
+    if parametrization.boards > 1:
+        in_set = slices.boards.start + board * POSE_SIZE + jnp.arange(POSE_SIZE)
+    sheet = slices.sheets.start + board * terms + jnp.arange(terms)
+    places = jnp.arange(slices.places.start, slices.places.stop)
     return jnp.concatenate([lens, pose, in_set, sheet, places])
 
 
@@ -158,29 +197,30 @@ def step_motion(
 
 
 def retract(
-    state: RigState, chart: Chart, head: Float[ArrayLike, "h"], boards: Float[ArrayLike, "s 6"]
+    state: RigState,
+    parametrization: Parametrization,
+    head: Float[ArrayLike, "h"],
+    boards: Float[ArrayLike, "s 6"],
 ) -> RigState:
     """The state after a step of what is free."""
-    head = head * chart.free
-    ends = [chart.lens_count, chart.boards_first, chart.sheet_first, chart.shape_first]
-    by_lens, by_camera, by_board, by_sheet, by_shape = jnp.split(head, ends)
+    head, slices = head * parametrization.free, parametrization.slices
+    unit_mm = parametrization.unit_mm
 
     def step_lens(lens: AbstractLens, basis: ArrayLike, step: ArrayLike) -> AbstractLens:
         return lens.retract(basis @ step)
 
     def step_all(motions: ArrayLike, steps: ArrayLike, model: PoseModel) -> ArrayLike:
         each = steps.reshape(-1, POSE_SIZE)
-        return jax.vmap(lambda own, step: step_motion(own, step, chart.unit_mm, model))(
-            motions, each
-        )
+        return jax.vmap(lambda own, step: step_motion(own, step, unit_mm, model))(motions, each)
 
+    by_lens = head[slices.lenses].reshape(parametrization.lens_shape)
     return RigState(
-        jax.vmap(step_lens)(state.lenses, chart.lens_basis, by_lens.reshape(chart.lens_shape)),
-        step_all(state.cam_from_rig, by_camera, chart.pose_model),
-        step_all(state.rig_from_board, chart.boards_free * boards, PoseModel.RIGID),
-        step_all(state.set_from_board, by_board, PoseModel.RIGID),
-        state.sheet + chart.sheet_scale * by_sheet,
-        state.shape + chart.unit_mm * by_shape.reshape(-1, 3),
+        jax.vmap(step_lens)(state.lenses, parametrization.lens_basis, by_lens),
+        step_all(state.cam_from_rig, head[slices.cameras], parametrization.pose_model),
+        step_all(state.rig_from_board, parametrization.boards_free * boards, PoseModel.RIGID),
+        step_all(state.set_from_board, head[slices.boards], PoseModel.RIGID),
+        state.sheet + parametrization.sheet_scale * head[slices.sheets],
+        state.shape + unit_mm * head[slices.places].reshape(-1, 3),
     )
 
 
@@ -193,25 +233,25 @@ class Prior(NamedTuple):
     information: Float[ArrayLike, "h h"]
 
 
-def evaluate_prior(state: RigState, chart: Chart) -> Prior:
+def evaluate_prior(state: RigState, parametrization: Parametrization) -> Prior:
     """The prior at a state: of lenses, aims, sheets and single places; none of the rest."""
-    unit, cameras = chart.unit_mm, chart.lens_of_camera.shape[0]
+    unit_mm, cameras = parametrization.unit_mm, parametrization.lens_of_camera.shape[0]
+    known, slices, free = parametrization.priors, parametrization.slices, parametrization.free
     parameters = jax.vmap(lambda lens: jnp.asarray(lens.parameters))(state.lenses)
     lenses = jax.vmap(_gaussian)(
-        parameters - chart.lens_mean, chart.lens_information, chart.lens_basis
+        parameters - known.lens_mean, known.lens_information, parametrization.lens_basis
     )
     aim_mm = jnp.zeros((cameras, 2))
-    if chart.pose_model is not PoseModel.RIGID:
+    if parametrization.pose_model is not PoseModel.RIGID:
         aim_mm = jax.vmap(lambda pose: Pose(pose).aim_mm)(jnp.asarray(state.cam_from_rig))
     # The aim is what the last two steps of AIM_FREE change.
-    poses = jax.vmap(lambda aim, known: _gaussian(aim, known * jnp.eye(2), unit * _AIM_STEPS))(
-        aim_mm, chart.aim_information
+    poses = jax.vmap(lambda aim, each: _gaussian(aim, each * jnp.eye(2), unit_mm * _AIM_STEPS))(
+        aim_mm, known.aim_information
     )
-    in_set = chart.sheet_first - chart.boards_first
-    sheet = _gaussian(state.sheet, chart.sheet_information, jnp.diag(chart.sheet_scale))
-    steps = unit * jnp.eye(3 * state.shape.shape[0])
-    shape = _gaussian(state.shape.ravel(), jnp.asarray(chart.shape_information), steps)
-    free = chart.free
+    in_set = slices.boards.stop - slices.boards.start
+    sheet = _gaussian(state.sheet, known.sheet_information, jnp.diag(parametrization.sheet_scale))
+    steps = unit_mm * jnp.eye(3 * state.shape.shape[0])
+    shape = _gaussian(state.shape.ravel(), jnp.asarray(known.shape_information), steps)
     gradient = jnp.concatenate(
         [
             *(lenses.gradient.ravel(), poses.gradient.ravel(), jnp.zeros(in_set)),
