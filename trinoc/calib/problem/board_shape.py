@@ -33,6 +33,7 @@ from trinoc.calib.problem.variables import Parametrization, RigState
 from trinoc.calib.problem.views import ViewTable
 from trinoc.calib.problem.wrong_circles import drop_wrong_circles
 from trinoc.calib.tuning.every_group import TUNING
+from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
 # numerical: more places would make the equations of all shots too large.
@@ -122,6 +123,7 @@ def with_free_places(
     return with_head_free(known._replace(state=state), free)
 
 
+@kept_jit
 def _chi_square_gain(state: RigState, parametrization: Parametrization, table: ViewTable) -> tuple:
     """What free places would take off the chi-square, to first order, and it."""
     plain = GemanMcClure.from_scale(jnp.full(len(table.shot), jnp.inf))

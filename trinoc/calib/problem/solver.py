@@ -127,18 +127,22 @@ def solve(
 def _descend(
     problem: AbstractArrowProblem[State], state: State, first_damping: Float[Array, ""]
 ) -> Solution[State]:
+    def cost_and_equations(state: Any, problem: Any) -> tuple[Any, ArrowEquations]:
+        equations = _equations(problem, state)
+        return equations.cost, equations
+
     solution = optx.minimise(
-        lambda state, problem: _equations(problem, state).cost,
-        _ArrowDescent(),
+        cost_and_equations,
+        ArrowDescent(problem=problem, first_damping=first_damping),
         jax.tree.map(jnp.asarray, state),
         problem,
-        options={"first_damping": first_damping},
+        has_aux=True,
         max_steps=MOST_STEPS,
         throw=False,
     )
     return Solution(
         solution.value,
-        solution.stats["cost"],
+        jnp.asarray(solution.aux.cost),
         solution.stats["num_steps"] - 1,  # the first is of nothing
         solution.result == optx.RESULTS.successful,
     )
@@ -172,47 +176,52 @@ class _Step(NamedTuple):
     """A step of the head and of the blocks, what it promises, which blocks take part, and a gain
     that is as good as none."""
 
-    head: Float[ArrayLike, "h"]
-    blocks: Float[ArrayLike, "b w"]
+    head: Float[Array, "h"]
+    blocks: Float[Array, "b w"]
     promised: Float[ArrayLike, ""]
     follows: Bool[ArrayLike, "b"]
     negligible: ScalarLike
 
 
-class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
-    """Tries a damped step from where it stands, and takes it where that gains.
+class ArrowDescent(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
+    """Levenberg and Marquardt's descent: a damped step from where it stands, taken where it gains.
 
-    Of the model there is one copy in the program, the equations after a step: those at the start
-    are found by a first step of nothing.
+    The function to minimise returns the cost and, as its auxiliary output, the equations there,
+    which say the next step. Of it there is one copy in the program, after a step: the equations at
+    the start are found by a first step of nothing.
 
     Source of steps that may rise: Chamberlain et al., "The watchdog technique for forcing
     convergence in algorithms for constrained optimization" (1982).
     """
 
-    rtol: float = 0.0  # not used: a chi-square has a scale of its own
+    problem: AbstractArrowProblem
+    first_damping: Float[Array, ""]
+    rtol: float = 0.0
     atol: float = CONVERGED_GAIN
-    norm: Callable[[PyTree], Float[Array, ""]] = eqx.field(default=optx.max_norm, static=True)
+    # optimistix wants one; steps are judged by the cost, by `atol` and `rtol`.
+    norm: ClassVar[Callable[[PyTree], Float[Array, ""]]] = staticmethod(optx.max_norm)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Progress:
         """Nothing known yet: no information, and any cost gains."""
-        shapes = jax.eval_shape(_equations, args, y)
-        zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct)
         nothing = zeros._replace(cost=jnp.full_like(zeros.cost, jnp.inf))
         # A step that gains divides it by ten.
-        damping, no = 10 * options["first_damping"], jnp.asarray(False)
+        damping, no = 10 * self.first_damping, jnp.asarray(False)
         blocks = jnp.full(zeros.gradient[1].shape[0], damping)
         return _Progress(y, nothing, nothing, no, damping, blocks, no)
 
-    def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, None]:
+    def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, ArrowEquations]:
         """Try one step; one that rises near the minimum may be followed by another."""
-        step = self._find_step(args, y, state)
-        tried = args.retract(y, step.head, step.blocks)
-        there, least = _equations(args, tried), state.at_best.cost
+        least = state.at_best.cost
+        tolerance = self.atol + self.rtol * jnp.where(jnp.isfinite(least), least, 0.0)
+        step = self._find_step(y, state, tolerance)
+        tried = self.problem.retract(y, step.head, step.blocks)
+        _, there = fn(tried, args)
         better = there.cost <= least
         rises = ~better & ~state.risen & (step.promised < _NEAR) & jnp.isfinite(there.cost)
-        enough = step.promised < self.atol
+        enough = step.promised < tolerance
         still = enough & (least - there.cost < step.negligible)
-        stuck = (state.damping * 10 > MOST_DAMPING) | (step.promised < 1e-3 * self.atol)
+        stuck = (state.damping * 10 > MOST_DAMPING) | (step.promised < 1e-3 * tolerance)
         factor = jnp.where(better, 0.1, jnp.where(rises, 1.0, 10.0))
         of_blocks = jnp.where(step.follows, factor, 10.0)
         best, at_best = _where(better, (tried, there), (state.best, state.at_best))
@@ -226,10 +235,10 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
             jnp.clip(state.block_damping * of_blocks, LEAST_DAMPING, MOST_DAMPING),
             jnp.where(better, still, stuck),
         )
-        return y, progress, None
+        return y, progress, at_best
 
-    def _find_step(self, problem: AbstractArrowProblem, y: Any, state: _Progress) -> _Step:
-        gradient = state.here.gradient
+    def _find_step(self, y: Any, state: _Progress, tolerance: ScalarLike) -> _Step:
+        problem, gradient = self.problem, state.here.gradient
         solver = BlockArrowSolver(state.damping + FLOOR_DAMPING, state.block_damping)
         factored = solver.init(state.here.information, {})
         solution = lx.linear_solve(
@@ -238,14 +247,14 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
         head, blocks = jax.tree.map(jnp.negative, solution.value)
         if not isinstance(problem, AbstractSeparableProblem):
             promised = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
-            return _Step(head, blocks, promised, jnp.ones(len(blocks), bool), self.atol)
+            return _Step(head, blocks, promised, jnp.ones(len(blocks), bool), tolerance)
         both = jnp.stack([blocks, jnp.zeros_like(blocks)])
         moved, stayed = jax.vmap(lambda own: problem.costs(problem.retract(y, head, own)).blocks)(
             both
         )
         follows = moved <= stayed
         promised = -factored.elimination.reduced_side(gradient) @ head
-        negligible = self.atol * (1 + len(blocks) / BLOCKS_THAT_CREEP)
+        negligible = tolerance * (1 + len(blocks) / BLOCKS_THAT_CREEP)
         return _Step(head, jnp.where(follows[:, None], blocks, 0.0), promised, follows, negligible)
 
     def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
@@ -256,9 +265,9 @@ class _ArrowDescent(optx.AbstractMinimiser[Any, None, _Progress]):
 
     def postprocess(
         self, fn, y, aux, args, options, state, tags, result
-    ) -> tuple[Any, None, dict[str, Any]]:
-        """The best state, with its cost among the statistics."""
-        return state.best, aux, {"cost": state.at_best.cost}
+    ) -> tuple[Any, ArrowEquations, dict[str, Any]]:
+        """The best state, and the equations there."""
+        return state.best, state.at_best, {}
 
 
 def _where(condition: Bool[ArrayLike, ""], yes: Any, no: Any) -> Any:
