@@ -5,7 +5,7 @@ one at each of several scales; then damped ones of least squares, each of which 
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -117,16 +117,16 @@ class PictureSolver(optx.AbstractRootFinder[PictureState, Array, Equations, _Des
 
     Fields
     ------
-    schedule : of the steps.
+    schedule : of the steps, with the tolerance.
     model : what a step may change of the pose.
-    rtol, atol, norm : not used; see `Schedule`.
     """
 
     schedule: Schedule
     model: PoseModel = eqx.field(static=True)
-    rtol: float = 0.0
-    atol: float = 0.0
-    norm: Callable[[PyTree], Scalar] = eqx.field(default=optx.max_norm, static=True)
+    # optimistix wants these; `Schedule.atol` ends the steps.
+    rtol: ClassVar[float] = 0.0
+    atol: ClassVar[float] = 0.0
+    norm: ClassVar[Callable[[PyTree], Scalar]] = staticmethod(optx.max_norm)
 
     def init(
         self,
