@@ -35,48 +35,53 @@ def result_of_fits(
     known: Knowledge,
     status: Mapping[str, Status],
     failures: dict[str, str],
-    others: Mapping[str, CameraFit],
+    failed_fits: Mapping[str, CameraFit],
 ) -> CalibrationResult:
     """The rig, its covariance and what is to be said of each camera.
 
     fits : of cameras that share nothing. status : of all cameras asked for, in their order.
-    others : of cameras that are not in the rig.
+    failed_fits : of cameras that are not in the rig.
     """
-    cameras, judged, said = {}, dict(status), dict(others)
-    keys, blocks, values, told = [], [], [], []
-    reported = known.model.parameter_names
+    cameras: dict[str, Camera] = {}
+    status_of_camera, camera_fits = dict(status), dict(failed_fits)
+    covariance_names: list[str] = []
+    covariance_blocks: list[np.ndarray] = []
+    parameters: list[str] = []
+    values: list[np.ndarray] = []
+    pose_parameters = known.model.parameter_names
     refutations = [notes_of_priors(fit.adjustment, known) for fit in fits]
     # Cameras that are fitted apart share nothing: the sheet is exact for them.
-    of_sheet = tuple(dict.fromkeys(note for one in refutations for note in one.of_sheet))
+    notes_of_sheet = tuple(dict.fromkeys(note for one in refutations for note in one.of_sheet))
     for fit, refuted in zip(fits, refutations, strict=True):
-        seen = [_observability(fit.adjustment, k) for k in range(len(fit.cameras))]
-        own_keys, block = _named_covariance(fit, seen)
-        keys += own_keys
-        blocks.append(block)
-        for k, camera in enumerate(fit.cameras):
-            name = camera.camera.name
+        observabilities = [_observability(fit.adjustment, k) for k in range(len(fit.cameras))]
+        names, block = _named_covariance(fit, observabilities)
+        covariance_names += names
+        covariance_blocks.append(block)
+        for k, choice in enumerate(fit.cameras):
+            name = choice.camera.name
             cameras[name] = _camera(fit, k)
-            said[name], suspect = _camera_fit(fit, k, known, seen[k], refuted)
+            camera_fits[name], suspect = _camera_fit(fit, k, known, observabilities[k], refuted)
             if suspect:
-                judged[name] = Status.SUSPECT
-            values.append(values_of_parameters(fit.adjustment.parameters(k))[: len(reported)])
-            told += [f"{name}.{parameter}" for parameter in reported]
-    covariance = np.asarray(block_diag(*blocks))
+                status_of_camera[name] = Status.SUSPECT
+            of_pose = values_of_parameters(fit.adjustment.parameters(k))
+            values.append(of_pose[: len(pose_parameters)])
+            parameters += [f"{name}.{parameter}" for parameter in pose_parameters]
+    covariance = np.asarray(block_diag(*covariance_blocks))
     better = advise_better_knowledge([fit.adjustment for fit in fits], known.systematics)
-    unseen = say_what_goes_unseen({name: said[name].alternatives for name in cameras})
+    unseen = say_what_goes_unseen({name: camera_fits[name].alternatives for name in cameras})
     advice = [unseen] if better is None else [better.sentence, unseen]
-    rows = [keys.index(key) for key in told]
+    rows = [covariance_names.index(parameter) for parameter in parameters]
     return CalibrationResult(
-        rig=Rig(cameras, parameters=keys, covariance=covariance),
-        status=judged,
-        parameters=tuple(told),
+        rig=Rig(cameras, parameters=covariance_names, covariance=covariance),
+        status=status_of_camera,
+        parameters=tuple(parameters),
         values=np.concatenate(values),
         covariance=covariance[np.ix_(rows, rows)],
-        fits=said,
+        fits=camera_fits,
         pattern=known.pattern,
         failures=failures,
         systematics=known.systematics.words,
-        notes=of_sheet,
+        notes=notes_of_sheet,
         advice=" ".join(filter(None, advice)),
     )
 
@@ -89,50 +94,59 @@ def _observability(adjustment: Adjustment, view: int) -> Observability:
 
 
 def _named_covariance(
-    fit: RigFit, seen: Sequence[Observability]
+    fit: RigFit, observabilities: Sequence[Observability]
 ) -> tuple[list[str], Float[np.ndarray, "k k"]]:
     """Names and covariance of all poses and of the focal lengths and principal points that are
     uncertain; NaN for parameters that are not determined."""
     adjustment = fit.adjustment
-    names, blocks, unknown = [], [], []
+    names: list[str] = []
+    jacobians: list[np.ndarray] = []
+    undetermined: list[int] = []
     for k, choice in enumerate(fit.cameras):
-        camera, rows = choice.camera, adjustment.rows(k)
-        by_pose = np.zeros((len(rows), len(adjustment.covariance)))
-        by_pose[:, rows] = adjustment.degrees_by_step(k)
-        unknown += [len(names) + row for row in seen[k].gauge]
-        names += [f"{camera.name}.{key}" for key in PARAMETER_NAMES[: len(by_pose)]]
-        blocks.append(by_pose)
+        camera, steps = choice.camera, adjustment.rows(k)
+        of_pose = np.zeros((len(steps), len(adjustment.covariance)))
+        of_pose[:, steps] = adjustment.degrees_by_step(k)
+        undetermined += [len(names) + row for row in observabilities[k].gauge]
+        names += [f"{camera.name}.{key}" for key in PARAMETER_NAMES[: len(of_pose)]]
+        jacobians.append(of_pose)
         if camera.lens_factor is not None:
-            by_lens = np.zeros((len(AFFINE_PARAMETERS), len(adjustment.covariance)))
+            of_lens = np.zeros((len(AFFINE_PARAMETERS), len(adjustment.covariance)))
             factor = camera.lens_factor[: len(AFFINE_PARAMETERS)]
-            by_lens[: len(factor), adjustment.lens_rows(k)] = factor
+            of_lens[: len(factor), adjustment.lens_rows(k)] = factor
             names += [f"{camera.name}.{key}" for key in AFFINE_PARAMETERS]
-            blocks.append(by_lens)
-    by_unknowns = np.concatenate(blocks)
-    covariance = by_unknowns @ adjustment.covariance @ by_unknowns.T
+            jacobians.append(of_lens)
+    jacobian = np.concatenate(jacobians)
+    covariance = jacobian @ adjustment.covariance @ jacobian.T
     # Files hold no matrix that rounding made other than symmetric.
     covariance = 0.5 * (covariance + covariance.T)
-    covariance[unknown] = np.nan
-    covariance[:, unknown] = np.nan
+    covariance[undetermined] = np.nan
+    covariance[:, undetermined] = np.nan
     return names, covariance
 
 
 def _camera(fit: RigFit, view: int) -> Camera:
-    camera, pose = fit.cameras[view].camera, fit.adjustment.pose(view)
-    if camera.lens_factor is None:
-        return Camera(camera.lens, pose)
-    lens, said = simplify_lens(fit.adjustment.lens(view)), camera.lens
-    return Camera(Intrinsics.of_lens(lens, said.image_size_px, said.pixel_pitch_mm), pose)
+    stated, pose = fit.cameras[view].camera, fit.adjustment.pose(view)
+    if stated.lens_factor is None:
+        return Camera(stated.lens, pose)
+    lens = simplify_lens(fit.adjustment.lens(view))
+    return Camera(
+        Intrinsics.of_lens(lens, stated.lens.image_size_px, stated.lens.pixel_pitch_mm), pose
+    )
 
 
 def _camera_fit(
-    fit: RigFit, view: int, known: Knowledge, seen: Observability, priors: RefutedPriors
+    fit: RigFit,
+    view: int,
+    known: Knowledge,
+    observability: Observability,
+    refuted_priors: RefutedPriors,
 ) -> tuple[CameraFit, bool]:
-    """What is said of one camera, and whether it is suspect: its residuals are not those of the
-    model, or what was said of lens, aim or sheet is refuted."""
+    """The fit of one camera, and whether it is suspect: its residuals are not those of the model,
+    or what was stated of lens, aim or sheet is refuted."""
     choice, of_circles = fit.cameras[view], fit.of_circles
     used = of_circles.used[view]
-    source = fit.adjustment if choice.method == "pixels" else of_circles
+    by_pixels = choice.method == "pixels"
+    source = fit.adjustment if by_pixels else of_circles
     tests = alternatives(
         source,
         view,
@@ -141,25 +155,26 @@ def _camera_fit(
         aim_is_held=known.aim_is_held,
     )
     reduced = float(of_circles.reduced_chi_square[view])
-    gauge = tuple(PARAMETER_NAMES[k] for k in seen.gauge)
-    refuted = (*priors.of_views[view], *priors.of_sheet)
-    suspect = bool(refuted) or is_suspect(tests, float(source.reduced_chi_square[view]))
+    gauge = tuple(PARAMETER_NAMES[k] for k in observability.gauge)
+    refutations = (*refuted_priors.of_views[view], *refuted_priors.of_sheet)
+    suspect = bool(refutations) or is_suspect(tests, float(source.reduced_chi_square[view]))
     if not suspect:
-        refuted = notes_of_misfit(of_circles, view)
-    notes = notes_of_camera(choice, known.pattern, used, tests, reduced, gauge)
-    by_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
-    picture = choice.picture if choice.method == "pixels" else None
-    of_aim = () if view in priors.wrong_aims else notes_of_aim(fit.adjustment, view, known)
-    result = CameraFit(
+        refutations = notes_of_misfit(of_circles, view)
+    of_camera = notes_of_camera(choice, known.pattern, used, tests, reduced, gauge)
+    of_aim = ()
+    if view not in refuted_priors.wrong_aims:
+        of_aim = notes_of_aim(fit.adjustment, view, known)
+    at_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
+    camera_fit = CameraFit(
         detection=choice.camera.detection,
-        residuals_px=errors_px(by_answer)[view],
-        rank=seen.rank,
+        residuals_px=errors_px(at_answer)[view],
+        rank=observability.rank,
         reduced_chi_square=reduced,
         gauge=gauge,
-        notes=(*refuted, *of_aim, *notes),
+        notes=(*refutations, *of_aim, *of_camera),
         used=used,
-        image=picture.quality if picture is not None else None,
+        image=choice.picture.quality if by_pixels and choice.picture is not None else None,
         alternatives=tuple(tests),
         method=choice.method,
     )
-    return result, suspect or bool(refuted)
+    return camera_fit, suspect or bool(refutations)

@@ -91,43 +91,44 @@ def _fit_detected_cameras(
     orientation: Orientation,
 ) -> tuple[dict[str, str], CalibrationResult | None]:
     """Sentences for the cameras that failed, and the result of the others, if any."""
-    factors = known.systematics.lens_factors(lenses)
+    lens_factors = known.systematics.lens_factors(lenses)
     detections, ambiguous = resolve_orientation(search.detections, known.pattern, orientation)
     status = dict.fromkeys(search.names, Status.NOT_DETECTED)
     failures = {**search.failures, **ambiguous}
-    cameras, others = [], {}
+    cameras: list[SheetCamera] = []
+    failed_fits: dict[str, CameraFit] = {}
     for name in search.names:
         if name not in detections or name in ambiguous:
             continue
-        detection, lens, factor = detections[name], lenses[name], factors.get(name)
+        detection, lens, factor = detections[name], lenses[name], lens_factors.get(name)
         image = search.images.get(name)
-        fit = fit_circles(detection, lens, known, image)
-        status[name] = fit.status
-        sentence = failure_sentence(fit, detection, known.fitted_model, lens, factor)
-        if sentence is None:
-            pose = pose_of_values(fit.values)
+        estimate = fit_circles(detection, lens, known, image)
+        status[name] = estimate.status
+        failure = failure_sentence(estimate, detection, known.fitted_model, lens, factor)
+        if failure is None:
+            pose = pose_of_values(estimate.values)
             cameras.append(SheetCamera(name, detection, lens, factor, pose, image))
         else:
-            failures[name] = sentence
-            others[name] = _failed_fit(detection, fit)
+            failures[name] = failure
+            failed_fits[name] = _failed_fit(detection, estimate)
     status |= dict.fromkeys(ambiguous, Status.AMBIGUOUS)
     result = None
     if cameras:
         fits = [fit_rig(group, known) for group in known.systematics.groups(cameras)]
-        result = result_of_fits(fits, known, status, failures, others)
+        result = result_of_fits(fits, known, status, failures, failed_fits)
     return failures, result
 
 
-def _failed_fit(detection: Detection, fit: PoseEstimate) -> CameraFit:
+def _failed_fit(detection: Detection, estimate: PoseEstimate) -> CameraFit:
     """What is known of a camera whose circles give no pose."""
     return CameraFit(
         detection=detection,
-        residuals_px=fit.residuals_px,
-        rank=fit.rank,
-        reduced_chi_square=fit.reduced_chi_square,
-        gauge=fit.gauge,
+        residuals_px=estimate.residuals_px,
+        rank=estimate.rank,
+        reduced_chi_square=estimate.reduced_chi_square,
+        gauge=estimate.gauge,
         notes=(),
-        used=fit.used,
+        used=estimate.used,
     )
 
 

@@ -232,12 +232,9 @@ class HeldLenses(NamedTuple):
 
         This is Baarda's external reliability, as `adjustment.model_tests` has it of one picture.
         """
-        of_fit, lenses = (
-            self.information.of_steps(~self.is_asked),
-            self.problem.slices.lenses.stop,
-        )
+        of_fit, cameras = self.information.of_steps(~self.is_asked), self.problem.slices.cameras
         asked = self.information.free[self.is_asked]
-        of_pose = (of_fit.free >= lenses) & (of_fit.free < self.problem.slices.cameras.stop)
+        of_pose = (of_fit.free >= cameras.start) & (of_fit.free < cameras.stop)
         by_fitted = -np.nan_to_num(of_fit.observability.covariance)[of_pose]
         by_asked = by_fitted @ self.information.of_shot.sum(axis=0)[np.ix_(of_fit.free, asked)]
         in_sigmas = by_asked / np.sqrt(np.diag(covariance)[of_pose])[:, None]
@@ -256,7 +253,7 @@ class HeldLenses(NamedTuple):
             worst = float(strain[row])
             off = self._scale(cause) * (error @ moved[row]) / worst
             amounts = ", ".join(f"{n} off by {o:+.2g}" for n, o in zip(group, off, strict=True))
-            camera = self.cameras[(of_fit.free[of_pose][row] - lenses) // POSE_SIZE]
+            camera = self.cameras[(of_fit.free[of_pose][row] - cameras.start) // POSE_SIZE]
             owner = _owner(self.problem, self.cameras, number)
             said = (
                 f"The lens of {owner} is taken to be exact. The shots may well not "
@@ -279,16 +276,13 @@ def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
 
     The strain is the largest step from the prior's mean along a principal axis, in its sigmas.
     """
-    parametrization, worst, said = problem.parametrization, TUNING.answer.strain_sigmas, None
+    worst, said, priors = TUNING.answer.strain_sigmas, None, problem.priors
     for number in np.flatnonzero(is_given(problem.priors)).tolist():
-        scale = np.asarray(parametrization.lens_scale)[number]
-        offset = (
-            np.asarray(lens_number(problem, number).parameters)
-            - parametrization.priors.lens_mean[number]
-        )
-        values, axes = np.linalg.eigh(
-            parametrization.priors.lens_information[number] * np.outer(scale, scale)
-        )
+        scale = np.asarray(problem.parametrization.lens_scale)[number]
+        lens = lens_number(problem, number)
+        offset = np.asarray(lens.parameters) - priors.lens_mean[number]
+        information = priors.lens_information[number] * np.outer(scale, scale)
+        values, axes = np.linalg.eigh(information)
         strain = float(np.abs(np.sqrt(np.maximum(values, 0.0)) * (axes.T @ (offset / scale))).max())
         if strain > worst:
             worst = strain

@@ -179,11 +179,8 @@ def choose_answer(
 
 def has_open_model(adjustment: Adjustment) -> bool:
     """Whether lens or sheet are estimated along with the poses."""
-    parametrization, weights = adjustment.problem.parametrization, prior_weights(adjustment.problem)
-    return bool(
-        weights[parametrization.slices.lenses].any()
-        or weights[parametrization.slices.sheets.start :].any()
-    )
+    slices, weights = adjustment.problem.slices, prior_weights(adjustment.problem)
+    return bool(weights[slices.lenses].any() or weights[slices.sheets].any())
 
 
 def are_circles_displaced(of_circles: Adjustment, view: int) -> bool:

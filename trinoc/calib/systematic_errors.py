@@ -74,12 +74,11 @@ def _response(result: CalibrationResult, name: str, count: int) -> Float[np.ndar
         [seen], result.pattern, Systematics(), PoseModel.AIM_FREE, aim_sigma_mm=0.0
     )
     view = problem.views[0]._replace(used=fit.used)
-    problem, parametrization = problem._replace(views=(view,)), problem.parametrization
-    jacobian = whiten_views(problem).jacobian[0]
-    pose = parametrization.slices.camera(0)
-    by_step = jacobian[:, pose][:, :count]
-    by_sheet = jacobian[:, parametrization.slices.sheets.start :][:, _SHEET_TERMS]
-    by_lens = jacobian[:, : parametrization.lens_shape[1]] / parametrization.lens_scale[0]
+    problem, slices = problem._replace(views=(view,)), problem.slices
+    parametrization, jacobian = problem.parametrization, whiten_views(problem).jacobian[0]
+    by_step = jacobian[:, slices.camera(0)][:, :count]
+    by_sheet = jacobian[:, slices.sheets][:, _SHEET_TERMS]
+    by_lens = jacobian[:, slices.lens(0)] / parametrization.lens_scale[0]
     by_error = np.concatenate([by_sheet, by_lens], axis=1)
     step = -np.linalg.solve(by_step.T @ by_step, by_step.T @ by_error)
     by_pose = degrees_by_step(camera.pose, parametrization.unit_mm, PoseModel.AIM_FREE)

@@ -162,11 +162,11 @@ def _motion(test: Alternative) -> str:
 
 def _covariance(adjustment: Adjustment, what: str) -> Float[np.ndarray, "f f"]:
     """The covariance, were the prior's sigmas of one thing so many times as small."""
-    parametrization = adjustment.problem.parametrization
-    better = np.zeros(len(parametrization.free))
+    slices = adjustment.problem.slices
+    better = np.zeros(len(adjustment.problem.free))
     narrower = np.sqrt(TUNING.answer.better_known**2 - 1)
-    better[parametrization.slices.lenses] = what == "lens"
-    first = parametrization.slices.sheets.start + BentPaper.names.index(BentPaper.print_terms[0])
+    better[slices.lenses] = what == "lens"
+    first = slices.sheets.start + BentPaper.names.index(BentPaper.print_terms[0])
     better[first : first + len(BentPaper.print_terms)] = what == "print"
     return adjustment.covariance_with(
         (narrower * better * prior_weights(adjustment.problem))[adjustment.free]

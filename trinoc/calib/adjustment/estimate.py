@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.problem.information import WhitenedViews, whiten_views
-from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.problem.robust_fit import (
     fit_places,
     robust_scale,
@@ -71,8 +70,7 @@ class Adjustment(NamedTuple):
 
     def lens(self, view: int) -> AbstractLens:
         """What a camera looks through."""
-        row = self.problem.parametrization.lens_of_camera[view]
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[row], self.problem.state.lenses)
+        return lens_number(self.problem, self._lens_of(view))
 
     def distance_mm(self, view: int) -> float:
         """From a camera along its axis to the sheet."""
@@ -80,29 +78,26 @@ class Adjustment(NamedTuple):
 
     def rows(self, view: int) -> np.ndarray:
         """Which of the free steps are those of a camera's pose."""
-        own = self.problem.slices.camera(view)
-        return np.flatnonzero((self.free >= own.start) & (self.free < own.stop))
+        return self._rows_in(self.problem.slices.camera(view))
 
     def lens_steps(self, view: int) -> Float[np.ndarray, "r"]:
-        """How far a lens is from the one that was said, along each direction, in its sigmas."""
-        parametrization = self.problem.parametrization
-        row = parametrization.lens_of_camera[view]
-        change = np.asarray(self.lens(view).parameters) - parametrization.priors.lens_mean[row]
-        count = int(
-            np.sum(
-                parametrization.free[parametrization.slices.lenses].reshape(
-                    parametrization.lens_shape
-                )[row]
-            )
-        )
-        steps, *_ = np.linalg.lstsq(parametrization.lens_basis[row][:, :count], change)
+        """How far a lens is from the one that was stated, along each direction, in its sigmas."""
+        number = self._lens_of(view)
+        change = np.asarray(self.lens(view).parameters) - self.problem.priors.lens_mean[number]
+        count = int(np.sum(self.problem.free[self.problem.slices.lens(number)]))
+        basis = self.problem.parametrization.lens_basis[number][:, :count]
+        steps, *_ = np.linalg.lstsq(basis, change)
         return steps
 
     def lens_rows(self, view: int) -> np.ndarray:
         """Which of the free steps are those of a camera's lens."""
-        _, size = self.problem.parametrization.lens_shape
-        first = size * int(self.problem.parametrization.lens_of_camera[view])
-        return np.flatnonzero((self.free >= first) & (self.free < first + size))
+        return self._rows_in(self.problem.slices.lens(self._lens_of(view)))
+
+    def _lens_of(self, view: int) -> int:
+        return int(self.problem.parametrization.lens_of_camera[view])
+
+    def _rows_in(self, part: slice) -> np.ndarray:
+        return np.flatnonzero((self.free >= part.start) & (self.free < part.stop))
 
     def pose_root(self, view: int) -> Float[np.ndarray, "p p"]:
         """R of the information R^T R of one camera's step, all else being as uncertain as it is."""
@@ -207,20 +202,16 @@ def _root(problem: Problem, views: WhitenedViews) -> tuple[Float[np.ndarray, "f 
 
 def prior_weights(problem: Problem) -> Float[np.ndarray, "h"]:
     """Square root of the information that the priors hold on each step of the head."""
-    parametrization = problem.parametrization
-    weights = np.zeros(len(parametrization.free))
+    slices, priors, scale = problem.slices, problem.priors, problem.parametrization.sheet_scale
+    weights = np.zeros(len(problem.free))
     # A step of a lens or of the sheet is a standard deviation of its prior.
-    weights[parametrization.slices.lenses] = 1.0
-    weights[parametrization.slices.sheets.start :] = (
-        np.diag(parametrization.priors.sheet_information) ** 0.5 * parametrization.sheet_scale
-    )
-    for camera, information in enumerate(parametrization.priors.aim_information):
-        aim = slice(
-            parametrization.slices.camera(camera).start + 4,
-            parametrization.slices.camera(camera).stop,
-        )
-        weights[aim] = np.sqrt(information) * parametrization.unit_mm
-    return weights * parametrization.free
+    weights[slices.lenses] = 1.0
+    weights[slices.sheets] = np.diag(priors.sheet_information) ** 0.5 * scale
+    for camera, information in enumerate(priors.aim_information):
+        aim = slices.camera(camera)
+        aim_steps = slice(aim.start + 4, aim.stop)
+        weights[aim_steps] = np.sqrt(information) * problem.parametrization.unit_mm
+    return weights * problem.free
 
 
 def _triangle(rows: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "k k"]:

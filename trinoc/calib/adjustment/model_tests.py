@@ -28,13 +28,14 @@ def alternatives(
 
     freedom : degrees of freedom of its residuals.
     """
-    parametrization, by_head = adjustment.problem.parametrization, adjustment.near.jacobian[view]
-    pose = parametrization.slices.camera(view).start
+    problem, by_head = adjustment.problem, adjustment.near.jacobian[view]
+    pose = problem.slices.camera(view).start
     columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_held else {}
     if not lens_is_free:
         # A step of a lens that is exact is a change of one parameter.
-        row, (_, size) = int(parametrization.lens_of_camera[view]), parametrization.lens_shape
-        by_lens = by_head[:, row * size : (row + 1) * size] / parametrization.lens_scale[row]
+        number = int(problem.parametrization.lens_of_camera[view])
+        by_lens = by_head[:, problem.slices.lens(number)]
+        by_lens = by_lens / problem.parametrization.lens_scale[number]
         focal = np.asarray(adjustment.lens(view).focal_length_px)
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
         columns["aspect"] = by_lens[:, _FOCAL] @ (focal * _ASPECT)[:, None]
@@ -42,7 +43,7 @@ def alternatives(
             # Where the aim is held, its own test finds what displaces all alike.
             columns["principal point"] = by_lens[:, _CENTRE : _CENTRE + 2]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
-    unit = {"aim": float(parametrization.unit_mm)}
+    unit = {"aim": float(problem.parametrization.unit_mm)}
     tests = [
         _score(name, extra, adjustment, view, freedom, unit.get(name, 1.0))
         for name, extra in columns.items()

@@ -175,11 +175,9 @@ def unknowns_with_priors(adjustment: Adjustment) -> list[Unknown]:
 
 def _offsets(adjustment: Adjustment) -> Float[np.ndarray, "f"]:
     """The free steps less their prior means; 0 for steps without a prior."""
-    parametrization, state = adjustment.problem.parametrization, adjustment.problem.state
-    whole = np.zeros(len(parametrization.free))
-    whole[parametrization.slices.sheets.start :][: len(BentPaper.names)] = (
-        np.asarray(state.sheet) / parametrization.sheet_scale
-    )
+    problem = adjustment.problem
+    whole, parametrization = np.zeros(len(problem.free)), problem.parametrization
+    whole[problem.slices.sheets] = np.asarray(problem.state.sheet) / parametrization.sheet_scale
     offset = whole[adjustment.free]
     for view in range(len(adjustment.used)):
         rows = adjustment.lens_rows(view)
@@ -223,14 +221,13 @@ def _of_aims(adjustment: Adjustment) -> list[Unknown]:
 
 
 def _of_sheet(adjustment: Adjustment) -> list[Unknown]:
-    parametrization = adjustment.problem.parametrization
+    sheet_scale = adjustment.problem.parametrization.sheet_scale
+    first = adjustment.problem.slices.sheets.start
     position = {int(step): k for k, step in enumerate(adjustment.free)}
     by_name = np.zeros((len(BentPaper.names), len(adjustment.free)))
     for k, _ in enumerate(BentPaper.names):
-        if parametrization.slices.sheets.start + k in position:
-            by_name[k, position[parametrization.slices.sheets.start + k]] = (
-                parametrization.sheet_scale[k]
-            )
+        if first + k in position:
+            by_name[k, position[first + k]] = sheet_scale[k]
     size, along_x, along_y, *heights = by_name
     return [
         Unknown("print size", (), (size + 0.5 * (along_x + along_y))[None]),

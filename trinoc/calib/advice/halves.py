@@ -177,7 +177,7 @@ def find_steps_to_half(problem: Problem, end: Problem) -> np.ndarray:
     by_pose = np.asarray(_motions(start, stop)) / np.repeat(
         [1.0, float(parametrization.unit_mm)], 3
     )
-    of_rest = np.zeros(len(parametrization.free) - parametrization.slices.sheets.start)
+    of_rest = np.zeros(len(problem.free) - problem.slices.sheets.start)
     return np.concatenate([by_lens.ravel(), by_pose.ravel(), of_rest])
 
 

@@ -111,7 +111,7 @@ def open_rows(problem: Problem, information: Information, names: tuple[str, ...]
     for lens in parametrization.lens_of_camera:
         rows += [any_pose or bool(of_lens.any())] * POSE_SIZE + of_lens[lens].tolist()
     rows += [any_pose] * (POSE_SIZE * max(len(problem.state.set_from_board) - 1, 0))
-    rows += open_head[parametrization.slices.sheets].tolist()
+    rows += open_head[problem.slices.sheets].tolist()
     assert len(rows) == len(names)
     return np.array(rows)
 
