@@ -88,6 +88,18 @@ def test_another_print_than_the_stated_one_is_named_and_then_fits(words, searche
     assert np.abs(detection.centres_px - pixels(corners)).max() < 0.25
 
 
+@pytest.mark.parametrize("legacy", [False, True])
+def test_a_pattern_that_differs_by_a_shift_is_named(legacy):
+    """With an odd number of columns OpenCV finds corners one column from where they are."""
+    board = Charuco(rows=6, columns=9, square_mm=11.0, dictionary="4x4_50", legacy=legacy)
+    image, pixels = picture(board)
+    detection = detect_target(image, board)
+    assert len(detection) == len(board)
+    assert np.abs(detection.centres_px - pixels(board.centres_mm)).max() < 0.25
+    sentence = refusal(image, replace(board, legacy=not legacy))
+    assert f"fits with legacy={'yes' if legacy else 'no'}" in sentence
+
+
 @pytest.mark.parametrize("words", [words for words in PRINTS if "=yes" in words])
 def test_a_plain_print_is_named_where_another_one_is_stated(words):
     image, _ = picture(CHARUCO)

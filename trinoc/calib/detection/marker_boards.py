@@ -4,7 +4,8 @@ Source: S. Garrido-Jurado et al., "Automatic generation and detection of highly 
 markers under occlusion", Pattern Recognition 47(6), 2014 (`cv2.aruco.CharucoDetector`).
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -20,9 +21,15 @@ from trinoc.calib.targets.checkers import Charuco, opencv_board
 from trinoc.calib.targets.markers import opencv_dictionary
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import DetectionError
+from trinoc.numerics.joins import point_tree
 
 # numerical: the fewest tags that have as many corners.
 _FEWEST_TAGS = -(-TUNING.detection.fewest_places // 4)
+# numerical: neighbours of a marker whose positions it predicts, and how far the median one may be
+# off, over the distance between both: a wrong layout misses by about that distance.
+_NEIGHBOURS, _MOST_OFF = 3, 0.3
+# numerical: so many more markers must be in place with the other pattern of OpenCV's versions.
+_MORE_IN_PLACE = 2
 # numerical: pixels of a cell that is read, and those of its rim, where cells blur into each other.
 _CELL_PX, _RIM_PX = 8, 2
 
@@ -36,13 +43,14 @@ def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detectio
     grey, fewest = levels_of_8_bit(picture.grey), TUNING.detection.fewest_places
     detector = cv2.aruco.CharucoDetector(opencv_board(board))
     plain = as_plain_print(grey, inverted=board.inverted, mirrored=board.mirrored)
-    corners, index, _, numbers = detector.detectBoard(plain)
+    corners, index, marker_corners, numbers = detector.detectBoard(plain)
     count = 0 if index is None else len(index)
     if corners is None or index is None or count < fewest:
         raise DetectionError(
             f"The picture shows {count} corners of the board {board.name!r}, but {fewest} are "
             f"needed; {_describe_markers(board, numbers)}."
         )
+    _expect_pattern(board, corners_by_number(marker_corners, numbers))
     order = np.argsort(np.ravel(index))
     index = np.ravel(index)[order].astype(int)
     corners_px = np.asarray(corners, dtype=np.float64).reshape(-1, 2)[order]
@@ -73,6 +81,62 @@ def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Det
     fitted, is_sharp = _refine_tags(picture, grey, corners_px, board.spacing)
     places, covariance_px2 = fitted.places_px[is_sharp], fitted.covariance_px2[is_sharp]
     return build_detection(index[None, is_sharp], places, covariance_px2, picture.size_px)
+
+
+def _expect_pattern(board: Charuco, markers: Mapping[int, Float[np.ndarray, "4 2"]]) -> None:
+    """Raises DetectionError where the markers lie as in the other pattern of OpenCV's versions.
+
+    With an odd number of columns both differ by a shift of one square, but for some markers at the
+    sides, so that corners are found one square from where they are.
+    """
+    if board.rows % 2 or board.columns % 2 == 0:
+        return
+    other = replace(board, legacy=not board.legacy)
+    stated_count, other_count = (count_beside_neighbours(markers, b) for b in (board, other))
+    if other_count >= stated_count + _MORE_IN_PLACE:
+        raise DetectionError(
+            f"{other_count} markers of {board.dictionary} are visible where the board "
+            f"{board.name!r} has them with legacy={'yes' if other.legacy else 'no'}: correct its "
+            "layout."
+        )
+
+
+def corners_by_number(
+    corners: Sequence[np.ndarray], numbers: np.ndarray | None
+) -> dict[int, Float[np.ndarray, "4 2"]]:
+    """Markers as OpenCV's detectors return them."""
+    if numbers is None:
+        return {}
+    return {
+        int(number): np.asarray(each, dtype=np.float64).reshape(4, 2)
+        for number, each in zip(np.ravel(numbers), corners, strict=True)
+    }
+
+
+def count_beside_neighbours(markers: Mapping[int, Float[np.ndarray, "4 2"]], board: Charuco) -> int:
+    """How many markers lie beside the next ones in the picture as the board has them.
+
+    markers : in the picture in which the board looks as its plain print does.
+
+    A marker and those beside it are nearly an affine image of the board, whatever the lens.
+    """
+    numbers = [number for number in markers if number in board.numbers]
+    if len(numbers) < 2:
+        return 0
+    plain = replace(board, mirrored=False)
+    middles_mm = plain.markers_mm[np.array(numbers) - board.first]
+    corners_px = np.stack([markers[number] for number in numbers])
+    top_left, top_right, low_right, low_left = np.moveaxis(corners_px, 1, 0)
+    along_x = (top_right - top_left + low_right - low_left) / (2 * board.marker_mm)
+    along_y = (top_left - low_left + top_right - low_right) / (2 * board.marker_mm)
+    count = min(_NEIGHBOURS, len(numbers) - 1)
+    middles_px = corners_px.mean(axis=1)
+    near = np.asarray(point_tree(middles_px).query(middles_px, count + 1)[1])[:, 1:]
+    step_px, step_mm = (middle[near] - middle[:, None] for middle in (middles_px, middles_mm))
+    stated_px = step_mm[..., :1] * along_x[:, None] + step_mm[..., 1:] * along_y[:, None]
+    miss_px = np.linalg.norm(step_px - stated_px, axis=2)
+    share = miss_px / np.maximum(np.linalg.norm(step_px, axis=2), 1e-9)
+    return int(np.sum(np.median(share, axis=1) < _MOST_OFF))
 
 
 def as_plain_print(

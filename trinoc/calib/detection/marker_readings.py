@@ -20,6 +20,8 @@ from jaxtyping import Float, Shaped, UInt8
 from trinoc.calib.detection.corners import levels_of_8_bit
 from trinoc.calib.detection.marker_boards import (
     as_plain_print,
+    corners_by_number,
+    count_beside_neighbours,
     detect_april_grid,
     detect_charuco,
     list_figures,
@@ -38,7 +40,6 @@ from trinoc.calib.targets.markers import (
     smallest_dictionary,
 )
 from trinoc.errors import DetectionError
-from trinoc.numerics.joins import point_tree
 
 # numerical: markers that must lie as in another layout, or all of a smaller board.
 _FEWEST_IN_PLACE = 4
@@ -46,9 +47,6 @@ _FEWEST_IN_PLACE = 4
 _MOST_FIGURES = 60
 # numerical: images of a camera in which all readings are tried: the board may be absent in some.
 MOST_IMAGES = 4
-# numerical: neighbours of a marker whose positions it predicts, and how far the median one may be
-# off, over its distance: a wrong layout misses by the distance itself.
-_NEIGHBOURS, _MOST_OFF = 3, 0.3
 
 _MarkerBoard = Charuco | AprilGrid
 # Corners of each marker by number, from its own top left clockwise.
@@ -320,12 +318,7 @@ def _find_markers(
     """Markers in the picture in which the board looks as its plain print does."""
     plain = as_plain_print(grey, inverted=board.inverted, mirrored=board.mirrored)
     corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(plain)
-    if numbers is None:
-        return {}
-    return {
-        int(number): np.asarray(each, dtype=np.float64).reshape(4, 2)
-        for number, each in zip(np.ravel(numbers), corners, strict=True)
-    }
+    return corners_by_number(corners, numbers)
 
 
 def _count_in_place(markers: _Markers, board: _MarkerBoard) -> int:
@@ -336,29 +329,5 @@ def _count_in_place(markers: _Markers, board: _MarkerBoard) -> int:
     if isinstance(board, AprilGrid):
         count = len(tags_in_place(markers, board)[0])
     else:
-        count = _count_beside_neighbours(markers, board)
+        count = count_beside_neighbours(markers, board)
     return count if count >= min(_FEWEST_IN_PLACE, len(board.numbers)) else 0
-
-
-def _count_beside_neighbours(markers: _Markers, board: Charuco) -> int:
-    """How many markers lie, by their own corners, where the board has them beside the next ones.
-
-    A marker and those beside it are nearly an affine image of the board, whatever the lens.
-    """
-    numbers = [number for number in markers if number in board.numbers]
-    if len(numbers) < 2:
-        return 0
-    plain = replace(board, mirrored=False)
-    middles_mm = plain.markers_mm[np.array(numbers) - board.first]
-    corners_px = np.stack([markers[number] for number in numbers])
-    top_left, top_right, low_right, low_left = np.moveaxis(corners_px, 1, 0)
-    along_x = (top_right - top_left + low_right - low_left) / (2 * board.marker_mm)
-    along_y = (top_left - low_left + top_right - low_right) / (2 * board.marker_mm)
-    count = min(_NEIGHBOURS, len(numbers) - 1)
-    near = np.asarray(point_tree(middles_mm).query(middles_mm, count + 1)[1])[:, 1:]
-    step_mm = middles_mm[near] - middles_mm[:, None]
-    step_px = step_mm[..., :1] * along_x[:, None] + step_mm[..., 1:] * along_y[:, None]
-    middles_px = corners_px.mean(axis=1)
-    miss_px = np.linalg.norm(middles_px[near] - middles_px[:, None] - step_px, axis=2)
-    share = miss_px / np.maximum(np.linalg.norm(step_px, axis=2), 1e-9)
-    return int(np.sum(np.median(share, axis=1) < _MOST_OFF))
