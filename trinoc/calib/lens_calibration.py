@@ -130,12 +130,14 @@ def calibrate_intrinsics(
     known_board.check()
     known_board = known_board._replace(print_size_sigma=0.0, aim_sigma_mm=0.0)
     found = find_boards(pictures, pattern)
+    pattern = found.target
     failures = {names.index(shot): why for (_, shot), why in found.failures.items()}
     detections = _usable(
         {names.index(shot): each for shot, each in found.detections[_CAMERA].items()},
         failures,
         image_size_px,
         "circles" if isinstance(pattern, Pattern) else "corners",
+        found.causes.get(_CAMERA),
     )
     size_px = next(iter(detections.values())).image_size_px
     ratio = None
@@ -160,7 +162,7 @@ def calibrate_intrinsics(
     if lens_model == DEFAULT_LENS and distortion is None:
         lens_fit, wider = fit_wider_model(lens_fit, fit_model, (_CAMERA,))
     start, fit = lens_fit.start, lens_fit.fit
-    silent, remarks = [], (*wider, *lens_fit.remarks)
+    silent, remarks = [], (*found.remarks, *wider, *lens_fit.remarks)
     is_determined, core_fit = assess_fit(fit).status is Status.CONVERGED, fit
     if is_determined and is_splined:
         fit = with_correction(fit, [size_px])
@@ -228,13 +230,15 @@ def _usable(
     failures: dict[int, str],
     image_size_px: tuple[int, int] | None,
     places: str,
+    cause: str | None,
 ) -> dict[int, Detection]:
     """Detections that can take part, by picture; those that cannot join `failures`.
 
-    places : "circles" or "corners".
+    places : "circles" or "corners". cause : why no picture shows the board, where it is known.
     """
     if not found:
-        raise CalibrationError(f"The board was found in no picture. In the first: {failures[0]}")
+        reason = cause or f"In the first: {failures[0]}"
+        raise CalibrationError(f"The board was found in no picture. {reason}")
     for index, detection in found.items():
         if image_size_px is not None and tuple(detection.image_size_px) != tuple(image_size_px):
             own, wanted = (
