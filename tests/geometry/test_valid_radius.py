@@ -167,12 +167,12 @@ def test_a_fold_in_the_corners_leaves_a_usable_lens():
 
 @pytest.mark.parametrize(
     ("k1", "is_usable"),
-    [(-0.05, True), (-0.18, True), (-0.21, True), (-0.25, False), (-2.0, False)],
+    [(-0.05, True), (-0.18, True), (-0.25, True), (-0.28, False), (-2.0, False)],
 )
-def test_a_fold_that_takes_more_than_a_quarter_of_the_image_makes_a_lens_unusable(k1, is_usable):
+def test_a_fold_that_takes_more_than_a_third_of_the_image_makes_a_lens_unusable(k1, is_usable):
     lens = Intrinsics(image_size_px=(640, 480), focal_length_px=350.0, distortion=(k1,))
     assert (describe_unusable_fold(lens) is None) == is_usable
-    assert is_usable == (share_beyond_fold(lens) <= 0.25)
+    assert is_usable == (share_beyond_fold(lens) <= 1 / 3)
 
 
 def test_a_fold_within_half_the_shorter_side_makes_a_lens_unusable():
@@ -180,5 +180,5 @@ def test_a_fold_within_half_the_shorter_side_makes_a_lens_unusable():
     for k1, is_usable in ((-0.195, True), (-0.21, False)):
         lens = Intrinsics(image_size_px=(590, 590), focal_length_px=350.0, distortion=(k1,))
         assert (lens.valid_radius_px > 295.0) == is_usable
-        assert share_beyond_fold(lens) < 0.25
+        assert share_beyond_fold(lens) < 1 / 3
         assert (describe_unusable_fold(lens) is None) == is_usable

@@ -36,8 +36,8 @@ FOLD_REMEDY = (
 )
 # A lens is of no use where its fold takes more than this share of the image, or where it lies
 # nearer to the principal point than half the shorter side: wrong coefficients do that, and not a
-# distortion that is undetermined in the corners.
-_MOST_LOST = 0.25
+# distortion that is undetermined in the corners. Published lenses lose up to 0.32.
+_MOST_LOST = 1 / 3
 # numerical: points along each side of an image, of which the share beyond a fold is counted.
 _SHARE_POINTS = 257
 
@@ -305,7 +305,7 @@ def describe_unusable_fold(lens: Intrinsics) -> str | None:
     """As `describe_fold`; None also for a fold that leaves most of the image.
 
     That is a fold which lies no nearer to the principal point than half the shorter side, and
-    beyond which lies no more than a quarter of the image.
+    beyond which lies no more than a third of the image.
     """
     fold = describe_fold(lens)
     is_near = lens.valid_radius_px < min(lens.image_size_px) / 2
