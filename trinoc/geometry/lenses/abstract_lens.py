@@ -205,12 +205,13 @@ class AbstractLens(Value):
         Newton's method no longer finds the ray. The lens must not be traced.
         """
         radial = self.radial_part()
-        if radial is None:
-            return float("inf")
+        radius = float("inf") if radial is None else _valid_radius(radial, *self.newton)
+        if radius == np.inf:
+            return radius
         # Of the ellipse that K makes of a circle, the smaller half axis.
         (fu, fv), skew = self.focal_length_px, self.skew_px
         focal_px = np.linalg.svd([[fu, skew], [0.0, fv]], compute_uv=False)[1]
-        return float(focal_px * _valid_radius(radial, *self.newton))
+        return float(focal_px * radius)
 
     def mask_pixel(
         self, uv_px: Float[ArrayLike, "*n 2"], values: Float[ArrayLike, "*n k"]
