@@ -13,7 +13,13 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.advice.next_shot import advise_next_image
 from trinoc.calib.detection.detection import Detection, split_by_board
-from trinoc.calib.folded_lens import describe_folded_lens, fit_wider_model, hold_folding
+from trinoc.calib.folded_lens import (
+    FoldFindings,
+    assess_folds,
+    fit_wider_model,
+    hold_folding,
+    observed_pixels,
+)
 from trinoc.calib.intrinsics_result import IntrinsicsResult
 from trinoc.calib.problem.board_shape import with_board_shape
 from trinoc.calib.problem.coefficients import fewest_coefficients, hold_undetermined
@@ -325,17 +331,18 @@ def _result_from_fit(
     values[gauge] = np.nan
     gauge_names = tuple(names[k] for k in np.flatnonzero(gauge))
 
-    intrinsics, folded = Intrinsics.of_lens(simplify_lens(lens), size_px, pixel_pitch_mm), None
+    intrinsics = Intrinsics.of_lens(simplify_lens(lens), size_px, pixel_pitch_mm)
+    folds = FoldFindings(None, ())
     if status is Status.CONVERGED:
-        folded = describe_folded_lens({_CAMERA: intrinsics})
-        status = Status.CONVERGED if folded is None else Status.SUSPECT
+        folds = assess_folds({_CAMERA: intrinsics}, {_CAMERA: observed_pixels(problem.views, 0)})
+        status = Status.CONVERGED if folds.failure is None else Status.SUSPECT
 
     def where(_: int, shot: int) -> str:
         return f"Picture {index[shot] + 1}"
 
     notes = [
-        *filter(None, [folded]),
-        *notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held, remarks),
+        *filter(None, [folds.failure]),
+        *notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held, (*remarks, *folds.notes)),
     ]
     free_names = tuple(names[k] for k in free)
     coefficients = [name for name in lens.coefficient_names if name in free_names]
