@@ -149,7 +149,8 @@ def detect_by_opencv(files: list[Path], board: Any) -> dict[str, Any]:
                 board.marker_mm,
                 cv2.aruco.getPredefinedDictionary(dictionary),
             )
-            uv, index, *_ = cv2.aruco.CharucoDetector(charuco).detectBoard(grey)
+            plain = 255 - grey if board.inverted else grey
+            uv, index, *_ = cv2.aruco.CharucoDetector(charuco).detectBoard(plain)
             if index is not None and len(index) >= 6:
                 places = np.asarray(charuco.getChessboardCorners())[index.ravel()]
                 corners[file.name] = places, uv.reshape(-1, 2)

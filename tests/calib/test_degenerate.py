@@ -52,7 +52,7 @@ CASES = {
     ),
     "a lens that folds": (
         folded,
-        ", as the lens folds the picture 59 px from the principal point",
+        ", as the lens folds the picture 54 px from the principal point",
     ),
     "all circles in one line": (one_row, "has too few circles off one line to be found"),
     "all points in one line": (

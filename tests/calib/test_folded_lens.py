@@ -1,4 +1,4 @@
-"""A fitted lens that folds the image where no corner was seen is refused, with what to do."""
+"""Fitted lenses that fold the image: refused, or usable up to the fold, with what to do."""
 
 from typing import NamedTuple
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import trinoc
 from tests.calib import made_shots
 from tests.calib.made_shots import (
     BOARD,
@@ -17,7 +18,7 @@ from tests.calib.made_shots import (
 )
 from tests.calib.problem.made_problem import problem
 from trinoc.calib import Detection
-from trinoc.calib.folded_lens import expect_unfolded, fit_wider_model
+from trinoc.calib.folded_lens import assess_folds, fit_wider_model
 from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.problem.problem import with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, end_of_fit
@@ -43,12 +44,29 @@ def test_a_distortion_seen_in_the_middle_alone_is_not_a_result(monkeypatch):
     assert calibrate_rig(seen, BOARD, distortion=0, throw=False).rig is not None
 
 
-def test_the_first_lens_that_folds_is_named():
+def test_the_first_lens_that_folds_too_near_is_named():
     good = Intrinsics.of_lens(lens_of("left"), SIZE_PX)
     folds = Intrinsics(image_size_px=SIZE_PX, focal_length_px=350.0, distortion=(-0.27,))
-    expect_unfolded({"left": good})
-    with pytest.raises(CalibrationError, match='of "right" folds the picture 259 px'):
-        expect_unfolded({"left": good, "right": folds})
+    nothing = np.zeros((0, 2))
+    assert assess_folds({"left": good}, {"left": nothing}) == (None, ())
+    failure, notes = assess_folds(
+        {"left": good, "right": folds}, {"left": nothing, "right": nothing}
+    )
+    assert str(failure).startswith('The fitted distortion of "right" folds the picture 258 px')
+    assert notes == ()
+
+
+def test_a_lens_that_folds_beyond_everything_observed_is_noted_and_before_it_refused():
+    folds = Intrinsics(image_size_px=SIZE_PX, focal_length_px=350.0, distortion=(-0.19,))
+    observed = np.array([[319.5, 239.5], [319.5 + 300.0, 239.5]])
+    failure, (note,) = assess_folds({"left": folds}, {"left": observed})
+    assert failure is None
+    assert note.startswith('The distortion of "left" folds the picture 308 px from the principal')
+    assert "Show the board nearer to the corners" in note
+    beyond = np.concatenate([observed, [[319.5 + 309.0, 239.5]]])
+    failure, notes = assess_folds({"left": folds}, {"left": beyond})
+    assert str(failure).startswith('The fitted distortion of "left" folds the picture 308 px')
+    assert notes == ()
 
 
 # A lens whose image circle ends before the corners, as estimated of a T265.
@@ -92,7 +110,7 @@ def test_a_coefficient_that_folds_the_image_is_fixed_where_the_residuals_allow_i
     )
     assert folded.status is Status.SUSPECT
     assert folded.lens is None
-    assert folded.notes[0].startswith('The fitted distortion of "the camera" folds the picture 39')
+    assert folded.notes[0].startswith('The fitted distortion of "the camera" folds the picture 3')
     result = calibrate_intrinsics(given, BOARD, lens_model="kannala_brandt")
     assert result.lens is not None
     assert describe_fold(result.lens) is None
@@ -102,15 +120,42 @@ def test_a_coefficient_that_folds_the_image_is_fixed_where_the_residuals_allow_i
     assert result.sigma("k3") == 0.0
 
 
-def test_a_coefficient_that_the_residuals_ask_for_is_not_fixed(monkeypatch):
-    """Without k2 the principal point moves by 24 px: no lens is better than that one."""
-    folds = np.array([500.0, 500.0, 319.5, 239.5, -0.15, -0.14, 0.0, 0.0, 0.0])
-    monkeypatch.setitem(made_shots.LENSES, "left", folds)
+# A fold in the corners of the image, 355 px from the principal point, with a strong k2.
+IN_CORNERS = np.array([500.0, 500.0, 319.5, 239.5, -0.15, -0.14, 0.0, 0.0, 0.0])
+
+
+def corner_shots(camera: str = "left") -> list[Detection]:
+    """Corners of the board in the middle of the image, nearly without noise."""
     random = np.random.default_rng(0)
     poses = board_poses(10) * [1.0, 1.0, 1.0, 0.5]
-    given = [detection("left", pose, random, sigma_px=0.01) for pose in poses]
-    with pytest.raises(CalibrationError, match="folds the picture 35"):
-        calibrate_intrinsics(given, BOARD, lens_model="brown_conrady")
+    return [detection(camera, pose, random, sigma_px=0.01) for pose in poses]
+
+
+def test_a_coefficient_that_the_residuals_ask_for_is_not_fixed(monkeypatch, tmp_path):
+    """Without k2 the principal point moves by 24 px: no lens is better than that one, which is
+    usable up to its fold."""
+    monkeypatch.setitem(made_shots.LENSES, "left", IN_CORNERS)
+    given = corner_shots()
+    result = calibrate_intrinsics(given, BOARD, lens_model="brown_conrady")
+    assert result.status is Status.CONVERGED
+    assert result.lens is not None
+    assert result.sigma("k2") > 0.0
+    (note,) = [note for note in result.notes if "folds the picture" in note]
+    assert note.startswith('The distortion of "the camera" folds the picture 35')
+    np.testing.assert_allclose(result.lens.valid_radius_px, 355.0, atol=5.0)
+    trinoc.save(result, tmp_path / "camera.json")
+    assert trinoc.load(tmp_path / "camera.json") == result.lens
+
+
+def test_a_rig_with_a_fold_in_the_corners_has_a_note_and_is_read_back(monkeypatch, tmp_path):
+    monkeypatch.setitem(made_shots.LENSES, "left", IN_CORNERS)
+    result = calibrate_rig({"left": corner_shots()}, BOARD, lens_model="brown_conrady")
+    assert result.status is Status.CONVERGED
+    assert result.rig is not None
+    (note,) = [note for note in result.notes if "folds the picture" in note]
+    assert note in result.summary()
+    trinoc.save(result, tmp_path / "rig.json")
+    assert trinoc.load_rig(tmp_path / "rig.json") == result.rig
 
 
 def test_a_lens_that_does_not_fold_keeps_its_coefficients():
@@ -132,8 +177,11 @@ def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
     (note,) = [note for note in result.notes if "so the lens model is" in note]
     assert note.startswith('The brown_conrady distortion of "left" folds the picture')
     assert abs(result.value("left.fx_px") - 450.0) < 3 * result.sigma("left.fx_px")
-    with pytest.raises(CalibrationError, match="name another lens model"):
-        calibrate_rig({"left": given}, BOARD, lens_model="brown_conrady")
+    named = calibrate_rig({"left": given}, BOARD, lens_model="brown_conrady")
+    (note,) = [note for note in named.notes if "folds the picture" in note]
+    assert note.startswith('The distortion of "left" folds the picture 404 px')
+    assert named.rig is not None
+    assert 400 < named.rig["left"].intrinsics.valid_radius_px < 410
     alone = calibrate_intrinsics(given, BOARD)
     assert alone.lens is not None
     assert alone.lens.distortion_model == lens.distortion_model

@@ -84,6 +84,29 @@ def test_a_lens_leaves_and_comes_back(run):
     np.testing.assert_array_equal(back.distortion, RIG["upper"].intrinsics.distortion)
 
 
+def test_a_lens_that_folds_in_the_corners_is_warned_of_where_it_is_read(run):
+    lens = trinoc.Intrinsics(
+        image_size_px=(1280, 720), focal_length_px=900.0, distortion=(-0.25, 0.0, 0.0005, -0.001)
+    )
+    trinoc.save(lens, "folds.json")
+    rig = trinoc.Rig({name: trinoc.Camera(lens, camera.pose) for name, camera in RIG.items()})
+    trinoc.save(rig, "rig.json", overwrite=True)
+    assert run("export", "folds.json", "--to", "opencv", "-o", "folds.yml")[0] == 0
+    status, _, warned = run("export", "folds.yml", "--from", "opencv", "-o", "back.json")
+    assert status == 0
+    assert warned == (
+        "trinoc: folds.yml: The distortion of the lens folds the picture 686 px from the "
+        "principal point, where corners lie 734 px away: lines and points farther out, in 1.4 % of "
+        "it, are not used.\n"
+    )
+    np.savetxt("ends.csv", [[1.0, 2, 3, 4]], delimiter=",")
+    files = [f"{name}=ends.csv" for name in rig]
+    status, _, warned = run("match", *files, "--rig", "rig.json", "--dry-run")
+    assert status == 0
+    assert warned.count("folds the picture 686 px") == len(rig)
+    assert 'rig.json: The distortion of "upper" folds' in warned
+
+
 def test_the_covariance_of_a_lens_is_said_to_be_lost(run):
     save_intrinsics(RIG["upper"].intrinsics, "known.json", covariance=np.eye(9))
     for file, lost in (("known.json", True), ("camera.json", False)):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import trinoc
+import trinoc.match.steps  # imported here, it keeps the real match_segments
 from tests.match.made import sure_matches
 from trinoc.cli.main import main
 from trinoc.io.frames_files import manifest_lines

@@ -218,9 +218,8 @@ def test_the_fold_is_where_the_radius_stops_to_grow(model, coefficients, angle_d
     if angle_deg < 60.0:
         angle = np.radians(angle_deg)
         edge = project_ray(lens, np.array([np.sin(angle), 0.0, np.cos(angle)]))[0]
-        np.testing.assert_allclose(lens.fold_radius_px(), edge, rtol=1e-9)
-    if angle_deg >= 90.0:
-        assert lens.fold_radius_px() == np.inf
+        # Newton's method ends at 95 % of the fold's ray, where the radius has hardly changed.
+        assert 0.99 * edge < lens.valid_radius_px() < edge
 
 
 def test_a_fisheye_without_coefficients_is_no_pinhole():

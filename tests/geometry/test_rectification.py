@@ -27,7 +27,7 @@ from trinoc.geometry.projection import project_points
 from trinoc.geometry.rectification import rectify_pair, share_of_common_field
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.geometry.rotation import rotation_from_vector
-from trinoc.image.ideal_pictures import rectify
+from trinoc.image.ideal_pictures import rectify, undistort
 from trinoc.synth.rigs import table1_rig
 
 # Its stubs know no arrays of JAX.
@@ -115,6 +115,29 @@ def test_an_ideal_lens_stays_as_it_is():
     assert eqx.tree_equal(undistort_lens(LENS), LENS)
     wider = undistort_lens(LENS, image_size_px=(1024, 960))
     np.testing.assert_allclose(wider.focal_length_px, LENS.focal_length_px * 959 / 479, rtol=2e-3)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1.0])
+def test_beyond_a_fold_in_the_corners_ideal_pictures_are_black(alpha):
+    """With alpha 0 every pixel is valid; with 1, what lies beyond is black."""
+    lens = Intrinsics(
+        image_size_px=(640, 480), focal_length_px=500.0, distortion=(-0.3, 0.0, 0.001, 0.0)
+    )
+    ideal, maps = undistort(lens, alpha=alpha)
+    u, v = np.asarray(maps.map_x, float), np.asarray(maps.map_y, float)
+    away_px = np.hypot(u - lens.principal_point_px[0], v - lens.principal_point_px[1])
+    assert (away_px[maps.valid] < lens.valid_radius_px + 1e-3).all()
+    assert maps.valid.all() == (alpha == 0.0)
+    pixels = np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1)
+    rays = (pixels - ideal.principal_point_px) / ideal.focal_length_px
+    beyond = np.arctan(np.hypot(rays[..., 0], rays[..., 1])) > lens.lens.fold_angle_rad()
+    assert beyond.any() == (alpha == 1.0)
+    assert not maps.valid[beyond].any()
+    white = np.full((480, 640), 255, dtype=np.uint8)
+    assert not maps.resample(white)[beyond].any()
+    # The picture reaches to the radius, on the side where that is nearest.
+    reach = away_px[maps.valid].max() / lens.valid_radius_px
+    assert reach > (0.99 if alpha == 1.0 else 0.8)
 
 
 def test_a_distortion_that_folds_is_refused():

@@ -44,7 +44,7 @@ def lenses(draw: st.DrawFn) -> Intrinsics:
 def without_fold(lens: Intrinsics) -> Intrinsics:
     """The lens, its distortion made smaller until no corner lies beyond a fold."""
     reach_px = sum(lens.image_size_px) + np.abs(lens.principal_point_px).sum()
-    while lens.lens.fold_radius_px() < reach_px:
+    while lens.valid_radius_px < reach_px:
         smaller = lens.lens.coefficients / 8
         lens = eqx.tree_at(lambda whole: whole.lens.coefficients, lens, smaller)
     return lens

@@ -1,5 +1,7 @@
 """Layouts of boards come back from their files; shots are named as their pictures are."""
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -16,6 +18,8 @@ from trinoc.io.saving import save
 BOARDS = [
     Chessboard(rows=5, columns=8, square_mm=10.5, name="mine"),
     Charuco(rows=6, columns=8, square_mm=10.0, marker_mm=7.5, legacy=True),
+    Charuco(rows=5, columns=4, square_mm=10.0, legacy=True, inverted=True, name="negative"),
+    Charuco(rows=5, columns=4, square_mm=10.0, legacy=True, mirrored=True, name="back"),
     AprilGrid(rows=2, columns=3, tag_mm=20.0, spacing=0.25, border=1, first=5),
     Pattern.circle_grid(rows=3, columns=4, pitch_mm=10.0, radius_mm=2.0),
 ]
@@ -31,9 +35,20 @@ def test_a_board_comes_back(board, tmp_path):
     if isinstance(board, Charuco):
         assert isinstance(again, Charuco)
         assert (again.dictionary, again.legacy) == (board.dictionary, True)
+        assert again == board
     if isinstance(board, AprilGrid):
         assert isinstance(again, AprilGrid)
         assert (again.border, again.first) == (1, 5)
+
+
+def test_a_layout_of_an_earlier_version_is_the_plain_print(tmp_path):
+    board, path = BOARDS[1], tmp_path / "board.json"
+    save(board, path)
+    document = json.loads(path.read_text())
+    for key in ("inverted", "mirrored"):
+        assert document["charuco"].pop(key) == 0
+    path.write_text(json.dumps(document))
+    assert load_target(path) == board
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,28 @@
 """What is written can be read: writers and readers refuse the same lenses and cameras."""
 
+import json
+
 import numpy as np
 import pytest
 
 import trinoc
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import Intrinsics, describe_fold
+from trinoc.geometry.intrinsics import (
+    Intrinsics,
+    describe_fold,
+    describe_unusable_fold,
+    share_beyond_fold,
+)
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io import FORMATS
+from trinoc.io.intrinsics_json import fold_notes
 
 FOLDS = Intrinsics(
     image_size_px=(640, 480), focal_length_px=350.0, distortion=(-0.27, 0.0, 0.0, 0.0, 0.0)
 )
-SAYS = "lens has a distortion that folds the picture 259 px from the principal point"
+SAYS = "lens has a distortion that folds the picture 258 px from the principal point"
 
 
 def rig_of(lens: Intrinsics, *, pan_deg: tuple[float, float] = (0.0, 20.0)) -> Rig:
@@ -55,13 +63,90 @@ def test_files_of_other_tools_get_no_lens_that_folds(name, tmp_path) -> None:
 def test_what_is_written_is_read_and_what_is_not_read_is_not_written(k1, tmp_path) -> None:
     lens = Intrinsics(image_size_px=(640, 480), focal_length_px=350.0, distortion=(float(k1),))
     path = tmp_path / "rig.json"
-    if describe_fold(lens) is not None:
+    if describe_unusable_fold(lens) is not None:
         with pytest.raises(InputError, match="folds the picture"):
             trinoc.save(rig_of(lens), path)
         assert not path.exists()
         return
     trinoc.save(rig_of(lens), path)
-    assert trinoc.load_rig(path).names == ("a", "b")
+    assert trinoc.load_rig(path) == rig_of(lens)
+    has_radius = "valid_radius_px" in path.read_text()
+    assert has_radius == (describe_fold(lens) is not None) == (share_beyond_fold(lens) > 0)
+
+
+# They fold inside the image of 1280 x 720 px, beyond most of it.
+USABLE = {
+    "brown_conrady": (-0.25, 0.0, 0.0005, -0.001, 0.0),
+    "rational": (-0.25, 0.0, 0.0005, -0.001, -0.01, 0.02, 0.0, 0.0),
+    "thin_prism": (-0.25, 0.0, 0.0005, -0.001, -0.01, 0.02, 0.0, 0.0, 1e-4, 0.0, 1e-4, 0.0),
+    "kannala_brandt": (-0.25, -0.02, 0.0, 0.0),
+}
+
+
+def usable_lens(model: str) -> Intrinsics:
+    return Intrinsics(
+        image_size_px=(1280, 720),
+        focal_length_px=(898.5, 893.25),
+        principal_point_px=(609.5, 339.25),
+        distortion=USABLE[model],
+        distortion_model=model,
+    )
+
+
+@pytest.mark.parametrize("model", USABLE)
+@pytest.mark.parametrize(
+    ("name", "holds"),
+    [
+        (name, kind)
+        for name, each in FORMATS.items()
+        for kind in ("lens", "rig")
+        if kind in each.holds and each.read
+    ],
+)
+def test_a_lens_that_folds_in_the_corners_is_read_once_it_is_written(name, holds, model, tmp_path):
+    """In every format whose models have it; the radius is that of the coefficients."""
+    lens, target = usable_lens(model), FORMATS[name]
+    assert describe_unusable_fold(lens) is None
+    assert describe_fold(lens) is not None
+    path = tmp_path / f"lens{target.endings[0] if target.endings else ''}"
+    value = lens if holds == "lens" else rig_of(lens)
+    try:
+        target.save(value, path)
+    except InputError as error:
+        refusal = str(error)
+    else:
+        refusal = ""
+    if refusal:
+        assert f"{model}, which" in refusal
+        return
+    again = target.load(path, lenses=dict.fromkeys(("a", "b"), lens))
+    read = again if isinstance(again, Intrinsics) else next(iter(again.cameras)).intrinsics
+    assert read.distortion_model == model
+    np.testing.assert_allclose(read.valid_radius_px, lens.valid_radius_px, rtol=1e-6)
+    (note, *_) = fold_notes(again)
+    assert f"folds the picture {lens.valid_radius_px:.0f} px" in note
+
+
+@pytest.mark.parametrize("kind", ["camera", "rig"])
+def test_the_radius_of_a_file_must_be_that_of_its_coefficients(kind, tmp_path):
+    lens, path = usable_lens("brown_conrady"), tmp_path / f"{kind}.json"
+    trinoc.save(lens if kind == "camera" else rig_of(lens), path)
+    document = json.loads(path.read_text())
+    block = document if kind == "camera" else document["cameras"]["a"]
+    assert block["intrinsics"]["valid_radius_px"] == lens.valid_radius_px
+    block["intrinsics"]["valid_radius_px"] = 0.9 * lens.valid_radius_px
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=f"one to one, {lens.valid_radius_px:.6g} px: remove"):
+        trinoc.load(path)
+    del block["intrinsics"]["valid_radius_px"]
+    path.write_text(json.dumps(document))
+    read = trinoc.load(path)
+    assert (read if kind == "camera" else read["a"].intrinsics) == lens
+    block["intrinsics"] |= {"distortion": {"model": "none", "coefficients": []}}
+    block["intrinsics"]["valid_radius_px"] = 500.0
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="one to one, inf px: remove the key"):
+        trinoc.load(path)
 
 
 @pytest.mark.parametrize("digits", [1, 2, 3, 5, 6, 7, 8, 9])

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 from trinoc.errors import InputError
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.intrinsics import Intrinsics, distort_pixels
 from trinoc.geometry.segments import Segments
 from trinoc.image.light import Light
 from trinoc.segments import find_segments
@@ -279,3 +279,27 @@ def test_chains_are_those_of_walking_along_them_and_rings_begin_at_their_least(s
         np.testing.assert_array_equal(successor[chain[:-1]], chain[1:])
         assert successor[chain[-1]] == -1 or successor[chain[-1]] == chain[0] == chain.min()
     assert sorted(order.tolist()) == list(range(60))
+
+
+def test_beyond_the_fold_of_its_lens_no_line_is_found() -> None:
+    """A line that crosses the radius ends there, and one beyond is not found."""
+    lens = Intrinsics(image_size_px=(640, 480), focal_length_px=500.0, distortion=[-0.3])
+    radius_px = lens.valid_radius_px
+    assert 345 < radius_px < 355
+    image = np.full((480, 640), 60, dtype=np.uint8)
+    # One edge through the middle of the image, one toward a corner, one in the corner alone.
+    image[200:280, 240:400] = 120
+    image[430:480, 560:640] = 180
+    image[:12, :20] = 220
+    straight = find_segments(image, intrinsics=lens)
+    plain = np.asarray(find_segments(image).endpoints_px)
+    away_px = np.linalg.norm(plain - lens.principal_point_px, axis=2)
+    beyond = (away_px > radius_px).all(axis=1)
+    assert beyond.any()
+    assert ((away_px > radius_px).any(axis=1) & ~beyond).any()
+    ends = distort_pixels(lens, np.asarray(straight.endpoints_px))
+    assert np.isfinite(np.asarray(straight.endpoints_px)).all()
+    assert len(straight) == (~beyond).sum()
+    away_px = np.linalg.norm(ends - lens.principal_point_px, axis=2)
+    assert (away_px[np.isfinite(away_px)] < radius_px + 1).all()
+    assert np.isfinite(np.asarray(straight.side_levels)).all()

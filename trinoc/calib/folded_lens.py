@@ -1,19 +1,21 @@
 """Fitted lenses that fold the image: a distortion that is not determined out to the corners."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.calib.problem.coefficients import free_of_lenses
 from trinoc.calib.problem.moments import errors_about_image_poses_px, fit_image_poses
 from trinoc.calib.problem.outcome import assess_fit
 from trinoc.calib.problem.problem import Problem, lens_number, with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, refit
+from trinoc.calib.problem.views import View
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
-from trinoc.geometry.intrinsics import Intrinsics, describe_fold
+from trinoc.geometry.intrinsics import Intrinsics, describe_fold, describe_usable_fold
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.polynomial import Rational
@@ -35,29 +37,58 @@ class _HasFit(Protocol):
 FitT = TypeVar("FitT", bound=_HasFit)
 
 
-def describe_folded_lens(lenses: Mapping[str, Intrinsics]) -> str | None:
-    """Return a sentence on the first lens that folds its image, with the remedy; None without one.
+class FoldFindings(NamedTuple):
+    """Folds of fitted lenses.
 
-    `lenses` are fitted lenses by the name of their camera. A distortion that fits the corners
-    observed in the middle of the image may fold it farther out. Such a lens cannot be inverted
-    there, and no file of it can be read.
+    Fields
+    ------
+    failure : sentence on the first lens that must not be used, with the remedy; None without one.
+    notes : a sentence on each lens that folds where nothing was observed.
     """
+
+    failure: str | None
+    notes: tuple[str, ...]
+
+
+def assess_folds(
+    lenses: Mapping[str, Intrinsics], observed_px: Mapping[str, Float[np.ndarray, "_ 2"]]
+) -> FoldFindings:
+    """Decide which fitted lenses that fold their image may be used.
+
+    A distortion that fits the corners observed in the middle of the image may fold it farther out.
+    Such a lens is usable up to the fold, if everything observed lies before it and little of the
+    image beyond.
+
+    Parameters
+    ----------
+    lenses : by the name of their camera.
+    observed_px : of each camera, the pixels that were fitted.
+    """
+    notes = []
     for camera, lens in lenses.items():
         fold = describe_fold(lens)
-        if fold is not None:
-            return (
+        if fold is None:
+            continue
+        usable = describe_usable_fold(lens)
+        offset = observed_px[camera] - np.asarray(lens.principal_point_px)
+        if usable is None or (np.linalg.norm(offset, axis=1) > lens.valid_radius_px).any():
+            failure = (
                 f'The fitted distortion of "{camera}" {fold}: show the board nearer to the corners '
                 "of the image, fit fewer coefficients (distortion=1 or distortion=2), or name "
                 "another lens model (rational, kannala_brandt)."
             )
-    return None
+            return FoldFindings(failure, ())
+        notes.append(
+            f'The distortion of "{camera}" {usable}. Show the board nearer to the corners of the '
+            "image to use them."
+        )
+    return FoldFindings(None, tuple(notes))
 
 
-def expect_unfolded(lenses: Mapping[str, Intrinsics]) -> None:
-    """Raise CalibrationError if a fitted lens folds its image; see `describe_folded_lens`."""
-    sentence = describe_folded_lens(lenses)
-    if sentence is not None:
-        raise CalibrationError(sentence)
+def observed_pixels(views: Sequence[View], camera: int) -> Float[np.ndarray, "n 2"]:
+    """Circles and corners of one camera that take part in a fit."""
+    pixels = [view.detection.centres_px[view.used] for view in views if view.camera == camera]
+    return np.concatenate([np.zeros((0, 2)), *pixels])
 
 
 def hold_folding(fit: RobustFit, cameras: Sequence[str]) -> tuple[RobustFit, tuple[str, ...]]:

@@ -24,7 +24,8 @@ class IntrinsicsResult(Value):
     ------
     lens : the intrinsics; None unless `status` is CONVERGED, so that nothing undetermined is
         ever read as a result.
-    status : how the fit ended; SUSPECT for a lens that folds the picture.
+    status : how the fit ended; SUSPECT for a lens that folds the picture before what was observed,
+        or that leaves too little of it. Of a fold farther out, a note says what it costs.
     parameters : the names of the lens's q parameters, the rows of `covariance`.
     values : (q,) of `parameters`; NaN where not determined.
     covariance : (q, q); zero for parameters that were held, NaN where not determined.

@@ -13,7 +13,13 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.advice.next_shot import advise_next_image
 from trinoc.calib.detection.detection import Detection, split_by_board
-from trinoc.calib.folded_lens import describe_folded_lens, fit_wider_model, hold_folding
+from trinoc.calib.folded_lens import (
+    FoldFindings,
+    assess_folds,
+    fit_wider_model,
+    hold_folding,
+    observed_pixels,
+)
 from trinoc.calib.intrinsics_result import IntrinsicsResult
 from trinoc.calib.problem.board_shape import with_board_shape
 from trinoc.calib.problem.coefficients import fewest_coefficients, hold_undetermined
@@ -130,12 +136,14 @@ def calibrate_intrinsics(
     known_board.check()
     known_board = known_board._replace(print_size_sigma=0.0, aim_sigma_mm=0.0)
     found = find_boards(pictures, pattern)
+    pattern = found.target
     failures = {names.index(shot): why for (_, shot), why in found.failures.items()}
     detections = _usable(
         {names.index(shot): each for shot, each in found.detections[_CAMERA].items()},
         failures,
         image_size_px,
         "circles" if isinstance(pattern, Pattern) else "corners",
+        found.causes.get(_CAMERA),
     )
     size_px = next(iter(detections.values())).image_size_px
     ratio = None
@@ -160,7 +168,7 @@ def calibrate_intrinsics(
     if lens_model == DEFAULT_LENS and distortion is None:
         lens_fit, wider = fit_wider_model(lens_fit, fit_model, (_CAMERA,))
     start, fit = lens_fit.start, lens_fit.fit
-    silent, remarks = [], (*wider, *lens_fit.remarks)
+    silent, remarks = [], (*found.remarks, *wider, *lens_fit.remarks)
     is_determined, core_fit = assess_fit(fit).status is Status.CONVERGED, fit
     if is_determined and is_splined:
         fit = with_correction(fit, [size_px])
@@ -228,13 +236,15 @@ def _usable(
     failures: dict[int, str],
     image_size_px: tuple[int, int] | None,
     places: str,
+    cause: str | None,
 ) -> dict[int, Detection]:
     """Detections that can take part, by picture; those that cannot join `failures`.
 
-    places : "circles" or "corners".
+    places : "circles" or "corners". cause : why no picture shows the board, where it is known.
     """
     if not found:
-        raise CalibrationError(f"The board was found in no picture. In the first: {failures[0]}")
+        reason = cause or f"In the first: {failures[0]}"
+        raise CalibrationError(f"The board was found in no picture. {reason}")
     for index, detection in found.items():
         if image_size_px is not None and tuple(detection.image_size_px) != tuple(image_size_px):
             own, wanted = (
@@ -321,17 +331,18 @@ def _result_from_fit(
     values[gauge] = np.nan
     gauge_names = tuple(names[k] for k in np.flatnonzero(gauge))
 
-    intrinsics, folded = Intrinsics.of_lens(simplify_lens(lens), size_px, pixel_pitch_mm), None
+    intrinsics = Intrinsics.of_lens(simplify_lens(lens), size_px, pixel_pitch_mm)
+    folds = FoldFindings(None, ())
     if status is Status.CONVERGED:
-        folded = describe_folded_lens({_CAMERA: intrinsics})
-        status = Status.CONVERGED if folded is None else Status.SUSPECT
+        folds = assess_folds({_CAMERA: intrinsics}, {_CAMERA: observed_pixels(problem.views, 0)})
+        status = Status.CONVERGED if folds.failure is None else Status.SUSPECT
 
     def where(_: int, shot: int) -> str:
         return f"Picture {index[shot] + 1}"
 
     notes = [
-        *filter(None, [folded]),
-        *notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held, remarks),
+        *filter(None, [folds.failure]),
+        *notes_of_fit(fit, outcome, gauge_names, (_CAMERA,), held, (*remarks, *folds.notes)),
     ]
     free_names = tuple(names[k] for k in free)
     coefficients = [name for name in lens.coefficient_names if name in free_names]

@@ -14,7 +14,12 @@ from trinoc.calib.result.calibration import Alternative, Status
 from trinoc.calib.rig_fit import CameraChoice, Knowledge
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.geometry.intrinsics import FOLD_REMEDY, Intrinsics, describe_fold
+from trinoc.geometry.intrinsics import (
+    FOLD_REMEDY,
+    Intrinsics,
+    describe_fold,
+    describe_unusable_fold,
+)
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.tails import chi_square_tail, normal_limit
 
@@ -42,6 +47,7 @@ def failure_sentence(
     if fit.status is not Status.CONVERGED:
         return _with_fold(
             f"the fit to its {len(detection)} circles did not converge",
+            detection,
             lens,
             "check that the pattern and the lens are those of this picture.",
         )
@@ -57,6 +63,7 @@ def failure_sentence(
         free = "" if model is PoseModel.AIM_FREE else ', or free the aim with pose_model="aim-free"'
         return _with_fold(
             f"the circles miss their predicted places by {misfit_px:.1f} px",
+            detection,
             lens,
             f"check the focal length and the pattern{free}.",
         )
@@ -68,10 +75,15 @@ def failure_sentence(
     return None
 
 
-def _with_fold(failed: str, lens: Intrinsics, otherwise: str) -> str:
-    """What failed, with the fold of the lens as its cause, or with what else to do."""
+def _with_fold(failed: str, detection: Detection, lens: Intrinsics, otherwise: str) -> str:
+    """What failed, with the fold of the lens as its cause, or with what else to do.
+
+    A fold in the corners of the image is no cause where no circle lies beyond it.
+    """
     fold = describe_fold(lens)
-    if fold is None:
+    away_px = np.linalg.norm(detection.centres_px - np.asarray(lens.principal_point_px), axis=1)
+    is_beyond = bool((away_px > lens.valid_radius_px).any())
+    if fold is None or not (is_beyond or describe_unusable_fold(lens) is not None):
         return f"{failed}: {otherwise}"
     return f"{failed}, as the lens {fold}: {FOLD_REMEDY}"
 

@@ -478,6 +478,8 @@ def _expect_boards(
             continue
         why = [words for (name, _), words in found.failures.items() if name == camera]
         reason = f" In its first picture: {why[0]}" if why else " It has no picture."
+        if camera in found.causes:
+            reason = f" {found.causes[camera]}"
         raise CalibrationError(f'Camera "{camera}" sees the board in no picture.{reason}')
 
 

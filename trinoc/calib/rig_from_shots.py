@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from trinoc.calib.advice.halves import compare_halves, cross_validate
 from trinoc.calib.advice.next_shot import NextShot, advise_next_shot
-from trinoc.calib.folded_lens import describe_folded_lens
+from trinoc.calib.folded_lens import FoldFindings, assess_folds, observed_pixels
 from trinoc.calib.problem.misfit_causes import find_causes
 from trinoc.calib.problem.named_covariance import (
     World,
@@ -83,9 +83,14 @@ def result_from_fit(
     place = _choose_world(world, shots, problem, cameras)
     status, information, enlarged, factor = outcome
     good, said = status is Status.CONVERGED, None
-    folded = describe_folded_lens(_lenses(problem, cameras, known)) if good else None
-    if folded is not None:
-        good, said, status = False, folded, Status.SUSPECT
+    folds = FoldFindings(None, ())
+    if good:
+        observed_px = {
+            name: observed_pixels(problem.views, camera) for camera, name in enumerate(cameras)
+        }
+        folds = assess_folds(_lenses(problem, cameras, known), observed_px)
+    if folds.failure is not None:
+        good, said, status = False, folds.failure, Status.SUSPECT
     if good:
         lenses, said = HeldLenses.of(fit, cameras), say_strained_lens(problem, cameras)
         said = said or (lenses and lenses.say_what_is_refuted())
@@ -109,7 +114,7 @@ def result_from_fit(
         scatter = scatter_sentence(worst, factors[worst], bool(causes))
     notes = [
         *filter(None, [scatter, said]),
-        *notes_of_fit(fit, outcome, gauge, cameras, held, remarks, causes, shots),
+        *notes_of_fit(fit, outcome, gauge, cameras, held, (*remarks, *folds.notes), causes, shots),
     ]
     poses = [Pose(pose) for pose in np.asarray(poses_in_world(problem.state, place)[0])]
     world_from_rig = poses[0].inverse @ Pose(np.asarray(problem.state.cam_from_rig)[0])

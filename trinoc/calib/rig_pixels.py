@@ -192,7 +192,7 @@ def quarters_of_tags(problem: Problem, board: AprilGrid, read_grey: GreyOfView) 
         cells_px = project_points(
             cam_from_board(problem.state, view), lens, on_board(places.reshape(-1, 2))
         )
-        column, row = np.rint(cells_px).astype(int).T
+        column, row = np.rint(np.nan_to_num(cells_px, nan=-1.0)).astype(int).T
         grey = read_grey(view)
         seen = (column >= 0) & (row >= 0) & (column < grey.shape[1]) & (row < grey.shape[0])
         levels = grey[row[seen], column[seen]]

@@ -25,9 +25,10 @@ class RigFromShots(Value):
     Fields
     ------
     rig : the cameras in the world, with a covariance that holds their lenses, too; None unless
-        `status` is CONVERGED or SUSPECT, and None if a fitted lens folds its image.
+        `status` is CONVERGED or SUSPECT, and None if a fitted lens folds its image before what was
+        observed, or leaves too little of it.
     status : how the fit ended; SUSPECT where the shots refute a lens that was given, or if a fitted
-        lens folds its image.
+        lens folds its image like that. Of a fold farther out, a note says what it costs.
     parameters : names such as "left.pan_deg", "left.fx_px", "board.warp_x_mm".
     values : (p,) of `parameters`; NaN where not determined.
     covariance : (p, p), degrees, mm and px; zero for what was held, NaN where not determined.

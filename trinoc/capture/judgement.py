@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.calib.detection.registry import detect_target
+from trinoc.calib.detection.marker_readings import ReadingSearch
+from trinoc.calib.detection.registry import detect_or_explain
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.capture.measures import (
     Exposure,
@@ -69,16 +70,24 @@ class Judgement(NamedTuple):
         return self.found and not self.faults
 
 
-def judge(name: str, image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> Judgement:
+def judge(
+    name: str,
+    image: Shaped[np.ndarray, "..."],
+    target: AbstractTarget,
+    search: ReadingSearch | None = None,
+    camera: str = "",
+) -> Judgement:
     """Look for the board in a picture, and measure sharpness and exposure where it stands.
 
-    image : (h, w) or (h, w, channels), of any range. Raises InputError for what is no picture.
+    image : (h, w) or (h, w, channels), of any range. search : of other readings of the board, which
+    the pictures of several cameras share; one of its own unless given. camera : whose picture it
+    is. Raises InputError for what is no picture.
     """
     picture = Light.from_picture(image)
     places, on_board, refusal = np.zeros((0, 2)), np.zeros((0, 2)), ""
     smallest = np.inf
     try:
-        detection = detect_target(image, target)
+        detection = detect_or_explain(image, target, search or ReadingSearch(target), camera)
     except DetectionError as error:
         refusal = str(error)
     else:

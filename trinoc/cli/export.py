@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from trinoc.cli.command import LOGGER, Command, Outcome, UsageError
-from trinoc.cli.views import files_of_views
+from trinoc.cli.views import files_of_views, warn_of_folds
 from trinoc.errors import InputError, list_names
 
 if TYPE_CHECKING:
@@ -138,6 +138,7 @@ class ExportCommand(Command):
 
     def _read(self, file: Path, command_line: str) -> Outcome:
         from trinoc.cli.command import provenance
+        from trinoc.geometry.intrinsics import Intrinsics
         from trinoc.geometry.rig import Rig
         from trinoc.geometry.segments import Segments
         from trinoc.io.atomic import expect_place
@@ -149,6 +150,8 @@ class ExportCommand(Command):
         names = None if self.names is None else [name.strip() for name in self.names.split(",")]
         lenses = self._lenses()
         value = source.load(file, unit_mm=self.unit_mm, lenses=lenses, names=names)
+        if isinstance(value, Rig | Intrinsics):
+            warn_of_folds(value, file)
         expect_replaceable(self.out, type(value), force=self.force)
         save(
             value, self.out, provenance=provenance(command_line, _list_inputs(file)), overwrite=True

@@ -9,7 +9,7 @@ import tyro
 
 from trinoc.cli.command import LOGGER, Command, Out, Outcome, UsageError, each
 from trinoc.cli.lens_options import expect_pixel_pitch
-from trinoc.cli.views import expect_names, files_of_rig, make_folder, read_rig
+from trinoc.cli.views import expect_names, files_of_rig, make_folder, read_rig, warn_of_folds
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
@@ -183,6 +183,7 @@ class UndistortCommand(Command):
             raise UsageError(f"{self.rig} holds neither a rig nor a lens: give one of them.")
         if self.rectify:
             raise UsageError(f"--rectify is of a rig, but {self.rig} holds one lens: leave it out.")
+        warn_of_folds(cameras, self.rig)
         return self._of_lens(cameras, command_line)
 
     def _of_rig(self, command_line: str) -> Outcome:

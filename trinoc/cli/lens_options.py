@@ -9,7 +9,7 @@ import tyro
 
 from trinoc.cli.command import LOGGER, UsageError
 from trinoc.cli.settings import parse_number, parse_pair
-from trinoc.cli.views import files_of_views
+from trinoc.cli.views import files_of_views, warn_of_folds
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
@@ -178,6 +178,7 @@ class LensOptions:
                 for name, size in sizes_px.items()
             }
         lenses, _ = read_lenses(self.lens, sizes_px)
+        warn_of_folds(lenses, "--lens")
         for name in sizes_px:
             if name not in lenses:
                 raise UsageError(

@@ -112,9 +112,10 @@ class PatternCommand(Command):
     as in its layout: of a sheet pitch_mm=20 (between the centres of neighbouring circles)
     radius_mm=6 line_style=stop|through|white (where a line of an odd grid meets a circle: it stops
     before it, runs through it in black or in white); of a chessboard square_mm=20; of a charuco
-    board square_mm=20 marker_mm=15 dictionary=4x4_250 first=0 legacy=no; of an
-    aprilgrid tag_mm=16 spacing=0.3 (gap over tag) dictionary=APRILTAG_36h11 first=0 border=2. first
-    is the number of the first marker, by which boards fixed to each other are told apart."""
+    board square_mm=20 marker_mm=15 dictionary=4x4_250 first=0 legacy=no inverted=no (white for
+    black) mirrored=no (as in a mirror, for the back of a two-sided board); of an aprilgrid
+    tag_mm=16 spacing=0.3 (gap over tag) dictionary=APRILTAG_36h11 first=0 border=2. first is the
+    number of the first marker, by which boards fixed to each other are told apart."""
 
     rows: Count = None
     """Circles from top to bottom; even, so that no line meets a circle. Of a board, squares or

@@ -12,6 +12,7 @@ from trinoc.errors import InputError, list_names
 if TYPE_CHECKING:
     import numpy as np
 
+    from trinoc.geometry.intrinsics import Intrinsics
     from trinoc.geometry.rig import Rig
     from trinoc.geometry.segments import Segments
     from trinoc.match.tracks.matches import Matches
@@ -149,15 +150,29 @@ def make_folder(folder: Path) -> None:
 
 
 def read_rig(file: str | os.PathLike[str]) -> "Rig":
-    """The rig of a file; a warning on stderr repeats what its calibration doubted."""
+    """The rig of a file; warnings on stderr name lenses that fold in the corners of the picture.
+
+    They also repeat what the calibration doubted.
+    """
     from trinoc.io.rig_json import load_rig
 
     rig = load_rig(file)
+    warn_of_folds(rig, file)
     doubts = find_doubts(file)
     if doubts:
         said = ", ".join(f"{name} ({doubt.removesuffix('.')})" for name, doubt in doubts.items())
         LOGGER.warning("the calibration in %s is SUSPECT: %s", file, said)
     return rig
+
+
+def warn_of_folds(
+    value: "Rig | Intrinsics | Mapping[str, Intrinsics]", file: str | os.PathLike[str]
+) -> None:
+    """Log a warning for each lens of a file that folds in the corners of the picture."""
+    from trinoc.io.intrinsics_json import fold_notes
+
+    for note in fold_notes(value):
+        LOGGER.warning("%s: %s", file, note)
 
 
 def find_doubts(file: str | os.PathLike[str]) -> dict[str, str]:

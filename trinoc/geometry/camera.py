@@ -11,7 +11,7 @@ from scipy.linalg import rq
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
-from trinoc.geometry.projection import project_point
+from trinoc.geometry.projection import mask_folded, project_point
 from trinoc.numerics.precision import (
     ArrayLike,
     FloatOrTraced,
@@ -152,7 +152,10 @@ class Camera(Value):
         return as_float(x), as_float(y)
 
     def project(self, point_world_mm: Float[ArrayLike, "3"]) -> Float[NumpyOrTraced, "2"]:
-        """The pixel that images a point, lens distortion included (see `project`)."""
+        """The pixel that images a point, lens distortion included (see `project`).
+
+        NaN beyond the fold of the lens (`Intrinsics.valid_radius_px`).
+        """
         if not is_traced(point_world_mm):
             point_world_mm = real_array(point_world_mm, "The point")
             if point_world_mm.shape != (3,):
@@ -160,7 +163,8 @@ class Camera(Value):
                     f"The point has shape {point_world_mm.shape}, but must be (3,): X, Y and Z in "
                     "mm; `jax.vmap` of `trinoc.geometry.project` takes many."
                 )
-        return _project(self, point_world_mm)
+        uv_px = _project(self, point_world_mm)
+        return mask_folded(self.pose, self.intrinsics.lens, point_world_mm, uv_px)
 
 
 def projection_matrix(camera: Camera) -> Float[ArrayLike, "3 4"]:
@@ -171,9 +175,11 @@ def projection_matrix(camera: Camera) -> Float[ArrayLike, "3 4"]:
 def project(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
     """The pixel that images a point, lens distortion included.
 
-    Meaningless for a point behind the camera, whose depth (`depth_mm`) is not positive.
+    Meaningless for a point behind the camera, whose depth (`depth_mm`) is not positive. NaN beyond
+    the fold of the lens (`Intrinsics.valid_radius_px`), unless the camera is traced.
     """
-    return project_point(camera.pose, camera.intrinsics.lens, point_world_mm)
+    uv_px = project_point(camera.pose, camera.intrinsics.lens, point_world_mm)
+    return mask_folded(camera.pose, camera.intrinsics.lens, point_world_mm, uv_px)
 
 
 def depth_mm(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[ArrayLike, ""]:
@@ -187,9 +193,10 @@ def viewing_direction(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[Arr
 
 
 def sheet_from_pixel(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-    """(X, Y) in mm where the ray of a pixel meets the sheet Z = 0."""
+    """(X, Y) in mm where the ray of a pixel meets the sheet Z = 0; NaN as in `project`."""
     centre, direction = camera.pose.centre_world_mm, viewing_direction(camera, uv_px)
-    return (centre - centre[2] / direction[2] * direction)[:2]
+    place_mm = (centre - centre[2] / direction[2] * direction)[:2]
+    return camera.intrinsics.lens.mask_pixel(uv_px, place_mm)
 
 
 # Operation by operation they take a millisecond, which a batch of frames feels.

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.errors import InputError
-from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.lenses.abstract_lens import AbstractLens, ray_of_normalised
 from trinoc.geometry.lenses.polynomial import Pinhole
 from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION, lens_model
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
@@ -34,6 +34,12 @@ A_LENS = "trinoc.Intrinsics, such as load reads from a camera.json"
 FOLD_REMEDY = (
     "check the distortion's coefficients, their order, signs and unit, or fit fewer of them."
 )
+# A lens is of no use where its fold takes more than this share of the image, or where it lies
+# nearer to the principal point than half the shorter side: wrong coefficients do that, and not a
+# distortion that is undetermined in the corners. Published lenses lose up to 0.32.
+_MOST_LOST = 1 / 3
+# numerical: points along each side of an image, of which the share beyond a fold is counted.
+_SHARE_POINTS = 257
 
 
 class Intrinsics(Value):
@@ -170,6 +176,15 @@ class Intrinsics(Value):
         return self.lens.has_distortion
 
     @property
+    def valid_radius_px(self) -> float:
+        """Distance from the principal point, in pixels, up to which rays and pixels are one to one;
+        infinite where the distortion never folds back. It follows from the coefficients.
+
+        Beyond, projections and rays are NaN, unless the lens is traced.
+        """
+        return self.lens.valid_radius_px()
+
+    @property
     def focal_length_mm(self) -> FloatOrTraced | None:
         """Focal length along u in millimetres, or None where the pixel pitch is not known."""
         if self.pixel_pitch_mm is None:
@@ -184,19 +199,21 @@ class Intrinsics(Value):
 
     def pixel_from_normalised(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """(x/z, y/z) in the camera frame to the pixel where the lens images it."""
-        return self.lens.pixel_from_normalised(normalised)
+        uv_px = self.lens.pixel_from_normalised(normalised)
+        return self.lens.mask_ray(ray_of_normalised(normalised), uv_px)
 
     def normalised_from_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """Inverse of `pixel_from_normalised`: (x/z, y/z) of the viewing ray of a pixel."""
-        return self.lens.normalised_from_pixel(uv_px)
+        return self.lens.mask_pixel(uv_px, self.lens.normalised_from_pixel(uv_px))
 
     def undistort_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """The pixel at which the same ray would be imaged if the lens had no distortion."""
-        return jnp.asarray(self.lens.undistort_pixel(uv_px))
+        return self.lens.mask_pixel(uv_px, jnp.asarray(self.lens.undistort_pixel(uv_px)))
 
     def distort_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         """Inverse of `undistort_pixel`."""
-        return jnp.asarray(self.lens.distort_pixel(uv_px))
+        distorted_px = jnp.asarray(self.lens.distort_pixel(uv_px))
+        return self.lens.mask_ray(ray_of_normalised(self.lens.affine_inverse(uv_px)), distorted_px)
 
 
 def whole_size_px(size: object) -> tuple[int, int]:
@@ -262,42 +279,88 @@ def _positive_pair(
     return pair
 
 
-@in_float64
 def describe_fold(lens: Intrinsics) -> str | None:
     """Return what a distortion does that folds the image, as the end of a sentence without a stop;
     None if it folds beyond all corners, or nowhere.
 
-    Beyond the fold two rays meet one pixel, and none meets the pixels farther out. `FOLD_REMEDY`
-    says what the owner of a given lens can do.
+    Beyond the fold two rays meet one pixel, and none meets the pixels farther out. A fold beyond 90
+    degrees is none of these: the image of such a fisheye ends in a circle, and its corners are
+    black. `FOLD_REMEDY` says what the owner of a given lens can do.
     """
     if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:
         return (
             "folds the picture: neighbouring control points of its correction differ by "
             f"{lens.lens.steepness():.2g} times their distance"
         )
-    width, height = lens.image_size_px
-    corners = np.array([(u, v) for u in (0, width - 1) for v in (0, height - 1)], dtype=float)
-    away_px = np.linalg.norm(corners - np.asarray(lens.principal_point_px), axis=1).max()
-    fold_px = lens.lens.fold_radius_px()
-    if not fold_px < away_px:
+    away_px, radius_px = farthest_corner_px(lens), lens.valid_radius_px
+    if lens.lens.fold_angle_rad() >= np.pi / 2 or not radius_px < away_px:
         return None
     return (
-        f"folds the picture {fold_px:.0f} px from the principal point, where corners lie "
+        f"folds the picture {radius_px:.0f} px from the principal point, where corners lie "
         f"{away_px:.0f} px away"
     )
 
 
+def describe_unusable_fold(lens: Intrinsics) -> str | None:
+    """As `describe_fold`; None also for a fold that leaves most of the image.
+
+    That is a fold which lies no nearer to the principal point than half the shorter side, and
+    beyond which lies no more than a third of the image.
+    """
+    fold = describe_fold(lens)
+    is_near = lens.valid_radius_px < min(lens.image_size_px) / 2
+    return fold if is_near or share_beyond_fold(lens) > _MOST_LOST else None
+
+
+def describe_usable_fold(lens: Intrinsics) -> str | None:
+    """Return what a fold costs that leaves most of the image, as the end of a sentence without a
+    stop; None without a fold, and for one that leaves less."""
+    fold = describe_fold(lens)
+    if fold is None or describe_unusable_fold(lens) is not None:
+        return None
+    return f"{fold}: lines and points farther out, in {_lost_percent(lens)} of it, are not used"
+
+
+def share_beyond_fold(lens: Intrinsics) -> float:
+    """Share of the image that lies beyond `Intrinsics.valid_radius_px`."""
+    u, v = (np.linspace(0.0, side - 1.0, _SHARE_POINTS) for side in lens.image_size_px)
+    cu, cv = np.asarray(lens.principal_point_px)
+    return float(np.mean(np.hypot(u - cu, (v - cv)[:, None]) > lens.valid_radius_px))
+
+
+def farthest_corner_px(lens: Intrinsics) -> float:
+    """Distance from the principal point to the farthest corner of the image."""
+    corners = np.array([[0.0, 0.0], np.array(lens.image_size_px) - 1.0])
+    return float(np.linalg.norm(np.abs(corners - np.asarray(lens.principal_point_px)).max(axis=0)))
+
+
+def _lost_percent(lens: Intrinsics) -> str:
+    share = 100.0 * share_beyond_fold(lens)
+    return f"{share:.1f} %" if share >= 0.1 else "less than 0.1 %"
+
+
+@in_float64
 def undistort_pixels(
     lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]
 ) -> Float[np.ndarray, "*n 2"]:
-    """Points of the picture to where a lens without distortion would show them."""
-    return _map_pixels(lens, uv_px, _undistort)
+    """Points of the picture to where a lens without distortion would show them.
+
+    NaN for pixels beyond `Intrinsics.valid_radius_px`.
+    """
+    points = np.asarray(uv_px, dtype=np.float64)
+    return np.asarray(lens.lens.mask_pixel(points, _map_pixels(lens, points, _undistort)))
 
 
 @in_float64
 def distort_pixels(lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-    """Inverse of `undistort_pixels`."""
-    return _map_pixels(lens, uv_px, _distort)
+    """Inverse of `undistort_pixels`; NaN where the lens folds before it images the ray."""
+    points = np.asarray(uv_px, dtype=np.float64)
+    distorted_px = _map_pixels(lens, points, _distort)
+    if lens.valid_radius_px == np.inf:
+        return distorted_px
+    ones = np.ones((*points.shape[:-1], 1))
+    rays = np.concatenate([points, ones], axis=-1) @ np.linalg.inv(lens.matrix).T
+    return np.asarray(lens.lens.mask_ray(rays, distorted_px))
 
 
 def _map_pixels(lens: Intrinsics, uv_px: ArrayLike, through: Callable) -> np.ndarray:

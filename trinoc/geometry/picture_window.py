@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.errors import InputError
-from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.intrinsics import FOLD_REMEDY, Intrinsics, describe_unusable_fold
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_points, unproject_pixels
 
@@ -52,10 +52,14 @@ def border_in_plane(
 ) -> Float[np.ndarray, "m 2"]:
     """Ideal coordinates (x/z, y/z) of the picture's border, once around.
 
-    Points farther than WIDEST_DEG from the ideal camera's axis are moved to that angle. Raises
-    InputError for a distortion that folds the picture.
+    Where the distortion folds in the corners, the border of what lies before the fold. Points
+    farther than WIDEST_DEG from the ideal camera's axis are moved to that angle. Raises InputError
+    for a fold that leaves too little of the picture.
     """
-    border_px = _list_border(lens.image_size_px)
+    fold = describe_unusable_fold(lens)
+    if fold is not None:
+        raise InputError(f"The distortion of the lens {fold}: {FOLD_REMEDY}")
+    border_px = _cut_at_fold(lens, _list_border(lens.image_size_px))
     rays = unproject_pixels(lens.lens, border_px)
     off_px = np.abs(project_points(_OWN_FRAME, lens.lens, rays) - border_px).max(axis=1)
     shown = rays[:, 2] > np.cos(np.radians(WIDEST_DEG)) * np.linalg.norm(rays, axis=1)
@@ -68,6 +72,14 @@ def border_in_plane(
     across = np.maximum(np.hypot(x, y), np.finfo(float).tiny)
     reach = np.where(across <= _WIDEST * z, across / np.where(z > 0, z, 1.0), _WIDEST)
     return np.stack([x, y], axis=1) * (reach / across)[:, None]
+
+
+def _cut_at_fold(lens: Intrinsics, uv_px: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2"]:
+    """Points moved toward the principal point where they lie beyond the lens's valid radius."""
+    centre_px = np.asarray(lens.principal_point_px)
+    offset = uv_px - centre_px
+    away_px = np.maximum(np.linalg.norm(offset, axis=1), np.finfo(float).tiny)
+    return centre_px + offset * np.minimum(1.0, lens.valid_radius_px / away_px)[:, None]
 
 
 def _list_border(size_px: tuple[int, int]) -> Float[np.ndarray, "m 2"]:

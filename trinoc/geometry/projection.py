@@ -104,8 +104,26 @@ def pixel_change(uv_px: Vector2, depth: Scalar, change: Vector3) -> Vector2:
 def project_points(
     pose: Pose, lens: AbstractLens, points_world_mm: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 2"]:
-    """`project_point` of any number of points, which few programs serve."""
-    return in_bucket(partial(_project_points, pose, lens), points_world_mm)
+    """`project_point` of any number of points, which few programs serve; NaN beyond the fold of
+    the lens."""
+    uv_px = in_bucket(partial(_project_points, pose, lens), points_world_mm)
+    return mask_folded(pose, lens, points_world_mm, uv_px)
+
+
+def mask_folded(
+    pose: Pose,
+    lens: AbstractLens,
+    points_world_mm: Float[ArrayLike, "*n 3"],
+    uv_px: Float[ArrayLike, "*n 2"],
+) -> Any:
+    """Pixels of points, NaN for those whose rays lie beyond the fold of the lens.
+
+    As they are for a camera that is traced.
+    """
+    if is_traced(pose, lens) or lens.valid_radius_px() == np.inf:
+        return uv_px
+    pose_mm = np.asarray(pose.cam_from_world)
+    return lens.mask_ray(points_world_mm @ pose_mm[:, :3].T + pose_mm[:, 3], uv_px)
 
 
 def unproject_pixels(

@@ -125,7 +125,9 @@ _CONVENTIONS = (
     " the middle of the inner corners, which are ordered row by row from the top left; the top"
     " left square is dark (of a legacy ChArUco with an even number of rows it holds a marker); tags"
     " of an AprilGrid are numbered along the rows from the lower left; spacing is gap over tag;"
-    " first is the number of the first marker; boards of a set are fixed to each other."
+    " first is the number of the first marker; an inverted ChArUco is printed white for black, a"
+    " mirrored one as in a mirror, its first corner at the top right; boards of a set are fixed to"
+    " each other."
 )
 
 

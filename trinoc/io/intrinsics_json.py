@@ -10,7 +10,13 @@ import numpy as np
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
-from trinoc.geometry.intrinsics import FOLD_REMEDY, Intrinsics, describe_fold
+from trinoc.geometry.intrinsics import (
+    FOLD_REMEDY,
+    Intrinsics,
+    describe_fold,
+    describe_unusable_fold,
+    describe_usable_fold,
+)
 from trinoc.geometry.lenses.registry import LENS_MODELS, promote_lens
 from trinoc.geometry.rig import Rig, at_one_place
 from trinoc.io.formats.motions import checked_rotation
@@ -21,13 +27,35 @@ from trinoc.numerics.tables import is_covariance
 FOCAL_RANGE = (1e-3, 1e5)
 # A pixel has a few micrometres; of some detectors for X-rays it has a fifth of a millimetre.
 PITCH_RANGE_MM = (1e-4, 0.5)
+# The valid radius of a file may differ by this share from that of its coefficients: another
+# version may use lenses nearer to the fold.
+_SAME_RADIUS = 0.05
+
+
+def fold_notes(value: Rig | Intrinsics | Mapping[str, Intrinsics]) -> tuple[str, ...]:
+    """A sentence on each lens that folds the image in its corners, and is usable before the fold.
+
+    value : a lens, or lenses by the name of their camera.
+    """
+    if isinstance(value, Intrinsics):
+        lenses = {"The distortion of the lens": value}
+    else:
+        by_camera = (
+            {name: camera.intrinsics for name, camera in value.items()}
+            if isinstance(value, Rig)
+            else value
+        )
+        lenses = {f'The distortion of "{name}"': lens for name, lens in by_camera.items()}
+    folds = {which: describe_usable_fold(lens) for which, lens in lenses.items()}
+    return tuple(f"{which} {fold}." for which, fold in folds.items() if fold is not None)
 
 
 def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
     """The lens itself; `where` begins the sentence of the InputError for one that cannot be.
 
-    Refused are pixels and focal lengths of impossible size, and a distortion that folds the
-    picture: beyond the fold two rays meet one pixel, and none meets the pixels farther out.
+    Refused are pixels and focal lengths of impossible size, and a distortion whose fold leaves too
+    little of the picture: beyond the fold two rays meet one pixel, and none meets the pixels
+    farther out.
     """
     expect_pitch(lens.pixel_pitch_mm, f"{where} has pixels of")
     focal_px, side_px = np.asarray(lens.focal_length_px), max(lens.image_size_px)
@@ -43,7 +71,7 @@ def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
             f"{where} has its principal point at {centre_px[0]:.4g}, {centre_px[1]:.4g} px, where "
             "no lens has it: check the numbers and their units."
         )
-    fold = describe_fold(lens)
+    fold = describe_unusable_fold(lens)
     if fold is not None:
         raise InputError(f"{where} has a distortion that {fold}: {FOLD_REMEDY}")
     return lens
@@ -182,7 +210,8 @@ def intrinsics_to_block(intrinsics: Intrinsics) -> dict[str, Any]:
 
     A lens known in millimetres has "focal_length_mm" and "pixel_pitch_mm". One known in
     pixels only has "focal_length_px", along u and along v, instead; so has one whose two
-    focal lengths in pixels no longer are one in millimetres. "skew_px" is there unless 0.
+    focal lengths in pixels no longer are one in millimetres. "skew_px" is there unless 0, and
+    "valid_radius_px" where the distortion folds inside the picture.
     """
     focal_px = np.asarray(intrinsics.focal_length_px, dtype=np.float64)
     block: dict[str, Any] = {}
@@ -204,6 +233,8 @@ def intrinsics_to_block(intrinsics: Intrinsics) -> dict[str, Any]:
         "model": intrinsics.lens.model,
         "coefficients": np.asarray(intrinsics.lens.coefficients).tolist(),
     }
+    if describe_fold(intrinsics) is not None:
+        block["valid_radius_px"] = intrinsics.valid_radius_px
     return block
 
 
@@ -218,6 +249,7 @@ def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intri
             "principal_point_px",
             "skew_px",
             "distortion",
+            "valid_radius_px",
         ),
     )
     given = block.values
@@ -239,7 +271,21 @@ def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intri
         if str(error).startswith(block.file):
             raise
         raise InputError(f'{block.file}: "{block.place}": {error}') from error
-    return expect_lens(lens, f'{block.file}: "{block.place}"')
+    expect_lens(lens, f'{block.file}: "{block.place}"')
+    if "valid_radius_px" in given:
+        _expect_radius(block, lens)
+    return lens
+
+
+def _expect_radius(block: Block, lens: Intrinsics) -> None:
+    """Raise InputError for a radius that is not that of the distortion."""
+    radius_px = lens.valid_radius_px
+    if not abs(block.number("valid_radius_px") - radius_px) <= _SAME_RADIUS * radius_px < np.inf:
+        raise block.error(
+            "valid_radius_px",
+            f"differs from the radius up to which the distortion is one to one, {radius_px:.6g} "
+            "px: remove the key, it is only a reading aid.",
+        )
 
 
 def _pair_or_none(block: Block, key: str) -> tuple[float, float] | None:

@@ -29,7 +29,7 @@ from trinoc.match.explanations import (
     take_longest,
     undo_mistakes,
 )
-from trinoc.match.observations.match_input import FrameInput
+from trinoc.match.observations.match_input import BEYOND_FOLD, FrameInput
 from trinoc.match.observations.unusable import EQUAL, UNPLACED
 from trinoc.match.tracks.answers import CERTAIN, SURE
 from trinoc.match.tracks.matches import EVEN, SUSPECT_SETS, Matches
@@ -82,7 +82,7 @@ def check_set(
     Matches; of a suspect set no track is likelier than not, and of tracks that chance gives none.
     The first note names the likeliest cause.
     """
-    usable = [~np.isin(matches.reasons[name], (UNPLACED, EQUAL)) for name in names]
+    usable = [~np.isin(matches.reasons[name], (BEYOND_FOLD, UNPLACED, EQUAL)) for name in names]
     fewest = min(int(of_view.sum()) for of_view in usable)
     if verify == "off" or len(names) != 3 or fewest < tuning.fewest_segments:
         return matches

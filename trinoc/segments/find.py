@@ -56,6 +56,9 @@ from trinoc.segments.nevatia_babu.thinning import combined_kernel
 from trinoc.segments.side_intensity import side_levels
 from trinoc.segments.tuning import DEFAULT, SegmentTuning
 
+# numerical: points of a run that give a line, its trimmed ends among them.
+_FEWEST_POINTS = 8
+
 
 def find_segments(
     image: Shaped[np.ndarray, "..."],
@@ -108,8 +111,8 @@ def find_segments(
     runs, lines, slopes = _accept(picture, runs, lines, blur_px2, false_alarms, tuning)
     runs, lines, errors = _without_neighbours(smooth, runs, lines, blur_px2, tuning)
     runs, lines, shifts = _without_shifts(smooth, runs, lines, slopes, errors, tuning)
-    lines, to_image = _undistort(runs, lines, intrinsics, tuning)
-    wanted = _is_wanted(lines, arcs, least_contrast, tuning)
+    lines, has_line, to_image = _undistort(runs, lines, intrinsics, tuning)
+    wanted = has_line & _is_wanted(lines, arcs, least_contrast, tuning)
     lines, errors, shifts = take_rows((lines, errors, shifts), wanted)
     ends_px, along_px, near = _place_ends(lines, tuning)
     covariance_px2, reasons = _covariances(lines, errors, shifts, along_px, tuning)
@@ -206,12 +209,28 @@ def _without_shifts(
 
 def _undistort(
     runs: Runs, lines: FittedLines, lens: Intrinsics | None, tuning: SegmentTuning
-) -> tuple[FittedLines, Callable[[np.ndarray], np.ndarray]]:
-    """(lines through undistorted points, the way back into the picture)."""
+) -> tuple[FittedLines, Bool[np.ndarray, "r"], Callable[[np.ndarray], np.ndarray]]:
+    """(lines through undistorted points, which of them lie before the fold of the lens, the way
+    back into the picture)."""
+    every = np.ones(len(runs.count), dtype=bool)
     if lens is None or not lens.has_distortion:
-        return lines, np.asarray
-    flat = runs.move(undistort_pixels(lens, runs.points.uv_px))
-    return fit_lines(flat, tuning.scales), partial(distort_pixels, lens)
+        return lines, every, np.asarray
+    uv_px = undistort_pixels(lens, runs.points.uv_px)
+    valid = np.asarray(np.isfinite(uv_px).all(axis=1))
+    if valid.all():
+        return fit_lines(runs.move(uv_px), tuning.scales), every, partial(distort_pixels, lens)
+    # A run without enough points before the fold stays where it is, and its line is not used.
+    has_line = runs.total(valid.astype(np.float64)) >= _FEWEST_POINTS
+    flat = runs.move(np.where(valid[:, None], uv_px, runs.points.uv_px))
+    kept = valid | ~runs.spread(has_line)
+    count = runs.total(kept.astype(np.float64)).astype(runs.count.dtype)
+    flat = Runs.from_counts(flat.points.take(kept), count)
+
+    def to_image(flat_px: np.ndarray) -> np.ndarray:
+        # Few points beside a line that ends at the fold have no pixel.
+        return np.nan_to_num(distort_pixels(lens, flat_px))
+
+    return fit_lines(flat, tuning.scales), has_line, to_image
 
 
 def _is_wanted(

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.detection.marker_readings import ReadingSearch
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.capture.advice import field_share, summary_lines
 from trinoc.capture.goal import hold_outline, outline_mm
@@ -31,6 +32,8 @@ from trinoc.serving.sources import Moment
 from trinoc.serving.watching import REFRESH_S, WatchState, picture_page, thumbnail, watch_page
 
 _LOOK_EVERY_S = 0.05
+# Pictures of a camera in which other readings of the board are searched, until it shows one.
+_SEARCHED = 20
 
 
 class WatchSession:
@@ -55,6 +58,7 @@ class WatchSession:
         self.watched = WatchState(f"trinoc watch {title}", self.cameras)
         self._asked_at_s, self._has_last = -math.inf, False
         self._last: dict[str, np.ndarray | InputError] = {}
+        self._search = ReadingSearch(target, most_images=_SEARCHED)
 
     @property
     def shots(self) -> tuple[Shot, ...]:
@@ -122,7 +126,7 @@ class WatchSession:
         try:
             if isinstance(image, InputError):
                 raise image
-            return judge(moment.name, image, self._target)
+            return judge(moment.name, image, self._target, self._search, camera)
         except InputError as error:
             return judge_unread(moment.name, self._target, str(error))
 

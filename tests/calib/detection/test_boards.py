@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from trinoc.calib import detect_target
+from trinoc.calib.targets.abstract_target import Polygon
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import BoardSet
 from trinoc.calib.targets.checkers import Charuco, Chessboard, opencv_board
@@ -37,9 +38,11 @@ def picture(board, turn_deg=20.0, size=(480, 640), figures=None, slant=0.001):
         return place @ turn.T / share + np.array([size[1], size[0]]) / 2 - 0.5
 
     large = np.full((FINER * size[0], FINER * size[1]), 225, np.uint8)
-    for corners in polygons(board) if figures is None else figures:
+    drawing = board.drawing() if figures is None else [Polygon(each, True) for each in figures]
+    for corners, is_ink in drawing:
         on_large = FINER * (pixels(corners) + 0.5) - 0.5
-        cv2.fillPoly(large, [np.rint(on_large * 2**SHIFT).astype(np.int32)], 30, shift=SHIFT)
+        outline = np.rint(on_large * 2**SHIFT).astype(np.int32)
+        cv2.fillPoly(large, [outline], 30 if is_ink else 225, shift=SHIFT)
     image = cv2.resize(large, size[::-1], interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(image, (0, 0), 0.8), pixels
 
@@ -161,7 +164,7 @@ def test_boards_of_one_dictionary_are_told_apart_by_their_first_markers():
     )
     image, _ = picture(other)
     assert len(detect_target(image, other)) == len(other)
-    with pytest.raises(DetectionError, match="corners of the board"):
+    with pytest.raises(DetectionError, match="fits with first=12"):
         detect_target(image, board)
 
 

@@ -1,5 +1,7 @@
 """Which pixels of a board of squares take part; one picture tells its pose as it claims."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -29,6 +31,7 @@ FISHEYE = KannalaBrandt.from_parameters(
 PERSPECTIVE = BrownConrady.from_parameters(
     np.array([400.0, 402.0, 161.0, 118.0, -0.2, 0.06, 0.001, -0.0005, 0.0])
 )
+CHARUCO = Charuco(rows=4, columns=5, square_mm=24.0, marker_mm=18.0)
 CHESSBOARD = Chessboard(rows=5, columns=6, square_mm=20.0)
 
 
@@ -78,7 +81,8 @@ def test_derivatives_of_rays_are_those_of_the_lens():
     [
         (CHESSBOARD, PERSPECTIVE, AHEAD),
         (CHESSBOARD, FISHEYE, ASIDE),
-        (Charuco(rows=4, columns=5, square_mm=24.0, marker_mm=18.0), PERSPECTIVE, AHEAD),
+        (CHARUCO, PERSPECTIVE, AHEAD),
+        (replace(CHARUCO, inverted=True, mirrored=True), PERSPECTIVE, AHEAD),
     ],
 )
 def test_one_picture_tells_its_pose_as_it_claims(board, lens, where):
@@ -109,7 +113,7 @@ def _squared(picture, board, lens, where) -> float:
 
 
 def test_every_edge_in_reach_is_looked_at_once_and_fine_cells_are_not():
-    sheet, reach = square_sheet(Charuco(rows=4, columns=5, square_mm=24.0, marker_mm=18.0)), 2.7
+    sheet, reach = square_sheet(CHARUCO), 2.7
     near = square_pixels(Pose(AHEAD), PERSPECTIVE, sheet, SIZE_PX, reach)
     far = square_pixels(Pose(AFAR), PERSPECTIVE, sheet, SIZE_PX, reach)
     for seen, pose_of in ((near, AHEAD), (far, AFAR)):

@@ -1,5 +1,7 @@
 """What is printed of a board has its places where the board says, and is what OpenCV prints."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -10,12 +12,13 @@ from trinoc.calib.targets.board_set import BOARDS
 from trinoc.calib.targets.checkers import Charuco, Chessboard, opencv_board
 from trinoc.calib.targets.markers import marker_cells, opencv_dictionary
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.targets.squares import AbstractSquareBoard
+from trinoc.calib.targets.squares import AbstractSquareBoard, square_sheet
 
 SQUARES = {
     "chessboard": Chessboard(rows=4, columns=5, square_mm=20.0),
     "charuco": Charuco(rows=5, columns=4, square_mm=24.0, marker_mm=17.0, first=3),
     "legacy": Charuco(rows=4, columns=5, square_mm=24.0, legacy=True),
+    "inverted": Charuco(rows=4, columns=5, square_mm=24.0, inverted=True, mirrored=True),
     "april_grid": AprilGrid(rows=2, columns=3, tag_mm=40.0, spacing=0.25, first=7),
 }
 
@@ -73,6 +76,42 @@ def test_a_charuco_board_is_opencv_s(rows, columns, legacy):
     row, column = np.indices(picture.shape)[:, 2::5, 2::5].reshape(2, -1)
     places = (np.stack([column, row], axis=1) + 0.5) / 6.0 - half_mm
     np.testing.assert_array_equal(is_ink(board, places * [1, -1]), picture[row, column] < 128)
+
+
+def on_board(board, step_mm=1.1):
+    """Positions all over a board of squares."""
+    half = 0.5 * board.square_mm * np.array([board.columns, board.rows])
+    axes = [np.arange(-side + 0.3, side, step_mm) for side in half]
+    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("name", ["charuco", "legacy"])
+def test_an_inverted_board_is_white_for_black_and_a_mirrored_one_the_image_of_a_mirror(name):
+    board = SQUARES[name]
+    positions, flip = on_board(board), np.array([-1.0, 1.0])
+    ink = is_ink(board, positions)
+    assert 0.2 < ink.mean() < 0.8
+    inverted, mirrored = replace(board, inverted=True), replace(board, mirrored=True)
+    np.testing.assert_array_equal(is_ink(inverted, positions), ~ink)
+    np.testing.assert_array_equal(is_ink(mirrored, positions * flip), ink)
+    both = replace(board, inverted=True, mirrored=True)
+    np.testing.assert_array_equal(is_ink(both, positions * flip), ~ink)
+    np.testing.assert_array_equal(inverted.centres_mm, board.centres_mm)
+    np.testing.assert_array_equal(mirrored.centres_mm, board.centres_mm * flip)
+    # The paper around stays white.
+    beyond = 1.01 * np.abs(positions).max(axis=0)
+    assert not is_ink(both, np.array([beyond, -beyond])).any()
+
+
+@pytest.mark.parametrize("name", SQUARES)
+def test_the_ink_of_the_fit_of_grey_levels_is_that_of_the_drawing(name):
+    board = SQUARES[name]
+    sheet = square_sheet(board)
+    positions = np.random.default_rng(0).uniform(-100, 100, (4000, 2))
+    column, row = (
+        np.searchsorted(at, positions[:, k]) for k, at in enumerate((sheet.x_mm, sheet.y_mm))
+    )
+    np.testing.assert_array_equal(sheet.ink[row, column], is_ink(board, positions))
 
 
 def test_a_tag_is_the_dictionary_s_and_turns_as_a_whole():

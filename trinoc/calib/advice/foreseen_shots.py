@@ -59,7 +59,10 @@ def candidate_shots(problem: Problem) -> list[Candidate]:
             share = np.array([0.5 * fill + rules.margin, 0.5, 1.0 - 0.5 * fill - rules.margin])
             down, across = (grid.ravel() for grid in np.meshgrid(range(3), range(3)))
             at = np.stack([share[across], share[down]], axis=1) * (np.array(size_px) - 1.0)
-            for row, column, ray in zip(down, across, unproject_pixels(lens, at), strict=True):
+            rays, has_ray = unproject_pixels(lens, at), lens.is_valid_pixel(at)
+            for row, column, ray, is_imaged in zip(down, across, rays, has_ray, strict=True):
+                if not is_imaged:
+                    continue
                 place = which + _place_words(_ROWS[row], _COLUMNS[column])
                 for words, about in _TURNS.items():
                     pose = rig_from_cam @ _hold(board, ray, distance, about)

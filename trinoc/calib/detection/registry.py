@@ -10,6 +10,7 @@ from trinoc.calib.detection.chessboard import detect_chessboard
 from trinoc.calib.detection.circles import detect_circles
 from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.detection.marker_boards import detect_april_grid, detect_charuco
+from trinoc.calib.detection.marker_readings import ReadingSearch
 from trinoc.calib.detection.usable_places import keep_usable
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
@@ -36,12 +37,32 @@ def detect_target(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> D
     ------
     InputError : `image` is no picture, or nothing detects such a target.
     DetectionError : the board is not seen, or not in a way that can be trusted: rows that are of
-        two moments place it between them, pixels of several colours beside it.
+        two moments place it between them, pixels of several colours beside it. Where the picture
+        shows a board with markers that is almost this one, the sentence says which.
+    """
+    return detect_or_explain(image, target, ReadingSearch(target))
+
+
+def detect_or_explain(
+    image: Shaped[np.ndarray, "..."],
+    target: AbstractTarget,
+    search: ReadingSearch | None,
+    camera: str = "",
+) -> Detection:
+    """`detect_target` with a search for other readings of the board that other images share.
+
+    search : None for no search. camera : whose image it is.
     """
     mixed = why_mixed(grey_image(np.asarray(image)))
     if mixed is not None:
         raise DetectionError(mixed)
-    return _detect(image, target)
+    try:
+        return _detect(image, target)
+    except DetectionError:
+        reading = None if search is None else search.find(image, camera)
+        if reading is None:
+            raise
+    raise DetectionError(reading.sentence)
 
 
 def _detect(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> Detection:

@@ -123,14 +123,15 @@ def _change_over_field(now: Rig, before: Rig, name: str) -> tuple[float, float]:
     points = other.centre_world_mm + distance_mm * rays @ np.asarray(other.pose.rotation)
     images = np.asarray(project_points(one.pose, one.intrinsics.lens, points))
     squared = np.sum((images - places) ** 2, axis=1)
+    is_imaged = np.isfinite(squared)
     if not (now.parameters and before.parameters):
-        return float(np.sqrt(np.mean(squared))), float("nan")
+        return float(np.sqrt(np.mean(squared[is_imaged]))), float("nan")
     variance = sum(projection_sigma(rig, name, distance_mm).sigma_px ** 2 for rig in (now, before))
-    known = np.asarray(variance) > 0
+    known = is_imaged & (np.asarray(variance) > 0)
     if not known.any():
-        return float(np.sqrt(np.mean(squared))), float("nan")
+        return float(np.sqrt(np.mean(squared[is_imaged]))), float("nan")
     over_variance = squared[known] / (2 * np.asarray(variance)[known])
-    return float(np.sqrt(np.mean(squared))), float(np.sqrt(np.mean(over_variance)))
+    return float(np.sqrt(np.mean(squared[is_imaged]))), float(np.sqrt(np.mean(over_variance)))
 
 
 def _apart(first: Camera, second: Camera) -> tuple[float, float]:

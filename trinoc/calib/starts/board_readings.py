@@ -1,20 +1,25 @@
-"""Other readings of a board's layout that people mean: squares counted instead of inner corners,
-rows and columns exchanged, markers as OpenCV placed them before version 4.6.
+"""Other readings of a board's layout that people mean: squares counted instead of inner corners;
+of a ChArUco board rows and columns exchanged, markers as OpenCV placed them before version 4.6, or
+white printed for black.
 
 They are tried where hardly any image shows the board as its layout has it.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from trinoc.calib.detection.marker_readings import find_marker_reading
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.board_set import BoardSet, board_names, list_boards
 from trinoc.calib.targets.checkers import Charuco, Chessboard
 
 _Image = TypeVar("_Image")
 # numerical: images in which other readings are tried, and the share that must show one.
 _TRIED, _SHARE = 6, 0.5
+# numerical: images in which a board with markers is searched: one that shows it is enough.
+_SEARCHED = 12
 
 
 class BoardReading(NamedTuple):
@@ -41,33 +46,6 @@ def other_readings(target: AbstractTarget) -> list[BoardReading]:
                     f"({meaning}): the board was read so. Mend the layout.",
                 )
             )
-    if isinstance(target, Charuco):
-        for exchanged in (False, True):
-            for legacy in (False, True):
-                if (exchanged, legacy) == (False, target.legacy):
-                    continue
-                sides = (target.rows, target.columns)
-                rows, columns = sides[::-1] if exchanged else sides
-                board = Charuco(
-                    rows=rows,
-                    columns=columns,
-                    square_mm=target.square_mm,
-                    marker_mm=target.marker_mm,
-                    dictionary=target.dictionary,
-                    legacy=legacy,
-                    first=target.first,
-                )
-                changes = [
-                    *(["rows and columns exchanged"] if exchanged else []),
-                    *([f"legacy={'yes' if legacy else 'no'}"] if legacy != target.legacy else []),
-                ]
-                readings.append(
-                    BoardReading(
-                        board,
-                        f"The images show the ChArUco board with {' and '.join(changes)}: it was "
-                        "read so. Mend the layout.",
-                    )
-                )
     return readings
 
 
@@ -87,4 +65,41 @@ def find_reading(
         hits = sum(found(images[k], reading.target) for k in chosen)
         if hits >= max(1, _SHARE * len(chosen)):
             return reading
+    return None
+
+
+def find_charuco_reading(
+    target: AbstractTarget,
+    which: int,
+    images: Sequence[_Image],
+    load: Callable[[_Image], Any],
+) -> BoardReading | None:
+    """The reading of a ChArUco board, alone or in a set, that the first image with one shows.
+
+    Only readings of the same sheet count: not its mirror image, nor other markers.
+
+    which : number of the board in the set. load : pixels of an image; None where there are none.
+    """
+    boards, names = list(list_boards(target)), board_names(target)
+    board = boards[which]
+    if not isinstance(board, Charuco) or not images:
+        return None
+    for k in np.unique(np.linspace(0, len(images) - 1, min(_SEARCHED, len(images))).astype(int)):
+        image = load(images[k])
+        reading = None if image is None else find_marker_reading(image, board)
+        if reading is None or not reading.is_same_sheet:
+            continue
+        boards[which] = reading.board
+        is_set = isinstance(target, BoardSet)
+        changed = (
+            BoardSet(dict(zip(names, boards, strict=True)), name=target.name)
+            if is_set
+            else reading.board
+        )
+        what = f'"{names[which]}"' if is_set else "the ChArUco board"
+        return BoardReading(
+            changed,
+            f"The images show {what} with {' and '.join(reading.changes)}: it was read so. Correct "
+            "its layout.",
+        )
     return None

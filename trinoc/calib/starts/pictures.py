@@ -3,15 +3,19 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.detection.registry import detect_target
-from trinoc.calib.starts.board_readings import find_reading
+from trinoc.calib.detection.marker_readings import MOST_IMAGES, ReadingSearch
+from trinoc.calib.detection.registry import detect_or_explain
+from trinoc.calib.starts.board_readings import find_charuco_reading, find_reading
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.targets.board_set import BoardSet
 from trinoc.errors import InputError, TrinocError, check_kind
+from trinoc.image.grey import grey_image
 
 # numerical: detectors of OpenCV and NumPy leave the interpreter free while they work.
 _THREADS = 4
@@ -33,6 +37,8 @@ class FoundBoards(NamedTuple):
     failures : for (camera, shot) of every other picture, why nothing was found.
     target : the board as the images show it, which may be another reading of its layout.
     remarks : sentences on how the layout was read.
+    causes : for a camera, the picture that shows a board which is almost the stated one, and the
+        sentence on it.
     """
 
     shots: tuple[str, ...]
@@ -40,6 +46,7 @@ class FoundBoards(NamedTuple):
     failures: dict[tuple[str, str], str]
     target: AbstractTarget
     remarks: tuple[str, ...] = ()
+    causes: Mapping[str, str] = MappingProxyType({})
 
 
 def find_boards(
@@ -64,7 +71,9 @@ def find_boards(
     def look(job: tuple[str, str], board: AbstractTarget) -> Detection | str:
         try:
             given = deliver(named[job[0]][job[1]])
-            return given if isinstance(given, Detection) else detect_target(given, board)
+            if isinstance(given, Detection):
+                return given
+            return detect_or_explain(given, board, None)
         except TrinocError as error:
             return str(error)
         except Exception as error:  # one image must not end a calibration
@@ -95,11 +104,60 @@ def find_boards(
             failures.clear()
             detections.update({camera: {} for camera in named})
             look_at_all(target)
+
+    def load(job: tuple[str, str]) -> Any:
+        try:
+            given = deliver(named[job[0]][job[1]])
+            return None if isinstance(given, Detection) else grey_image(np.asarray(given)).grey
+        except Exception:  # `failures` names what cannot be read
+            return None
+
+    for which in _unseen_boards(target, detections, len(failures) > _FEW_FOUND * len(jobs)):
+        reading = find_charuco_reading(target, which, list(failures), load)
+        if reading is not None:
+            target, remarks = reading.target, (*remarks, reading.sentence)
+            failures.clear()
+            detections.update({camera: {} for camera in named})
+            look_at_all(target)
+    causes = _explain_failures(target, failures, load)
     for camera, own in detections.items():
         for shot, why in _list_other_sizes(own).items():
             failures[camera, shot] = why
             del own[shot]
-    return FoundBoards(tuple(shots), detections, failures, target, remarks)
+    return FoundBoards(tuple(shots), detections, failures, target, remarks, causes)
+
+
+def _unseen_boards(
+    target: AbstractTarget, detections: Mapping[str, Mapping[str, Detection]], few_found: bool
+) -> list[int]:
+    """The boards of a set that no image shows; a board alone where few images show it."""
+    if not isinstance(target, BoardSet):
+        return [0] if few_found else []
+    every = [each.circle_index for own in detections.values() for each in own.values()]
+    seen = set(target.board_of_place[np.concatenate(every)].tolist()) if every else set()
+    return [which for which in range(len(target.boards)) if which not in seen]
+
+
+def _explain_failures(
+    target: AbstractTarget,
+    failures: dict[tuple[str, str], str],
+    load: Callable[[tuple[str, str]], Any],
+) -> dict[str, str]:
+    """Name the board that failed images show in place of a stated one, and the first by camera."""
+    search, causes = ReadingSearch(target), {}
+    for camera in {camera: None for camera, _ in failures}:
+        shots = [shot for name, shot in failures if name == camera]
+        # All readings are tried in the first images: they are taken from the whole recording.
+        spread = np.unique(np.linspace(0, len(shots) - 1, MOST_IMAGES).astype(int)).tolist()
+        for k in [*spread, *sorted(set(range(len(shots))) - set(spread))]:
+            if search.is_over(camera):
+                break
+            image = load((camera, shots[k]))
+            reading = None if image is None else search.find(image, camera)
+            if reading is not None:
+                failures[camera, shots[k]] = reading.sentence
+                causes.setdefault(camera, f"In {shots[k]}: {reading.sentence}")
+    return causes
 
 
 def name_pictures(pictures: Mapping[str, Pictures]) -> dict[str, dict[str, Picture]]:

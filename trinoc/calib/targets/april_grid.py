@@ -120,8 +120,12 @@ class AprilGrid(AbstractSquareBoard):
     @property
     def marks(self) -> Marks:
         """The numbers of its tags."""
-        numbers = range(self.first, self.first + self.rows * self.columns)
-        return marks_of_markers(self.dictionary, numbers)
+        return marks_of_markers(self.dictionary, self.numbers)
+
+    @property
+    def numbers(self) -> range:
+        """The numbers of its tags."""
+        return range(self.first, self.first + self.rows * self.columns)
 
     def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
         """The cells of the tags, and the squares where gaps cross, around the outer tags too."""

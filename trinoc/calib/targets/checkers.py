@@ -113,15 +113,21 @@ class Charuco(AbstractSquareBoard):
     legacy : whether the board was made before OpenCV 4.6, with a marker in the top left square
         where the number of rows is even.
     first : number of its first marker.
+    inverted : whether it is printed white for black. Paper around it stays white.
+    mirrored : whether it is printed as in a mirror, such as the back of a two-sided board. Seen
+        from the printed side, its first corner is at the top right.
     name : what the board is called; from the numbers unless given.
     """
 
     kind: ClassVar[str] = "charuco"
     layout: ClassVar[dict[str, str]] = {
         key: key
-        for key in ("rows", "columns", "square_mm", "marker_mm", "dictionary", "legacy", "first")
+        for key in (
+            *("rows", "columns", "square_mm", "marker_mm", "dictionary"),
+            *("legacy", "first", "inverted", "mirrored"),
+        )
     }
-    added_keys: ClassVar[tuple[str, ...]] = ("legacy", "first")
+    added_keys: ClassVar[tuple[str, ...]] = ("legacy", "first", "inverted", "mirrored")
 
     rows: int = eqx.field(static=True)
     columns: int = eqx.field(static=True)
@@ -130,6 +136,8 @@ class Charuco(AbstractSquareBoard):
     dictionary: str = eqx.field(static=True)
     legacy: bool = eqx.field(static=True)
     first: int = eqx.field(static=True)
+    inverted: bool = eqx.field(static=True)
+    mirrored: bool = eqx.field(static=True)
     name: str = eqx.field(static=True)
 
     def __init__(
@@ -142,6 +150,8 @@ class Charuco(AbstractSquareBoard):
         dictionary: str = "4x4_250",
         legacy: bool = False,
         first: int = 0,
+        inverted: bool = False,
+        mirrored: bool = False,
         name: str | None = None,
     ) -> None:
         self.rows, self.columns = whole_number(rows, "rows"), whole_number(columns, "columns")
@@ -150,6 +160,7 @@ class Charuco(AbstractSquareBoard):
         self.marker_mm = real_number(given_mm, "marker_mm")
         self.dictionary, self.legacy = dictionary, bool(legacy)
         self.first = whole_number(first, "first")
+        self.inverted, self.mirrored = bool(inverted), bool(mirrored)
         self.name = name or f"charuco_{rows}x{columns}_{square_mm:g}mm"
 
     def __check_init__(self) -> None:
@@ -164,7 +175,8 @@ class Charuco(AbstractSquareBoard):
     @property
     def centres_mm(self) -> Float[np.ndarray, "n 2"]:
         """The corners between the squares."""
-        return grid_mm(self.rows - 1, self.columns - 1, self.square_mm, top_first=True)
+        counts = (self.rows - 1, self.columns - 1)
+        return grid_mm(*counts, self.square_mm, top_first=True, right_first=self.mirrored)
 
     @property
     def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
@@ -173,33 +185,45 @@ class Charuco(AbstractSquareBoard):
 
     @property
     def marks(self) -> Marks:
+        """The numbers of its markers, which look otherwise where they are inverted or mirrored."""
+        marks = marks_of_markers(self.dictionary, self.numbers)
+        looks = [word for word in ("inverted", "mirrored") if getattr(self, word)]
+        return marks._replace(family=" ".join([marks.family, *looks]))
+
+    @property
+    def numbers(self) -> range:
         """The numbers of its markers."""
-        numbers = range(self.first, self.first + self.rows * self.columns // 2)
-        return marks_of_markers(self.dictionary, numbers)
+        return range(self.first, self.first + self.rows * self.columns // 2)
 
     @property
     def _is_dark(self) -> Bool[np.ndarray, "rows columns"]:
-        """Which squares are dark: the others hold markers, numbered row by row from the top."""
+        """Which squares of the plain print are dark: the others hold markers, numbered row by row
+        from the top left."""
         return dark_squares(self.rows, self.columns) ^ (self.legacy and self.rows % 2 == 0)
 
     @property
     def markers_mm(self) -> Float[np.ndarray, "m 2"]:
         """The middles of the markers, in the order of their numbers."""
-        squares = grid_mm(self.rows, self.columns, self.square_mm, top_first=True)
+        counts = (self.rows, self.columns)
+        squares = grid_mm(*counts, self.square_mm, top_first=True, right_first=self.mirrored)
         return squares[~self._is_dark.ravel()]
 
     def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
-        """The dark squares, and the cells of the markers."""
-        dictionary = opencv_dictionary(self.dictionary)
-        grids = [CellGrid(self._is_dark, self.square_mm, np.zeros(2))]
+        """The dark squares, and the cells of the markers; of an inverted board, all but these."""
+        dictionary, middle_mm = opencv_dictionary(self.dictionary), np.zeros(2)
+        across = slice(None, None, -1 if self.mirrored else 1)
+        grids = [CellGrid(self._is_dark[:, across], self.square_mm, middle_mm)]
         for number, middle in enumerate(self.markers_mm, self.first):
-            cells = np.rot90(marker_cells(dictionary, number, border=1), quarters)
+            cells = np.rot90(marker_cells(dictionary, number, border=1), quarters)[:, across]
             grids.append(CellGrid(cells, self.marker_mm / len(cells), middle))
-        return grids
+        if not self.inverted:
+            return grids
+        whole = CellGrid(np.ones_like(self._is_dark), self.square_mm, middle_mm)
+        return [whole, *(grid._replace(is_blank=True) for grid in grids)]
 
 
 def opencv_board(board: Charuco) -> Any:
-    """The same board as a `cv2.aruco.CharucoBoard`."""
+    """The plain print of a board as a `cv2.aruco.CharucoBoard`, neither inverted nor mirrored."""
     import cv2
 
     theirs = cv2.aruco.CharucoBoard(
@@ -207,7 +231,7 @@ def opencv_board(board: Charuco) -> Any:
         board.square_mm,
         board.marker_mm,
         opencv_dictionary(board.dictionary),
-        np.arange(board.first, board.first + board.rows * board.columns // 2),
+        np.array(board.numbers),
     )
     theirs.setLegacyPattern(board.legacy)
     return theirs

@@ -40,15 +40,37 @@ def check_markers(name: str, dictionary: str, first: int, count: int) -> None:
 
 
 def marks_of_markers(dictionary: str, numbers: range) -> Marks:
-    """What identifies a board with markers. ArUco's dictionaries of one size begin alike."""
-    own, count = dictionary.split("_")
-    family = own if count.isdigit() else dictionary
+    """What identifies a board with markers."""
+    family = _family(dictionary)
     return Marks(
         family,
         numbers,
         f"both have the marker{{numbers}} of {family}; give them different dictionaries, or "
         "numbers that differ (`first`)",
     )
+
+
+def list_largest_dictionaries() -> list[str]:
+    """The dictionary of each family that holds all markers of the others."""
+    families = {_family(name): name for name in sorted(_COUNTS, key=lambda name: _COUNTS[name])}
+    return [name for name in DICTIONARIES if name in families.values()]
+
+
+def smallest_dictionary(family_member: str, last: int, *, like: str) -> str | None:
+    """The smallest dictionary of a family that holds the markers up to a number; None if none.
+
+    like : a dictionary, of whose size it is where that suffices.
+    """
+    family = _family(family_member)
+    names = [name for name in DICTIONARIES if _family(name) == family and _COUNTS[name] > last]
+    names.sort(key=lambda name: (_COUNTS[name] != _COUNTS[like], _COUNTS[name]))
+    return names[0] if names else None
+
+
+def _family(dictionary: str) -> str:
+    """What ArUco's dictionaries of one size have in common, which begin alike."""
+    size, count = dictionary.split("_")
+    return size if count.isdigit() else dictionary
 
 
 def opencv_dictionary(name: str) -> Any:

@@ -29,11 +29,13 @@ class CellGrid(NamedTuple):
     is_ink : (rows, columns) the top row first.
     cell_mm : side of a cell.
     middle_mm : (2,).
+    is_blank : whether these cells are blank paper instead, in the ink of the grids before.
     """
 
     is_ink: Bool[np.ndarray, "rows columns"]
     cell_mm: float
     middle_mm: Float[np.ndarray, "2"]
+    is_blank: bool = False
 
 
 class AbstractSquareBoard(AbstractBoard):
@@ -52,7 +54,7 @@ class AbstractSquareBoard(AbstractBoard):
 
     @abc.abstractmethod
     def cell_grids(self, *, quarters: int = 0) -> Sequence[CellGrid]:
-        """The inked cells.
+        """The inked cells, in the order of painting.
 
         quarters : of a turn, counter-clockwise, by which another program prints the tags.
         """
@@ -63,9 +65,9 @@ class AbstractSquareBoard(AbstractBoard):
         return np.zeros(len(self.centres_mm))
 
     def drawing(self) -> list[Polygon]:
-        """Rectangles of ink. Cells that touch along a row are one."""
+        """Rectangles of ink or of paper. Cells that touch along a row are one."""
         return [
-            Polygon(grid.cell_mm * box + grid.middle_mm, True)
+            Polygon(grid.cell_mm * box + grid.middle_mm, not grid.is_blank)
             for grid in self.cell_grids()
             for box in _runs_of_cells(grid.is_ink)
         ]
@@ -99,15 +101,17 @@ def square_sheet(board: AbstractTarget, *, quarters: int = 0) -> SquareSheet:
     """
     if not isinstance(board, AbstractSquareBoard):
         raise InputError(f"A {type(board).__name__} is no board of squares.")
-    bounds = np.concatenate([_cell_bounds_mm(grid) for grid in board.cell_grids(quarters=quarters)])
+    grids = board.cell_grids(quarters=quarters)
+    bounds = np.concatenate([_cell_bounds_mm(grid) for grid in grids])
+    is_ink = np.repeat([not grid.is_blank for grid in grids], [grid.is_ink.sum() for grid in grids])
     same = _SAME * float(np.ptp(bounds))
     x_mm, y_mm = (_distinct(bounds[..., axis], same) for axis in (0, 1))
     ink = np.zeros((len(y_mm) + 1, len(x_mm) + 1), dtype=bool)
     # The cell that begins at a line has the number of the lines up to it.
     columns = np.searchsorted(x_mm, bounds[..., 0] + 2 * same)
     rows = np.searchsorted(y_mm, bounds[..., 1] + 2 * same)
-    for (left, right), (low, high) in zip(columns, rows, strict=True):
-        ink[low:high, left:right] = True
+    for (left, right), (low, high), inked in zip(columns, rows, is_ink, strict=True):
+        ink[low:high, left:right] = inked
     return SquareSheet(
         board.name, board.centres_mm, board.radius_mm, board.nodes_mm, x_mm, y_mm, ink
     )
@@ -147,13 +151,14 @@ def _runs_of_cells(is_ink: Bool[np.ndarray, "rows columns"]) -> list[Float[np.nd
 
 @lru_cache
 def grid_mm(
-    rows: int, columns: int, pitch_mm: float, *, top_first: bool
+    rows: int, columns: int, pitch_mm: float, *, top_first: bool, right_first: bool = False
 ) -> Float[np.ndarray, "n 2"]:
-    """Places row by row, each from the left, about their middle; not to be written to, since a fit
-    asks for them thousands of times."""
+    """Places row by row, each from the left or from the right, about their middle; not to be
+    written to, since a fit asks for them thousands of times."""
     row, column = np.divmod(np.arange(rows * columns), columns)
     upward = 0.5 * (rows - 1) - row if top_first else row - 0.5 * (rows - 1)
-    places = pitch_mm * np.stack([column - 0.5 * (columns - 1), upward], axis=1)
+    rightward = column - 0.5 * (columns - 1)
+    places = pitch_mm * np.stack([-rightward if right_first else rightward, upward], axis=1)
     places.flags.writeable = False
     return places
 

@@ -16,6 +16,8 @@ from trinoc.geometry.lenses.newton import newton_iterations
 from trinoc.numerics.precision import ArrayLike
 
 _NEWTON_STEPS = 20
+# numerical: a slope near zero would throw the next angle far beyond the lens.
+_LEAST_SLOPE = 0.05
 # Below this square of the angle's tangent, series replace quotients of two small numbers.
 _NEAR_AXIS = 1e-6
 
@@ -31,6 +33,7 @@ class KannalaBrandt(AbstractLens):
     coefficient_counts: ClassVar[tuple[int, ...]] = (0, 1, 2, 3, 4)
     dispensable: ClassVar[tuple[str, ...]] = ("k4", "k3", "k2")
     zero_is_ideal: ClassVar[bool] = False
+    newton: ClassVar[tuple[int, float]] = (_NEWTON_STEPS, _LEAST_SLOPE)
 
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
         """The radius along the direction of (x, y)."""
@@ -51,8 +54,8 @@ class KannalaBrandt(AbstractLens):
 
     def radial_part(self) -> RadialPart:
         """The polynomial."""
-        falling = np.asarray(self.coefficients, dtype=np.float64)[::-1]
-        return RadialPart(np.append(falling, 1.0), np.ones(1), by_angle=True)
+        falling = np.asarray(self.coefficients, dtype=np.float64)[::-1].tolist()
+        return RadialPart((*falling, 1.0), by_angle=True)
 
 
 def _angle_per_radius(
@@ -87,7 +90,6 @@ def _angle_of_radius(
         t2 = angle * angle
         slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
         off = angle * _radius_per_angle(t2, coefficients) - radius
-        # A slope near zero would throw the next angle far beyond the lens.
-        return jnp.clip(angle - off / jnp.maximum(slope, 0.05), 0.0, jnp.pi)
+        return jnp.clip(angle - off / jnp.maximum(slope, _LEAST_SLOPE), 0.0, jnp.pi)
 
     return newton_iterations(step, jnp.clip(radius, 0.0, jnp.pi), _NEWTON_STEPS)

@@ -6,6 +6,7 @@ OpenCV, "Camera Calibration and 3D Reconstruction", the model of `cv2.projectPoi
 is that of D. Claus and A. Fitzgibbon, "A rational function lens distortion model", CVPR 2005.
 """
 
+import math
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -59,8 +60,8 @@ class BrownConrady(AbstractPlaneLens):
 
     def radial_part(self) -> RadialPart:
         """r (1 + k1 r^2 + k2 r^4 + k3 r^6)."""
-        k1, k2, _, _, k3 = np.asarray(self.coefficients, dtype=np.float64)
-        return RadialPart(np.array([k3, k2, k1, 1.0]), np.ones(1), by_angle=False)
+        k1, k2, p1, p2, k3 = np.asarray(self.coefficients, dtype=np.float64).tolist()
+        return RadialPart((k3, k2, k1, 1.0), tangential=(6 * math.hypot(p1, p2), 0.0))
 
 
 def radial_and_tangential(
@@ -95,7 +96,7 @@ class Rational(AbstractPlaneLens):
 
     def radial_part(self) -> RadialPart:
         """The quotient."""
-        return _radial_part(np.asarray(self.coefficients, dtype=np.float64))
+        return _radial_part(np.asarray(self.coefficients, dtype=np.float64).tolist())
 
 
 class ThinPrism(AbstractPlaneLens):
@@ -120,7 +121,11 @@ class ThinPrism(AbstractPlaneLens):
 
     def radial_part(self) -> RadialPart:
         """The quotient."""
-        return _radial_part(np.asarray(self.coefficients, dtype=np.float64))
+        values = np.asarray(self.coefficients, dtype=np.float64).tolist()
+        s1, s2, s3, s4 = values[8:]
+        radial = _radial_part(values)
+        prism = (4 * math.hypot(s2, s4), 0.0, radial.tangential[0] + 2 * math.hypot(s1, s3), 0.0)
+        return radial._replace(tangential=prism)
 
 
 def _by_quotient(
@@ -134,7 +139,7 @@ def _by_quotient(
     return radial_and_tangential(ideal, above / below, p1, p2)
 
 
-def _radial_part(coefficients: Float[np.ndarray, "c"]) -> RadialPart:
-    k1, k2, _, _, k3, k4, k5, k6 = coefficients[:8]
-    above, below = np.array([k3, k2, k1, 1.0]), np.array([k6, k5, k4, 1.0])
-    return RadialPart(above, below, by_angle=False)
+def _radial_part(coefficients: list[float]) -> RadialPart:
+    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients[:8]
+    tangential = (6 * math.hypot(p1, p2), 0.0)
+    return RadialPart((k3, k2, k1, 1.0), (k6, k5, k4, 1.0), tangential=tangential)

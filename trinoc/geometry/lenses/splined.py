@@ -169,6 +169,13 @@ class AbstractSplinedLens(AbstractLens):
         ]
         return float(np.linalg.norm(steps))
 
+    def valid_radius_px(self) -> float:
+        """That of the core less the longest correction; 0 for a correction that folds."""
+        if not self.steepness() < 1.0:
+            return 0.0
+        longest_px = np.linalg.norm(np.abs(np.asarray(self.control_px)).max(axis=(1, 2)))
+        return max(self.core.valid_radius_px() - float(longest_px), 0.0)
+
     def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
         """Those of the core; for control points, half the diagonal of the picture."""
         xp = array_namespace(self)

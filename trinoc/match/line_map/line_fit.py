@@ -125,7 +125,7 @@ def track_table(
         noise = typical_misfit(matches.index, matches.misfit, tuning)
     fragments = np.stack(
         [
-            undistort_pixels(rig[name].intrinsics, np.nan_to_num(matches.fragments_px[:, view]))
+            np.nan_to_num(undistort_pixels(rig[name].intrinsics, matches.fragments_px[:, view]))
             for view, name in enumerate(matches.views)
         ],
         axis=1,

@@ -18,7 +18,7 @@ from trinoc.errors import InputError, MatchError, check_kind, list_names, real_n
 from trinoc.geometry.intrinsics import (
     FOLD_REMEDY,
     Intrinsics,
-    describe_fold,
+    describe_unusable_fold,
     undistort_pixels,
 )
 from trinoc.geometry.rig import A_RIG, Rig, at_one_place
@@ -42,6 +42,8 @@ FEWEST_TO_TELL = 3
 # More candidates than memory bears are let go; of so many segments, too few would be left.
 # numerical: it bounds the memory.
 MOST_SEGMENTS = 40_000
+# The reason of a segment that has no rays at an end.
+BEYOND_FOLD = "beyond the fold of the lens"
 
 
 class CamerasInput(NamedTuple):
@@ -126,8 +128,8 @@ def prepare(
 def prepare_cameras(rig: Rig, names: Iterable[str]) -> CamerasInput:
     """What is needed of a rig's cameras.
 
-    Raises InputError where one is mirrored, MatchError where two stand at one place or a lens
-    folds its picture.
+    Raises InputError where one is mirrored, MatchError where two stand at one place or the fold of
+    a lens leaves too little of its picture.
     """
     cameras = {name: rig[name] for name in names}
     check_not_mirrored(cameras)
@@ -166,7 +168,11 @@ def prepare_frame(
     sides = side_table(levels, contrasts, [each.mean(axis=1) for each in ends], tuning)
     given = list(segments)
     own = cameras.take([given.index(name) for name in names])
-    left_out = [np.full(len(each), "") for each in ends]
+    left_out = []
+    for name, kept in zip(names, order, strict=True):
+        given_count = len(np.asarray(_endpoints(segments[name])))
+        left_out.append(np.full(given_count, BEYOND_FOLD, dtype="U40"))
+        left_out[-1][kept] = ""
     return FrameInput(names, order, ends, covariances, polarities, sides, own, left_out)
 
 
@@ -201,7 +207,10 @@ class _PreparedView(NamedTuple):
 
 
 def _view(given: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None) -> _PreparedView:
-    """Segments without distortion, from left to right, in order of their coordinates."""
+    """Segments without distortion, from left to right, in order of their coordinates.
+
+    Those with an end beyond the fold of the lens are left out.
+    """
     segments = _as_segments(given, sigma_px)
     flat = undistort_pixels(lens, np.asarray(segments.endpoints_px))
     covariance = np.asarray(segments.covariance_px2, dtype=np.float64)
@@ -215,6 +224,7 @@ def _view(given: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None)
         polarity = np.where(np.isfinite(levels).all(axis=1), 0, polarity)
     contrast = np.abs(np.asarray(segments.contrast, dtype=np.float64))
     rank = np.lexsort(flat.reshape(-1, 4).T[::-1])
+    rank = rank[np.isfinite(flat[rank]).all(axis=(1, 2))]
     return _PreparedView(
         rank, flat[rank], covariance[rank], polarity[rank], levels[rank], contrast[rank]
     )
@@ -268,7 +278,7 @@ def _check_apart(names: Iterable[str], rig: Rig) -> None:
 
 def _check_lenses(names: Iterable[str], rig: Rig) -> None:
     for name in names:
-        fold = describe_fold(rig[name].intrinsics)
+        fold = describe_unusable_fold(rig[name].intrinsics)
         if fold is not None:
             raise MatchError(f'The lens of the camera "{name}" {fold}: {FOLD_REMEDY}')
 
@@ -286,12 +296,16 @@ def _check_different(views: Mapping[str, _PreparedView]) -> None:
 
 def _check_counts(segments: Mapping[str, Segments | ArrayLike]) -> None:
     for name, given in segments.items():
-        count = len(given if isinstance(given, Segments) else as_endpoints(given))
+        count = len(_endpoints(given))
         if count > MOST_SEGMENTS:
             raise MatchError(
                 f"Matching takes {MOST_SEGMENTS} segments of a view at most, but "
                 f'"{name}" has {count}: leave out the shortest, or match parts of the picture.'
             )
+
+
+def _endpoints(given: Segments | ArrayLike) -> Float[np.ndarray, "n 2 2"]:
+    return np.asarray(given.endpoints_px) if isinstance(given, Segments) else as_endpoints(given)
 
 
 def _as_segments(given: Segments | ArrayLike, sigma_px: float | None) -> Segments:

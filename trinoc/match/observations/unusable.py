@@ -26,8 +26,13 @@ def leave_out_unusable(
 ) -> FrameInput:
     """The frame without such segments; `left_out` says of the caller's segments why."""
     kept, words = [], []
-    for order, ends, covariance, polarity in zip(
-        frame.order, frame.ends_px, frame.covariance_px2, frame.polarity, strict=True
+    for order, ends, covariance, polarity, left_out in zip(
+        frame.order,
+        frame.ends_px,
+        frame.covariance_px2,
+        frame.polarity,
+        frame.left_out,
+        strict=True,
     ):
         sigma = sigma_across_px(ends, covariance)
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -36,7 +41,9 @@ def leave_out_unusable(
         why = np.full(len(ends), UNPLACED, dtype="U40")
         why[placed], why[single] = EQUAL, ""
         kept.append(single)
-        words.append(why[np.argsort(order)])
+        of_given = left_out.astype("U40")
+        of_given[order] = why
+        words.append(of_given)
     columns = {
         name: [column[rows] for column, rows in zip(getattr(frame, name), kept, strict=True)]
         for name in ("order", "ends_px", "covariance_px2", "polarity", "sides")

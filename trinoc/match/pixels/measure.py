@@ -256,7 +256,9 @@ def _fragments(
         across = interpolate_offset(fit.offset_px, share)
         place = seen.ends_px[:, :1] + along[..., None] * seen.way[:, None]
         place = distort_pixels(lens, place + across[..., None] * seen.right[:, None])
-        fragments[rows[good], view] = place[good]
+        # A part that is moved across may end beyond the fold of the lens: it stays as it was.
+        inside = good & np.isfinite(place).all(axis=(1, 2))
+        fragments[rows[inside], view] = place[inside]
         if covariance is None:
             continue
         weight = np.stack([1 - share, share], axis=2)

@@ -59,7 +59,9 @@ def sample_strips(
     inside = images.extent_px + np.array([1.0, -1.0]) * tuning.end_widths * blur_px
     pixels, valid, line = _strip_pixels(lens, images, inside)
     flat = undistort_pixels(lens, pixels.astype(np.float64))
-    off = flat - images.ends_px[line, 0][:, None, None]
+    # Some pixels beside a line that ends at the fold of the lens have no ray.
+    has_ray = np.isfinite(flat).all(axis=-1)
+    off = np.nan_to_num(flat) - images.ends_px[line, 0][:, None, None]
     across, along = (
         np.einsum("brci,bi->brc", off, axis[line]) for axis in (images.right, images.way)
     )
@@ -67,7 +69,7 @@ def sample_strips(
     is_clipped, first, last = (take_levels(each, pixels)[0] for each in (clipped, *owners))
     own = images.segment[line][:, None, None]
     alone = (last == NOBODY) | ((first == own) & (last == own))
-    usable = valid & within & alone & (np.abs(across) <= tuning.reach_px) & ~is_clipped
+    usable = valid & has_ray & within & alone & (np.abs(across) <= tuning.reach_px) & ~is_clipped
     share = along / images.length_px[line][:, None, None]
     return Strips(across, share, level.astype(np.float64), outward(usable), line)
 
@@ -90,7 +92,8 @@ def _strip_pixels(
     span = path[:, -1] - path[:, 0]
     upright = np.abs(span[:, 1]) > np.abs(span[:, 0])
     middles, valid, line = [], [], []
-    for number in np.flatnonzero(inside_px[:, 1] > inside_px[:, 0]):
+    is_imaged = np.isfinite(path).all(axis=(1, 2))
+    for number in np.flatnonzero(is_imaged & (inside_px[:, 1] > inside_px[:, 0])):
         main = int(upright[number])
         walk = path[number] if span[number, main] > 0 else path[number, ::-1]
         first, last = np.ceil(walk[0, main]), np.floor(walk[-1, main])

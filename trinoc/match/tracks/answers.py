@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.geometry.intrinsics import distort_pixels
 from trinoc.match.evidence.mixture import probability
-from trinoc.match.observations.match_input import FrameInput, MatchInput
+from trinoc.match.observations.match_input import BEYOND_FOLD, FrameInput, MatchInput
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tracks.unequal_errors import (
     degrees_of_misfit,
@@ -53,6 +53,28 @@ def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
         f"The cameras {pair} stand nearly at one place, {baseline_mm:.2g} mm apart{more}: "
         f"{100 * share:.0f} % of the segments lie in both pictures as if they were infinitely far, "
         "so that the two give no depth; move one of the cameras, or check the rig.",
+    )
+
+
+def _fold_notes(frame: FrameInput) -> tuple[str, ...]:
+    """A sentence where segments are left out because they lie beyond the fold of a lens."""
+    counts = {
+        name: int((left_out == BEYOND_FOLD).sum())
+        for name, left_out in zip(frame.names, frame.left_out, strict=True)
+    }
+    counts = {name: counts[name] for name in sorted(counts) if counts[name]}
+    if not counts:
+        return ()
+    radius_px = {
+        name: lens.valid_radius_px
+        for name, lens in zip(frame.names, frame.cameras.intrinsics, strict=True)
+    }
+    beyond = ", ".join(
+        f'{count} of "{name}" (beyond {radius_px[name]:.0f} px)' for name, count in counts.items()
+    )
+    return (
+        "Segments farther from the principal point than a lens maps one to one are left out: "
+        f"{beyond}; calibrate with the board nearer to the corners to use them.",
     )
 
 
@@ -294,6 +316,7 @@ def answers(
                         tuning,
                     ),
                     *narrow_notes(seen.frames[number]),
+                    *_fold_notes(seen.frames[number]),
                 ),
                 noise_tail=float(tail[number]),
             )

@@ -49,7 +49,9 @@ def _depths(camera: Camera, points_mm: Float[np.ndarray, "n 3"]) -> Float[np.nda
 
 def _put_line(depth: Float[np.ndarray, "h w"], camera: Camera, line: np.ndarray) -> None:
     ends = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, line))
-    samples = max(int(2 * np.linalg.norm(ends[1] - ends[0])), 2)
+    # A line that ends beyond the fold of the lens may cross the whole image.
+    length_px = np.nan_to_num(np.linalg.norm(ends[1] - ends[0]), nan=float(sum(depth.shape)))
+    samples = max(int(2 * length_px), 2)
     points = line[0] + np.linspace(0, 1, samples)[:, None] * (line[1] - line[0])
     uv = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, points))
     _put(depth, np.rint(uv[:, 1]), np.rint(uv[:, 0]), _depths(camera, points))
@@ -59,6 +61,8 @@ def _put_face(depth: Float[np.ndarray, "h w"], camera: Camera, face: np.ndarray)
     if (_depths(camera, face) <= 0).any():
         return
     uv = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, face))
+    if not np.isfinite(uv).all():
+        return
     rows, columns = polygon(uv[:, 1], uv[:, 0], depth.shape)
     normalise = jax.vmap(camera.intrinsics.normalised_from_pixel)
     normalised = np.asarray(normalise(np.stack([columns, rows], axis=1).astype(np.float64)))
