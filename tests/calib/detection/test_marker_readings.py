@@ -104,7 +104,9 @@ def test_a_pattern_that_differs_by_a_shift_is_named(legacy):
 def test_a_plain_print_is_named_where_another_one_is_stated(words):
     image, _ = picture(CHARUCO)
     stated = replace(CHARUCO, **PRINTS[words])
-    assert find_marker_reading(image, stated).board == replace(CHARUCO, name=stated.name)
+    reading = find_marker_reading(image, stated)
+    assert reading is not None
+    assert reading.board == replace(CHARUCO, name=stated.name)
     assert words.replace("=yes", "=no").replace("8 columns=6", "6 columns=8") in refusal(
         image, stated
     )
@@ -227,7 +229,8 @@ def test_a_set_s_board_is_read_as_it_was_printed():
     front = AprilGrid(rows=2, columns=2, tag_mm=20.0)
     image = shown(replace(CHARUCO, inverted=True), (0.0,))[0]
     boards = find_boards({"left": [image]}, BoardSet({"front": front, "back": CHARUCO}))
-    assert boards.target.boards[1].inverted
+    assert isinstance(boards.target, BoardSet)
+    assert boards.target.boards[1] == replace(CHARUCO, inverted=True)
     assert len(boards.detections["left"]["shot 1"]) == len(CHARUCO)
     assert '"back" with inverted=yes' in boards.remarks[0]
 
