@@ -138,6 +138,8 @@ def test_pictures_may_follow_the_options(lens):
         ),
         ("--sigma lens=0 aim_mm=0 -o a=b.json", "--sigma lens=0 aim_mm=0 -o a=b.json"),
         ("--out=a.json u=u.png u.png", "u=u.png --out=a.json u.png"),
+        ("--lens-mm 16,0.01,0.02 u=u.png", "u=u.png --lens-mm 16 0.01 0.02"),
+        ("--lens-mm 16,0.01 u=u.png", "u=u.png --lens-mm 16,0.01"),
     ],
 )
 def test_files_between_options_are_taken(typed, meant):

@@ -192,7 +192,7 @@ def picture_digest(image: np.ndarray) -> bytes:
 
 
 def _content(file: Path) -> bytes:
-    if file.is_dir():
+    if os.path.isdir(file):  # False for names that are too long
         inside = sorted(p.name for p in file.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
         if not inside:
             raise InputError(f"{file} is a folder without pictures: give a picture file.")
