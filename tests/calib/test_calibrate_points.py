@@ -229,7 +229,7 @@ def test_a_left_handed_frame_is_refused_with_and_without_a_lens(count, free) -> 
     random = np.random.default_rng(count)
     points = block(random, count)
     uv_px = seen(points, random)
-    upward = [1, -1] * uv_px + [0, 479]
+    upward = np.column_stack([uv_px[:, 0], 479 - uv_px[:, 1]])
     if count == 60:
         assert calibrate_points(points, uv_px, LENS, free=free).status is Status.CONVERGED
     for places, pixels in (

@@ -91,9 +91,9 @@ def put_files_first(command: type, words: Sequence[str]) -> list[str]:
 def _option_types(command: type) -> dict[str, Any]:
     """The type of each option of a command, those of its groups of options among them."""
     types = typing.get_type_hints(command, include_extras=True)
-    groups = [kind for hint in types.values() if dataclasses.is_dataclass(kind := _plain(hint))]
-    for group in groups:
-        types |= _option_types(group)
+    for kind in map(_plain, list(types.values())):
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+            types |= _option_types(kind)
     return types
 
 

@@ -325,6 +325,11 @@ def _files(camera: str, place: str) -> list[Path]:
         refuse_videos(found)
     if not found:
         refuse_videos(there)
+        if not glob.has_magic(place) and not os.path.exists(place):
+            raise InputError(
+                f'{place}, the folder of "{camera}", does not exist: give a folder of pictures, or '
+                "a pattern such as 'shots/left*.png' in quotes."
+            )
         raise InputError(
             f'{place} holds no picture of "{camera}": give a folder of pictures, or a pattern such '
             "as 'shots/left*.png' in quotes."

@@ -42,7 +42,7 @@ class _Directory(NamedTuple):
 def read_orientation(content: bytes) -> int:
     """The orientation tag of a picture, 1 to 8; 1 where it has none or one that means nothing."""
     tag = _tiff_tag(content, _ORIENTATION) if _directory(content) else _exif_orientation(content)
-    return tag if tag in _TURNS else 1
+    return tag if tag is not None and tag in _TURNS else 1
 
 
 def has_white_as_zero(content: bytes) -> bool:
