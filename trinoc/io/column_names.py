@@ -175,7 +175,7 @@ def _needed_beside_middle(columns: Mapping[str, np.ndarray], place: str) -> tupl
 
 
 def _half_vector(
-    columns: Mapping[str, Float[np.ndarray, "n"]], needed: Sequence[str]
+    columns: Mapping[str, np.ndarray], needed: Sequence[str]
 ) -> Float[np.ndarray, "n 2"]:
     """(n, 2) from the middle of each segment to its last end."""
     if "x full" in needed:
@@ -194,7 +194,7 @@ def _half_vector(
 
 def _columns_of(
     names: Sequence[str], rows: Float[np.ndarray, "n c"], place: str
-) -> dict[str, Float[np.ndarray, "n"]]:
+) -> dict[str, np.ndarray]:
     """Columns by the meaning of their names; ends 0 and 1, or 1 and 2, are first and last."""
     if rows.shape[1] != len(names):
         raise InputError(

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy import stats
+from scipy import special
 
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
@@ -85,7 +85,7 @@ def _fits_better(
         residuals = np.linalg.norm(np.asarray(project(jnp.asarray(points))) - seen, axis=1)
         medians.append(float(np.median(residuals)) + _SOLVER_PX)
     freedom = 2 * len(seen) - 6
-    chance = stats.f.sf((medians[1] / medians[0]) ** 2, freedom, freedom)
+    chance = special.fdtrc(freedom, freedom, (medians[1] / medians[0]) ** 2)
     return bool(chance < TUNING.answer.chance)
 
 
