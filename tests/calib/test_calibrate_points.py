@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
 from trinoc.calib import Status
 from trinoc.calib.from_points import PointsCalibration, calibrate_points
+from trinoc.calib.starts.resection import find_pose
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
@@ -220,3 +221,70 @@ def test_a_free_aim_is_any_rigid_motion() -> None:
     np.testing.assert_allclose(
         aimed.camera.cam_from_world, rigid.camera.cam_from_world, rtol=1e-6, atol=1e-6
     )
+
+
+@pytest.mark.parametrize("count", [8, 60])
+@pytest.mark.parametrize("free", [None, ("fx_px", "fy_px")])
+def test_a_left_handed_frame_is_refused_with_and_without_a_lens(count, free) -> None:
+    random = np.random.default_rng(count)
+    points = block(random, count)
+    uv_px = seen(points, random)
+    upward = np.column_stack([uv_px[:, 0], 479 - uv_px[:, 1]])
+    if count == 60:
+        assert calibrate_points(points, uv_px, LENS, free=free).status is Status.CONVERGED
+    for places, pixels in (
+        (points * [-1, 1, 1], uv_px),
+        (points * [1, -1, 1], uv_px),
+        (points * [1, 1, -1], uv_px),
+        (-points, uv_px),
+        (points, upward),
+    ):
+        sentences = set()
+        for lens in (LENS, None):
+            with pytest.raises(CalibrationError, match="left-handed, or v is counted") as caught:
+                calibrate_points(
+                    places,
+                    pixels,
+                    lens,
+                    image_size_px=(512, 480),
+                    free=free if lens else None,
+                )
+            sentences.add(str(caught.value))
+        assert len(sentences) == 1
+
+
+def test_a_left_handed_frame_is_refused_among_outliers() -> None:
+    random = np.random.default_rng(4)
+    points = block(random)
+    uv_px = seen(points, random)
+    uv_px[:3] += [30.0, -50.0]
+    assert calibrate_points(points, uv_px, LENS).status is Status.CONVERGED
+    with pytest.raises(CalibrationError, match="left-handed"):
+        calibrate_points(points * [1, 1, -1], uv_px, LENS)
+
+
+def test_a_plane_has_no_handedness() -> None:
+    random = np.random.default_rng(5)
+    points = block(random) * [1, 1, 0]
+    uv_px = seen(points, random)
+    right = calibrate_points(points, uv_px, LENS)
+    mirrored = calibrate_points(points * [1, 1, -1], uv_px, LENS)
+    np.testing.assert_allclose(mirrored.residuals_px, right.residuals_px, atol=1e-6)
+
+
+@pytest.mark.parametrize("distance", [1.0, 6.0])
+@pytest.mark.parametrize("count", [4, 5, 6, 12])
+def test_a_right_handed_frame_is_never_called_left_handed(count, distance) -> None:
+    """Few points, also so far away that both frames fit nearly alike."""
+    lens = Intrinsics(
+        focal_length_px=(1000 * distance,) * 2,
+        principal_point_px=(255.5, 239.5),
+        image_size_px=(512, 480),
+    )
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        points = block(random, count)
+        turn = cv2.Rodrigues(random.normal(0, 1, 3))[0]
+        at = points @ turn.T + [0, 0, 500 * distance]
+        uv_px = 1000 * distance * at[:, :2] / at[:, 2:] + [255.5, 239.5]
+        find_pose(points, uv_px + random.normal(0, 0.3, uv_px.shape), lens)

@@ -14,6 +14,7 @@ from trinoc.cli import program
 from trinoc.cli.lens_options import LensOptions
 from trinoc.cli.main import main
 from trinoc.cli.views import doubts_table, read_rig
+from trinoc.io.images import write_picture
 from trinoc.io.rig_json import load_rig_status, save_rig
 from trinoc.synth import table1_rig
 
@@ -156,3 +157,61 @@ def test_pictures_of_other_sizes_than_the_one_lens_has_are_named(caplog):
     assert not caplog.messages
     lens.lenses({"upper": (256, 240), "left": (512, 480)})
     assert "upper 256 x 240, left 512 x 480 px" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["segments", f"{'a' * 300}.png"],
+        ["match", *(f"{name}={'a' * 300}_{name}.csv" for name in ("upper", "left", "right"))],
+        ["calibrate", "a=a.png", "--board", f"{'a' * 300}.json", *LENS, ".01", ".01"],
+    ],
+)
+def test_a_name_that_is_too_long_is_called_so(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    save_rig(table1_rig(), "rig.json")
+    more = ["--rig", "rig.json"] if arguments[0] == "match" else []
+    assert main([*arguments, *more]) == 1
+    err = capsys.readouterr().err
+    assert "File name too long): give a file of a shorter name" in err
+    assert "disk" not in err
+
+
+@pytest.mark.parametrize(
+    ("text", "command"),
+    [
+        (
+            "image_width: 640\ndistortion_model: plumb_bob\ndistortion_coefficients:\n  data: [0]",
+            "`trinoc export 'up per.yaml' --from ros -o camera.json`",
+        ),
+        (
+            "%YAML:1.0\ndistortion_coefficients: !!opencv-matrix\n  rows: 1",
+            "`trinoc export 'up per.yaml' --from opencv -o rig.json`",
+        ),
+        (
+            "cam0:\n  camera_model: pinhole",
+            "`trinoc export 'up per.yaml' --from kalibr -o rig.json`",
+        ),
+        ("some: yaml", "is not JSON: give the .json file"),
+    ],
+)
+def test_a_lens_of_another_tool_is_answered_by_the_command_that_reads_it(
+    text, command, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "up per.yaml").write_text(text)
+    board = trinoc.Pattern.cross_grid(rows=4, columns=6, pitch_mm=20.0, radius_mm=6.0)
+    trinoc.save(board, "board.json")
+    image = np.random.default_rng(0).integers(0, 256, (48, 64), dtype=np.uint8)
+    write_picture("a.png", image)
+    arguments = ["a=a.png", "--board", "board.json", "--lens", "up per.yaml"]
+    assert main(["calibrate", *arguments]) == 1
+    assert command in capsys.readouterr().err
+
+
+def test_a_recording_without_files_is_called_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    save_rig(table1_rig(), "rig.json")
+    (tmp_path / "empty").mkdir()
+    assert main(["batch", "empty", "--rig", "rig.json", "-o", "results"]) == 1
+    assert "empty holds no picture and no segments: give the folder" in capsys.readouterr().err

@@ -92,16 +92,11 @@ def test_a_data_sheet_is_not_exact(tmp_path):
     np.testing.assert_allclose(again["upper"], found["left"])
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        LensOptions(),
-        LensOptions(lens=("a.json",), lens_mm=(16.0, 0.01, 0.01)),
-    ],
-)
-def test_lens_that_is_not_determined_is_wrong_usage(options):
+def test_lens_that_is_not_determined_is_wrong_usage():
     with pytest.raises(UsageError, match="lens is not determined"):
-        options.lenses(SIZES)
+        LensOptions().lenses(SIZES)
+    with pytest.raises(UsageError, match="Both --lens and --lens-mm are given: give one"):
+        LensOptions(lens=("a.json",), lens_mm=(16.0, 0.01, 0.01)).lenses(SIZES)
 
 
 def test_lens_that_cannot_be_is_refused():
@@ -138,6 +133,8 @@ def test_pictures_may_follow_the_options(lens):
         ),
         ("--sigma lens=0 aim_mm=0 -o a=b.json", "--sigma lens=0 aim_mm=0 -o a=b.json"),
         ("--out=a.json u=u.png u.png", "u=u.png --out=a.json u.png"),
+        ("--lens-mm 16,0.01,0.02 u=u.png", "u=u.png --lens-mm 16 0.01 0.02"),
+        ("--lens-mm 16,0.01 u=u.png", "u=u.png --lens-mm 16,0.01"),
     ],
 )
 def test_files_between_options_are_taken(typed, meant):

@@ -284,7 +284,7 @@ def test_tables_of_any_text(folder, text):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("a,b,c,d\n", "has words in line 1"),
+        ("a,b,c,d\n", "line 1, names the columns a, b, c, d, which do not give the ends"),
         ("1,5;2,5;3,5;4,5\n", "line 1, has numbers with a decimal comma"),
         ("1,5 2,5 3 4,5\n", "line 1, has numbers with a decimal comma"),
         ("x1,y1,x2,y2\n1,2,3,4\n5,6,seven,8\n", "line 3, is not a table of numbers"),

@@ -6,7 +6,7 @@ import pytest
 
 from trinoc.errors import InputError
 from trinoc.io import read_image, read_views
-from trinoc.io.images import is_whole_picture
+from trinoc.io.images import is_whole_picture, load_shots
 
 RANDOM = np.random.default_rng(5)
 GREY = RANDOM.integers(0, 256, (12, 17), dtype=np.uint8)
@@ -82,3 +82,20 @@ def test_one_picture_for_two_views_is_refused_whatever_the_file(tmp_path):
     assert list(views) == ["upper", "left"]
     with pytest.raises(InputError, match='"upper" and "left" are the same picture'):
         read_views({"upper": tmp_path / "one.png", "left": tmp_path / "same.tif"})
+
+
+def test_a_folder_of_shots_that_is_not_there_or_empty_is_called_so(tmp_path):
+    (tmp_path / "empty").mkdir()
+    for place, said in (("none", "does not exist"), ("empty", "holds no picture"), ("n*", "holds")):
+        with pytest.raises(InputError, match=said):
+            load_shots({"left": tmp_path / place})
+
+
+@pytest.mark.parametrize("name", ["dark", "twelve"])
+def test_levels_of_a_16_bit_file_are_kept_whatever_part_they_fill(tmp_path, name):
+    """12 bit in 16, and a dark picture: nothing stretches or cuts them."""
+    pixels = DEEP >> 4 if name == "twelve" else DEEP % 300
+    for suffix in (".png", ".tif"):
+        path = tmp_path / f"{name}{suffix}"
+        path.write_bytes(cv2.imencode(suffix, pixels)[1].tobytes())
+        np.testing.assert_array_equal(read_image(path), pixels)

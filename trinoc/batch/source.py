@@ -55,6 +55,10 @@ def find_frames(
         names = [name for name in names if name.lower().endswith(known)]
         if not names:
             refuse_videos(there)
+            raise InputError(
+                f"{path} holds no picture and no segments: give the folder that has the "
+                "recording, or a CSV table that lists its files."
+            )
         template = fitting_template(names, cameras)
     frames = frames_of_names(names, template, cameras)
     return Source(path, frames, _views(frames, cameras))

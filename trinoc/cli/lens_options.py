@@ -158,7 +158,9 @@ class LensOptions:
         from trinoc.io.intrinsics_json import expect_lens
 
         by_numbers = self.lens_mm != NO_NUMBERS
-        if by_numbers == bool(self.lens):
+        if by_numbers and self.lens:
+            raise UsageError("Both --lens and --lens-mm are given: give one of them.")
+        if not by_numbers and not self.lens:
             raise UsageError(
                 "The lens is not determined: give either --lens camera.json, or --lens-mm FOCAL "
                 "WIDTH HEIGHT."

@@ -4,6 +4,7 @@ Exit status 0: done. 1: the job failed, and one sentence on stderr says why and 
 next. 2: wrong usage. 130: interrupted. 141: nobody read the output to its end.
 """
 
+import errno
 import importlib.metadata
 import json
 import os
@@ -200,9 +201,9 @@ def _run(command: Command, command_line: str) -> int:
         raise
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
-        return _report_failure(
-            command, f"{place}{error.strerror or error}: check the disk.", status=1
-        )
+        is_long = error.errno == errno.ENAMETOOLONG
+        remedy = "give a shorter name" if is_long else "check the disk"
+        return _report_failure(command, f"{place}{error.strerror or error}: {remedy}.", status=1)
     except MemoryError:
         return _report_failure(
             command, "The memory does not suffice: give smaller or fewer files.", 1

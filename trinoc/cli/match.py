@@ -50,7 +50,7 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
         tyro.conf.arg(metavar="NAME=FILE", help_behavior_hint="(required)"),
     ]
     """For each camera its picture, or segments found before (npz), or a table x1 y1 x2 y2
-    (npy, csv, txt) of any detector."""
+    (npy, csv, txt) of any detector, whose heading may name other columns."""
 
     rig: Path
     """The cameras, as `trinoc calibrate` writes them."""

@@ -13,6 +13,7 @@ the cameras:
     images = {upper = "upper.png", left = "left.png", right = "right.png"}
 """
 
+import dataclasses
 import difflib
 import math
 import tomllib
@@ -64,11 +65,13 @@ def read_settings(option: str, words: Iterable[Iterable[str]], parsers: Parsers)
 def put_files_first(command: type, words: Sequence[str]) -> list[str]:
     """The words behind a command, with every NAME=FILE that stands between options moved before.
 
-    What an option takes stays behind it: the one word that follows it, and settings.
+    What an option takes stays behind it: the one word that follows it, and settings. As many
+    numbers as an option takes may stand in one word, with commas between.
     """
-    hints = typing.get_type_hints(command, include_extras=True)
+    hints = _option_types(command)
     flags = {f"--{name.replace('_', '-')}" for name, hint in hints.items() if hint is bool}
     with_settings = {f"--{name}" for name, hint in hints.items() if hint == Settings}
+    lengths = {f"--{name.replace('_', '-')}": _count_numbers(hint) for name, hint in hints.items()}
     first, rest, option, is_taken = [], [], "", False
     for word in words:
         if word.startswith("-"):
@@ -78,10 +81,34 @@ def put_files_first(command: type, words: Sequence[str]) -> list[str]:
             continue
         else:
             is_taken = False
-        rest.append(word)
+        values = word.split(",")
+        rest += values if 1 < len(values) == lengths.get(option) else [word]
     # A word alone before all options, such as the kind of a board, stays before what goes with it.
     count = next((k for k, word in enumerate(rest) if word.startswith("-")), len(rest))
     return [*rest[:count], *first, *rest[count:]]
+
+
+def _option_types(command: type) -> dict[str, Any]:
+    """The type of each option of a command, those of its groups of options among them."""
+    types = typing.get_type_hints(command, include_extras=True)
+    for kind in map(_plain, list(types.values())):
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+            types |= _option_types(kind)
+    return types
+
+
+def _plain(hint: Any) -> Any:
+    """A type without what tyro knows of it."""
+    while typing.get_origin(hint) is Annotated:
+        hint = typing.get_args(hint)[0]
+    return hint
+
+
+def _count_numbers(hint: Any) -> int:
+    """How many numbers an option of this type takes; 0 for other types."""
+    kind = _plain(hint)
+    alternatives = map(typing.get_args, (kind, *typing.get_args(kind)))
+    return next((len(values) for values in alternatives if set(values) == {float}), 0)
 
 
 def parse_number(text: str) -> float:

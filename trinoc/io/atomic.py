@@ -43,7 +43,9 @@ def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
         raise InputError(f"{file} does not exist: check the name.") from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{file} cannot be read ({reason}): give a readable file.") from error
+        is_long = getattr(error, "errno", None) == errno.ENAMETOOLONG
+        remedy = "give a file of a shorter name" if is_long else "give a readable file"
+        raise InputError(f"{file} cannot be read ({reason}): {remedy}.") from error
     if max(size, len(content)) > most:
         raise InputError(
             f"{file} has {max(size, len(content)) / 1e6:.0f} MB, but no such file has more than "

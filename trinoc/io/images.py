@@ -24,6 +24,7 @@ from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import atomic_write, read_bytes
+from trinoc.io.picture_tags import as_stored, has_white_as_zero, warn_of_orientation
 
 _PNG, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _JPEG, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
@@ -120,8 +121,11 @@ MOST_BYTES = 7 * MOST_PIXELS
 def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     """(h, w) grey levels or (h, w, 3) red, green, blue, in the depth of the file.
 
-    Rotation tags are ignored: pixels stay where the sensor had them, as the calibration of a
-    lens demands. Transparency is dropped. Raises InputError for what is not a picture.
+    Pixels stay where the sensor had them, as the calibration of a lens demands: orientation tags
+    of TIFF, JPEG, PNG and WebP are not applied, and one warning for each folder names the first
+    picture that has one. A TIFF whose zero is white is read as it is meant. Transparency is
+    dropped. Raises InputError for what is not a picture, and for one that is drawn in its
+    transparency alone.
     """
     file = Path(path)
     return _decode(file, _content(file))
@@ -188,7 +192,7 @@ def picture_digest(image: np.ndarray) -> bytes:
 
 
 def _content(file: Path) -> bytes:
-    if file.is_dir():
+    if os.path.isdir(file):  # False for names that are too long
         inside = sorted(p.name for p in file.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
         if not inside:
             raise InputError(f"{file} is a folder without pictures: give a picture file.")
@@ -196,7 +200,8 @@ def _content(file: Path) -> bytes:
     content = read_bytes(file, MOST_BYTES)
     if not content:
         raise InputError(f"{file} is empty: copy the picture again from where it came.")
-    return content
+    warn_of_orientation(file, content)
+    return as_stored(content)
 
 
 def _unreadable(file: Path) -> InputError:
@@ -243,9 +248,17 @@ def _decode(file: Path, content: bytes) -> np.ndarray:
         image = None
     if image is None:
         raise _unreadable(file)
+    if image.dtype == np.uint16 and has_white_as_zero(content):
+        # OpenCV does so for 8 bit alone.
+        image = np.iinfo(np.uint16).max - image
     if image.ndim == 2:
         return image
     if image.shape[2] == 4:
+        if np.ptp(image[..., 3]) and not np.ptp(image[..., :3], axis=(0, 1)).any():
+            raise InputError(
+                f"{file} is drawn in its transparency alone, below which it has one colour: save "
+                "it without transparency, on white."
+            )
         return cv2.cvtColor(image, cv2.COLOR_BGRA2RGB)
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
@@ -312,6 +325,11 @@ def _files(camera: str, place: str) -> list[Path]:
         refuse_videos(found)
     if not found:
         refuse_videos(there)
+        if not glob.has_magic(place) and not os.path.exists(place):
+            raise InputError(
+                f'{place}, the folder of "{camera}", does not exist: give a folder of pictures, or '
+                "a pattern such as 'shots/left*.png' in quotes."
+            )
         raise InputError(
             f'{place} holds no picture of "{camera}": give a folder of pictures, or a pattern such '
             "as 'shots/left*.png' in quotes."

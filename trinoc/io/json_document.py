@@ -5,6 +5,7 @@ import difflib
 import json
 import os
 import re
+import shlex
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,13 @@ from trinoc.io.atomic import read_text, write_text
 
 # Everything that trinoc reads is at most eight deep; Python's own parser fails at thousands.
 MOST_NESTED = 64
+# What the camera files of other tools hold; those of OpenCV may hold words of ROS, too.
+_CAMERA_WORDS = {
+    "opencv": "opencv-matrix",
+    "ros": "distortion_coefficients:",
+    "kalibr": "cam0:",
+    "mrcal": "lensmodel",
+}
 _QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"?', re.DOTALL)
 
 
@@ -34,7 +42,7 @@ def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
         if os.fspath(file).lower().endswith(".json"):
             place = f"line {error.lineno}, column {error.colno}: {error.msg}"
             raise InputError(f"{file} is not JSON ({place}): correct it there.") from error
-        raise InputError(f"{file} is not JSON: give the .json file.") from error
+        raise InputError(f"{file} is not JSON: {_remedy_for_cameras(text, file)}.") from error
     except _NotStrictError as error:
         raise InputError(f"{file}: {error}") from error
     except ValueError as error:  # of Python, whose integers have at most 4,300 digits
@@ -45,6 +53,17 @@ def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
     if re.search(r"\\u[dD][89a-fA-F]", text) and _has_half_characters(values):
         raise InputError(f"{file} holds a \\u code that is no character: correct it.")
     return values
+
+
+def _remedy_for_cameras(text: str, file: str | os.PathLike[str]) -> str:
+    """What to do with a file that is no JSON: for another tool's cameras, the command."""
+    name = next((name for name, words in _CAMERA_WORDS.items() if words in text), None)
+    if name is None:
+        return "give the .json file"
+    return (
+        f"write one with `trinoc export {shlex.quote(os.fspath(file))} --from {name} -o "
+        f"{'camera' if name == 'ros' else 'rig'}.json`, and give that"
+    )
 
 
 class _NotStrictError(Exception):

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from trinoc.errors import InputError
 from trinoc.evaluation.known_shape import GREY_STEP, KnownShape
 from trinoc.io.atomic import read_bytes
+from trinoc.io.column_names import names_of_line, order_in_space
 from trinoc.io.demo import FORMAT as SCENE_FORMAT, load_scene_truth
 from trinoc.io.json_document import parsed_json
 from trinoc.io.obj_model import CREASE_DEG, edges_of_obj, straight_runs
@@ -36,7 +37,8 @@ def load_shape(
       straight edges are wanted that two pictures show by `grey_step` grey levels.
     - any other text: rows of six numbers (separated by commas or blanks) are edges, rows of three
       are points of a polyline, with a blank line between polylines, such as the edges of a STEP
-      model sampled by a CAD program. A first line of names and lines that start with # are skipped.
+      model sampled by a CAD program. Lines that start with # are skipped. A first line may name the
+      columns x1 y1 z1 x2 y2 z2, or x y z, in any order.
 
     Numbers times `unit_mm` are millimetres. Polylines and the edges of an OBJ run on where they
     run straight on, so that an edge in pieces is one edge. Raises InputError, with the number of
@@ -74,6 +76,7 @@ def _of_rows(text: str, file: str) -> Float[np.ndarray, "m 2 3"]:
     edges: list[list[float]] = []
     polylines: list[list[list[float]]] = [[]]
     width = 0
+    heading: tuple[list[str], str] | None = None
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.replace(",", " ").replace(";", " ").split()
         if not words:
@@ -83,7 +86,8 @@ def _of_rows(text: str, file: str) -> Float[np.ndarray, "m 2 3"]:
             continue
         row = _numbers(words)
         if row is None:
-            if width == 0 and not any(map(_is_number, words)):
+            if width == 0 and heading is None and not any(map(_is_number, words)):
+                heading = names_of_line(line.strip()), f"{file}, line {number}"
                 continue
             raise InputError(f"{file}, line {number}: these are not all finite numbers: {_REMEDY}.")
         width = width or len(row)
@@ -93,6 +97,8 @@ def _of_rows(text: str, file: str) -> Float[np.ndarray, "m 2 3"]:
                 f"{file}, line {number}: there are {len(row)} numbers instead of {wanted}: "
                 f"{_REMEDY}."
             )
+        if heading is not None:
+            row = order_in_space(heading[0], np.array([row]), heading[1])[0].tolist()
         (edges if width == 6 else polylines[-1]).append(row)  # pyright: ignore[reportArgumentType]
         if width == 6 and row[:3] == row[3:]:
             raise InputError(f"{file}, line {number}: the edge has no length: leave it out.")

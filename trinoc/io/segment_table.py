@@ -1,4 +1,4 @@
-"""Segments as files: trinoc's npz, and tables of other detectors with rows x1 y1 x2 y2."""
+"""Segments as files: trinoc's npz, and tables of other detectors, whose headings name columns."""
 
 import os
 from pathlib import Path
@@ -9,26 +9,34 @@ from trinoc.errors import InputError, expect_path
 from trinoc.geometry.segments import Segments
 from trinoc.io.arrays_npz import MOST_BYTES, load_array
 from trinoc.io.atomic import read_text
+from trinoc.io.column_names import ends_of_columns, names_of_comment, names_of_line
 from trinoc.io.tables_npz import load_npz
 from trinoc.numerics.tables import LARGEST_PX
 
 TABLE_SUFFIXES = (".npy", ".csv", ".txt")
 
 _REMEDY = "give rows of x1 y1 x2 y2 in pixels"
-# With these names above it a table may have no row.
-COLUMNS = {"x1", "y1", "x2", "y2"}
-# Rows below such names are boxes or polar lines.
-_OTHER_COLUMNS = {"w", "h", "width", "height", "length", "angle", "theta", "rho"}
 
 
 def load_segments(path: str | os.PathLike[str]) -> Segments:
     """Read segments: an npz of `save`, or a table with rows x1 y1 x2 y2 in pixels.
 
-    A table is npy, csv or txt (separated by commas, semicolons or blanks; a first line of column
-    names and lines that start with # are skipped). Its segments get the sigmas of
-    `Segments.from_endpoints`. Raises InputError for other files, and, with the field and the first
-    row, for values that no segment has: other shapes, coordinates that are not finite or beyond
-    all pictures, covariances that are none.
+    A table is npy, csv or txt, separated by commas, semicolons or blanks. Lines that start with #
+    are skipped. A first line, or a comment above the numbers, may name the columns: they are then
+    read by their names, in any order.
+
+    - `x1 y1 x2 y2`, also as `start_x`, `x0 y0 x1 y1`, `row1 col1 row2 col2` and similar;
+    - the middle `xm ym` with `full_dx full_dy`, from end to end, or `half_dx half_dy`, from the
+      middle to the second end;
+    - the middle with a direction `dx dy` of any length and the `length` from end to end;
+    - the middle with `length` and `angle_deg` or `angle_rad`, from x towards y, which points down.
+
+    Further columns of detectors, such as width, score and nfa, are left out. The segments get the
+    sigmas of `Segments.from_endpoints`.
+
+    Raises InputError for other files and for columns of other names. Raises it, with the field and
+    the first row, for values that no segment has: other shapes, coordinates that are not finite or
+    beyond all pictures, covariances that are none.
     """
     expect_path(path)
     file = Path(path)
@@ -69,11 +77,15 @@ def read_table(file: Path) -> np.ndarray:
 
 
 def _text_table(text: str, file: Path) -> np.ndarray:
-    """Rows of a text; one line of names may stand above them."""
+    """Rows of a text: as x1 y1 x2 y2 where a heading names their columns, else as they stand."""
     rows: list[list[float]] = []
     heading: tuple[int, str] | None = None
+    comments: list[tuple[int, str]] = []
     for number, line in enumerate(text.splitlines(), start=1):
-        line = line.partition("#")[0].strip()
+        line, _, comment = line.partition("#")
+        if comment and not line.strip() and not rows:
+            comments.append((number, comment))
+        line = line.strip()
         if not line:
             continue
         row = _numbers(_words(line)) or None
@@ -83,12 +95,6 @@ def _text_table(text: str, file: Path) -> np.ndarray:
             )
         if row is None and heading is None and not rows and _is_names(line):
             heading = number, line
-            other = _OTHER_COLUMNS.intersection(_words(line.lower()))
-            if other:
-                raise InputError(
-                    f'{file}, line {number}, names a column "{min(other)}": {_REMEDY}, the two '
-                    "ends of a segment."
-                )
         elif row is None:
             raise InputError(f"{file}, line {number}, is not a table of numbers: {_REMEDY}.")
         elif rows and len(row) != len(rows[0]):
@@ -98,12 +104,16 @@ def _text_table(text: str, file: Path) -> np.ndarray:
             )
         else:
             rows.append(row)
-    if heading and not rows and not set(_words(heading[1])) >= COLUMNS:
-        raise InputError(
-            f"{file} has words in line {heading[0]} and no row of numbers: {_REMEDY}, or the "
-            "line x1,y1,x2,y2 alone if nothing was found."
-        )
-    return np.array(rows).reshape(len(rows), -1) if rows else np.zeros((0, 4))
+    if heading is not None:
+        number, names = heading[0], names_of_line(heading[1])
+        table = np.array(rows) if rows else np.zeros((0, len(names)))
+        return ends_of_columns(names, table, f"{file}, line {number}")
+    table = np.array(rows) if rows else np.zeros((0, 4))
+    for number, comment in reversed(comments):
+        names = names_of_comment(comment, table.shape[1])
+        if names is not None:
+            return ends_of_columns(names, table, f"{file}, line {number}")
+    return table
 
 
 def _words(line: str) -> list[str]:

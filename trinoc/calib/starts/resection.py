@@ -8,11 +8,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from scipy import special
 
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
+
+_LEFT_HANDED = (
+    "The points are seen behind the camera or mirrored: the frame of their places is left-handed, "
+    "or v is counted upward; turn one axis of the places round, or count v downward."
+)
+# numerical: SQPnP minimizes no pixels, and so ends this near to the best pose.
+_SOLVER_PX = 1e-3
 
 
 def is_flat(points: Float[np.ndarray, "n 3"]) -> bool:
@@ -24,7 +33,31 @@ def is_flat(points: Float[np.ndarray, "n 3"]) -> bool:
 def find_pose(
     points: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 2"], lens: Intrinsics
 ) -> Pose:
-    """By SQPnP (Terzakis and Lourakis 2020), on a plane and off it."""
+    """Pose by SQPnP (Terzakis and Lourakis 2020), for points on a plane and off it.
+
+    Raises CalibrationError for points without a pose before the camera, and for a left-handed
+    frame: one whose mirror image fits better than noise explains.
+    """
+    pose = _solve_pose(points, seen, lens)
+    if not is_flat(points):
+        mirrored = points * [1.0, 1.0, -1.0]
+        mirrored_pose = _solve_pose(mirrored, seen, lens)
+        if mirrored_pose is not None and (
+            pose is None or _fits_better((mirrored_pose, mirrored), (pose, points), seen, lens)
+        ):
+            raise CalibrationError(_LEFT_HANDED)
+    if pose is None:
+        raise CalibrationError(
+            f"No pose sees the {len(points)} points in front of the camera: check that places "
+            "and pixels belong together, and that the frame of the places is right-handed."
+        )
+    return pose
+
+
+def _solve_pose(
+    points: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 2"], lens: Intrinsics
+) -> Pose | None:
+    """The pose by SQPnP; None where none sees the points in front of the camera."""
     rays = np.asarray(jax.vmap(lens.normalised_from_pixel)(jnp.asarray(seen)))
     try:
         good, turn, shift = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
@@ -34,11 +67,26 @@ def find_pose(
             "spread in depth and across the picture."
         ) from error
     if not good:
-        raise CalibrationError(
-            f"No pose sees the {len(points)} points in front of the camera: check that places "
-            "and pixels belong together, and that the frame of the places is right-handed."
-        )
+        return None
     return Pose(np.concatenate([cv2.Rodrigues(turn)[0], shift.reshape(3, 1)], axis=1))
+
+
+def _fits_better(
+    first: tuple[Pose, np.ndarray],
+    second: tuple[Pose, np.ndarray],
+    seen: Float[np.ndarray, "n 2"],
+    lens: Intrinsics,
+) -> bool:
+    """Whether the first pose and points fit better than chance explains, by their medians, which
+    outliers hardly change (F test of two variances)."""
+    medians = []
+    for pose, points in (first, second):
+        project = jax.vmap(Camera(lens, pose).project)
+        residuals = np.linalg.norm(np.asarray(project(jnp.asarray(points))) - seen, axis=1)
+        medians.append(float(np.median(residuals)) + _SOLVER_PX)
+    freedom = 2 * len(seen) - 6
+    chance = special.fdtrc(freedom, freedom, (medians[1] / medians[0]) ** 2)
+    return bool(chance < TUNING.answer.chance)
 
 
 def find_linear_camera(
@@ -63,10 +111,7 @@ def find_linear_camera(
     camera = Camera.from_matrix(from_unit @ matrix @ to_world, size_px)
     depth = points @ camera.cam_from_world[2, :3] + camera.cam_from_world[2, 3]
     if np.median(depth) <= 0:
-        raise CalibrationError(
-            "The points are seen behind the camera: the frame of their places is left-handed; "
-            "turn one axis round."
-        )
+        raise CalibrationError(_LEFT_HANDED)
     # A real sensor has no skew.
     lens = camera.intrinsics
     straight = Intrinsics(

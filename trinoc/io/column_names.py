@@ -1,0 +1,235 @@
+"""Columns of tables by the names in their heading: the ends of segments in the picture or in space.
+
+Names are compared in lower case, without signs between their parts and without the unit px: X1,
+x_1, "x1 [px]" and x1_px are one name.
+"""
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.errors import InputError
+
+_AXES = {"x": ("x", "u", "col", "column"), "y": ("y", "v", "row"), "z": ("z",)}
+_ENDS = {
+    "0": ("0", "p0", "pt0"),
+    "1": ("1", "p1", "pt1"),
+    "2": ("2", "p2", "pt2"),
+    "first": ("a", "s", "start", "begin", "first", "from"),
+    "last": ("b", "e", "end", "stop", "last", "to"),
+    "middle": ("m", "mid", "middle", "c", "center", "centre", "ctr"),
+}
+_DIRECTIONS = ("d", "delta", "dir", "direction")
+_EXTENTS = {"full": ("full", "whole"), "half": ("half",)}
+_ANGLES = ("angle", "theta", "orientation", "direction")
+_ANGLE_UNITS = {"deg": ("deg", "degree", "degrees"), "rad": ("rad", "radian", "radians")}
+
+# What detectors and tables add to a segment and its ends do not need.
+_DETECTOR_COLUMNS = (
+    "width precision prec p nfa lognfa score response confidence conf probability prob strength "
+    "gradient contrast support numof size rho id idx index nr no number label class "
+    "classid"
+)
+LEFT_OUT = frozenset(_DETECTOR_COLUMNS.split())
+KNOWN_COLUMNS = (
+    "x1 y1 x2 y2; row1 col1 row2 col2; xm ym full_dx full_dy, from end to end; xm ym half_dx "
+    "half_dy, from the middle to an end; xm ym dx dy length; or xm ym length angle_deg (or "
+    "angle_rad)"
+)
+
+
+def _known_names() -> dict[str, str]:
+    """The meaning of each plain name, such as "x first" of startx."""
+    meanings = {"length": "length", "len": "length", "linelength": "length"}
+    for axis, words in _AXES.items():
+        for word, (end, marks) in itertools.product(words, _ENDS.items()):
+            for mark in marks:
+                meanings |= {word + mark: f"{axis} {end}", mark + word: f"{axis} {end}"}
+        for word, direction in itertools.product(words, _DIRECTIONS):
+            for name in (direction + word, word + direction):
+                meanings[name] = f"{axis} vector"
+                for extent, marks in _EXTENTS.items():
+                    for mark in marks:
+                        meanings |= dict.fromkeys((name + mark, mark + name), f"{axis} {extent}")
+    for letter, axis in (("r", "y"), ("c", "x")):
+        meanings |= {f"{letter}{k}": f"{axis} {k}" for k in range(3)}
+        meanings[f"d{letter}"] = f"{axis} vector"
+    for word in _ANGLES:
+        meanings[word] = "angle"
+        for unit, marks in _ANGLE_UNITS.items():
+            meanings |= {word + mark: f"angle {unit}" for mark in marks}
+    return meanings
+
+
+_MEANINGS = _known_names()
+_ENDS_OF_SEGMENT = ("x first", "y first", "x last", "y last")
+_MIDDLE = ("x middle", "y middle")
+
+
+def names_of_line(line: str) -> list[str]:
+    """The names in a line, between commas, semicolons, tabs or else blanks; quotes are removed."""
+    separator = next((sign for sign in ";,\t" if sign in line), None)
+    names = [name.strip(" \t\"'") for name in line.split(separator)]
+    while names and not names[-1]:
+        names.pop()
+    return names
+
+
+def names_of_comment(comment: str, count: int) -> list[str] | None:
+    """The names of so many columns in a comment, as np.savetxt writes them; None for other words.
+
+    Two of the names must be coordinates of ends or middles.
+    """
+    words = [word for word in re.split(r"[\s,;]+", comment) if word and not word.endswith(":")]
+    for names in (words, [word for word in words if _meaning(word) or _is_left_out(word)]):
+        coordinates = [name for name in names if (_meaning(name) or "")[2:] in _ENDS]
+        if len(names) == count and len(coordinates) > 1:
+            return names
+    return None
+
+
+def ends_of_columns(
+    names: Sequence[str], rows: Float[np.ndarray, "n c"], place: str
+) -> Float[np.ndarray, "n 4"]:
+    """Rows x1 y1 x2 y2 of columns with these names, in the order of the ends.
+
+    place : the file and the line of the heading, for messages.
+
+    Raises InputError, with the names that are known, for a heading that does not determine the
+    ends, and for a column that is neither read nor known to be left out.
+    """
+    columns = _columns_of(names, rows, place)
+    if any(key in columns for key in _ENDS_OF_SEGMENT):
+        needed = _ENDS_OF_SEGMENT
+    else:
+        needed = (*_MIDDLE, *_needed_beside_middle(columns, place))
+    if not all(key in columns for key in needed):
+        raise InputError(
+            f"{place}, names the columns {', '.join(names)}, which do not give the ends of a "
+            f"segment: name them {KNOWN_COLUMNS}."
+        )
+    unknown = [
+        name
+        for name in names
+        if name
+        and not _is_left_out(name)
+        and ((meaning := _meaning(name)) is None or meaning.startswith("z"))
+    ]
+    if unknown:
+        raise InputError(
+            f'{place}, names a column "{unknown[0]}" that trinoc does not know: remove it, or name '
+            f"the columns {KNOWN_COLUMNS}."
+        )
+    if needed == _ENDS_OF_SEGMENT:
+        return np.stack([columns[key] for key in needed], axis=1)
+    middle = np.stack([columns[key] for key in _MIDDLE], axis=1)
+    half = _half_vector(columns, needed)
+    return np.hstack([middle - half, middle + half])
+
+
+def order_in_space(
+    names: Sequence[str], rows: Float[np.ndarray, "n c"], place: str
+) -> Float[np.ndarray, "n c"]:
+    """Columns x1 y1 z1 x2 y2 z2, or x y z, of columns with these names, which may be in any order.
+
+    Raises InputError for other names.
+    """
+    if len(names) == 3:
+        columns = {_plain(name): column for name, column in zip(names, rows.T, strict=True)}
+        needed = ("x", "y", "z")
+    else:
+        columns = _columns_of(names, rows, place)
+        needed = tuple(f"{axis} {end}" for end in ("first", "last") for axis in "xyz")
+    if set(columns) != set(needed) or len(names) != len(needed):
+        raise InputError(
+            f"{place}, names the columns {', '.join(names)}: name them x1 y1 z1 x2 y2 z2 for "
+            "edges, or x y z for points, in any order."
+        )
+    return np.stack([columns[key] for key in needed], axis=1)
+
+
+def _needed_beside_middle(columns: Mapping[str, np.ndarray], place: str) -> tuple[str, ...]:
+    """The columns that give the ends of a segment beside its middle."""
+    ways = (
+        ("x full", "y full"),
+        ("x half", "y half"),
+        ("x vector", "y vector", "length"),
+        ("length", "angle deg"),
+        ("length", "angle rad"),
+    )
+    way = next((way for way in ways if all(key in columns for key in way)), None)
+    has_middle = all(key in columns for key in _MIDDLE)
+    if way is None and has_middle and "x vector" in columns:
+        raise InputError(
+            f"{place}, does not say whether dx, dy reach from end to end or from the middle to an "
+            "end: name them full_dx, full_dy or half_dx, half_dy, or add a column length."
+        )
+    if way is None and has_middle and "angle" in columns:
+        raise InputError(
+            f"{place}, does not say the unit of the angle: name the column angle_deg or angle_rad."
+        )
+    return way or ("length", "angle deg")
+
+
+def _half_vector(
+    columns: Mapping[str, np.ndarray], needed: Sequence[str]
+) -> Float[np.ndarray, "n 2"]:
+    """(n, 2) from the middle of each segment to its last end."""
+    if "x full" in needed:
+        return np.stack([columns["x full"], columns["y full"]], axis=1) / 2
+    if "x half" in needed:
+        return np.stack([columns["x half"], columns["y half"]], axis=1)
+    if "x vector" in needed:
+        vector = np.stack([columns["x vector"], columns["y vector"]], axis=1)
+        direction = vector / np.linalg.norm(vector, axis=1, keepdims=True)
+    else:
+        in_degrees = "angle deg" in needed
+        angle = np.deg2rad(columns["angle deg"]) if in_degrees else columns["angle rad"]
+        direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return direction * columns["length"][:, None] / 2
+
+
+def _columns_of(
+    names: Sequence[str], rows: Float[np.ndarray, "n c"], place: str
+) -> dict[str, np.ndarray]:
+    """Columns by the meaning of their names; ends 0 and 1, or 1 and 2, are first and last."""
+    if rows.shape[1] != len(names):
+        raise InputError(
+            f"{place}, names {len(names)} columns, but the rows have {rows.shape[1]} numbers: "
+            "name each column."
+        )
+    meanings = [_meaning(name) for name in names]
+    begins_with_0 = any(meaning and meaning.endswith(" 0") for meaning in meanings)
+    ends = ("0", "1") if begins_with_0 else ("1", "2")
+    columns: dict[str, np.ndarray] = {}
+    name_of: dict[str, str] = {}
+    for name, meaning, column in zip(names, meanings, rows.T, strict=True):
+        if meaning is None:
+            continue
+        axis, _, end = meaning.partition(" ")
+        if end in ends:
+            meaning = f"{axis} {('first', 'last')[ends.index(end)]}"
+        if meaning in columns or (begins_with_0 and end == "2"):
+            other = name_of.get(meaning, next(iter(name_of.values()), name))
+            raise InputError(
+                f'{place}, has columns "{other}" and "{name}", which may mean one thing or two: '
+                f"keep four columns {KNOWN_COLUMNS}."
+            )
+        columns[meaning], name_of[meaning] = column, name
+    return columns
+
+
+def _plain(name: str) -> str:
+    name = name.lower().replace("\N{DEGREE SIGN}", "deg")
+    return re.sub(r"point|pixels?|px$", "", re.sub(r"[^a-z0-9]", "", name))
+
+
+def _meaning(name: str) -> str | None:
+    return _MEANINGS.get(_plain(name))
+
+
+def _is_left_out(name: str) -> bool:
+    return _plain(name) in LEFT_OUT

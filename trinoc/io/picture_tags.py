@@ -1,0 +1,136 @@
+"""Tags of picture files that change how pixels are shown: orientation, and white as zero.
+
+Pixels are read as the sensor had them, whatever the orientation tag says: the calibration of a lens
+belongs to the sensor. Decoders of TIFF turn pixels by the tag, so it is set to 1 before.
+
+References
+----------
+Adobe (1992), TIFF Revision 6.0: section 2 for the directory, page 36 for Orientation, page 37 for
+PhotometricInterpretation. BigTIFF: its file layout by the maintainers of libtiff.
+"""
+
+import io
+import logging
+import struct
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+from PIL import Image
+
+LOGGER = logging.getLogger("trinoc")
+
+_ORIENTATION, _PHOTOMETRIC, _WHITE_IS_ZERO = 274, 262, 0
+_SHORT = 3
+# Values of the orientation tag that mean something; 1 is "as stored".
+_TURNS = range(2, 9)
+_PNG = b"\x89PNG\r\n\x1a\n"
+# Folders that a warning has named in this process.
+_named_folders: set[Path] = set()
+
+
+class _Directory(NamedTuple):
+    """Layout of a TIFF's first directory: formats of `struct`, sizes and positions in bytes."""
+
+    order: str
+    start: int
+    count_format: str
+    entry_bytes: int
+    value_at: int
+
+
+def read_orientation(content: bytes) -> int:
+    """The orientation tag of a picture, 1 to 8; 1 where it has none or one that means nothing."""
+    tag = _tiff_tag(content, _ORIENTATION) if _directory(content) else _exif_orientation(content)
+    return tag if tag is not None and tag in _TURNS else 1
+
+
+def has_white_as_zero(content: bytes) -> bool:
+    """Whether a picture is a TIFF in which 0 is white."""
+    return _tiff_tag(content, _PHOTOMETRIC) == _WHITE_IS_ZERO
+
+
+def as_stored(content: bytes) -> bytes:
+    """The content of a picture file with the orientation tag of a TIFF set to 1."""
+    directory, at = _directory(content), _tiff_value_at(content, _ORIENTATION)
+    if directory is None or at is None or _tiff_tag(content, _ORIENTATION) == 1:
+        return content
+    return content[:at] + struct.pack(f"{directory.order}H", 1) + content[at + 2 :]
+
+
+def warn_of_orientation(file: Path, content: bytes) -> None:
+    """Log a warning for a picture with an orientation tag, once in a process for each folder."""
+    orientation = read_orientation(content)
+    if orientation == 1 or file.parent in _named_folders:
+        return
+    _named_folders.add(file.parent)
+    LOGGER.warning(
+        "%s asks to be turned or mirrored when it is shown (orientation tag %d): its pixels are "
+        "taken as the sensor had them, and so are those of other pictures of this folder",
+        file,
+        orientation,
+    )
+
+
+def _exif_orientation(content: bytes) -> int | None:
+    """The tag of a JPEG, WebP or PNG; None where there is none that can be read."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            if content.startswith(_PNG):
+                exif = Image.Exif()
+                exif.load(_png_chunk(content, b"eXIf"))
+                return exif.get(_ORIENTATION)
+            with Image.open(io.BytesIO(content)) as picture:
+                return picture.getexif().get(_ORIENTATION)
+        except Exception:  # a damaged header can be anything to its parser
+            return None
+
+
+def _png_chunk(content: bytes, kind: bytes) -> bytes:
+    """The data of a PNG's first chunk of a kind, empty where it has none; pixels stay packed."""
+    at = len(_PNG)
+    while at + 12 <= len(content):
+        (length,) = struct.unpack_from(">I", content, at)
+        if content[at + 4 : at + 8] == kind:
+            return content[at + 8 : at + 8 + length]
+        at += 12 + length
+    return b""
+
+
+def _directory(content: bytes) -> _Directory | None:
+    """Layout of the first directory of a TIFF; None for other formats."""
+    order = {b"II": "<", b"MM": ">"}.get(content[:2])
+    if order is None or len(content) < 16:
+        return None
+    (version,) = struct.unpack_from(f"{order}H", content, 2)
+    if version == 42:
+        (start,) = struct.unpack_from(f"{order}I", content, 4)
+        return _Directory(order, start, f"{order}H", 12, 8)
+    if version == 43:
+        (start,) = struct.unpack_from(f"{order}Q", content, 8)
+        return _Directory(order, start, f"{order}Q", 20, 12)
+    return None
+
+
+def _tiff_value_at(content: bytes, tag: int) -> int | None:
+    """Where the 16-bit value of a tag of a TIFF's first picture stands; None for no such tag."""
+    directory = _directory(content)
+    if directory is None or directory.start + 8 > len(content):
+        return None
+    (count,) = struct.unpack_from(directory.count_format, content, directory.start)
+    first = directory.start + struct.calcsize(directory.count_format)
+    whole = min(count, (len(content) - first) // directory.entry_bytes)
+    for at in range(first, first + whole * directory.entry_bytes, directory.entry_bytes):
+        number, kind = struct.unpack_from(f"{directory.order}HH", content, at)
+        if number == tag:
+            return at + directory.value_at if kind == _SHORT else None
+    return None
+
+
+def _tiff_tag(content: bytes, tag: int) -> int | None:
+    """The 16-bit value of a tag of a TIFF's first picture."""
+    directory, at = _directory(content), _tiff_value_at(content, tag)
+    if directory is None or at is None:
+        return None
+    return struct.unpack_from(f"{directory.order}H", content, at)[0]
