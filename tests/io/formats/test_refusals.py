@@ -118,7 +118,7 @@ def test_one_camera_is_no_pair_and_no_segment_no_mesh(tmp_path):
         FORMATS["gltf"].save(bench_matches(0), tmp_path / "lines.glb")
 
 
-@pytest.mark.parametrize("name", list(FORMATS))
+@pytest.mark.parametrize("name", [n for n, each in FORMATS.items() if each.holds])
 def test_numbers_that_are_not_finite_do_not_leave(name, tmp_path):
     form = FORMATS[name]
     if "segments" in form.holds:

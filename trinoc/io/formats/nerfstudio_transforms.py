@@ -123,7 +123,9 @@ def _lens(block: Block) -> Intrinsics:
     called = _called(block)
     row = next((row for row in READ if row.called == called), None)
     names = COEFFICIENTS if row is None else row.coefficients
-    coefficients = {key: block.number(key) for key in COEFFICIENTS if key in block.values}
+    coefficients: dict[str, float] = {
+        key: block.number(key) for key in COEFFICIENTS if key in block.values
+    }
     if "distortion_params" in block.values:
         if coefficients:
             raise block.error(
