@@ -113,6 +113,10 @@ def _read_cameras(tables: dict[str, Block], path: Path, unit_mm: float) -> Rig:
         name = block.text("name") if "name" in block.values else key
         if name in cameras:
             raise block.error("name", f'is "{name}" as of a camera before it: rename one.')
+        if "matrix" not in block.values:
+            raise block.error(
+                "matrix", "is missing: leave tables of cameras alone, and metadata, in the file."
+            )
         fisheye = block.values.get("fisheye", False)
         if not isinstance(fisheye, bool):
             raise block.error("fisheye", "must be true or false: correct it.")

@@ -200,7 +200,13 @@ def _lens_from_map(
     """The lens under two keys; by default under those of one camera, as programs call them."""
     matrix_key = matrix_key or _first_key(block, _MATRIX_KEYS)
     distortion_key = distortion_key or _first_key(block, _DISTORTION_KEYS)
-    sides = [block.number(_first_key(block, keys)) for keys in (_WIDTH_KEYS, _HEIGHT_KEYS)]
+    side_keys = [_first_key(block, keys) for keys in (_WIDTH_KEYS, _HEIGHT_KEYS)]
+    for key in side_keys:
+        if key not in block.values:
+            raise block.error(
+                key, "is missing: add the width and the height of the pictures in px."
+            )
+    sides = [block.number(key) for key in side_keys]
     size = Block({"size": sides}, block.file, block.place).image_size_px("size")
     return read_opencv_lens(block, matrix_key, distortion_key, size, _called(block), block.file)
 
