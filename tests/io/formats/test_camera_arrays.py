@@ -231,6 +231,7 @@ def test_what_easymocap_s_files_lack_is_named(file, old, new, says, tmp_path):
         ("anipose", "matrix = .*", "matrix = [[9.0, 1.0, 5.0], [0.0, 9.0, 5.0], [0.0, 0.0, 1.0]]",
          "must be fx 0 cx"),
         ("caliscope", r"\[cameras.0\]", "[cameras.0", "is not TOML"),
+        ("caliscope", r"\[cameras.0\]", f"[{'a.' * 20_000}a]", "nested more than 64 deep"),
         ("multical", '"standard"', '"fix_k1"', "trinoc reads standard, rational"),
         ("multical", '"camera_poses"', '"poses"', "is missing, as in intrinsic.json"),
     ],

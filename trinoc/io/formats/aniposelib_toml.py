@@ -33,10 +33,13 @@ from trinoc.io.formats.opencv_lens import (
     read_opencv_lens,
 )
 from trinoc.io.formats.text_files import MOST_BYTES_OF_YAML, make_block, scalar_or_list
-from trinoc.io.json_document import Block
+from trinoc.io.json_document import MOST_NESTED, Block
 
 ANIPOSE, CALISCOPE = "aniposelib's TOML", "Caliscope's camera_array.toml"
 METRE_MM = 1000.0
+# Names with dots between, whose time of parsing grows with the square of their number.
+_NAME = r"""(?:[\w-]++|"[^"\n]*"|'[^'\n]*')"""
+_TOO_DEEP = re.compile(rf"(?<![\w-])(?:{_NAME}[ \t]*\.[ \t]*){{{MOST_NESTED}}}")
 KEYS = Keys(
     read=("name", "size", "matrix", "distortions", "rotation", "translation", "fisheye", "ignore"),
     # FreeMoCap computes both from rotation and translation.
@@ -152,8 +155,14 @@ def _read_cameras(tables: dict[str, Block], path: Path, unit_mm: float) -> Rig:
 
 def read_toml(path: Path) -> Block:
     """The tables of a TOML file, dates as texts. Raises InputError."""
+    text = read_text(path, MOST_BYTES_OF_YAML)
+    if _TOO_DEEP.search(text):
+        raise InputError(
+            f"{path} is nested more than {MOST_NESTED} deep, which no such file is: give another "
+            "file."
+        )
     try:
-        values = _without_dates(tomllib.loads(read_text(path, MOST_BYTES_OF_YAML)))
+        values = _without_dates(tomllib.loads(text))
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
