@@ -3,10 +3,10 @@
     python benchmarks/other_tools_files.py [--mrcal-python /usr/bin/python3]
 
 Random rigs are exported; each tool's own library reads its file and projects points with its own
-code. pycolmap is used where it is installed. mrcal is Debian's (python3-mrcal), whose NumPy is
-another: it runs in its own interpreter. It also writes its files again, which trinoc reads. Exits
-with 1 where a pixel differs by more than 1e-9 px, or by 1e-5 px after mrcal has written ten digits
-of each number.
+code. pycolmap and aniposelib are used where they are installed. mrcal is Debian's (python3-mrcal),
+whose NumPy is another: it runs in its own interpreter. aniposelib and mrcal also write their files
+again, which trinoc reads. Exits with 1 where a pixel differs by more than 1e-9 px, or by 1e-5 px
+after mrcal has written ten digits of each number.
 """
 
 import argparse
@@ -58,6 +58,14 @@ def main() -> int:
     if importlib.util.find_spec("pycolmap"):
         readers["colmap, pycolmap"] = lambda r, d: by_pycolmap(r, d / "bin", "colmap")
         readers["colmap-text, pycolmap"] = lambda r, d: by_pycolmap(r, d / "txt", "colmap-text")
+    if importlib.util.find_spec("aniposelib"):
+        readers["anipose, aniposelib"] = lambda r, d: by_aniposelib(r, d / "anipose.toml")
+        readers["anipose, fisheyes, aniposelib"] = lambda r, d: by_aniposelib(
+            fisheyes(r), d / "fisheyes.toml"
+        )
+        readers["aniposelib writes them again, trinoc reads"] = lambda r, d: max(
+            anipose_again(r, d / "anipose.toml"), anipose_again(fisheyes(r), d / "fisheyes.toml")
+        )
     if options.mrcal_python:
         python = options.mrcal_python
         readers["mrcal, mrcal.project"] = lambda r, d: by_mrcal(r, d / "models", python)
@@ -131,6 +139,43 @@ def by_pycolmap(rig: Rig, path: Path, name: str) -> float:
         found = model.cameras[image.camera_id].img_from_cam(POINTS_MM @ pose[:, :3].T + pose[:, 3])
         differences.append(np.abs(np.asarray(found) - 0.5 - pixels(camera)).max())
     return max(differences)
+
+
+def fisheyes(rig: Rig) -> Rig:
+    """The same cameras with Kannala and Brandt's lens."""
+    cameras = {}
+    for number, (name, camera) in enumerate(rig.items()):
+        lens = Intrinsics(
+            image_size_px=camera.image_size_px,
+            focal_length_px=camera.intrinsics.focal_length_px,
+            principal_point_px=camera.intrinsics.principal_point_px,
+            distortion=(0.02 * number, -0.01, 0.002, -0.0003),
+            distortion_model="kannala_brandt",
+        )
+        cameras[name] = Camera(lens, camera.pose)
+    return Rig(cameras)
+
+
+def by_aniposelib(rig: Rig, path: Path) -> float:
+    """aniposelib reads the cameras, and writes them again beside."""
+    from aniposelib.cameras import CameraGroup
+
+    FORMATS["anipose"].save(rig, path)
+    group = CameraGroup.load(path)
+    if group.get_names() != list(rig.names):
+        raise SystemExit("aniposelib reads other names.")
+    images = group.project(POINTS_MM)
+    group.dump(path.with_name(f"again_{path.name}"))
+    return max(
+        np.abs(uv.reshape(-1, 2) - pixels(camera)).max()
+        for uv, camera in zip(images, rig.cameras, strict=True)
+    )
+
+
+def anipose_again(rig: Rig, path: Path) -> float:
+    """trinoc reads what aniposelib wrote."""
+    back = FORMATS["anipose"].load(path.with_name(f"again_{path.name}"))
+    return max(np.abs(pixels(back[name]) - pixels(camera)).max() for name, camera in rig.items())
 
 
 def by_mrcal(rig: Rig, path: Path, python: str) -> float:

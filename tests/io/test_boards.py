@@ -115,7 +115,10 @@ def test_what_all_names_of_a_camera_have_in_common_is_no_part_of_the_shot(tmp_pa
 
 def test_places_without_pictures_and_pictures_of_two_cameras_are_refused(tmp_path):
     write_pictures(tmp_path / "a", "one.png")
-    with pytest.raises(InputError, match='no picture of "b"'):
+    with pytest.raises(InputError, match='the folder of "b", does not exist'):
         load_shots({"a": tmp_path / "a", "b": tmp_path / "none"})
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match='no picture of "b"'):
+        load_shots({"a": tmp_path / "a", "b": tmp_path / "empty"})
     with pytest.raises(InputError, match='of "a" and of "b"'):
         load_shots({"a": tmp_path / "a", "b": f"{tmp_path}/a/*.png"})

@@ -12,6 +12,7 @@ import numpy as np
 
 import trinoc
 from tests.io.formats.bench import bench_matches, bench_rig
+from tests.io.formats.metashape import cameras_xml
 from tests.io.made_rims import made_rims
 from tests.io.made_wireframe import made_wireframe
 from trinoc.calib import Detection
@@ -133,6 +134,11 @@ def _of_other_tools(folder: Path, segments: trinoc.Segments) -> dict[str, ValidF
         rig = bench_rig(0 if name.startswith("colmap") else 4)
         value = segments if "segments" in form.reads else rig
         target = below / f"rig{(form.endings or ('.txt',))[0]}"
+        if form.write is None:
+            target.write_text(cameras_xml(), encoding="utf-8")
+            load = lambda form=form, target=target: form.load(target)  # noqa: E731
+            found[f"{name} {target.name}"] = ValidFile(target, load)
+            continue
         if form.place == "folder" or ("folder" in form.place and "rig" in form.reads):
             target = below / "rig"
         form.save(value, target)

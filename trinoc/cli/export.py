@@ -22,6 +22,12 @@ ReadFormat = Literal[
     "mrcal",
     "matlab",
     "nerfstudio",
+    "anipose",
+    "caliscope",
+    "multical",
+    "mc-calib",
+    "easymocap",
+    "metashape",
     "tf",
     "lsd",
     "elsed",
@@ -36,6 +42,11 @@ WrittenFormat = Literal[
     "mrcal",
     "matlab",
     "nerfstudio",
+    "anipose",
+    "caliscope",
+    "multical",
+    "mc-calib",
+    "easymocap",
     "tf",
     "ply",
     "obj",
@@ -72,15 +83,16 @@ class ExportCommand(Command):
     to: Annotated[
         WrittenFormat | None, tyro.conf.arg(metavar="FORMAT", help_behavior_hint=_NONE)
     ] = None
-    """Cameras: opencv, ros, kalibr, colmap, colmap-text, mrcal, matlab, nerfstudio, tf. Matches:
-    ply, obj, gltf, dxf, csv, parquet, limap. Wire frames, rims: ply, obj, gltf, dxf, and
-    json for wire frames. Segments: lsd, elsed, limap-segments."""
+    """Cameras: opencv, ros, kalibr, colmap, colmap-text, mrcal, matlab, nerfstudio, anipose,
+    caliscope, multical, mc-calib, easymocap, tf. Matches: ply, obj, gltf, dxf, csv, parquet, limap.
+    Wire frames, rims: ply, obj, gltf, dxf, and json for wire frames. Segments: lsd, elsed,
+    limap-segments."""
 
     source: Annotated[
         ReadFormat | Literal["video"] | None,
         tyro.conf.arg(name="from", metavar="FORMAT", help_behavior_hint=_NONE),
     ] = None
-    """The same of cameras and segments; or video, whose frames become pictures."""
+    """The same of cameras and segments, and metashape; or video, whose frames become pictures."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=("-o",), metavar="OUT")]
     """Where it goes: with --to, a file, or a new folder for formats of several files; with --from,

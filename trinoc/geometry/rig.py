@@ -1,6 +1,5 @@
 """Several cameras in one world frame, with what is known of their errors."""
 
-import itertools
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -184,9 +183,13 @@ class Rig(Displayable, Value):
 
 def at_one_place(cameras: Mapping[str, Camera]) -> tuple[str, str] | None:
     """The names of two cameras that stand at one place; None where there are none."""
-    centres = {name: np.asarray(camera.centre_world_mm) for name, camera in cameras.items()}
-    for first, second in itertools.combinations(cameras, 2):
-        a, b = centres[first], centres[second]
-        if np.linalg.norm(a - b) <= _ONE_PLACE * max(np.linalg.norm(a), np.linalg.norm(b)):
-            return first, second
+    names = list(cameras)
+    centres = np.array([camera.centre_world_mm for camera in cameras.values()]).reshape(-1, 3)
+    distances = np.linalg.norm(centres, axis=1)
+    # One row at a time: models of other programs have thousands of cameras.
+    for number, name in enumerate(names[:-1]):
+        apart = np.linalg.norm(centres[number + 1 :] - centres[number], axis=1)
+        beside = apart <= _ONE_PLACE * np.maximum(distances[number + 1 :], distances[number])
+        if beside.any():
+            return name, names[number + 1 + int(beside.argmax())]
     return None

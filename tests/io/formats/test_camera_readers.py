@@ -3,6 +3,7 @@
 import ast
 import json
 import os
+import re
 import subprocess
 from pathlib import Path
 
@@ -320,3 +321,24 @@ def test_nerfstudio_s_cameras_look_back_along_z(tmp_path):
         distortion = [frame[key] for key in ("k1", "k2", "p1", "p2", "k3")]
         found = by_opencv(seen, np.eye(3), np.zeros(3), matrix, distortion)
         np.testing.assert_allclose(found - 0.5, pixels(camera), **SAME)
+
+
+def test_a_pose_that_a_chain_states_twice_is_read_once(tmp_path):
+    """As calibrations of public data sets do, beside the poses from the inertial unit."""
+    rig = bench_rig(coefficients=4)
+    FORMATS["kalibr"].save(rig, tmp_path / "camchain.yaml")
+    before = FORMATS["kalibr"].load(tmp_path / "camchain.yaml")
+    text = (tmp_path / "camchain.yaml").read_text()
+    rows = re.search(r"T_cn_cnm1:\n((?: +- .*\n){4})", text)[1]
+    (tmp_path / "camchain.yaml").write_text(f"{text}T_cam1_cam0:\n{rows}")
+    assert FORMATS["kalibr"].load(tmp_path / "camchain.yaml") == before
+
+
+def test_names_of_colmap_s_pictures_may_have_blanks(tmp_path):
+    FORMATS["colmap-text"].save(RIG, tmp_path / "model")
+    file = tmp_path / "model" / "images.txt"
+    file.write_text(
+        file.read_text().replace(" left\n", " Image 2020-04-24 at 5.12.56 PM (1).jpeg\n")
+    )
+    names = FORMATS["colmap-text"].load(tmp_path / "model").names
+    assert "Image 2020-04-24 at 5.12.56 PM (1).jpeg" in names

@@ -32,11 +32,12 @@ def shorten(row):
 
 def row(form):
     """A format as a row of the page's table."""
-    held = ", ".join(form.holds) + ("" if form.reads else " (only written)")
+    held = ", ".join(form.holds or form.reads) + ("" if form.reads else " (only written)")
+    held += "" if form.holds else " (only read)"
     place = form.place + (f": {', '.join(form.endings)}" if form.endings else "")
     unit = {None: "none", 1.0: "mm", 1000.0: "m"}[form.unit_mm]
     unit += "" if form.unit_is_fixed else ", or `--unit-mm`"
-    unit = "stated by the file" if form.states_unit else unit
+    unit = "stated by the file, or `--unit-mm`" if form.states_unit else unit
     lost = "; ".join(LOSSES[loss] for loss in form.loses) or "nothing"
     return shorten(f"| `{form.name}` | {held} | {place} | {unit} | {form.frames} | {lost} |")
 
@@ -67,4 +68,9 @@ def test_the_page_has_no_other_row():
 
 
 def test_the_page_has_an_example_of_every_format():
-    assert set(re.findall(r"--to ([\w-]+)", PAGE)) == set(FORMATS)
+    assert set(re.findall(r"--to ([\w-]+)", PAGE)) == {
+        n for n, each in FORMATS.items() if each.holds
+    }
+    assert {n for n, each in FORMATS.items() if not each.holds} <= set(
+        re.findall(r"--from ([\w-]+)", PAGE)
+    )

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import scipy.io
 from hypothesis import given, strategies as st
 
 from tests.io.formats.bench import bench_rig
+from tests.io.formats.metashape import LENS as METASHAPE_LENS, cameras_xml
 from trinoc.errors import InputError
 from trinoc.io import FORMATS
 from trinoc.io.formats.keys import Keys, Refused
@@ -29,6 +31,12 @@ LENS = {
     "mrcal": (),
     "matlab": ("stereoParams", "CameraParameters1"),
     "nerfstudio": ("frames", 0),
+    "anipose": (),
+    "caliscope": (),
+    "multical": ("cameras", "upper"),
+    "mc-calib": (),
+    "easymocap": (),
+    "metashape": (),
     "tf": ("transforms", 0),
 }
 # What other tools' files say of a projection, that trinoc's cameras or readers do not have.
@@ -57,7 +65,21 @@ CHANGING = {
         "ftheta_p0": 1.0,
         "lens": "cylinder",
     },
+    "anipose": {"xi": 1.2, "camera_model": "omni", "skew": 0.1, "fisheye": "yes", "k4": 0.1},
+    "caliscope": {"xi": 1.2, "model": "omni", "binning": 2, "fisheye": 1},
+    "multical": {"model": "fix_k1", "has_skew": True, "xi": 1.0, "rolling_shutter": 0.01},
+    "mc-calib": {"distortion_type": 2, "xi": 1.2, "alpha": 0.5, "camera_group": 1},
+    "easymocap": {"xi": 1.2, "fisheye": 1, "alpha": 0.1},
+    "metashape": {"k4": 0.1, "p3": 0.1, "p4": 0.1, "k5": 0.1, "fx": 9, "fy": 9, "skew": 1},
     "tf": {"scale": 2.0},
+}
+# Files whose keys are set as text: the line before the keys of the first lens, and such a line.
+LINES = {
+    "anipose": ("[cam_0]", "{key} = {value}"),
+    "caliscope": ("[cameras.0]", "{key} = {value}"),
+    "mc-calib": ("camera_0:", "   {key}: {value}"),
+    "easymocap": ("---", "{key}_upper: {value}"),
+    "metashape": (METASHAPE_LENS, "<{key}>{value}</{key}>"),
 }
 # Values of such keys that change nothing, and further keys that a file may have.
 HARMLESS = {
@@ -67,6 +89,12 @@ HARMLESS = {
     "mrcal": {"valid_intrinsics_region": [], "icam_intrinsics": 0},
     "matlab": {"EstimateSkew": False, "WorldUnits": "millimeters"},
     "nerfstudio": {"sharpness": 3.0, "applied_scale": 0.5, "rolling_shutter": [0, 0, 0, 0]},
+    "anipose": {"fisheye": False, "world_position": [1.0, 2.0, 3.0], "error": 0.2, "index": 3},
+    "caliscope": {"rotation_count": 1, "exposure": -7, "grid_count": 24, "cam_id": 5},
+    "multical": {"has_skew": False, "rms": 0.1},
+    "mc-calib": {"camera_group": 0},
+    "easymocap": {"ccm": [1.0]},
+    "metashape": {"k4": 0, "p3": 0.0, "skew": 0},
     "tf": {"stamp": 3},
 }
 
@@ -76,6 +104,12 @@ def written(name: str, folder: Path) -> Path:
     if name in ("ros", "mrcal"):
         path = folder / f"camera{form.endings[0]}"
         form.save(RIG.cameras[0].intrinsics, path)
+    elif name == "metashape":
+        path = folder / "cameras.xml"
+        path.write_text(cameras_xml())
+    elif name == "easymocap":
+        path = folder / "rig"
+        form.save(RIG, path)
     else:
         path = folder / f"rig{SUFFIX.get(name, form.endings[0])}"
         form.save(RIG, path)
@@ -84,6 +118,17 @@ def written(name: str, folder: Path) -> Path:
 
 def set_keys(name: str, path: Path, values: dict) -> None:
     """Write the file again with other values of the keys of its first lens."""
+    if name in LINES:
+        file = path / "intri.yml" if path.is_dir() else path
+        head, line = LINES[name]
+        text = file.read_text()
+        for key, value in values.items():
+            added = line.format(key=key, value=json.dumps(value))
+            before = added.split(json.dumps(value))[0]
+            text = re.sub(rf"^{re.escape(before)}.*\n", "", text, count=1, flags=re.MULTILINE)
+            text = text.replace(head, f"{head}\n{added}", 1)
+        file.write_text(text)
+        return
     match name:
         case "mrcal":
             document = ast.literal_eval(path.read_text())

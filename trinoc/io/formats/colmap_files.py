@@ -119,7 +119,9 @@ def text_records(folder: Path) -> ColmapRecords:
         try:
             numbers = [float(word) for word in words[1:8]]
             number, camera = int(words[0]), int(words[8])
-            images.append(ColmapImage(number, numbers[:4], numbers[4:], camera, words[9]))
+            # Names of files may have blanks.
+            name = " ".join([words[9], *words[10:]])
+            images.append(ColmapImage(number, numbers[:4], numbers[4:], camera, name))
         except (ValueError, IndexError) as error:
             raise InputError(f"{where} is no image of COLMAP: correct it.") from error
         may_be_points = True

@@ -24,30 +24,24 @@ from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import read_text, write_text
 from trinoc.io.formats.format import PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys, Refused
-from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
+from trinoc.io.formats.lens_rows import list_lens_numbers
 from trinoc.io.formats.motions import chain_motions, inverse, motion
+from trinoc.io.formats.opencv_lens import (
+    FISHEYE,
+    WRITTEN,
+    flat_numbers,
+    matrix_of_numbers,
+    read_opencv_lens,
+)
 from trinoc.io.formats.text_files import make_block, scalar_or_list
 from trinoc.io.images import silent_opencv
 from trinoc.io.json_document import Block
 from trinoc.io.rig_json import parse_covariance
 
 TITLE = "OpenCV's FileStorage"
-# cv2.projectPoints takes 4, 5, 8, 12 or 14 coefficients in this order.
-_ALL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
-_FISHEYE = LensRow("fisheye", "kannala_brandt", ("k1", "k2", "k3", "k4"))
-WRITTEN = (
-    LensRow("", "brown_conrady", _ALL[:5]),
-    LensRow("", "rational", _ALL[:8]),
-    LensRow("", "thin_prism", _ALL[:12]),
-    _FISHEYE,
-)
-READ = (
-    *(LensRow("", model, _ALL) for model in ("brown_conrady", "rational", "thin_prism")),
-    _FISHEYE,
-)
 # Words of other programs that write FileStorage, by the row of lenses.
 _LENS_WORDS = {
-    **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), _FISHEYE.called),
+    **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), FISHEYE.called),
     **dict.fromkeys(
         ("", "pinhole", "perspective", "opencv", "brown_conrady", "radtan", "plumb_bob",
          "rational_polynomial", "brown-conrady", "standard"), ""
@@ -136,15 +130,9 @@ def _lens_to_map(lens: Intrinsics, camera: str) -> dict[str, Any]:
     return {
         "image_width": lens.image_size_px[0],
         "image_height": lens.image_size_px[1],
-        "camera_matrix": np.array(
-            [
-                [numbers.focal_px[0], 0, numbers.centre_px[0]],
-                [0, numbers.focal_px[1], numbers.centre_px[1]],
-                [0, 0, 1],
-            ]
-        ),
+        "camera_matrix": np.array(matrix_of_numbers(numbers)),
         "distortion_coefficients": np.array([numbers.coefficients]),
-        **({"fisheye_model": 1} if numbers.called == _FISHEYE.called else {}),
+        **({"fisheye_model": 1} if numbers.called == FISHEYE.called else {}),
     }
 
 
@@ -198,7 +186,7 @@ def _pair(document: Block, keys: tuple[str, str, str, str], unit_mm: float) -> R
 
 
 def _pose(block: Block, unit_mm: float) -> np.ndarray:
-    translation = block.numbers("T", (None, None)).reshape(-1)
+    translation = flat_numbers(block, "T")
     if translation.shape != (3,):
         raise block.error("T", "must have three numbers: correct it.")
     return motion(block.numbers("R", (3, 3)), translation * unit_mm, f'{block.file}: "R"')
@@ -212,19 +200,15 @@ def _lens_from_map(
     """The lens under two keys; by default under those of one camera, as programs call them."""
     matrix_key = matrix_key or _first_key(block, _MATRIX_KEYS)
     distortion_key = distortion_key or _first_key(block, _DISTORTION_KEYS)
-    matrix = block.numbers(matrix_key, (3, 3))
-    if abs(matrix[2] - (0, 0, 1)).max() > 0 or matrix[1, 0] != 0 or matrix[0, 1] != 0:
-        raise block.error(matrix_key, "must be fx 0 cx, 0 fy cy, 0 0 1: correct it.")
-    coefficients: list[float] = []
-    if distortion_key in block.values:
-        coefficients = block.numbers(distortion_key, (None, None)).reshape(-1).tolist()
-    sides = [block.number(_first_key(block, keys)) for keys in (_WIDTH_KEYS, _HEIGHT_KEYS)]
+    side_keys = [_first_key(block, keys) for keys in (_WIDTH_KEYS, _HEIGHT_KEYS)]
+    for key in side_keys:
+        if key not in block.values:
+            raise block.error(
+                key, "is missing: add the width and the height of the pictures in px."
+            )
+    sides = [block.number(key) for key in side_keys]
     size = Block({"size": sides}, block.file, block.place).image_size_px("size")
-    numbers = LensNumbers(
-        _called(block), (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2]), 0.0,
-        coefficients,
-    )  # fmt: skip
-    return make_lens(numbers, size, READ, block.file)
+    return read_opencv_lens(block, matrix_key, distortion_key, size, _called(block), block.file)
 
 
 def _first_key(block: Block, keys: tuple[str, ...]) -> str:
@@ -242,7 +226,7 @@ def _called(block: Block) -> str:
         if key in block.values:
             value = block.values[key]
             is_fisheye = value not in (0, "0", "false", "False", "no")
-            named[key] = _FISHEYE.called if is_fisheye else ""
+            named[key] = FISHEYE.called if is_fisheye else ""
     for key in _WORD_KEYS:
         if key in block.values:
             word = block.text(key)

@@ -80,7 +80,7 @@ class Format:
     name : as `trinoc export --to` and `--from` take it.
     title : what people call it.
     holds : what can be written to it: "rig", "lens", "matches", "segments", a kind of feature
-        such as "wireframe", or "features" for any.
+        such as "wireframe", or "features" for any; empty where it is only read.
     reads : what can be read from it; empty where it is only written.
     place : "file", "folder", or "file or folder": a lens is then a file, a rig a folder of them.
     endings : of the file's name; empty where any will do.
@@ -89,7 +89,8 @@ class Format:
     unit_is_fixed : whether the format itself says its unit.
     frames : where the origin of its pixels lies, and how its axes point.
     loses : of `losses.LOSSES`, what it cannot hold although projections stay the same.
-    write : (value, path, unit_mm), with the value and the place already checked.
+    write : (value, path, unit_mm), with the value and the place already checked; None where the
+        format is only read.
     read : (path, unit_mm, lenses); None where the format is only written. For a format that states
         its unit, unit_mm is None where the caller gives none.
     keys : for each map in a file, by its place, the keys that are read, left out and refused; empty
@@ -107,7 +108,7 @@ class Format:
     unit_is_fixed: bool
     frames: str
     loses: tuple[str, ...]
-    write: Callable[[Any, Path, float], None]
+    write: Callable[[Any, Path, float], None] | None
     read: Callable[[Path, Any, Lenses | None], Any] | None = None
     keys: Mapping[str, Keys] = dataclasses.field(default_factory=dict)
     states_unit: bool = False
@@ -130,6 +131,8 @@ class Format:
         Raises InputError for what the format does not hold, such as a lens with more distortion
         than it knows, and for a name with another ending.
         """
+        if self.write is None:
+            raise InputError(f"{self.title} is only read, not written: choose another format.")
         value = _plain(value)
         kind = _find_kind(value)
         if kind not in self.kinds:

@@ -5,6 +5,7 @@ Kalibr has no world but the first camera, and no names but numbers: both are los
 exactly k1, k2, p1, p2.
 """
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ TITLE = "Kalibr's camchain"
 METRE_MM = 1000.0
 # How far two statements of one pose may differ: Kalibr computes one from the other.
 _SAME_RAD, _SAME_MM = 1e-3, 1.0
+_PAIR = re.compile(r"T_cam(\d+)_cam(\d+)")
 KEYS = Keys(
     read=(
         *("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution"),
@@ -80,11 +82,12 @@ def read_kalibr(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     if "cam0" not in document.values:
         raise document.error("cam0", "is missing: give the camchain that Kalibr writes.")
     blocks = []
-    for number, name in enumerate(document.values):
+    for number, name in enumerate(key for key in document.values if not _PAIR.fullmatch(key)):
         if name != f"cam{number}":
             raise document.error(name, f"stands where cam{number} belongs: order the cameras.")
         blocks.append(KEYS.take(document.block(name)))
     poses = _poses(blocks, unit_mm)
+    _expect_pairs(document, poses, unit_mm)
     return Rig(
         {
             block.place: Camera(_lens(block), Pose(pose))
@@ -119,8 +122,24 @@ def _poses(blocks: list[Block], unit_mm: float) -> list[np.ndarray]:
     return poses
 
 
+def _expect_pairs(document: Block, poses: list[np.ndarray], unit_mm: float) -> None:
+    """Raise InputError where `T_cam1_cam0`, as some data sets add, has a camera elsewhere."""
+    for key in document.values:
+        pair = _PAIR.fullmatch(key)
+        if pair is None:
+            continue
+        second, first = map(int, pair.groups())
+        stated = _motion(document, key, unit_mm)
+        if max(first, second) >= len(poses) or not _is_same(
+            stated, chain_motions(poses[second], inverse(poses[first]))
+        ):
+            raise document.error(
+                key, "has a camera elsewhere than the chain: remove the wrong one."
+            )
+
+
 def _motion(block: Block, key: str, unit_mm: float) -> np.ndarray:
-    where = f'{block.file}: "{block.place}.{key}"'
+    where = f'{block.file}: "{f"{block.place}.{key}".lstrip(".")}"'
     return from_homogeneous(block.numbers(key, (4, 4)), unit_mm, where)
 
 

@@ -118,6 +118,9 @@ def read_nerfstudio(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
 
 
 def _lens(block: Block) -> Intrinsics:
+    for key in ("w", "h"):
+        if key not in block.values:
+            raise block.error(key, "is missing: add w and h, the size of the pictures in px.")
     size_px = Block({"size": [block.number("w"), block.number("h")]}, block.file, block.place)
     width, height = size_px.image_size_px("size")
     called = _called(block)
@@ -160,6 +163,8 @@ def _called(block: Block) -> str:
 def _focal_px(block: Block, width: int, height: int) -> tuple[float, float]:
     """The focal lengths, by the angles of view where these stand alone, as in instant-ngp."""
     if "fl_x" in block.values or "camera_angle_x" not in block.values:
+        if "fl_x" not in block.values:
+            raise block.error("fl_x", "is missing: add fl_x, fl_y, cx and cy, in px.")
         fl_x = block.number("fl_x")
         return fl_x, block.number("fl_y") if "fl_y" in block.values else fl_x
     fl_x = _focal_of_angle(block, "camera_angle_x", width)

@@ -1,0 +1,219 @@
+"""TOML of aniposelib, which FreeMoCap writes, too, and of Caliscope.
+
+Both have a table for each camera: OpenCV's `matrix` and `distortions`, and `rotation` (axis times
+angle) and `translation` of x_cam = R x_world + t. aniposelib's is `[cam_0]`, with a `name`, in the
+unit of its board; Caliscope's is `[cameras.0]`, in metres. Caliscope's `rotation_count` turns
+pictures while points are sought and shown: its lenses are those of the pictures as stored.
+
+Source: cameras.py of aniposelib, camera_array.py of Caliscope, calibration_result.py of FreeMoCap.
+"""
+
+import datetime
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
+from trinoc.io.atomic import read_text, write_text
+from trinoc.io.formats.format import COVARIANCE, NAMES, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.keys import Keys
+from trinoc.io.formats.lens_rows import list_lens_numbers
+from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
+from trinoc.io.formats.opencv_lens import (
+    FISHEYE,
+    WRITTEN,
+    flat_numbers,
+    matrix_of_numbers,
+    read_opencv_lens,
+)
+from trinoc.io.formats.text_files import MOST_BYTES_OF_YAML, make_block, scalar_or_list
+from trinoc.io.json_document import MOST_NESTED, Block
+
+ANIPOSE, CALISCOPE = "aniposelib's TOML", "Caliscope's camera_array.toml"
+METRE_MM = 1000.0
+# Names with dots between, whose time of parsing grows with the square of their number.
+_NAME = r"""(?:[\w-]++|"[^"\n]*"|'[^'\n]*')"""
+_TOO_DEEP = re.compile(rf"(?<![\w-])(?:{_NAME}[ \t]*\.[ \t]*){{{MOST_NESTED}}}")
+KEYS = Keys(
+    read=("name", "size", "matrix", "distortions", "rotation", "translation", "fisheye", "ignore"),
+    # FreeMoCap computes both from rotation and translation.
+    left_out=("rotation_count", "world_orientation", "world_position"),
+)
+
+
+def write_anipose(rig: Rig, path: Path, unit_mm: float) -> None:
+    """Write the cameras as tables with names."""
+    tables = {
+        f"cam_{number}": {"name": name, **_to_table(camera, name, ANIPOSE, unit_mm)}
+        for number, (name, camera) in enumerate(rig.items())
+    }
+    _write_toml({**tables, "metadata": {"adjusted": False, "error": 0.0}}, path)
+
+
+def write_caliscope(rig: Rig, path: Path, unit_mm: float) -> None:
+    """Write the cameras as tables with numbers."""
+    tables = {
+        f"cameras.{number}": {
+            "cam_id": number,
+            **_to_table(camera, name, CALISCOPE, unit_mm),
+            "rotation_count": 0,
+        }
+        for number, (name, camera) in enumerate(rig.items())
+    }
+    _write_toml(tables, path)
+
+
+def read_anipose(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
+    """The tables as cameras; `metadata` is none of them."""
+    document = read_toml(path)
+    if "cameras" in document.values:
+        raise document.error("cameras", "is Caliscope's: import the file from caliscope.")
+    tables = {
+        key: document.block(key)
+        for key, value in document.values.items()
+        if key != "metadata" and isinstance(value, dict)
+    }
+    return _read_cameras(tables, path, unit_mm)
+
+
+def read_caliscope(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
+    """The tables under `cameras`, or `cam_0`, ... of an earlier version, but those to ignore."""
+    document = read_toml(path)
+    if "cameras" in document.values:
+        tables = {f"cam_{key}": block for key, block in document.block("cameras").blocks()}
+    else:
+        keys = [key for key in document.values if re.fullmatch(r"cam_\d+", key)]
+        tables = {key: document.block(key) for key in keys}
+    used = {name: table for name, table in tables.items() if table.values.get("ignore") is not True}
+    return _read_cameras(used, path, unit_mm)
+
+
+def _to_table(camera: Camera, name: str, title: str, unit_mm: float) -> dict[str, Any]:
+    numbers = list_lens_numbers(camera.intrinsics, WRITTEN, title, name)
+    pose = np.asarray(camera.cam_from_world)
+    return {
+        "size": list(camera.image_size_px),
+        "matrix": matrix_of_numbers(numbers),
+        "distortions": numbers.coefficients,
+        "rotation": rotation_vector(pose[:, :3]).tolist(),
+        "translation": (pose[:, 3] / unit_mm).tolist(),
+        "fisheye": numbers.called == FISHEYE.called,
+    }
+
+
+def _read_cameras(tables: dict[str, Block], path: Path, unit_mm: float) -> Rig:
+    if not tables:
+        raise InputError(f"{path} has no table of a camera: give a file of calibration.")
+    cameras: dict[str, Camera] = {}
+    for key, table in tables.items():
+        block = KEYS.take(table)
+        name = block.text("name") if "name" in block.values else key
+        if name in cameras:
+            raise block.error("name", f'is "{name}" as of a camera before it: rename one.')
+        if "matrix" not in block.values:
+            raise block.error(
+                "matrix", "is missing: leave tables of cameras alone, and metadata, in the file."
+            )
+        fisheye = block.values.get("fisheye", False)
+        if not isinstance(fisheye, bool):
+            raise block.error("fisheye", "must be true or false: correct it.")
+        for missing in ("rotation", "translation"):
+            if block.values.get(missing, "null") == "null":
+                raise block.error(
+                    missing, "is missing: calibrate all cameras together, or remove this."
+                )
+        lens = read_opencv_lens(
+            block,
+            "matrix",
+            "distortions",
+            block.image_size_px("size"),
+            FISHEYE.called if fisheye else "",
+            f'{block.file}: "{block.place}"',
+        )
+        rotation = flat_numbers(block, "rotation")
+        # Caliscope wrote a matrix once.
+        matrix = rotation.reshape(3, 3) if rotation.size == 9 else None
+        if matrix is None and rotation.size != 3:
+            raise block.error("rotation", "must be three numbers, axis times angle: correct it.")
+        translation = flat_numbers(block, "translation")
+        if translation.size != 3:
+            raise block.error("translation", "must be three numbers: correct it.")
+        pose = motion(
+            rotation_of_vector(rotation) if matrix is None else matrix,
+            translation * unit_mm,
+            f'{block.file}: "{block.place}.rotation"',
+        )
+        cameras[name] = Camera(lens, Pose(pose))
+    return Rig(cameras)
+
+
+def read_toml(path: Path) -> Block:
+    """The tables of a TOML file, dates as texts. Raises InputError."""
+    text = read_text(path, MOST_BYTES_OF_YAML)
+    if _TOO_DEEP.search(text):
+        raise InputError(
+            f"{path} is nested more than {MOST_NESTED} deep, which no such file is: give another "
+            "file."
+        )
+    try:
+        values = _without_dates(tomllib.loads(text))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is not TOML ({error}): correct it there.") from error
+    return make_block(values, path)
+
+
+def _without_dates(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_dates(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_dates(item) for item in value]
+    return str(value) if isinstance(value, datetime.date | datetime.time) else value
+
+
+def _write_toml(tables: dict[str, dict[str, Any]], path: Path) -> None:
+    texts = []
+    for name, table in tables.items():
+        lines = (f"{key} = {scalar_or_list(value)}\n" for key, value in table.items())
+        texts.append(f"[{name}]\n{''.join(lines)}")
+    write_text(path, "\n".join(texts))
+
+
+_FRAMES = "pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward"
+anipose = Format(
+    name="anipose",
+    title=ANIPOSE,
+    holds=("rig",),
+    reads=("rig",),
+    place="file",
+    endings=(".toml",),
+    unit_mm=1.0,
+    unit_is_fixed=False,
+    frames=_FRAMES,
+    loses=(COVARIANCE, PIXEL_PITCH),
+    write=write_anipose,
+    read=read_anipose,
+    keys={"a camera": KEYS},
+)
+caliscope = Format(
+    name="caliscope",
+    title=CALISCOPE,
+    holds=("rig",),
+    reads=("rig",),
+    place="file",
+    endings=(".toml",),
+    unit_mm=METRE_MM,
+    unit_is_fixed=False,
+    frames=_FRAMES,
+    loses=(NAMES, COVARIANCE, PIXEL_PITCH),
+    write=write_caliscope,
+    read=read_caliscope,
+    keys={"a camera": KEYS},
+)

@@ -1,0 +1,139 @@
+"""EasyMocap's folder of intri.yml and extri.yml, in OpenCV's FileStorage.
+
+The list `names` stands in both. For each there are `K_NAME`, `dist_NAME`, `H_NAME` and `W_NAME`,
+and `R_NAME` (axis times angle), `Rot_NAME` (its matrix) and `T_NAME` of x_cam = R x_world + T.
+
+Source: mytools/camera_utils.py of EasyMocap.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trinoc.errors import InputError
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
+from trinoc.io.formats.cv_storage import read_storage, write_storage
+from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.keys import Keys
+from trinoc.io.formats.lens_rows import list_lens_numbers
+from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
+from trinoc.io.formats.opencv_lens import (
+    WRITTEN,
+    flat_numbers,
+    matrix_of_numbers,
+    read_opencv_lens,
+)
+from trinoc.io.formats.text_files import atomic_folder
+from trinoc.io.json_document import Block
+
+TITLE = "EasyMocap's intri.yml and extri.yml"
+INTRINSIC, EXTRINSIC = "intri.yml", "extri.yml"
+METRE_MM = 1000.0
+# How far the two statements of one rotation may differ: they have six decimals.
+_SAME = 1e-4
+KEYS = Keys(read=("K", "dist", "D", "H", "W", "R", "Rot", "T"))
+
+
+def write_easymocap(rig: Rig, path: Path, unit_mm: float) -> None:
+    """Write both files."""
+    intrinsic: dict[str, Any] = {"names": list(rig.names)}
+    extrinsic: dict[str, Any] = {"names": list(rig.names)}
+    for name, camera in rig.items():
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+            raise InputError(
+                f'The camera "{name}" is part of keys in {TITLE}: rename it with letters, digits, '
+                "_ and - alone."
+            )
+        numbers = list_lens_numbers(camera.intrinsics, WRITTEN[:1], TITLE, name)
+        pose = np.asarray(camera.cam_from_world)
+        intrinsic[f"K_{name}"] = np.array(matrix_of_numbers(numbers))
+        intrinsic[f"dist_{name}"] = np.array([numbers.coefficients])
+        intrinsic[f"H_{name}"] = camera.image_size_px[1]
+        intrinsic[f"W_{name}"] = camera.image_size_px[0]
+        extrinsic[f"R_{name}"] = rotation_vector(pose[:, :3])[:, None]
+        extrinsic[f"Rot_{name}"] = pose[:, :3]
+        extrinsic[f"T_{name}"] = pose[:, 3:] / unit_mm
+    with atomic_folder(path) as folder:
+        write_storage(intrinsic, folder / INTRINSIC)
+        write_storage(extrinsic, folder / EXTRINSIC)
+
+
+def read_easymocap(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
+    """The cameras that both files name."""
+    for file in (INTRINSIC, EXTRINSIC):
+        if not (path / file).is_file():
+            raise InputError(f"{path} holds no {file}: give a folder of EasyMocap's two files.")
+    intrinsic, extrinsic = (_by_camera(path / file) for file in (INTRINSIC, EXTRINSIC))
+    cameras = {}
+    for name, block in intrinsic.items():
+        if name not in extrinsic:
+            raise InputError(
+                f'{path / EXTRINSIC} does not name "{name}": calibrate its pose, or remove it from '
+                f"the names in {INTRINSIC}."
+            )
+        for key in ("H", "W"):
+            if not block.values.get(key):
+                raise InputError(
+                    f"{block.file} has no {key}_{name}: add H_{name} and W_{name}, the height and "
+                    "the width of the pictures in pixels."
+                )
+        size = Block({"size": [block.number("W"), block.number("H")]}, block.file, name)
+        distortion = "dist" if "dist" in block.values else "D"
+        where = f'{block.file}: camera "{name}"'
+        lens = read_opencv_lens(block, "K", distortion, size.image_size_px("size"), "", where)
+        cameras[name] = Camera(lens, Pose(_pose(extrinsic[name], unit_mm)))
+    return Rig(cameras)
+
+
+def _by_camera(path: Path) -> dict[str, Block]:
+    """The keys of each camera, without its name at their ends."""
+    document = read_storage(path)
+    listed = document.values.get("names")
+    if not isinstance(listed, list) or not listed:
+        raise document.error("names", "must be the list of the cameras: add it.")
+    # FileStorage reads 1 as a number where it is not in quotes.
+    names = [f"{name:g}" if isinstance(name, float) else str(name) for name in listed]
+    values: dict[str, dict[str, Any]] = {name: {} for name in names if name != "none"}
+    others = {}
+    for key, value in document.values.items():
+        ends = [name for name in values if key.endswith(f"_{name}")]
+        if ends:
+            name = max(ends, key=len)
+            values[name][key.removesuffix(f"_{name}")] = value
+        else:
+            others[key] = value
+    KEYS.take(Block(others, document.file, ""))
+    return {name: KEYS.take(Block(each, document.file, name)) for name, each in values.items()}
+
+
+def _pose(block: Block, unit_mm: float) -> np.ndarray:
+    vector, translation = flat_numbers(block, "R"), flat_numbers(block, "T")
+    if vector.size != 3 or translation.size != 3:
+        raise block.error("R", "and T must have three numbers: correct them.")
+    rotation = rotation_of_vector(vector)
+    if "Rot" in block.values:
+        stated = block.numbers("Rot", (3, 3))
+        if np.abs(stated - rotation).max() > _SAME:
+            raise block.error("Rot", "is another rotation than R: remove the wrong one.")
+    return motion(rotation, translation * unit_mm, f'{block.file}: "{block.place}.R"')
+
+
+easymocap = Format(
+    name="easymocap",
+    title=TITLE,
+    holds=("rig",),
+    reads=("rig",),
+    place="folder",
+    endings=(),
+    unit_mm=METRE_MM,
+    unit_is_fixed=False,
+    frames="pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward",
+    loses=(COVARIANCE, PIXEL_PITCH),
+    write=write_easymocap,
+    read=read_easymocap,
+    keys={"the keys of a camera": KEYS},
+)

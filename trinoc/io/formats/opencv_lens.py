@@ -1,0 +1,61 @@
+"""Lenses as OpenCV has them, and many tools with it: a 3 x 3 matrix and coefficients."""
+
+from typing import Any
+
+import numpy as np
+
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.io.formats.lens_rows import LensNumbers, LensRow, make_lens
+from trinoc.io.json_document import Block
+
+# cv2.projectPoints takes 4, 5, 8, 12 or 14 coefficients in this order.
+_ALL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
+FISHEYE = LensRow("fisheye", "kannala_brandt", ("k1", "k2", "k3", "k4"))
+WRITTEN = (
+    LensRow("", "brown_conrady", _ALL[:5]),
+    LensRow("", "rational", _ALL[:8]),
+    LensRow("", "thin_prism", _ALL[:12]),
+    FISHEYE,
+)
+READ = (
+    *(LensRow("", model, _ALL) for model in ("brown_conrady", "rational", "thin_prism")),
+    FISHEYE,
+)
+
+
+def matrix_of_numbers(numbers: LensNumbers) -> list[list[float]]:
+    """The matrix fx 0 cx, 0 fy cy, 0 0 1."""
+    (fx, fy), (cx, cy) = numbers.focal_px, numbers.centre_px
+    return [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
+
+
+def read_opencv_lens(
+    block: Block,
+    matrix_key: str,
+    distortion_key: str,
+    size_px: tuple[int, int],
+    called: str,
+    where: str,
+) -> Intrinsics:
+    """The lens under two keys, without distortion where the second is missing.
+
+    `called` is a row of `READ`; `where` begins the sentence of an InputError, as in `make_lens`.
+    """
+    matrix = block.numbers(matrix_key, (3, 3))
+    if abs(matrix[2] - (0, 0, 1)).max() > 0 or matrix[1, 0] != 0 or matrix[0, 1] != 0:
+        raise block.error(matrix_key, "must be fx 0 cx, 0 fy cy, 0 0 1: correct it.")
+    numbers = LensNumbers(
+        called,
+        (matrix[0, 0], matrix[1, 1]),
+        (matrix[0, 2], matrix[1, 2]),
+        0.0,
+        flat_numbers(block, distortion_key).tolist() if distortion_key in block.values else [],
+    )
+    return make_lens(numbers, size_px, READ, where)
+
+
+def flat_numbers(block: Block, key: str) -> np.ndarray:
+    """The numbers of a list, or of a row or a column of a matrix, one behind the other."""
+    value: Any = block.values.get(key)
+    nested = isinstance(value, list) and any(isinstance(item, list) for item in value)
+    return block.numbers(key, (None, None) if nested else (None,)).reshape(-1)
