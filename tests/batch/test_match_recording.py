@@ -113,7 +113,7 @@ def test_every_frame_has_its_matches_or_its_reason(recording, tmp_path, quick):
             assert matches.notes == again.notes
             assert matches.counts == again.counts
     assert 'has no picture of "left"' in found.failures["4"]
-    assert found.failures["6"].startswith("6_upper.csv has words in line 1")
+    assert found.failures["6"].startswith("6_upper.csv, line 1, names the columns a, b, c, d")
 
 
 def test_cameras_without_a_picture_are_left_out(recording, tmp_path, expected):

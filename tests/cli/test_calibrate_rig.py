@@ -40,7 +40,7 @@ def test_a_board_is_drawn_with_its_layout(board, corners, tmp_path, capsys):
     [
         ([], "No pictures are given", 2),
         (["left"], "names no camera", 2),
-        (["left=nowhere"], 'no picture of "left"', 1),
+        (["left=nowhere"], 'the folder of "left", does not exist', 1),
         (["left=pictures", "right=pictures"], 'of "left" and of "right"', 1),
         (["left=pictures"], 'Camera "left" sees the board in no picture', 1),
     ],

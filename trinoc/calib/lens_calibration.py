@@ -181,8 +181,9 @@ def calibrate_intrinsics(
         fit, advised, lens_fit.held, silent, index, failures, pixel_pitch_mm, known_board, remarks
     )
     if throw and result.status is not Status.CONVERGED:
-        advice = "" if result.next_image is None else f" {result.next_image.sentence}"
-        raise CalibrationError(f"{result.notes[0]}{advice}", {}, result)
+        advice = [] if result.next_image is None else [result.next_image.sentence]
+        sentences = [result.notes[0], *found.remarks, *advice]
+        raise CalibrationError(" ".join(dict.fromkeys(sentences)), {}, result)
     return result
 
 

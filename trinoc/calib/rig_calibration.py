@@ -160,7 +160,8 @@ def calibrate_rig(
         systematics=systematics.words,
     )
     if throw and result.rig is None:
-        raise CalibrationError(result.notes[0], {}, result)
+        # A board that was read otherwise than stated may be why.
+        raise CalibrationError(" ".join([result.notes[0], *found.remarks]), {}, result)
     return result
 
 

@@ -364,3 +364,12 @@ def test_opencv_s_older_sample_calls_its_keys_otherwise(tmp_path):
     assert FORMATS["opencv"].load(tmp_path / "old.yml") == FORMATS["opencv"].load(
         tmp_path / "lens.yml"
     )
+
+
+def test_pictures_of_two_folders_keep_their_paths_as_names(tmp_path):
+    document = nerf_document(**FOCAL)
+    for frame, folder in zip(document["frames"], ("./train", "test"), strict=True):
+        frame["file_path"] = f"{folder}/r_0.png"
+    file = tmp_path / "transforms.json"
+    file.write_text(json.dumps(document))
+    assert FORMATS["nerfstudio"].load(file).names == ("train/r_0", "test/r_0")

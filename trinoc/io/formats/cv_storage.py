@@ -67,7 +67,16 @@ _REFUSED = {
     },
 }
 # What samples of OpenCV say of the board and of how they calibrated.
-_LEFT_OUT = ("fix_k3", "fix_aspect_ratio", "image_scale", "units", "unit", "square_unit")
+_LEFT_OUT = (
+    "rectification_matrix",
+    "projection_matrix",
+    "fix_k3",
+    "fix_aspect_ratio",
+    "image_scale",
+    "units",
+    "unit",
+    "square_unit",
+)
 LENS_KEYS = Keys(
     read=(
         *("name", "R", "T", *_MATRIX_KEYS, *_DISTORTION_KEYS, *_WIDTH_KEYS, *_HEIGHT_KEYS),

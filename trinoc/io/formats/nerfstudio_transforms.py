@@ -97,18 +97,23 @@ def write_nerfstudio(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_nerfstudio(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The frames as cameras, named by their pictures; what a frame lacks stands at the top."""
+    """The frames as cameras, named by their pictures, and where two are called alike by their
+    paths; what a frame lacks stands at the top."""
     document = read_json(path)
     frames = document.values.get("frames")
     if not isinstance(frames, list) or not frames:
         raise document.error("frames", "must be a list of frames: add one for each camera.")
     cameras: dict[str, Camera] = {}
     shared = {key: value for key, value in document.values.items() if key != "frames"}
+    blocks = []
     for number, frame in enumerate(frames):
         own: dict[str, Any] = frame if isinstance(frame, dict) else {}
-        block = KEYS.take(Block({**shared, **own}, document.file, f"frames[{number}]"))
-        name = PurePosixPath(block.text("file_path")).stem
-        if not name or name in cameras:
+        blocks.append(KEYS.take(Block({**shared, **own}, document.file, f"frames[{number}]")))
+    pictures = [PurePosixPath(block.text("file_path")) for block in blocks]
+    stems_differ = len({picture.stem for picture in pictures}) == len(pictures)
+    for number, (block, picture) in enumerate(zip(blocks, pictures, strict=True)):
+        name = picture.stem if stems_differ else str(picture.with_suffix(""))
+        if not picture.stem or name in cameras:
             raise block.error("file_path", "names no picture, or one before it: correct it.")
         matrix = block.numbers("transform_matrix", (4, 4)) @ FLIP
         where = f'{document.file}: "frames[{number}].transform_matrix"'
