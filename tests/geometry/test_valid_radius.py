@@ -66,7 +66,7 @@ def pixels_about(lens: Intrinsics, share: tuple[float, float], seed: int = 0) ->
     """Pixels in a ring about the principal point, by shares of the valid radius."""
     random = np.random.default_rng(seed)
     angle = random.uniform(0, 2 * np.pi, 200)
-    radius = lens.valid_radius_px * np.sqrt(random.uniform(*np.square(share), 200))
+    radius = lens.valid_radius_px * np.sqrt(random.uniform(share[0] ** 2, share[1] ** 2, 200))
     radius[:50] = lens.valid_radius_px * share[1]
     offset = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.asarray(lens.principal_point_px) + offset

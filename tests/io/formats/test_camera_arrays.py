@@ -192,7 +192,7 @@ def test_easymocap_s_two_files_are_arguments_of_opencv(tmp_path):
     for name, camera in RIG.items():
         pose = [files[0].getNode(f"{key}_{name}").mat() for key in "RT"]
         lens = [files[1].getNode(f"{key}_{name}").mat() for key in ("K", "dist")]
-        images = by_opencv(CORNERS / 1000, *pose, *lens)
+        images = by_opencv(CORNERS / 1000, pose[0], pose[1], lens[0], lens[1])
         np.testing.assert_allclose(images, pixels(camera), **SAME)
         assert files[1].getNode(f"H_{name}").real() == camera.image_size_px[1]
 
