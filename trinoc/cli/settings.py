@@ -139,7 +139,10 @@ def parse_truth(text: str) -> bool:
 
 
 def parse_pair(parse: Callable[[str], Any]) -> Callable[[str], tuple[Any, Any]]:
-    """Of the parser of one value that of two, written 1280,960 or 1280x960; one stands for both."""
+    """Make a parser of two values, such as 1280,960 or 1280x960, from the parser of one.
+
+    A single value stands for both.
+    """
 
     def parse_two(text: str) -> tuple[Any, Any]:
         values = [parse(each) for each in text.replace("x", ",").split(",")]

@@ -142,9 +142,10 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
 
 
 def load_lens_covariance(path: str | os.PathLike[str]) -> np.ndarray | None:
-    """The covariance (q, q) of the lens's parameters in a camera.json; None where it states none.
+    """Read the covariance of a lens from its camera.json; None where the file states none.
 
-    They are those of the lens's model, and of Brown-Conrady for an ideal lens.
+    The matrix is (q, q), over the q parameters of the lens's model: fx, fy, cx, cy and its
+    coefficients. For an ideal lens, which has none, they are those of Brown and Conrady's.
 
     Raises InputError, in one sentence with file and key.
     """

@@ -192,9 +192,12 @@ def rao_test(information: Information, held: Bool[np.ndarray, "f"]) -> RaoTest:
 def rational_lens_test(
     problem: Problem, image_sizes_px: Sequence[tuple[int, int]], variance_factor: float
 ) -> RaoTest:
-    """Whether the shots ask for k4, k5 and k6, at the end of a fit of Brown and Conrady's lens.
+    """Test the rational lens against Brown and Conrady's, at the end of the latter's fit.
 
-    That is the rational lens whose last three coefficients are 0. image_sizes_px : of each lens.
+    Brown and Conrady's lens is the rational one with k4 = k5 = k6 = 0: the score test says whether
+    the shots ask for other values.
+
+    image_sizes_px : (width, height) of the pictures of each lens.
     """
     model, count = lens_model("rational"), problem.parametrization.lens_shape[0]
     lenses = [widen_lens(lens_number(problem, k), model) for k in range(count)]
@@ -204,7 +207,10 @@ def rational_lens_test(
 
 
 def wider_lens_test(problem: Problem, wider: Problem, variance_factor: float) -> RaoTest:
-    """Whether the shots ask for what `wider`, a problem `with_wider_lenses`, has besides."""
+    """Test whether the shots ask for the parameters that `wider` has beyond those of `problem`.
+
+    wider : the same problem `with_wider_lenses`.
+    """
     information = compute_information(wider)
     _, size = problem.parametrization.lens_shape
     _, wider_size = wider.parametrization.lens_shape

@@ -196,9 +196,9 @@ class ArrowDescent(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
 
     problem: AbstractArrowProblem
     first_damping: Float[Array, ""]
-    rtol: float = 0.0
     atol: float = CONVERGED_GAIN
-    # optimistix wants one; steps are judged by the cost, by `atol` and `rtol`.
+    # optimistix wants these: a chi-square has a scale of its own, and `atol` alone ends the steps.
+    rtol: ClassVar[float] = 0.0
     norm: ClassVar[Callable[[PyTree], Float[Array, ""]]] = staticmethod(optx.max_norm)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Progress:
@@ -213,15 +213,14 @@ class ArrowDescent(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
     def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, ArrowEquations]:
         """Try one step; one that rises near the minimum may be followed by another."""
         least = state.at_best.cost
-        tolerance = self.atol + self.rtol * jnp.where(jnp.isfinite(least), least, 0.0)
-        step = self._find_step(y, state, tolerance)
+        step = self._find_step(y, state)
         tried = self.problem.retract(y, step.head, step.blocks)
         _, there = fn(tried, args)
         better = there.cost <= least
         rises = ~better & ~state.risen & (step.promised < _NEAR) & jnp.isfinite(there.cost)
-        enough = step.promised < tolerance
+        enough = step.promised < self.atol
         still = enough & (least - there.cost < step.negligible)
-        stuck = (state.damping * 10 > MOST_DAMPING) | (step.promised < 1e-3 * tolerance)
+        stuck = (state.damping * 10 > MOST_DAMPING) | (step.promised < 1e-3 * self.atol)
         factor = jnp.where(better, 0.1, jnp.where(rises, 1.0, 10.0))
         of_blocks = jnp.where(step.follows, factor, 10.0)
         best, at_best = _where(better, (tried, there), (state.best, state.at_best))
@@ -237,7 +236,7 @@ class ArrowDescent(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
         )
         return y, progress, at_best
 
-    def _find_step(self, y: Any, state: _Progress, tolerance: ScalarLike) -> _Step:
+    def _find_step(self, y: Any, state: _Progress) -> _Step:
         problem, gradient = self.problem, state.here.gradient
         solver = BlockArrowSolver(state.damping + FLOOR_DAMPING, state.block_damping)
         factored = solver.init(state.here.information, {})
@@ -247,14 +246,14 @@ class ArrowDescent(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
         head, blocks = jax.tree.map(jnp.negative, solution.value)
         if not isinstance(problem, AbstractSeparableProblem):
             promised = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
-            return _Step(head, blocks, promised, jnp.ones(len(blocks), bool), tolerance)
+            return _Step(head, blocks, promised, jnp.ones(len(blocks), bool), self.atol)
         both = jnp.stack([blocks, jnp.zeros_like(blocks)])
         moved, stayed = jax.vmap(lambda own: problem.costs(problem.retract(y, head, own)).blocks)(
             both
         )
         follows = moved <= stayed
         promised = -factored.elimination.reduced_side(gradient) @ head
-        negligible = tolerance * (1 + len(blocks) / BLOCKS_THAT_CREEP)
+        negligible = self.atol * (1 + len(blocks) / BLOCKS_THAT_CREEP)
         return _Step(head, jnp.where(follows[:, None], blocks, 0.0), promised, follows, negligible)
 
     def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:

@@ -59,7 +59,7 @@ class ColmapRecords(NamedTuple):
 
 
 def text_files(records: ColmapRecords) -> dict[str, str]:
-    """The five files, by name."""
+    """Write cameras and images as the five text files of a COLMAP model, by name of file."""
     cameras = [
         f"{number} {model} {width} {height} {_join_numbers(parameters)}"
         for number, (model, (width, height), parameters) in records.cameras.items()
@@ -129,8 +129,10 @@ def text_records(folder: Path) -> ColmapRecords:
 
 
 def _are_points(words: list[str]) -> bool:
-    """Whether a line is x, y and number of each point; a line of an image has a name besides ten
-    words or, with a blank in it, a word that is no number."""
+    """Tell a line of points (x, y and number of each) from a line of an image.
+
+    An image has nine numbers and a name: ten words, or more where its name has blanks.
+    """
     try:
         return len(words) % 3 == 0 and all(map(math.isfinite, map(float, words)))
     except ValueError:
@@ -170,7 +172,7 @@ _POINT_2D = struct.calcsize("<ddQ")
 
 
 def binary_files(records: ColmapRecords) -> dict[str, bytes]:
-    """The five files, by name."""
+    """Encode cameras and images as the five binary files of a COLMAP model, by name of file."""
     cameras = struct.pack("<Q", len(records.cameras))
     for number, (model, size, parameters) in records.cameras.items():
         cameras += struct.pack("<IiQQ", number, MODELS[model][0], *size)

@@ -84,7 +84,10 @@ def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
 
 
 def _find_frames(lenses: Lenses, parents: Collection[str], path: Path) -> dict[str, str]:
-    """The frame of each camera, in the order of the file."""
+    """Name the optical frame of each camera of `lenses`, in the order of the file.
+
+    Raises InputError where the file has none of these frames, or only the camera's body.
+    """
     frames = {}
     for name in lenses:
         endings = ("", *SUFFIXES) if name.endswith(SUFFIXES) else SUFFIXES
@@ -127,8 +130,10 @@ def _arguments(entry: dict[str, Any]) -> list[str]:
 
 
 def _parents(documents: list[Block], unit_mm: float) -> dict[str, tuple[str, np.ndarray]]:
-    """For each frame its parent and parent_from_frame; each publisher sends a message of its own,
-    and some send theirs again."""
+    """Collect the parent of each frame, and the motion parent_from_frame, from all messages.
+
+    Each publisher sends a message of its own, and some send theirs again.
+    """
     parents: dict[str, tuple[str, np.ndarray]] = {}
     for document in documents:
         entries = document.values.get("transforms")
