@@ -50,6 +50,8 @@ CHANGING = {
         "model": "ucm",
         "binning": 2,
         "k7": 0.1,
+        "dist_coeff": 0.1,
+        "coeffs": [0.1],
     },
     "ros": {"binning_x": 2, "binning_y": 4, "roi": {"x_offset": 8}, "xi": 1.0},
     "kalibr": {"line_delay": 1e-5, "xi": 1.5, "camera_model": "omni", "alpha": 0.5},

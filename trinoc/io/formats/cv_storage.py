@@ -85,13 +85,15 @@ LENS_KEYS = Keys(
     left_out=_LEFT_OUT,
     refused=_REFUSED,
 )
-_STEREO = (("M1", "D1", "M2", "D2"), ("K1", "D1", "K2", "D2"),
-           ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"))  # fmt: skip
+_STEREO = tuple(
+    (f"{matrix}1", f"{distortion}1", f"{matrix}2", f"{distortion}2")
+    for matrix, distortion in itertools.product(("M", "K", "cameraMatrix"), ("D", "distCoeffs"))
+)
 
 
 PAIR_KEYS = Keys(
     read=(
-        *("cameras", "covariance", "R", "T", *itertools.chain(*_STEREO)),
+        *("cameras", "covariance", "R", "T", *dict.fromkeys(itertools.chain(*_STEREO))),
         *(*_WIDTH_KEYS, *_HEIGHT_KEYS, *_FISHEYE_KEYS, *_WORD_KEYS),
     ),
     # cv2.stereoRectify's: of rectified pictures, R, T, M and D are those of the raw ones.
@@ -124,7 +126,8 @@ def read_opencv(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intr
     document = read_storage(path)
     if "cameras" in document.values:
         return _list_cameras(PAIR_KEYS.take(document), unit_mm)
-    for keys in _STEREO:
+    # With its distortion where the file has one: without, the lenses are ideal.
+    for keys in sorted(_STEREO, key=lambda keys: keys[1] not in document.values):
         if keys[0] in document.values:
             return _pair(PAIR_KEYS.take(document), keys, unit_mm)
     if not any(key in document.values for key in _MATRIX_KEYS):

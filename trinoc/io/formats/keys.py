@@ -13,7 +13,7 @@ from trinoc.io.json_document import Block, show_value
 
 # In the name of a key: what may change where a point is imaged.
 _CHANGES_PROJECTION = re.compile(
-    r"(^|_)(xi|alpha|beta|gamma|[kpst]_?\d+)($|_)|skew|shear|affin|fisheye|omni|distort|lens|binning"
+    r"(^|_)(xi|alpha|beta|gamma|[kpst]_?\d+)($|_)|skew|shear|affin|fisheye|omni|dist(?!ance)|coeff|lens|binning"
     r"|roi|crop|resiz|scale|unit|orientation|flip|mirror|shutter|rectif|(^|_)(camera_)?model($|_)",
     re.IGNORECASE,
 )

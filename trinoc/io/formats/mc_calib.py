@@ -59,14 +59,15 @@ def read_mc_calib(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     document = read_storage(path)
     count = document.number("nb_camera")
     keys = [key for key in document.values if key.startswith("camera_")]
-    if not keys or set(keys) != {f"camera_{number}" for number in range(int(count))}:
+    expected = {f"camera_{number}" for number in range(len(keys))}
+    if not keys or count != len(keys) or set(keys) != expected:
         raise document.error(
             "nb_camera",
             f"is {count:g}, but the file has {', '.join(keys) or 'no camera'}: MC-Calib writes one "
             "group of cameras alone; take pictures that join all.",
         )
     blocks = [KEYS.take(document.block(f"camera_{number}")) for number in range(len(keys))]
-    if len({block.values.get("camera_group") for block in blocks}) > 1:
+    if len({str(block.values.get("camera_group")) for block in blocks}) > 1:
         raise blocks[0].error(
             "camera_group", "is another than of a camera below: take pictures that join all."
         )
