@@ -35,7 +35,7 @@ from trinoc.io.formats.opencv_lens import (
 )
 from trinoc.io.formats.text_files import make_block, scalar_or_list
 from trinoc.io.images import silent_opencv
-from trinoc.io.json_document import Block
+from trinoc.io.json_document import Block, show_value
 from trinoc.io.rig_json import parse_covariance
 
 TITLE = "OpenCV's FileStorage"
@@ -48,6 +48,8 @@ _LENS_WORDS = {
     ),
 }  # fmt: skip
 _WORD_KEYS = ("distortion_model", "camera_model", "model", "lens_model")
+# As FileStorage gives a number, and in words.
+_YES, _NO = ("1", "1.0", "true", "yes", "on"), ("0", "0.0", "false", "no", "off")
 _FISHEYE_KEYS = ("fisheye_model", "fisheye", "is_fisheye")
 _MATRIX_KEYS = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
 _DISTORTION_KEYS = (
@@ -236,9 +238,10 @@ def _called(block: Block) -> str:
     named: dict[str, str] = {}
     for key in _FISHEYE_KEYS:
         if key in block.values:
-            value = block.values[key]
-            is_fisheye = value not in (0, "0", "false", "False", "no")
-            named[key] = FISHEYE.called if is_fisheye else ""
+            word = str(block.values[key]).lower()
+            if word not in (*_YES, *_NO):
+                raise block.error(key, f"is {show_value(block.values[key])}: write 1 or 0.")
+            named[key] = FISHEYE.called if word in _YES else ""
     for key in _WORD_KEYS:
         if key in block.values:
             word = block.text(key)

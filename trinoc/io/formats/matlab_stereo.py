@@ -162,7 +162,8 @@ def _stated_unit_mm(lens: Block, unit_mm: float | None) -> float:
     of_file = UNITS_MM.get(name.lower())
     if of_file is None and rest == "mm":
         with contextlib.suppress(ValueError):
-            of_file = float(number)
+            length_mm = float(number)
+            of_file = length_mm if 0 < length_mm < float("inf") else None
     if of_file is None and unit_mm is None:
         raise lens.error("WorldUnits", f'is "{name}": say how long that is by --unit-mm.')
     if of_file is not None and unit_mm is not None and unit_mm != of_file:
