@@ -15,6 +15,7 @@ from trinoc.calib.starts.pictures import find_boards
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import BoardSet
 from trinoc.calib.targets.checkers import Charuco, opencv_board
+from trinoc.calib.targets.markers import opencv_dictionary
 from trinoc.errors import CalibrationError, DetectionError
 
 CHARUCO = Charuco(rows=6, columns=8, square_mm=11.0, marker_mm=8.25, dictionary="4x4_50")
@@ -267,3 +268,16 @@ def test_corners_at_the_very_edge_of_a_picture_are_right_or_left_out(beyond_px):
     error_px = detection.centres_px - corners_px[detection.circle_index]
     assert np.abs(error_px).max() < 0.25
     assert (np.linalg.eigvalsh(detection.covariance_px2) > 0).all()
+
+
+def test_a_marker_of_another_sheet_does_not_shift_the_first_one():
+    """The last row is covered, and a marker with a far smaller number lies beside the board."""
+    printed = replace(CHARUCO, dictionary="4x4_1000", first=95)
+    image, _ = picture(printed)
+    grey = np.asarray(image, dtype=np.uint8)
+    seen = marker_readings._find_markers(grey, printed, opencv_dictionary(printed.dictionary))
+    markers = {number: corners for number, corners in seen.items() if number < 95 + 20}
+    markers[5] = markers[95] + 300.0
+    stated = replace(printed, first=300)
+    readings = list(marker_readings._read_other_first(markers, stated))
+    assert [reading.board.first for reading in readings] == [95]

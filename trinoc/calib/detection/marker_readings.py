@@ -263,9 +263,14 @@ def _read_other_first(
     """
     if len(markers) < _FEWEST_IN_PLACE:
         return
-    size, lowest, highest = len(stated.numbers), min(markers), max(markers)
-    few, many = sorted((highest - size + 1, lowest))
-    firsts = [first for first in range(max(few, 0), many + 1) if first != stated.first]
+    size, numbers = len(stated.numbers), np.array(list(markers))
+    # Not all markers need belong to the board: one of another sheet must not narrow the search.
+    firsts = [
+        first
+        for first in range(max(int(numbers.min()) - size + 1, 0), int(numbers.max()) + 1)
+        if first != stated.first
+        and np.sum((numbers >= first) & (numbers < first + size)) >= _FEWEST_IN_PLACE
+    ]
     counts = [_count_in_place(_renumber(markers, stated.first - first), stated) for first in firsts]
     best = max(counts, default=0)
     if not best or counts.count(best) > 1:
