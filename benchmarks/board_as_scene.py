@@ -110,7 +110,7 @@ def main() -> None:
     result = trinoc.calibrate_rig(
         {name: images_of(given.folder, name, given.calibrate) for name in cameras}, board
     )
-    if result.rig is None:
+    if not result.has_rig:
         raise SystemExit(result.summary())
     places = np.pad(np.asarray(board.centres_mm), ((0, 0), (0, 1)))
     if len(result.place_shifts_mm):

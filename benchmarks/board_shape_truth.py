@@ -27,7 +27,7 @@ from unittest import mock
 import cv2
 import numpy as np
 
-from trinoc.calib import Detection, rig_calibration
+from trinoc.calib import Detection, rig_calibration, shots_fit
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.calib.uncertainty.systematics import Systematics
 
@@ -136,9 +136,9 @@ def by_trinoc(
     """The same by calibrate_rig."""
     names = [f"camera.{each}_px" for each in ("fx", "fy", "cx", "cy")]
     with mock.patch.object(
-        rig_calibration,
+        shots_fit,
         "with_board_shape",
-        rig_calibration.with_board_shape if has_shape else lambda fit: fit,
+        shots_fit.with_board_shape if has_shape else lambda fit: fit,
     ):
         result = rig_calibration.calibrate_rig({"camera": found}, BOARD, systematics=systematics)
     return (

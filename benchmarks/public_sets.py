@@ -101,7 +101,7 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
         if f"{camera}.fx_px" in result.parameters
     }
     return {
-        "status": str(result.status.name).lower(),
+        "status": result.overall_status.name.lower(),
         "readable": readable,
         "found": len({(v.camera, v.shot) for v in result.views if v.used.any()}),
         "images": sum(len(list((folder / camera).iterdir())) for camera in entry["cameras"]),
@@ -113,7 +113,7 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
         if held_out is None
         else [max(held_out.own_px.values()), max(held_out.across_px.values(), default=0.0)],
         "held_out_cameras_px": None if held_out is None else dict(held_out.own_px),
-        "sigma_factor": dict(result.sigma_factor),
+        "sigma_factor": {name: fit.sigma_factor for name, fit in result.fits.items()},
         "variance_factor": result.ended.variance_factor if result.ended is not None else None,
         "halves": None if halves is None else halves.ratio,
         "focal": focal,

@@ -123,7 +123,7 @@ def corners_over_claims(folder: Path) -> None:
             found = trinoc.calibrate_rig({camera: shots}, board)
             print(
                 f"{camera}, {said} shots: rms {found.rms_px() / np.sqrt(2):.4f} px per axis, "
-                f"over claimed sigmas {found.sigma_factor[camera]:.2f}"
+                f"over claimed sigmas {found.fits[camera].sigma_factor:.2f}"
             )
 
 

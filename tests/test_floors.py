@@ -31,7 +31,7 @@ MAY_IMPORT["cli"] = {*MAY_IMPORT["serving"], "serving", "batch"}
 # itself put them together and stand above all.
 INNER_FLOORS = {
     "calib": (
-        *("tuning", "targets", "detection", "result", "uncertainty", "problem"),
+        *("tuning", "targets", "detection", "uncertainty", "problem", "result"),
         *("starts", "advice", "photometric", "adjustment", "bundle", "rig_check"),
     ),
     "match": (

@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+import trinoc
 from trinoc.errors import TrinocError
 from trinoc.synth import table1_rig
 
@@ -89,12 +90,17 @@ def rig(prefix: str, value: Any) -> Values:
 
 def points_calibration(prefix: str, result: Any) -> Values:
     """One camera from points."""
-    yield from fields(prefix, result, ("status", "parameters", "covariance", "residuals_px"))
-    yield from fields(prefix, result, ("used", "noise_px"))
+    fit = result.fits["camera"]
+    names = tuple(name.removeprefix("camera.") for name in result.parameters)
+    yield f"{prefix}.status", result.overall_status
+    yield f"{prefix}.parameters", names
+    yield from fields(prefix, result, ("covariance",))
+    yield from fields(prefix, fit, ("residuals_px", "used"))
+    yield f"{prefix}.noise_px", fit.sigma_factor
     yield f"{prefix}.cam_from_world", result.camera.cam_from_world
     yield f"{prefix}.lens", result.camera.intrinsics.lens.parameters
     numbers = _numbers_of(result.camera)
-    yield f"{prefix}.values", [numbers.get(name, 0.0) for name in result.parameters]
+    yield f"{prefix}.values", [numbers.get(name, 0.0) for name in names]
 
 
 def _numbers_of(camera: Any) -> dict[str, float]:
@@ -112,20 +118,35 @@ def _numbers_of(camera: Any) -> dict[str, float]:
 
 def lens_calibration(prefix: str, result: Any) -> Values:
     """One lens from pictures."""
-    names = ("gauge", "rank", "free", "reduced_chi_square", "field_sigma_px", "cam_from_world")
-    names += ("residuals_px", "used", "image_index", "failures", "notes")
-    yield from fields(prefix, result, (*FIT, *names))
+    names = result.lens_parameters
+    rows = [result.parameters.index(f"camera.{name}") for name in names]
+    yield f"{prefix}.status", result.overall_status
+    yield f"{prefix}.parameters", names
+    yield f"{prefix}.values", result.values[rows]
+    yield f"{prefix}.covariance", result.covariance[np.ix_(rows, rows)]
+    yield f"{prefix}.gauge", tuple(name.removeprefix("camera.") for name in result.gauge)
+    factor = result.fits["camera"].sigma_factor
+    yield f"{prefix}.reduced_chi_square", factor**2 * result.reduced_chi_square
+    yield f"{prefix}.field_sigma_px", result.field_sigma_px
+    yield f"{prefix}.cam_from_world", result.world_from_board
+    yield f"{prefix}.residuals_px", list(result.residuals_px)
+    yield f"{prefix}.used", [view.used for view in result.views]
+    yield from fields(prefix, result, ("failures", "notes"))
     yield f"{prefix}.summary", result.summary()
-    if result.next_image is not None:
-        names = ("sentence", "cam_from_world", "sigma_now", "sigma_then")
-        yield from fields(f"{prefix}.next_image", result.next_image, names)
+    advice = trinoc.next_shot(result)
+    if advice is not None:
+        yield f"{prefix}.next_image.sentence", advice.sentence
+        yield f"{prefix}.next_image.cam_from_world", advice.world_from_board
+        yield f"{prefix}.next_image.sigma_then", advice.sigma_then.get(advice.parameter or "")
 
 
 def rig_of_shots(prefix: str, result: Any) -> Values:
     """A rig from many shots."""
     names = ("gauge", "world", "shots", "world_from_board", "reference_from_board", "failures")
-    names += ("place_shifts_mm", "sigma_factor", "reduced_chi_square", "refused", "systematics")
-    yield from fields(prefix, result, (*FIT, *names, "notes"))
+    names += ("place_shifts_mm", "reduced_chi_square", "refused", "systematics")
+    yield f"{prefix}.status", result.overall_status
+    yield f"{prefix}.sigma_factor", {name: fit.sigma_factor for name, fit in result.fits.items()}
+    yield from fields(prefix, result, (*FIT[1:], *names, "notes"))
     yield f"{prefix}.summary", result.summary()
     yield f"{prefix}.residuals_px", np.concatenate(result.residuals_px)
     yield f"{prefix}.used", np.concatenate([view.used for view in result.views])
@@ -134,7 +155,7 @@ def rig_of_shots(prefix: str, result: Any) -> Values:
         yield from fields(f"{prefix}.halves", result.halves, names)
     if result.cross_validation is not None:
         yield from fields(f"{prefix}.held_out", result.cross_validation, ("own_px", "across_px"))
-    if result.rig is not None:
+    if result.has_rig:
         yield from rig(f"{prefix}.rig", result.rig)
 
 

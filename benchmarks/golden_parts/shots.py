@@ -17,7 +17,8 @@ from golden_parts.inputs import (
     shots,
 )
 from golden_parts.records import Values, attempt
-from trinoc.calib import RigFromShots
+from trinoc.calib import CalibrationResult
+from trinoc.calib.result.summary import fixed_boards
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.polynomial import BrownConrady
 
@@ -92,10 +93,10 @@ def _rig(label: str, title: str, cameras: tuple[str, ...], count: int, **options
     yield from attempt(label, call, _with_advice if label in SIGMA_PX else records.rig_of_shots)
 
 
-def _with_advice(prefix: str, result: RigFromShots) -> Values:
+def _with_advice(prefix: str, result: CalibrationResult) -> Values:
     """A rig, its sigma over the field, and the shot that would tell most."""
     yield from records.rig_of_shots(prefix, result)
-    if result.rig is None:
+    if not result.has_rig:
         return
     field = trinoc.calib.projection_sigma(result.rig, "left", 550.0)
     yield f"{prefix}.projection_sigma", field.sigma_px
@@ -105,9 +106,9 @@ def _with_advice(prefix: str, result: RigFromShots) -> Values:
         yield from records.fields(f"{prefix}.next_shot", advice, names)
 
 
-def _rig_of_set(prefix: str, result: RigFromShots) -> Values:
+def _rig_of_set(prefix: str, result: CalibrationResult) -> Values:
     yield from records.rig_of_shots(prefix, result)
-    yield f"{prefix}.fixed_boards", result.fixed_boards
+    yield f"{prefix}.fixed_boards", fixed_boards(result)
 
 
 def rig_pixels() -> Values:

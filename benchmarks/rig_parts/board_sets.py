@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from rig_parts.made import LENSES, SIZE_PX, points, rms, rotation, seen
-from trinoc.calib import BoardSet, Detection, RigFromShots
+from trinoc.calib import BoardSet, CalibrationResult, Detection
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.starts.connected import solve_hand_eye
 from trinoc.calib.targets.checkers import Chessboard
@@ -116,9 +116,9 @@ def errors(cameras: list[np.ndarray], boards: list[np.ndarray], name: str) -> di
     return named
 
 
-def by_trinoc(found: dict[str, list], name: str) -> tuple[dict[str, float], RigFromShots]:
+def by_trinoc(found: dict[str, list], name: str) -> tuple[dict[str, float], CalibrationResult]:
     result = calibrate_rig(found, TARGET, world="left", systematics=Systematics(), distortion=4)
-    assert result.rig is not None
+    assert result.has_rig
     cameras = [np.asarray(result.rig[camera].cam_from_world) for camera in CAMERAS]
     own = errors(cameras, list(result.reference_from_board), name)
     for camera in CAMERAS:
@@ -173,7 +173,7 @@ def made(name: str, trials: int, shots: int) -> None:
             else "lenses" for key in keys
         ]  # fmt: skip
         claimed = np.array([result.sigma(key) for key in keys])
-        bound = claimed / np.mean(list(result.sigma_factor.values()))
+        bound = claimed / np.mean([fit.sigma_factor for fit in result.fits.values()])
         mine = np.array([own[key] for key in keys])
         theirs = np.array([by_opencv(found, name)[key] for key in keys])
         rows.setdefault("trinoc", []).append(list(mine / bound))

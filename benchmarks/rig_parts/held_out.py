@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from trinoc.calib import RigFromShots, detect_target
+from trinoc.calib import CalibrationResult, detect_target
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.checkers import Chessboard
@@ -41,13 +41,13 @@ def sets(data: Path) -> dict[str, tuple[AbstractTarget, dict[str, list[Path]]]]:
     }
 
 
-def places(result: RigFromShots) -> dict[int, dict[int, Seen]]:
+def places(result: CalibrationResult) -> dict[int, dict[int, Seen]]:
     """Of each camera by shot: places of the board (m, 3), and where they are seen (m, 2)."""
     seen: dict[int, dict[int, Seen]] = {0: {}, 1: {}}
     for view in result.views:
         index = view.detection.circle_index[view.used]
         order = np.argsort(index)
-        board = np.pad(result.target.centres_mm[index[order]], ((0, 0), (0, 1)))
+        board = np.pad(result.board.centres_mm[index[order]], ((0, 0), (0, 1)))
         uv_px = view.detection.centres_px[view.used][order]
         seen[view.camera][view.shot] = board.astype(np.float32), uv_px.astype(np.float32)
     return seen
@@ -133,7 +133,7 @@ def row(title: str, own: list[float], across: list[float], within: float | None 
     print(f"  {title:44}{cells}" + ("" if within is None else f"{within:9.4f}"), flush=True)
 
 
-def trinoc_row(title: str, result: RigFromShots) -> None:
+def trinoc_row(title: str, result: CalibrationResult) -> None:
     errors = result.cross_validation
     assert errors is not None, result.summary()
     own, across = ([each[name] for name in result.cameras]

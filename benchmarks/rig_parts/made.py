@@ -132,7 +132,8 @@ def by_trinoc(target, found):
     result = calibrate_rig(found, target, world="left", systematics=Systematics(), distortion=4)
     values = dict(zip(result.parameters, result.values, strict=True))
     sigmas = {name: result.sigma(name) for name in result.parameters}
-    bound = {n: s / result.sigma_factor.get(n.split(".")[0], 1.0) for n, s in sigmas.items()}
+    factors = {camera: fit.sigma_factor for camera, fit in result.fits.items()}
+    bound = {n: s / factors.get(n.split(".")[0], 1.0) for n, s in sigmas.items()}
     for name in LENSES:
         values |= pose_numbers(name, np.asarray(result.rig[name].cam_from_world))
     return values, sigmas, bound, result.halves

@@ -160,7 +160,7 @@ def by_trinoc(made: Sequence[Detection], model: str, bump: Bump) -> tuple[Error,
         {"camera": list(made)}, BOARD, lens_model=model, systematics=Systematics()
     )
     seconds = time.perf_counter() - start
-    assert result.rig is not None
+    assert result.has_rig
     lens = result.rig["camera"].intrinsics.lens
     rows = [result.parameters.index(f"camera.{name}") for name in lens.parameter_names]
     error, turn = turned_error(lambda rays: np.asarray(project(lens, rays)), bump)

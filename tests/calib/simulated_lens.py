@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from trinoc.calib import Detection
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.targets.pattern import Pattern
 
 SHEET = Pattern.cross_grid(rows=6, columns=6, pitch_mm=25.0, radius_mm=8.0)
@@ -96,3 +97,26 @@ def detection(
 
 def detections(poses: list[np.ndarray], seed: int = 0, **options) -> list[Detection]:
     return [detection(each, seed=1000 * seed + k, **options) for k, each in enumerate(poses)]
+
+
+def lens_values(result: CalibrationResult) -> np.ndarray:
+    """Parameters of the only lens, in their order."""
+    return np.array([result.value(name) for name in result.lens_parameters])
+
+
+def lens_sigmas(result: CalibrationResult) -> np.ndarray:
+    """Their standard deviations."""
+    return np.array([result.sigma(name) for name in result.lens_parameters])
+
+
+def fitted_names(result: CalibrationResult) -> tuple[str, ...]:
+    """Parameters of the only lens that were not held."""
+    return tuple(name for name in result.lens_parameters if result.sigma(name) != 0.0)
+
+
+def squared_distance(result: CalibrationResult, truth: np.ndarray) -> float:
+    """Mahalanobis distance, squared, of the fitted parameters of the only lens from the truth."""
+    names = result.lens_parameters
+    rows = [names.index(name) for name in fitted_names(result)]
+    error = (lens_values(result) - truth)[rows]
+    return float(error @ np.linalg.solve(result.lens_covariance[np.ix_(rows, rows)], error))

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
 from trinoc.calib import Status
-from trinoc.calib.from_points import PointsCalibration, calibrate_points
+from trinoc.calib.from_points import CalibrationResult, calibrate_points
 from trinoc.calib.starts.resection import find_pose
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
@@ -32,7 +32,7 @@ def seen(points: np.ndarray, random: np.random.Generator) -> np.ndarray:
     return exact + random.normal(0, NOISE_PX, exact.shape)
 
 
-def errors(found: PointsCalibration) -> np.ndarray:
+def errors(found: CalibrationResult) -> np.ndarray:
     """Of the parameters, in their order: turns about the camera's axes, centre, lens."""
     turn = np.asarray(found.camera.cam_from_world)[:, :3] @ CAMERA.cam_from_world[:, :3].T
     lens = found.camera.intrinsics
@@ -53,8 +53,8 @@ def test_errors_are_those_that_the_covariance_claims(lens_given: bool) -> None:
         found = calibrate_points(
             points, seen(points, random), lens, image_size_px=(512, 480), systematics=Systematics()
         )
-        assert found.status is Status.CONVERGED
-        assert found.noise_px == pytest.approx(NOISE_PX, rel=0.3)
+        assert found.overall_status is Status.CONVERGED
+        assert found.fits["camera"].sigma_factor == pytest.approx(NOISE_PX, rel=0.3)
         error = errors(found)
         squared.append(error @ np.linalg.solve(found.covariance, error) / len(error))
     # The mean of 60 chi-squares over their 6 or 10 degrees of freedom; the noise is estimated.
@@ -81,8 +81,8 @@ def test_the_lens_is_the_one_that_the_points_ask_for(count: int) -> None:
     exact = np.stack([camera.project(point) for point in points])
     uv_px = exact + random.normal(0, 0.02, exact.shape)
     found = calibrate_points(points, uv_px, image_size_px=(512, 480))
-    assert found.status is Status.CONVERGED
-    assert found.parameters[10:] == ("k1", "k2", "p1", "p2")[:count]
+    assert found.overall_status is Status.CONVERGED
+    assert found.lens_parameters[4:] == ("k1", "k2", "p1", "p2")[:count]
     truth = np.concatenate([LENS.focal_length_px, LENS.principal_point_px, bent[:count]])
     values = np.asarray(promote_lens(found.camera.intrinsics.lens).parameters)[: 4 + count]
     own = found.covariance[6:, 6:]
@@ -92,7 +92,7 @@ def test_the_lens_is_the_one_that_the_points_ask_for(count: int) -> None:
 def test_exact_points_ask_for_nothing() -> None:
     points = block(np.random.default_rng(2), 30)
     exact = np.stack([CAMERA.project(point) for point in points])
-    assert calibrate_points(points, exact, LENS).status is Status.CONVERGED
+    assert calibrate_points(points, exact, LENS).overall_status is Status.CONVERGED
 
 
 def test_an_uncertain_lens_is_in_the_covariance() -> None:
@@ -141,7 +141,7 @@ def test_a_point_that_is_another_is_left_out_and_told() -> None:
     uv_px = seen(points, random)
     uv_px[[3, 17]] += [4.0, -3.0]
     found = calibrate_points(points, uv_px, LENS)
-    np.testing.assert_array_equal(np.flatnonzero(~found.used), [3, 17])
+    np.testing.assert_array_equal(np.flatnonzero(~found.fits["camera"].used), [3, 17])
     assert (np.abs(errors(found)) < 5 * np.sqrt(np.diag(found.covariance))).all()
 
 
@@ -170,12 +170,12 @@ def test_a_real_rig_stands_where_opencv_puts_it(name: str) -> None:
     with np.load(folder / "correspondences.npz") as table:
         uv_px, points = table[name][:, :2], table[name][:, 2:]
     free = calibrate_points(points, uv_px, image_size_px=(1280, 1024))
-    assert free.used.mean() > 0.97
+    assert free.fits["camera"].used.mean() > 0.97
     # What a direct linear transform leaves, which has skew and no distortion, is .23, .50, .54.
-    assert free.rms_px < 0.5
-    assert free.status is Status.CONVERGED
+    assert free.rms_px() < 0.5
+    assert free.overall_status is Status.CONVERGED
     posed = calibrate_points(points, uv_px, free.camera.intrinsics)
-    used = posed.used
+    used = posed.fits["camera"].used
     matrix = np.array(posed.camera.intrinsics.matrix)
     # OpenCV has no skew: what it moves along u is taken off.
     along_u = matrix[0, 1] * (uv_px[:, 1] - matrix[1, 2]) / matrix[1, 1]
@@ -202,7 +202,7 @@ def test_the_parameters_over_a_sheet_scatter_as_their_covariance_says(model: Pos
             pose_model=model.word,
             systematics=Systematics(),
         )
-        assert found.parameters == model.parameter_names
+        assert found.parameters == tuple(f"camera.{name}" for name in model.parameter_names)
         camera = found.camera
         values = [camera.pan_deg, camera.tilt_deg, camera.swing_deg, camera.distance_mm]
         error = np.array([*values, *camera.aim_mm])[: model.size] - truth
@@ -231,7 +231,7 @@ def test_a_left_handed_frame_is_refused_with_and_without_a_lens(count, free) -> 
     uv_px = seen(points, random)
     upward = np.column_stack([uv_px[:, 0], 479 - uv_px[:, 1]])
     if count == 60:
-        assert calibrate_points(points, uv_px, LENS, free=free).status is Status.CONVERGED
+        assert calibrate_points(points, uv_px, LENS, free=free).overall_status is Status.CONVERGED
     for places, pixels in (
         (points * [-1, 1, 1], uv_px),
         (points * [1, -1, 1], uv_px),
@@ -258,7 +258,7 @@ def test_a_left_handed_frame_is_refused_among_outliers() -> None:
     points = block(random)
     uv_px = seen(points, random)
     uv_px[:3] += [30.0, -50.0]
-    assert calibrate_points(points, uv_px, LENS).status is Status.CONVERGED
+    assert calibrate_points(points, uv_px, LENS).overall_status is Status.CONVERGED
     with pytest.raises(CalibrationError, match="left-handed"):
         calibrate_points(points * [1, 1, -1], uv_px, LENS)
 

@@ -28,7 +28,7 @@ def relative(poses, first, second):
 
 
 def test_lenses_and_cameras_are_found_within_their_sigmas(found):
-    assert found.status is Status.CONVERGED
+    assert found.overall_status is Status.CONVERGED
     names = [f"{camera}.{name}" for camera in LENSES for name in lens_of(camera).parameter_names]
     truth = np.concatenate(list(LENSES.values()))
     free = np.array([found.sigma(name) > 0 for name in names])
@@ -48,7 +48,7 @@ def test_lenses_and_cameras_are_found_within_their_sigmas(found):
 
 def test_what_is_true_of_the_fit_is_said(found):
     assert 0.8 < found.reduced_chi_square < 1.2
-    assert all(0.85 < factor < 1.15 for factor in found.sigma_factor.values())
+    assert all(0.85 < fit.sigma_factor < 1.15 for fit in found.fits.values())
     assert found.halves is not None
     assert 0.5 < found.halves.ratio < 1.6
     assert "halves of the shots" in found.summary()
@@ -160,8 +160,8 @@ def test_shots_that_determine_nothing_are_told_why():
 def test_known_lenses_are_held():
     known = {name: Intrinsics.of_lens(lens_of(name), (640, 480)) for name in LENSES}
     result = calibrate_rig(shots(count=1), BOARD, lens=known, systematics=EXACT)
-    assert result.status is Status.CONVERGED
-    assert result.rig is not None
+    assert result.overall_status is Status.CONVERGED
+    assert result.has_rig
     assert result.sigma("left.fx_px") == 0.0
     poses = {name: np.asarray(result.rig[name].cam_from_world) for name in LENSES}
     exact = {name: cam_from_rig(name) for name in LENSES}

@@ -1,6 +1,6 @@
 """Fitted lenses that fold the image: refused, or usable up to the fold, with what to do."""
 
-from typing import NamedTuple
+from typing import cast
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from tests.calib.made_shots import (
     shots,
 )
 from tests.calib.problem.made_problem import problem
+from tests.calib.simulated_lens import fitted_names
 from trinoc.calib import Detection
 from trinoc.calib.folded_lens import assess_folds, fit_wider_model
 from trinoc.calib.lens_calibration import calibrate_intrinsics
@@ -24,6 +25,8 @@ from trinoc.calib.problem.problem import with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, end_of_fit
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.shots_fit import ShotsFit
+from trinoc.calib.starts.placing import PlacedRig
 from trinoc.errors import CalibrationError
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
@@ -38,10 +41,11 @@ def test_a_distortion_seen_in_the_middle_alone_is_not_a_result(monkeypatch):
         calibrate_rig(seen, BOARD, distortion=1)
     assert str(raised.value).startswith('The fitted distortion of "left" folds the picture 2')
     result = calibrate_rig(seen, BOARD, distortion=1, throw=False)
-    assert result.status is Status.SUSPECT
-    assert (result.rig, result.halves, result.ended) == (None, None, None)
+    assert result.overall_status is Status.SUSPECT
+    assert not result.has_rig
+    assert result.halves is None
     assert str(raised.value) in result.summary()
-    assert calibrate_rig(seen, BOARD, distortion=0, throw=False).rig is not None
+    assert calibrate_rig(seen, BOARD, distortion=0, throw=False).has_rig
 
 
 def test_the_first_lens_that_folds_too_near_is_named():
@@ -108,15 +112,15 @@ def test_a_coefficient_that_folds_the_image_is_fixed_where_the_residuals_allow_i
     folded = calibrate_intrinsics(
         given, BOARD, lens_model="kannala_brandt", distortion=3, throw=False
     )
-    assert folded.status is Status.SUSPECT
-    assert folded.lens is None
-    assert folded.notes[0].startswith('The fitted distortion of "the camera" folds the picture 3')
+    assert folded.overall_status is Status.SUSPECT
+    assert not folded.has_rig
+    assert folded.notes[0].startswith('The fitted distortion of "camera" folds the picture 3')
     result = calibrate_intrinsics(given, BOARD, lens_model="kannala_brandt")
-    assert result.lens is not None
+    assert result.has_rig
     assert describe_fold(result.lens) is None
     (note,) = [note for note in result.notes if "so k3 is fixed at 0" in note]
-    assert f"the rms residual is {result.rms_px:.3f} px instead of" in note
-    assert {"k3", "k4"}.isdisjoint(result.free)
+    assert f"the rms residual is {result.rms_px():.3f} px instead of" in note
+    assert {"k3", "k4"}.isdisjoint(fitted_names(result))
     assert result.sigma("k3") == 0.0
 
 
@@ -137,11 +141,11 @@ def test_a_coefficient_that_the_residuals_ask_for_is_not_fixed(monkeypatch, tmp_
     monkeypatch.setitem(made_shots.LENSES, "left", IN_CORNERS)
     given = corner_shots()
     result = calibrate_intrinsics(given, BOARD, lens_model="brown_conrady")
-    assert result.status is Status.CONVERGED
-    assert result.lens is not None
+    assert result.overall_status is Status.CONVERGED
+    assert result.has_rig
     assert result.sigma("k2") > 0.0
     (note,) = [note for note in result.notes if "folds the picture" in note]
-    assert note.startswith('The distortion of "the camera" folds the picture 35')
+    assert note.startswith('The distortion of "camera" folds the picture 35')
     np.testing.assert_allclose(result.lens.valid_radius_px, 355.0, atol=5.0)
     trinoc.save(result, tmp_path / "camera.json")
     assert trinoc.load(tmp_path / "camera.json") == result.lens
@@ -150,8 +154,8 @@ def test_a_coefficient_that_the_residuals_ask_for_is_not_fixed(monkeypatch, tmp_
 def test_a_rig_with_a_fold_in_the_corners_has_a_note_and_is_read_back(monkeypatch, tmp_path):
     monkeypatch.setitem(made_shots.LENSES, "left", IN_CORNERS)
     result = calibrate_rig({"left": corner_shots()}, BOARD, lens_model="brown_conrady")
-    assert result.status is Status.CONVERGED
-    assert result.rig is not None
+    assert result.overall_status is Status.CONVERGED
+    assert result.has_rig
     (note,) = [note for note in result.notes if "folds the picture" in note]
     assert note in result.summary()
     trinoc.save(result, tmp_path / "rig.json")
@@ -170,7 +174,7 @@ def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
     true = np.array([450.0, 450.0, 420.0, 388.0, 0.02, 0.005, 0.0, 0.0])
     given = fisheye_shots(true, count=16, sigma_px=0.05)
     result = calibrate_rig({"left": given}, BOARD)
-    assert result.rig is not None
+    assert result.has_rig
     lens = result.rig["left"].intrinsics
     assert lens.distortion_model in ("rational", "kannala_brandt")
     assert describe_fold(lens) is None
@@ -180,21 +184,20 @@ def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
     named = calibrate_rig({"left": given}, BOARD, lens_model="brown_conrady")
     (note,) = [note for note in named.notes if "folds the picture" in note]
     assert note.startswith('The distortion of "left" folds the picture 404 px')
-    assert named.rig is not None
+    assert named.has_rig
     assert 400 < named.rig["left"].intrinsics.valid_radius_px < 410
     alone = calibrate_intrinsics(given, BOARD)
-    assert alone.lens is not None
+    assert alone.has_rig
     assert alone.lens.distortion_model == lens.distortion_model
     assert any("so the lens model is" in note for note in alone.notes)
 
 
-class Holder(NamedTuple):
-    """A value of which `fit` is the end of a fit, as `fit_wider_model` takes it."""
+def holder(fit: RobustFit) -> ShotsFit:
+    """The fit of a rig, as `fit_wider_model` takes it."""
+    return ShotsFit(cast(PlacedRig, None), fit)
 
-    fit: RobustFit
 
-
-def fit_with_noise(sigma_px: float) -> Holder:
+def fit_with_noise(sigma_px: float) -> ShotsFit:
     """The three cameras at the truth, with residuals of this standard deviation."""
     poses, random = board_poses(8), np.random.default_rng(0)
     here, names = problem(poses), tuple(made_shots.LENSES)
@@ -206,7 +209,7 @@ def fit_with_noise(sigma_px: float) -> Holder:
         )
         for view in here.views
     )
-    return Holder(end_of_fit(here._replace(views=views), True, []))
+    return holder(end_of_fit(here._replace(views=views), True, []))
 
 
 @pytest.mark.parametrize(
@@ -221,12 +224,12 @@ def test_a_wider_model_is_taken_where_it_explains_the_corners_as_well(
     folds = np.array([350.0, 350.0, 319.5, 239.5, -0.27, 0.0, 0.0, 0.0, 0.0])
     monkeypatch.setitem(made_shots.LENSES, "left", folds)
     folding = fit_with_noise(0.1)
-    result, sentences = fit_wider_model(folding, fits.__getitem__, tuple(made_shots.LENSES))
-    assert result is (folding if chosen is None else fits[chosen])
+    result = fit_wider_model(folding, fits.__getitem__, tuple(made_shots.LENSES))
+    assert result.fit is (folding if chosen is None else fits[chosen]).fit
     if chosen is None:
-        assert sentences == ()
+        assert result.remarks == ()
     else:
-        (sentence,) = sentences
+        (sentence,) = result.remarks
         assert f"so the lens model is {chosen.model}" in sentence
 
 
@@ -234,12 +237,12 @@ def test_a_wider_model_that_the_shots_do_not_determine_is_not_taken(monkeypatch)
     """The residuals of too many coefficients are always small."""
     determined = fit_with_noise(0.05)
     free = np.ones((3, 9), dtype=bool)
-    undetermined = Holder(
+    undetermined = holder(
         determined.fit._replace(problem=with_lens_free(determined.fit.problem, free))
     )
     folds = np.array([350.0, 350.0, 319.5, 239.5, -0.27, 0.0, 0.0, 0.0, 0.0])
     monkeypatch.setitem(made_shots.LENSES, "left", folds)
     folding = fit_with_noise(0.1)
     fits = {Rational: undetermined, KannalaBrandt: determined}
-    result, _ = fit_wider_model(folding, fits.__getitem__, tuple(made_shots.LENSES))
-    assert result is determined
+    result = fit_wider_model(folding, fits.__getitem__, tuple(made_shots.LENSES))
+    assert result.fit is determined.fit

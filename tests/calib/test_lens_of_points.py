@@ -8,7 +8,7 @@ from scipy.stats import chi2, kstest
 
 from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
 from trinoc.calib import Status
-from trinoc.calib.from_points import PointsCalibration, calibrate_points
+from trinoc.calib.from_points import CalibrationResult, calibrate_points
 from trinoc.calib.lens_of_points import (
     fit_without_outliers,
     lens_parameter_names,
@@ -40,7 +40,7 @@ def see(camera: Camera, points: np.ndarray, random: np.random.Generator) -> np.n
     return exact + random.normal(0, NOISE_PX, exact.shape)
 
 
-def squared_error_of_centre(found: PointsCalibration, camera: Camera) -> float:
+def squared_error_of_centre(found: CalibrationResult, camera: Camera) -> float:
     """By the claimed covariance: chi-square of three degrees of freedom."""
     error = np.asarray(found.camera.pose.centre_world_mm) - camera.pose.centre_world_mm
     return float(error @ np.linalg.solve(found.covariance[3:6, 3:6], error))
@@ -70,8 +70,8 @@ def test_a_skew_that_points_ask_for_is_fitted_and_its_covariance_is_true() -> No
         random = np.random.default_rng([8, seed])
         points = block(random)
         found = calibrate_points(points, see(camera, points, random), image_size_px=SIZE_PX)
-        assert found.status is Status.CONVERGED
-        assert found.parameters[6:] == (*AFFINE_PARAMETERS, "skew_px")
+        assert found.overall_status is Status.CONVERGED
+        assert found.lens_parameters == (*AFFINE_PARAMETERS, "skew_px")
         assert "no sensor has" in found.notes[0]
         off = float(found.camera.intrinsics.skew_px) - float(SKEWED.skew_px)
         assert abs(off) < 4.5 * found.sigma("skew_px")
@@ -91,7 +91,7 @@ def test_skew_and_distortion_are_found_together() -> None:
     camera, random = camera_of(TABLE_1["left"], lens), np.random.default_rng(3)
     points = block(random, 250)
     found = calibrate_points(points, see(camera, points, random), image_size_px=SIZE_PX)
-    assert {"skew_px", "k1"} <= set(found.parameters)
+    assert {"skew_px", "k1"} <= set(found.lens_parameters)
     assert squared_error_of_centre(found, camera) < chi2.ppf(0.9999, 3)
 
 
@@ -115,9 +115,9 @@ def test_a_skew_that_gains_nothing_beside_what_is_freed_later_is_held_again(seed
     random = np.random.default_rng([14, seed])
     points = random.uniform([0, 0, -12], [68, 66, 0], (430, 3))
     found = calibrate_points(points, see(camera, points, random), image_size_px=lens.image_size_px)
-    assert found.status is Status.CONVERGED
-    assert found.parameters[10:14] == ("k1", "k2", "p1", "p2")
-    assert "skew_px" not in found.parameters
+    assert found.overall_status is Status.CONVERGED
+    assert found.lens_parameters[4:8] == ("k1", "k2", "p1", "p2")
+    assert "skew_px" not in found.lens_parameters
     assert squared_error_of_centre(found, camera) < chi2.ppf(0.9999, 3)
 
 
@@ -131,12 +131,12 @@ def test_points_that_ask_for_a_lens_that_is_held_are_suspect_and_say_for_what() 
         posed = calibrate_points(points, uv_px, LENS, systematics=Systematics())
         usual = calibrate_points(points, uv_px, LENS)
         for found in (held, posed, usual):
-            assert found.status is Status.SUSPECT
+            assert found.overall_status is Status.SUSPECT
             assert len(found.notes) >= 1
         assert "ask for another lens" in held.notes[0]
         assert cause in held.notes[0]
     right = calibrate_points(points, bent, DISTORTED_LENS, systematics=Systematics())
-    assert right.status is Status.CONVERGED
+    assert right.overall_status is Status.CONVERGED
     assert right.notes == ()
 
 
@@ -151,7 +151,7 @@ def test_an_aim_that_is_held_and_is_not_is_suspect() -> None:
     ):
         uv_px = see(camera, points, random)
         found = calibrate_points(points, uv_px, LENS, pose_model="aimed", systematics=exact)
-        assert found.status is status
+        assert found.overall_status is status
     numbers = re.findall(r"[-\d.]+", found.notes[0].split("+-")[0])
     np.testing.assert_allclose([float(number) for number in numbers], [3.0, -2.0], atol=0.1)
 
@@ -170,5 +170,5 @@ def test_a_lens_is_refuted_beyond_what_is_said_of_it(sigmas: float, status: Stat
     uv_px = see(camera_of(TABLE_1["left"], lens), points, random)
     stated = Systematics(lens_covariance=np.diag([25.0, 25.0, sigma_px**2, sigma_px**2]))
     found = calibrate_points(points, uv_px, LENS, systematics=stated)
-    assert found.status is status
+    assert found.overall_status is status
     assert all("another than was said" in note for note in found.notes)

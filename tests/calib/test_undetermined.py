@@ -1,5 +1,6 @@
 """What pictures cannot determine is named, refused, and mended by the picture advised."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -11,13 +12,17 @@ from tests.calib.simulated_lens import (
     SIZE_PX,
     detection,
     detections,
+    fitted_names,
     good_poses,
+    lens_sigmas,
+    lens_values,
     pose,
 )
-from trinoc.calib import Detection, IntrinsicsResult, Status, lens_calibration
+from trinoc.calib import CalibrationResult, Detection, Status, next_shot
 from trinoc.calib.advice.foreseen_shots import candidate_shots
-from trinoc.calib.advice.next_shot import advise_next_image
+from trinoc.calib.advice.next_shot import weakly_known_covariance
 from trinoc.calib.lens_calibration import calibrate_intrinsics
+from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.problem import Freedom
 from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import View
@@ -33,40 +38,48 @@ SQUARE = [
 THE_LENS = BrownConrady.from_parameters(LENS)
 
 
-def test_pictures_square_to_the_camera_leave_focal_length_and_distance_open(monkeypatch):
-    asked: list = []
-
-    def advise(*given):
-        asked.append(given)
-        return advise_next_image(*given)
-
-    monkeypatch.setattr(lens_calibration, "advise_next_image", advise)
+def test_pictures_square_to_the_camera_leave_focal_length_and_distance_open():
     with pytest.raises(CalibrationError, match="square to the camera") as caught:
         calibrate_intrinsics(detections(SQUARE), SHEET)
     result = caught.value.result
-    assert isinstance(result, IntrinsicsResult)
-    assert result.status is Status.RANK_DEFICIENT
-    assert result.lens is None
-    assert {"fx_px", "fy_px"} <= set(result.gauge)
-    assert np.isnan(result.values[:2]).all()
+    assert isinstance(result, CalibrationResult)
+    assert result.overall_status is Status.RANK_DEFICIENT
+    assert not result.has_rig
+    with pytest.raises(CalibrationError, match="No rig was determined"):
+        _ = result.lens
+    assert {"camera.fx_px", "camera.fy_px"} <= set(result.gauge)
+    assert np.isnan(lens_values(result)[:2]).all()
     assert np.isnan(result.sigma("fx_px"))
-    assert re.search("Next picture: hold the board .* tilted", str(caught.value))
-    # Rounding may leave less than no information on what is open; it is none.
-    (problem, information, *others) = asked[0]
-    known, directions = np.linalg.eigh(information)
-    none, less = (
-        advise_next_image(problem, (directions * [least, *known[1:]]) @ directions.T, *others)
-        for least in (0.0, -1.0)
-    )
-    assert none is not None
-    assert less is not None
-    assert less.sentence == none.sentence
+    assert re.search("Next, hold the board .* tilted", str(caught.value))
+
+
+def test_rounding_below_no_information_is_none():
+    def advise(least: float) -> str:
+        covariance = weakly_known_covariance(information._replace(of_shot=with_least(least)))
+        advice = next_shot(dataclasses.replace(result, ended=ended._replace(covariance=covariance)))
+        assert advice is not None
+        return advice.sentence
+
+    def with_least(least: float) -> np.ndarray:
+        whole, free = information.of_shot.sum(axis=0), information.free
+        prior = np.zeros_like(whole)
+        prior[np.ix_(free, free)] = information.prior
+        eigenvalues, directions = np.linalg.eigh((whole + prior)[np.ix_(free, free)])
+        changed = (directions * [least, *eigenvalues[1:]]) @ directions.T
+        whole[np.ix_(free, free)] = changed - information.prior
+        return whole[None]
+
+    result = calibrate_intrinsics(detections(SQUARE), SHEET, throw=False)
+    ended = result.ended
+    assert ended is not None
+    information = compute_information(ended.problem)
+    assert advise(0.0) == advise(-1.0)
 
 
 def test_one_picture_does_not_pass_for_a_lens():
     result = calibrate_intrinsics(detections(good_poses()[:1]), SHEET, distortion=0, throw=False)
     exact = calibrate_intrinsics(detections(good_poses()), SHEET)
-    assert result.status is not Status.CONVERGED or (
+    assert result.overall_status is not Status.CONVERGED or (
         result.sigma("fx_px") > 10 * exact.sigma("fx_px")
     )
 
@@ -75,28 +88,28 @@ def test_a_held_principal_point_lets_one_picture_do():
     straight = np.append(LENS[:2], [255.5, 239.5, 0, 0, 0, 0, 0])
     found = [detection(good_poses()[2], values=straight)]
     result = calibrate_intrinsics(found, SHEET, distortion=0, principal_point="centre")
-    assert result.free == ("fx_px", "fy_px")
-    assert (
-        np.abs(result.values - straight)[:2] < 4 * np.sqrt(np.diag(result.covariance))[:2]
-    ).all()
+    assert fitted_names(result) == ("fx_px", "fy_px")
+    assert (np.abs(lens_values(result) - straight)[:2] < 4 * lens_sigmas(result)[:2]).all()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("poses", [good_poses()[:3], good_poses(seed=3), SQUARE[:4]])
 def test_the_advised_picture_lowers_the_sigma_that_it_promises(poses):
     before = calibrate_intrinsics(detections(poses), SHEET, throw=False)
-    advice = before.next_image
+    advice = next_shot(before)
     assert advice is not None
+    parameter = advice.parameter
+    assert parameter is not None
     # The advice was made for the lens as estimated; the true one images the sheet alike.
-    taken = detection(advice.cam_from_world, seed=77)
+    taken = detection(advice.world_from_board, seed=77)
     after = calibrate_intrinsics([*detections(poses), taken], SHEET, throw=False)
-    sigma = after.sigma(advice.parameter)
-    if np.isfinite(advice.sigma_now):
-        assert advice.sigma_then < advice.sigma_now
-        assert sigma < before.sigma(advice.parameter)
-        assert sigma == pytest.approx(advice.sigma_then, rel=0.3)
+    sigma = after.sigma(parameter)
+    if np.isfinite(advice.sigma_now[parameter]):
+        assert advice.sigma_then[parameter] < advice.sigma_now[parameter]
+        assert sigma < before.sigma(parameter)
+        assert sigma == pytest.approx(advice.sigma_then[parameter], rel=0.3)
     else:
-        assert after.status is Status.CONVERGED
+        assert after.overall_status is Status.CONVERGED
         assert np.isfinite(sigma)
 
 
@@ -178,6 +191,6 @@ def test_a_picture_with_too_few_circles_is_named_and_left_out():
         image_size_px=few.image_size_px,
     )
     result = calibrate_intrinsics(found, SHEET)
-    assert list(result.failures) == [0]
-    assert result.image_index == tuple(range(1, 8))
+    assert list(result.failures) == ["camera, picture 1"]
+    assert result.shots == tuple(f"picture {k}" for k in range(2, 9))
     assert "picture 1: only 3 circles" in result.summary()

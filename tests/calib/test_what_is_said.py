@@ -11,10 +11,9 @@ from tests.calib.made_shots import BOARD, LENSES, SIZE_PX, board_poses, cam_from
 from tests.calib.problem.made_problem import problem
 from trinoc.calib import Detection
 from trinoc.calib.problem.rao_test import unseen_sigmas
-from trinoc.calib.result.calibration import Status
+from trinoc.calib.result.calibration import CalibrationResult, Status
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.shot_messages import undetermined_sentence
-from trinoc.calib.shots_result import RigFromShots
 from trinoc.calib.starts.camera_start import start_poses
 from trinoc.calib.starts.placing import boards_are_parallel, find_exchanged_pair
 from trinoc.calib.starts.sightings import label_sighting
@@ -147,8 +146,8 @@ def with_left(skew_px: float = 0.0, **off: float) -> dict[str, Intrinsics]:
 )
 def test_a_lens_that_was_given_and_shots_refute_is_named(wrong, named, amount):
     found = calibrate_rig(shots(), BOARD, lens=with_left(**wrong), systematics=EXACT)
-    assert found.status is Status.SUSPECT
-    assert found.rig is not None
+    assert found.overall_status is Status.SUSPECT
+    assert found.has_rig
     said = rf'another lens of "left" than was given, above all in {named} by (\S+) \+- ([^,: ]+)'
     match = re.search(said, found.notes[0])
     assert match is not None
@@ -160,7 +159,7 @@ def test_a_lens_of_all_cameras_is_refuted_as_one(monkeypatch):
     monkeypatch.setitem(LENSES, "right", LENSES["left"])
     seen, wrong = shots(cameras=("left", "right")), with_left(k1=0.1)["left"]
     found = calibrate_rig(seen, BOARD, lens=wrong, same_lens=True, systematics=EXACT)
-    assert found.status is Status.SUSPECT
+    assert found.overall_status is Status.SUSPECT
     assert 'another lens of "left", "right" than was given, above all in k1' in found.notes[0]
 
 
@@ -168,7 +167,7 @@ def test_a_lens_that_is_another_cameras_is_refuted():
     """It is off in all, so that the shots do not agree with any one cause."""
     known = KNOWN | {"left": KNOWN["right"]}
     found = calibrate_rig(shots(), BOARD, lens=known, systematics=EXACT)
-    assert found.status is Status.SUSPECT
+    assert found.overall_status is Status.SUSPECT
     assert 'another lens of "left"' in found.notes[0]
 
 
@@ -184,13 +183,13 @@ def test_lenses_that_are_as_given_are_hardly_ever_accused(seed):
     lens = {name: KNOWN[name] for name in seen}
     for each in (seen, seen | {"right": moved}):
         found = calibrate_rig(each, BOARD, lens=lens, systematics=EXACT)
-        assert found.status is Status.CONVERGED
+        assert found.overall_status is Status.CONVERGED
 
 
 def test_an_error_of_a_lens_that_goes_unseen_moves_a_camera_as_is_said():
     """Of a lens that is off by as much the rig is as many sigmas away, in the same shots."""
 
-    def fitted(known: dict[str, Intrinsics]) -> RigFromShots:
+    def fitted(known: dict[str, Intrinsics]) -> CalibrationResult:
         two = {name: known[name] for name in ("left", "right")}
         seen = shots(cameras=("left", "right"))
         return calibrate_rig(seen, BOARD, lens=two, systematics=EXACT, world="left", throw=False)
@@ -204,8 +203,8 @@ def test_an_error_of_a_lens_that_goes_unseen_moves_a_camera_as_is_said():
     wrong[2:4] += float(match[2]), float(match[3])
     lens = Intrinsics.of_lens(BrownConrady.from_parameters(wrong), SIZE_PX)
     off = fitted(KNOWN | {match[1]: lens})
-    assert right.rig is not None
-    assert off.rig is not None
+    assert right.has_rig
+    assert off.has_rig
     before, after = right.rig["right"].pose, off.rig["right"].pose
     start, end = (each.model_parameters(PoseModel.RIGID, before) for each in (before, after))
     step = np.asarray(end) - np.asarray(start)

@@ -66,15 +66,14 @@ def test_grey_levels_tell_more_than_circles(folder):
         trinoc.calibrate_intrinsics(images, SHEET, distortion=2, method=method)
         for method in ("points", "pixels")
     )
-    assert pixels.free == circles.free
-    assert pixels.rms_px == pytest.approx(circles.rms_px, rel=0.2)
+    assert pixels.lens_parameters == circles.lens_parameters
+    assert pixels.rms_px() == pytest.approx(circles.rms_px(), rel=0.2)
     for name, true in (("fx_px", 610.0), ("fy_px", 745.0), ("cx_px", 159.5), ("k1", -0.2)):
         assert pixels.sigma(name) < circles.sigma(name)
-        value = pixels.values[pixels.parameters.index(name)]
-        assert abs(value - true) < 5 * pixels.sigma(name)
-    assert pixels.lens is not None
+        assert abs(pixels.value(name) - true) < 5 * pixels.sigma(name)
+    assert pixels.has_rig
     assert pixels.lens.image_size_px == (320, 300)
-    assert pixels.next_image is not None
+    assert trinoc.next_shot(pixels) is not None
     assert 0.7 < pixels.reduced_chi_square < 1.3
 
 

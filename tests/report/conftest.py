@@ -106,7 +106,7 @@ def made_up_result(rig: Rig) -> CalibrationResult:
         notes = ("Circle 7 was left out as an outlier.",) if name == "left" else ()
         detection = _detection(camera, pattern, noise)
         used = np.arange(len(pattern)) != (7 if notes else -1)
-        fits[name] = CameraFit(detection, -noise, 4, 1.02, (), notes, used)
+        fits[name] = CameraFit(-noise, used, 4, 1.02, (), notes, detections=(detection,))
     return CalibrationResult(
         rig,
         dict.fromkeys(rig, Status.CONVERGED),

@@ -101,15 +101,15 @@ def test_places_left_out_are_marked_and_cut() -> None:
     (whole,) = [each for each in part.cameras[0].figures if each.name == SHOTS[1]]
     assert whole.caption.startswith("left out, ")
     assert whole.residuals == ""
-    assert "located wrongly and left out" in Page(render_report(shots=changed)).text
+    assert "located wrongly and left out" in Page(render_report(result=changed)).text
 
 
 def test_the_page_holds_each_image_once_and_small() -> None:
     noise = np.random.default_rng(0).integers(0, 255, (1536, 2048, 3)).astype(np.uint8)
     result = made_up()
     given = {name: dict.fromkeys(SHOTS, noise) for name in result.cameras}
-    text = render_report(shots=result, shot_pictures=given)
-    bare = render_report(shots=result)
+    text = render_report(result=result, shot_pictures=given)
+    bare = render_report(result=result)
     assert text.count("data:image/jpeg") == 36
     assert bare.count("data:image/jpeg") == 0
     # Noise is the largest that a JPEG can be.

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trinoc.calib import Detection, RigFromShots, Status
+from trinoc.calib import CalibrationResult, CameraFit, Detection, Status
 from trinoc.calib.problem.views import View
 from trinoc.calib.result.halves import CrossValidation, FieldDifference, HalvesCheck
 from trinoc.calib.targets.checkers import Chessboard
@@ -49,29 +49,29 @@ def seen(camera: int, shot: int, random: np.random.Generator, *, used: bool = Tr
     return View(camera, shot, detection, np.full(count, used))
 
 
-def made_up(**changes: Any) -> RigFromShots:
-    """Three cameras that saw twelve boards; `changes` replaces fields of the result."""
+def made_up(**changes: Any) -> CalibrationResult:
+    """Three cameras that saw twelve boards; `changes` replaces fields of the result.
+
+    `status` is that of every camera, and `sigma_factor` goes into their fits.
+    """
     random, rig = np.random.default_rng(5), made_up_rig()
     views = tuple(seen(k, s, random) for k in range(3) for s in range(len(SHOTS)))
     poses = np.tile(np.eye(3, 4), (len(SHOTS), 1, 1))
     poses[:, :, 3] = random.uniform(-60, 60, (len(SHOTS), 3))
     fields = {
-        "rig": rig,
-        "status": Status.CONVERGED,
+        "solution": rig,
         "parameters": (*rig.parameters, "board.scale_x"),
         "values": np.append(np.arange(12.0), 0.001),
         "covariance": np.diag(np.append(np.diag(rig.covariance), 4e-8)),
         "gauge": (),
         "world": "the board in 00",
         "target": BOARD,
-        "cameras": rig.names,
         "shots": SHOTS,
         "world_from_board": poses,
         "reference_from_board": np.eye(3, 4)[None],
         "place_shifts_mm": np.zeros((0, 3)),
         "views": views,
         "residuals_px": tuple(random.normal(0, 0.1, (len(BOARD), 2)) for _ in views),
-        "sigma_factor": dict.fromkeys(rig.names, 1.0),
         "reduced_chi_square": 1.0,
         "halves": HALVES,
         "failures": {},
@@ -79,10 +79,25 @@ def made_up(**changes: Any) -> RigFromShots:
         "systematics": ("print size (0.2 %)",),
         "notes": (),
     }
-    return RigFromShots(**{**fields, **changes})
+    status = changes.pop("status", Status.CONVERGED)
+    factors = {**dict.fromkeys(rig.names, 1.0), **changes.pop("sigma_factor", {})}
+    fields = {**fields, **changes}
+    fits = {}
+    for number, name in enumerate(rig.names):
+        rows = [k for k, view in enumerate(fields["views"]) if view.camera == number]
+        residuals = [np.zeros((0, 2)), *(fields["residuals_px"][k] for k in rows)]
+        used = [np.zeros(0, dtype=bool), *(fields["views"][k].kept for k in rows)]
+        fits[name] = CameraFit(
+            np.concatenate(residuals),
+            np.concatenate(used),
+            4,
+            1.0,
+            sigma_factor=factors[name],
+        )
+    return CalibrationResult(status=dict.fromkeys(rig.names, status), fits=fits, **fields)
 
 
-def judged(result: RigFromShots) -> Verdict:
+def judged(result: CalibrationResult) -> Verdict:
     seen = places_seen(result)
     verdict = find_verdict(
         Subject(
@@ -96,17 +111,17 @@ def judged(result: RigFromShots) -> Verdict:
     return verdict
 
 
-def covered(result: RigFromShots) -> tuple[Coverage, ...]:
+def covered(result: CalibrationResult) -> tuple[Coverage, ...]:
     return coverage_by_boards(places_seen(result))
 
 
 @pytest.fixture(scope="module")
-def result() -> RigFromShots:
+def result() -> CalibrationResult:
     return made_up()
 
 
 def test_every_camera_parameter_and_shot_is_shown_and_nothing_is_fetched(result) -> None:
-    page = Page(render_report(shots=result))
+    page = Page(render_report(result=result))
     for word in (*result.cameras, *SHOTS, "pan (deg)", "scale_x", "print size (0.2 %)"):
         assert word in page.text
     assert {"cameras", "shots", "field-of-board", "uncertainty", "space"} <= set(
@@ -118,15 +133,15 @@ def test_every_camera_parameter_and_shot_is_shown_and_nothing_is_fetched(result)
 
 
 def test_equal_results_give_equal_files(result, tmp_path: Path) -> None:
-    write_report(tmp_path / "a.html", shots=result)
-    write_report(tmp_path / "b.html", shots=made_up())
+    write_report(tmp_path / "a.html", result=result)
+    write_report(tmp_path / "b.html", result=made_up())
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
 
 
 def test_names_cannot_break_the_page(result) -> None:
     shots = ("<script>alert(1)</script>", *SHOTS[1:])
     text = render_report(
-        shots=made_up(shots=shots, notes=("<b>bold</b>",), failures={'left, "><i>': "no <board>"})
+        result=made_up(shots=shots, notes=("<b>bold</b>",), failures={'left, "><i>': "no <board>"})
     )
     page = Page(text)
     assert "<script>alert(1)</script>" in page.text
@@ -135,7 +150,7 @@ def test_names_cannot_break_the_page(result) -> None:
 
 
 def test_a_fit_that_failed_shows_its_shots_and_no_rig() -> None:
-    page = Page(render_report(shots=made_up(rig=None, status=Status.NOT_CONVERGED)))
+    page = Page(render_report(result=made_up(solution=None, status=Status.NOT_CONVERGED)))
     assert "Do not rely on this rig." in page.text
     assert not {"space", "uncertainty"} & set(page.attributes("id"))
     assert "shots" in page.attributes("id")
@@ -188,12 +203,12 @@ def test_mean_residuals_tell_a_pattern_from_chance(result) -> None:
 
 def test_what_shots_held_out_and_the_next_one_say_is_shown(result) -> None:
     text = render_report(
-        shots=made_up(cross_validation=CrossValidation(12, {"left": 0.1}, {"left": 0.234})),
+        result=made_up(cross_validation=CrossValidation(12, {"left": 0.1}, {"left": 0.234})),
         advice="Show the board to left & right.",
     )
     assert "0.234 px" in Page(text).text
     assert "To take next: Show the board to left & right." in Page(text).text
-    assert "To take next" not in render_report(shots=result)
+    assert "To take next" not in render_report(result=result)
 
 
 def test_the_halves_are_compared_over_the_field(result) -> None:
@@ -211,18 +226,18 @@ def test_the_halves_are_compared_over_the_field(result) -> None:
         ("0.05", "3.5 \N{GREEK SMALL LETTER SIGMA}")
     }
     assert far[0].cells[3].words == "no ray of the lens"
-    page = Page(render_report(shots=with_maps))
+    page = Page(render_report(result=with_maps))
     for word in ("512 mm away, 3.54 sigmas rms", "1536 mm away", "Two halves"):
         assert word in page.text
     assert "halves" in page.attributes("id")
-    assert "halves" not in Page(render_report(shots=result)).attributes("id")
+    assert "halves" not in Page(render_report(result=result)).attributes("id")
 
 
 def test_the_maps_grow_as_the_sigmas_of_the_rig(result) -> None:
     maps = uncertainty_maps(result)
     assert maps is not None
     wider = made_up(
-        rig=Rig(
+        solution=Rig(
             dict(result.rig.items()),
             parameters=result.rig.parameters,
             covariance=4 * result.rig.covariance,
@@ -255,7 +270,7 @@ def test_one_statement_says_how_well_a_pixel_is_known(result) -> None:
         parameters=result.rig.parameters,
         covariance=covariance[:-1, :-1],
     )
-    sized, exact = made_up(rig=rig, covariance=covariance), made_up(covariance=noise)
+    sized, exact = made_up(solution=rig, covariance=covariance), made_up(covariance=noise)
     now, before = sized.pixel_sigma, exact.pixel_sigma
     assert now is not None
     assert before is not None
@@ -270,7 +285,7 @@ def test_one_statement_says_how_well_a_pixel_is_known(result) -> None:
     assert same is not None
     for one, other in zip(maps.levels, same.levels, strict=True):
         assert texts_of(one) == texts_of(other)
-    text = Page(render_report(shots=sized)).text
+    text = Page(render_report(result=sized)).text
     assert text.count(f"adds up to {now.size_px:.2g} px") >= 2
     assert f"± {now.median_px:.2g} px" in text
     assert now.sentence in sized.summary()
@@ -279,7 +294,7 @@ def test_one_statement_says_how_well_a_pixel_is_known(result) -> None:
 def test_pairs_of_cameras_stand_in_report_summary_and_record(result) -> None:
     from trinoc.cli.calibrate_rig import rig_record
 
-    page, record = Page(render_report(shots=result)), rig_record(result)
+    page, record = Page(render_report(result=result)), rig_record(result)
     assert "How the cameras stand to each other" in page.text
     assert [pair["cameras"] for pair in record["pairs"]] == [
         ["upper", "right"],
@@ -291,9 +306,9 @@ def test_pairs_of_cameras_stand_in_report_summary_and_record(result) -> None:
         assert with_sigma(pair.baseline_mm, pair.baseline_sigma_mm) in page.text
     lines = [line for line in result.summary().splitlines() if ": baseline " in line]
     assert [line.partition(":")[0] for line in lines] == ["upper to right", "upper to left"]
-    alone = made_up(rig=None, status=Status.NOT_CONVERGED)
+    alone = made_up(solution=None, status=Status.NOT_CONVERGED)
     assert rig_record(alone)["pairs"] == []
-    assert "stand to each other" not in render_report(shots=alone)
+    assert "stand to each other" not in render_report(result=alone)
 
 
 def texts_of(level: FieldLevel) -> list[list[str]]:

@@ -1,3 +1,6 @@
+from .advice.next_shot import (
+    next_shot as next_shot,
+)
 from .bundle.implicit_diff import (
     refine_differentiably as refine_differentiably,
 )
@@ -14,9 +17,6 @@ from .detection.registry import (
 from .from_detections import (
     calibrate_detections as calibrate_detections,
 )
-from .intrinsics_result import (
-    IntrinsicsResult as IntrinsicsResult,
-)
 from .result.calibration import (
     CalibrationResult as CalibrationResult,
     CameraFit as CameraFit,
@@ -24,12 +24,6 @@ from .result.calibration import (
 )
 from .rig_check.knocked import (
     RigCheck as RigCheck,
-)
-from .rig_from_shots import (
-    next_shot as next_shot,
-)
-from .shots_result import (
-    RigFromShots as RigFromShots,
 )
 from .systematic_errors import (
     with_systematics as with_systematics,

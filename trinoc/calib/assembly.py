@@ -72,13 +72,13 @@ def result_of_fits(
     advice = [unseen] if better is None else [better.sentence, unseen]
     rows = [covariance_names.index(parameter) for parameter in parameters]
     return CalibrationResult(
-        rig=Rig(cameras, parameters=covariance_names, covariance=covariance),
+        solution=Rig(cameras, parameters=covariance_names, covariance=covariance),
         status=status_of_camera,
         parameters=tuple(parameters),
         values=np.concatenate(values),
         covariance=covariance[np.ix_(rows, rows)],
         fits=camera_fits,
-        pattern=known.pattern,
+        target=known.pattern,
         failures=failures,
         systematics=known.systematics.words,
         notes=notes_of_sheet,
@@ -166,7 +166,7 @@ def _camera_fit(
         of_aim = notes_of_aim(fit.adjustment, view, known)
     at_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
     camera_fit = CameraFit(
-        detection=choice.camera.detection,
+        detections=(choice.camera.detection,),
         residuals_px=errors_px(at_answer)[view],
         rank=observability.rank,
         reduced_chi_square=reduced,

@@ -1,7 +1,8 @@
 """Fitted lenses that fold the image: a distortion that is not determined out to the corners."""
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,8 +12,8 @@ from trinoc.calib.problem.moments import errors_about_image_poses_px, fit_image_
 from trinoc.calib.problem.outcome import assess_fit
 from trinoc.calib.problem.problem import Problem, lens_number, with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, refit
+from trinoc.calib.problem.status import Status
 from trinoc.calib.problem.views import View
-from trinoc.calib.result.calibration import Status
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold, describe_usable_fold
@@ -21,20 +22,12 @@ from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
 from trinoc.geometry.lenses.polynomial import Rational
 from trinoc.geometry.lenses.registry import simplify_lens
 
+if TYPE_CHECKING:
+    from trinoc.calib.shots_fit import ShotsFit
+
 # Models that follow a strong distortion without folding the image. The first one is OpenCV's own
 # with eight coefficients, which undistorts by the same functions as Brown-Conrady's.
 _WIDER_MODELS: tuple[type[AbstractLens], ...] = (Rational, KannalaBrandt)
-
-
-@runtime_checkable
-class _HasFit(Protocol):
-    """A value of which `fit` is the end of a fit."""
-
-    @property
-    def fit(self) -> RobustFit: ...
-
-
-FitT = TypeVar("FitT", bound=_HasFit)
 
 
 class FoldFindings(NamedTuple):
@@ -122,8 +115,10 @@ def hold_folding(fit: RobustFit, cameras: Sequence[str]) -> tuple[RobustFit, tup
 
 
 def fit_wider_model(
-    folding: FitT, fit_model: Callable[[type[AbstractLens]], FitT], cameras: Sequence[str]
-) -> tuple[FitT, tuple[str, ...]]:
+    folding: "ShotsFit",
+    fit_model: "Callable[[type[AbstractLens]], ShotsFit]",
+    cameras: Sequence[str],
+) -> "ShotsFit":
     """Return a fit by another lens model if a lens of this one folds its image.
 
     Cameras of wide lenses need it: the polynomial of Brown-Conrady, fitted where corners were
@@ -138,12 +133,12 @@ def fit_wider_model(
     Returns
     -------
     The fit of the first wider model that is determined, folds no image and explains the
-    observations, and a sentence that says so; the fit that was given, and no sentence, if there is
-    none or none is needed.
+    observations, with a remark that reports the change; the fit that was given, if there is none
+    or none is needed.
     """
     folds = _folds(folding.fit.problem)
     if not folds:
-        return folding, ()
+        return folding
     every = range(len(cameras))
     folding_rms_px = _rms_px(folding.fit.problem, every)
     for model in _WIDER_MODELS:
@@ -159,12 +154,13 @@ def fit_wider_model(
             continue
         lens_of_camera = np.asarray(folding.fit.problem.parametrization.lens_of_camera).tolist()
         lens, fold = next(iter(folds.items()))
-        return other, (
+        sentence = (
             f"The {folding.fit.problem.state.lenses.model} distortion of "
             f'"{cameras[lens_of_camera.index(lens)]}" {fold}, so the lens model is {model.model}: '
-            f"the rms residual is {rms_px:.3f} px instead of {folding_rms_px:.3f} px.",
+            f"the rms residual is {rms_px:.3f} px instead of {folding_rms_px:.3f} px."
         )
-    return folding, ()
+        return dataclasses.replace(other, remarks=(sentence, *other.remarks))
+    return folding
 
 
 def _folds(problem: Problem) -> dict[int, str]:

@@ -122,7 +122,7 @@ def _fit_detected_cameras(
 def _failed_fit(detection: Detection, estimate: PoseEstimate) -> CameraFit:
     """What is known of a camera whose circles give no pose."""
     return CameraFit(
-        detection=detection,
+        detections=(detection,),
         residuals_px=estimate.residuals_px,
         rank=estimate.rank,
         reduced_chi_square=estimate.reduced_chi_square,

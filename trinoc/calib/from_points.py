@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from trinoc.calib.lens_of_points import (
     CAMERA,
@@ -15,8 +14,9 @@ from trinoc.calib.lens_of_points import (
 from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.status import Status
 from trinoc.calib.refutations import refutations_of_points
-from trinoc.calib.result.calibration import Status
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit
 from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.starts.resection import find_linear_camera, find_pose, is_flat
 from trinoc.calib.tuning.every_group import TUNING
@@ -24,53 +24,18 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
+from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.registry import promote_lens, simplify_lens
 from trinoc.geometry.lenses.skewed import SKEW, SkewedThinPrism, skew_lens, straighten_lens
 from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.geometry.rig import Rig
 from trinoc.numerics.information import LARGEST_SIGMA
 from trinoc.numerics.precision import ArrayLike, in_float64, real_array
-from trinoc.numerics.values import Value
 
 _SKEW = (
     "The camera has a skew of {:.3g} +- {:.1g} px, which no sensor has: it is tilted against its "
     "lens, or the axes of the places are not perpendicular."
 )
-
-
-class PointsCalibration(Value):
-    """A camera fitted to given correspondences.
-
-    Fields
-    ------
-    camera : with pose and lens; its pan, tilt, swing, distance and aim follow from the pose.
-    status : how the fit ended.
-    parameters : rows of `covariance`: those of the pose model (for a rigid motion turns about the
-        camera's own axes and the centre in the world), and those of the lens that were fitted.
-    covariance : (p, p), degrees, mm, pixels.
-    residuals_px : (n, 2) predicted minus observed.
-    used : (n,) points that took part; the others lie beyond six robust sigmas.
-    noise_px : standard deviation of a coordinate, from the residuals.
-    notes : sentences on what the points say against what was held.
-    """
-
-    camera: Camera
-    status: Status
-    parameters: tuple[str, ...] = eqx.field(static=True)
-    covariance: Float[np.ndarray, "p p"]
-    residuals_px: Float[np.ndarray, "n 2"]
-    used: Bool[np.ndarray, "n"]
-    noise_px: float = eqx.field(static=True)
-    notes: tuple[str, ...] = eqx.field(static=True, default=())
-
-    @property
-    def rms_px(self) -> float:
-        """Root mean square length of the residuals of the points that took part."""
-        return float(np.sqrt(np.mean(np.sum(self.residuals_px[self.used] ** 2, axis=1))))
-
-    def sigma(self, parameter: str) -> float:
-        """Standard deviation of one of `parameters`."""
-        return float(np.sqrt(self.covariance.diagonal()[self.parameters.index(parameter)]))
 
 
 @in_float64
@@ -83,7 +48,7 @@ def calibrate_points(
     free: Sequence[str] | None = None,
     pose_model: PoseModel | str = PoseModel.RIGID,
     systematics: Systematics | None = None,
-) -> PointsCalibration:
+) -> CalibrationResult:
     """The pose of a camera, and what of its lens is `free`, by least squares in the picture.
 
     points_mm : places in the world, four or more; off one plane where the lens is fitted too.
@@ -137,7 +102,7 @@ def _result(
     model: PoseModel,
     lens: Intrinsics,
     held: Float[np.ndarray, "q r"],
-) -> PointsCalibration:
+) -> CalibrationResult:
     """held : change of the lens's parameters for a sigma of each error that is not fitted."""
     (view,), parametrization = problem.views, problem.parametrization
     used = view.used
@@ -179,16 +144,38 @@ def _result(
     if SKEW in names:
         row = parameters.index(SKEW)
         told.append(_SKEW.format(float(found.skew_px), float(np.sqrt(covariance[row, row]))))
-    return PointsCalibration(
-        camera=Camera(intrinsics if names else lens, pose),
-        status=status,
-        parameters=parameters,
+    names_in_rig = tuple(f"{CAMERA}.{name}" for name in parameters)
+    solved = Camera(intrinsics if names else lens, pose)
+    return CalibrationResult(
+        solution=Rig({CAMERA: solved}, parameters=names_in_rig, covariance=covariance),
+        status={CAMERA: status},
+        parameters=names_in_rig,
+        values=_values(problem, pose, model, found, names),
         covariance=covariance,
-        residuals_px=residuals_px,
-        used=used,
-        noise_px=noise,
+        fits={
+            CAMERA: CameraFit(
+                residuals_px=residuals_px,
+                used=used,
+                rank=len(columns),
+                reduced_chi_square=noise**2,
+                notes=tuple(told),
+                sigma_factor=noise,
+            )
+        },
+        target=None,
         notes=tuple(told),
+        world="the frame of the points",
     )
+
+
+def _values(
+    problem: Problem, pose: Pose, model: PoseModel, lens: AbstractLens, names: Sequence[str]
+) -> Float[np.ndarray, "p"]:
+    """Values of the parameters of pose and lens, in degrees, mm and px."""
+    of_pose = np.array(pose.model_parameters(model, pose))
+    of_pose[:3] = np.degrees(of_pose[:3])
+    every = dict(zip(lens.parameter_names, np.asarray(lens.parameters), strict=True))
+    return np.concatenate([of_pose, [float(every.get(name, 0.0)) for name in names]])
 
 
 def _check(

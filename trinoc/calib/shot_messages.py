@@ -4,16 +4,20 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from trinoc.calib.problem.coefficients import fewest_coefficients, free_of_lenses
 from trinoc.calib.problem.lens_correction import correction_sentences
 from trinoc.calib.problem.misfit_causes import CauseKind, MisfitCause
+from trinoc.calib.problem.named_covariance import NamedCovariance
 from trinoc.calib.problem.outcome import FitOutcome
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
-from trinoc.calib.result.calibration import Status
+from trinoc.calib.problem.status import Status
 from trinoc.calib.starts.placing import boards_are_parallel
 from trinoc.calib.targets.board_set import board_names, list_boards
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import list_names
+from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.geometry.pose import Pose
 
 # The words for a camera's picture of a shot, by their numbers.
@@ -201,26 +205,45 @@ def _surprises(problem: Problem) -> list[str]:
     return sentences
 
 
-def misfit_sentence(fit: RobustFit) -> str | None:
-    """Why a lens must not be used although its fit ended, or None where it may be."""
+def misfit_sentence(fit: RobustFit, places: str) -> str | None:
+    """Why a lens must not be used although its fit ended, or None where it may be.
+
+    places : "circles" or "corners".
+    """
     views = fit.problem.views
+    what = "this pattern" if places == "circles" else "this board"
     total, kept = sum(len(view.used) for view in views), sum(int(view.used.sum()) for view in views)
+    remedy = (
+        f"check that all pictures show {what} and were taken by one camera at one zoom and focus."
+    )
     if 2 * kept < total:
-        return (
-            f"Only {kept} of {total} circles agree on one lens: check that all pictures show this "
-            "pattern and were taken by one camera at one zoom and focus."
-        )
+        return f"Only {kept} of {total} {places} agree on one lens: {remedy}"
     errors = [each[view.used] for view, each in zip(views, errors_px(fit.problem), strict=True)]
     misfit_px = float(np.sqrt(np.mean(np.sum(np.concatenate(errors) ** 2, axis=1))))
     extent_px = np.median([np.ptp(view.detection.centres_px, axis=0).max() for view in views])
     if misfit_px > max(
         TUNING.answer.least_misfit_px, TUNING.answer.misfit_share_of_lens * float(extent_px)
     ):
-        return (
-            f"The circles miss their predicted places by {misfit_px:.1f} px: check that all "
-            "pictures show this pattern and were taken by one camera at one zoom and focus."
-        )
+        return f"The {places} miss their predicted places by {misfit_px:.1f} px: {remedy}"
     return None
+
+
+def notes_of_lens(problem: Problem, camera: str, named: NamedCovariance) -> tuple[str, ...]:
+    """Sentences on the distortion of the only lens: coefficients too many, and places too few."""
+    lens, notes = lens_number(problem, 0), []
+    rows = [named.names.index(f"{camera}.{name}") for name in lens.parameter_names]
+    covariance = named.covariance[np.ix_(rows, rows)]
+    variance = dict(zip(lens.parameter_names, np.diag(covariance), strict=True))
+    coefficients = [name for name in lens.coefficient_names if variance[name] > 0]
+    if not coefficients or not free_of_lenses(problem).any():
+        return ()
+    if not isinstance(lens, AbstractSplinedLens):
+        count, gain = fewest_coefficients(lens, coefficients, covariance)
+        extra = [name for name in coefficients if name not in lens.coefficient_names[:count]]
+        if extra:
+            notes.append(coefficients_sentence(count, lens.coefficient_names, extra, gain))
+    reach = reach_sentence(problem)
+    return (*notes, *([] if reach is None else [reach]))
 
 
 def reach_sentence(problem: Problem) -> str | None:
@@ -232,9 +255,10 @@ def reach_sentence(problem: Problem) -> str | None:
     reach, farthest = (np.linalg.norm(p - middle, axis=1).max() for p in (places_px, corners))
     if reach >= TUNING.answer.enough_reach * farthest:
         return None
+    place = "circle" if isinstance(problem.target, Pattern) else "corner"
     return (
-        f"No circle lies further than {100 * reach / farthest:.0f} % of the way from the principal "
-        "point to the corners: the distortion beyond is extrapolated."
+        f"No {place} lies further than {100 * reach / farthest:.0f} % of the way from the "
+        "principal point to the corners: the distortion beyond is extrapolated."
     )
 
 

@@ -13,9 +13,9 @@ from trinoc.cli.views import files_of_views
 
 if TYPE_CHECKING:
     from trinoc.calib.advice.next_shot import NextShot
+    from trinoc.calib.result.calibration import CalibrationResult
     from trinoc.calib.result.camera_pairs import CameraPair
     from trinoc.calib.result.halves import FieldDifference
-    from trinoc.calib.shots_result import RigFromShots
     from trinoc.calib.targets.abstract_target import AbstractTarget
 
 
@@ -86,7 +86,7 @@ class CalibrateRigCommand(ReportOption, Command):
         """Calibrate and write the rig."""
         return self.calibrate(command_line)[1]
 
-    def calibrate(self, command_line: str) -> "tuple[RigFromShots, Outcome]":
+    def calibrate(self, command_line: str) -> "tuple[CalibrationResult, Outcome]":
         """The same, with what was found."""
         sigma = read_settings("--sigma", self.sigma, BOARD_SIGMA)
         for shot in self.shots:
@@ -98,9 +98,9 @@ class CalibrateRigCommand(ReportOption, Command):
         if not places:
             raise UsageError("No pictures are given: write NAME=FOLDER for each camera.")
 
+        from trinoc.calib.advice.next_shot import next_shot
         from trinoc.calib.result.calibration import Status
         from trinoc.calib.rig_calibration import calibrate_rig
-        from trinoc.calib.rig_from_shots import next_shot
         from trinoc.calib.uncertainty.systematics import Systematics
         from trinoc.cli.command import provenance
         from trinoc.geometry.rig import Rig
@@ -138,7 +138,7 @@ class CalibrateRigCommand(ReportOption, Command):
         said = "" if advice is None else advice.sentence
         self.write_report(
             made_by,
-            shots=result,
+            result=result,
             shot_pictures=pictures,
             title="Rig from many shots",
             advice=said,
@@ -146,7 +146,7 @@ class CalibrateRigCommand(ReportOption, Command):
         text = "\n".join(filter(None, [result.summary(), said]))
         record = {**rig_record(result), "next_shot": shot_record(advice)}
         refusal = None
-        if result.status is Status.SUSPECT:
+        if result.overall_status is Status.SUSPECT:
             why = result.notes[0].removesuffix(".")
             refusal = f"The rig is SUSPECT, and {self.out} says so: {why}."
         return result, Outcome(text, record, refusal, written=(self.out, self.report))
@@ -225,7 +225,7 @@ def pair_record(pair: "CameraPair") -> dict[str, Any]:
     }
 
 
-def rig_record(result: "RigFromShots") -> dict[str, Any]:
+def rig_record(result: "CalibrationResult") -> dict[str, Any]:
     """What programs want to know of a rig from many shots, as JSON can hold it."""
     from trinoc.calib.targets.board_set import board_names
 
@@ -241,7 +241,7 @@ def rig_record(result: "RigFromShots") -> dict[str, Any]:
                     {view.shot for view in result.views if view.camera == k and view.used.any()}
                 ),
                 "rms_px": result.rms_px(name),
-                "sigma_factor": result.sigma_factor[name],
+                "sigma_factor": result.fits[name].sigma_factor,
             }
             for k, name in enumerate(result.cameras)
         },
@@ -258,7 +258,7 @@ def rig_record(result: "RigFromShots") -> dict[str, Any]:
         "boards": {
             name: {"reference_from_board": pose.tolist()}
             for name, pose in zip(
-                board_names(result.target), result.reference_from_board, strict=True
+                board_names(result.board), result.reference_from_board, strict=True
             )
         },
         "halves": None

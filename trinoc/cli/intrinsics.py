@@ -13,7 +13,8 @@ from trinoc.cli.views import expect_names, files_of_rig, make_folder, read_rig, 
 from trinoc.errors import InputError
 
 if TYPE_CHECKING:
-    from trinoc.calib.intrinsics_result import IntrinsicsResult
+    from trinoc.calib.advice.next_shot import NextShot
+    from trinoc.calib.result.calibration import CalibrationResult
     from trinoc.geometry.intrinsics import Intrinsics
     from trinoc.image.ideal_pictures import PictureMaps
 
@@ -45,14 +46,15 @@ class IntrinsicsCommand(Command):
         "rational",
         "thin_prism",
         "kannala_brandt",
+        "auto",
         "splined",
         "splined_brown_conrady",
         "splined_rational",
         "splined_kannala_brandt",
     ] = "default"
     """Model of the lens. The default is brown_conrady, or rational or kannala_brandt where that
-    would fold the picture. splined is brown_conrady corrected by B-splines, for a lens that no
-    polynomial describes."""
+    would fold the picture. auto takes the one that the pictures call for, splined the best one
+    corrected by B-splines, for a lens that no polynomial describes."""
 
     distortion: Annotated[
         int | None,
@@ -87,7 +89,9 @@ class IntrinsicsCommand(Command):
         pitch_mm = None if self.pixel_pitch_mm == NO_PITCH else self.pixel_pitch_mm
         expect_pixel_pitch(pitch_mm, "--pixel-pitch-mm is")
 
+        from trinoc.calib.advice.next_shot import next_shot
         from trinoc.calib.lens_calibration import calibrate_intrinsics
+        from trinoc.calib.problem.status import Status
         from trinoc.cli.calibrate_rig import board_files, load_boards
         from trinoc.cli.command import provenance
         from trinoc.geometry.intrinsics import Intrinsics
@@ -117,27 +121,38 @@ class IntrinsicsCommand(Command):
             provenance=provenance(command_line, {**inputs, **board_files(self.board)}),
             overwrite=True,
         )
-        return Outcome(result.summary(), intrinsics_record(result), written=(self.out,))
+        advice = next_shot(result)
+        text = "\n".join(filter(None, [result.summary(), advice.sentence if advice else ""]))
+        refusal = None
+        if result.overall_status is Status.SUSPECT:
+            refusal = f"The lens in {self.out} is SUSPECT: {result.notes[0]}"
+        return Outcome(text, intrinsics_record(result, advice), refusal, written=(self.out,))
 
 
-def intrinsics_record(result: "IntrinsicsResult") -> dict[str, Any]:
-    """What programs want to know of a lens, as JSON can hold it."""
+def intrinsics_record(result: "CalibrationResult", advice: "NextShot | None") -> dict[str, Any]:
+    """Values of a lens that programs want, as JSON can hold them."""
     import numpy as np
 
-    advice = result.next_image
+    fit, names = result.fits[result.cameras[0]], result.lens_parameters
     return {
         "parameters": {
-            name: {"value": float(value), "sigma": result.sigma(name), "free": name in result.free}
-            for name, value in zip(result.parameters, result.values, strict=True)
+            name: {
+                "value": result.value(name),
+                "sigma": result.sigma(name),
+                "free": result.sigma(name) != 0.0,
+            }
+            for name in names
         },
-        "pictures": len(set(result.image_index)),
-        "failures": {str(index + 1): why for index, why in result.failures.items()},
-        "circles": sum(int(used.sum()) for used in result.used),
-        "rms_px": result.rms_px,
-        "reduced_chi_square": result.reduced_chi_square,
+        "pictures": len({view.shot for view in result.views if view.used.any()}),
+        "failures": {
+            where.rpartition("picture ")[2]: why for where, why in result.failures.items()
+        },
+        "circles": sum(int(view.used.sum()) for view in result.views),
+        "rms_px": fit.rms_px,
+        "reduced_chi_square": fit.sigma_factor**2 * result.reduced_chi_square,
         "largest_sigma_px": float(np.nanmax(result.field_sigma_px)),
         "sigmas_include": ["noise", *result.systematics],
-        "notes": list(result.notes),
+        "notes": [*result.notes, *result.refused],
         "next_picture": None if advice is None else advice.sentence,
     }
 

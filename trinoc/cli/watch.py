@@ -252,7 +252,7 @@ class WatchCommand(ReportOption, Command):
         )
         result, found = command.calibrate(command_line)
         verdict, advice = judge_shots(result), found.record["next_shot"]
-        if advice is not None and result.rig is not None:
+        if advice is not None and result.has_rig:
             session.draw_next_shot(
                 result.rig, advice["cameras"], np.array(advice["world_from_board"])
             )

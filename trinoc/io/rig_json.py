@@ -28,7 +28,6 @@ from trinoc.numerics.tables import is_covariance
 
 if TYPE_CHECKING:
     from trinoc.calib.result.calibration import CalibrationResult
-    from trinoc.calib.shots_result import RigFromShots
 
 
 CONVERGED = "converged"
@@ -78,20 +77,9 @@ def status_to_block(result: "CalibrationResult") -> dict[str, Any]:
         "cameras": {
             name: {
                 "status": result.status[name].name.lower(),
-                "notes": list(result.fits[name].notes),
+                "notes": list(result.fits[name].notes or result.notes),
             }
             for name in result.rig.names
-        },
-        "sigmas_include": ["noise", *result.systematics],
-    }
-
-
-def status_of_shots(result: "RigFromShots") -> dict[str, Any]:
-    """The same of a rig from many shots, whose cameras were fitted together."""
-    return {
-        "cameras": {
-            name: {"status": result.status.name.lower(), "notes": list(result.notes)}
-            for name in result.cameras
         },
         "sigmas_include": ["noise", *result.systematics],
     }

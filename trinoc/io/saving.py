@@ -22,7 +22,7 @@ from trinoc.io.board_json import load_target, save_target
 from trinoc.io.frames_files import FORMAT as FRAMES_FORMAT, load_frames, load_recording
 from trinoc.io.json_document import parsed_json
 from trinoc.io.known_shape import load_shape
-from trinoc.io.rig_json import status_of_shots, status_to_block
+from trinoc.io.rig_json import status_to_block
 from trinoc.io.tables_npz import load_npz, save_npz
 from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
@@ -133,9 +133,9 @@ def save(
 ) -> None:
     """Write a value to a file, whole or not at all.
 
-    A Rig (or the rig of a CalibrationResult or a RigFromShots, then with its status), Intrinsics
-    (or the lens of an IntrinsicsResult, then with its covariance), a Pattern and a board become
-    JSON; Segments, Matches, a Detection, a Wireframe, Rims and PictureMaps become npz.
+    A Rig (or the rig of a CalibrationResult, then with its status), Intrinsics (or the lens of a
+    CalibrationResult of `calibrate_intrinsics`, then with its covariance), a Pattern and a board
+    become JSON; Segments, Matches, a Detection, a Wireframe, Rims and PictureMaps become npz.
     `provenance`, of rigs and lenses, says how it was found ("command", "version", "inputs"). With
     `overwrite` the file may be one of something else. Raises InputError for other values, for a
     name whose ending is not that of the file, and where a file of something else would be lost.
@@ -246,21 +246,16 @@ def _content_of_result(
     value: object, path: str | os.PathLike[str]
 ) -> tuple[Rig | Intrinsics, dict[str, Any]]:
     """What a result of a calibration has to be written, and what is written beside it."""
-    # Here, because these bring the calibrations with them, and a match wants none.
-    from trinoc.calib.intrinsics_result import IntrinsicsResult
+    # Here, because it brings the calibrations with it, and a match wants none.
     from trinoc.calib.result.calibration import CalibrationResult
-    from trinoc.calib.shots_result import RigFromShots
 
-    match value:
-        case CalibrationResult():
-            return value.rig, {"status": status_to_block(value)}
-        case RigFromShots() if value.rig is not None:
-            return value.rig, {"status": status_of_shots(value)}
-        case IntrinsicsResult() if value.lens is not None:
-            return value.lens, {"covariance": value.covariance}
-        case RigFromShots() | IntrinsicsResult():
-            raise InputError(f"{path} was not written: {value.status.value}")
+    if isinstance(value, CalibrationResult):
+        if not value.has_rig:
+            raise InputError(f"{path} was not written: {value.overall_status.value}")
+        if value.is_lens:
+            return value.lens, {"covariance": value.lens_covariance}
+        return value.rig, {"status": status_to_block(value)}
     raise InputError(
         f"A {type(value).__name__} cannot be saved: give a Rig, CalibrationResult, "
-        "Intrinsics, IntrinsicsResult, Pattern, Segments, Matches, Wireframe or Rims."
+        "Intrinsics, Pattern, Segments, Matches, Wireframe or Rims."
     )

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.result.calibration import CalibrationResult, CameraFit, ImageQuality, Status
-from trinoc.calib.shots_result import RigFromShots
+from trinoc.calib.result.summary import fixed_boards
 from trinoc.errors import list_names
 from trinoc.geometry.rig import Rig
 from trinoc.report.coverage import Coverage
@@ -146,19 +146,19 @@ def cameras_part(
     return CamerasPart(rig.names, rows, remarks, name, status, meanings)
 
 
-def cameras_part_of_shots(result: RigFromShots) -> CamerasPart:
+def cameras_part_of_shots(result: CalibrationResult) -> CamerasPart:
     """The parameters of lenses, cameras and boards of a rig from many shots."""
     return CamerasPart(
         result.cameras,
         parameter_rows_of_shots(result),
         (_DIGITS, _sigmas_sentence(result), f"The world is {result.world}.", *result.notes),
         boards=parameter_rows_of_boards(result),
-        fixed=tuple(f"{said.replace('+-', '±')}." for said in result.fixed_boards),
+        fixed=tuple(f"{sentence.replace('+-', '±')}." for sentence in fixed_boards(result)),
         pairs=pair_rows(result),
     )
 
 
-def _sigmas_sentence(result: CalibrationResult | RigFromShots) -> str:
+def _sigmas_sentence(result: CalibrationResult) -> str:
     return f"Sigmas include {', '.join(('noise', *result.systematics))}."
 
 

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.shots_result import RigFromShots
 from trinoc.match.tracks.matches import Matches
 from trinoc.report.coverage import Coverage, MeanResiduals
 from trinoc.report.epipolar_part import EpipolarPart
@@ -28,7 +27,7 @@ class Subject(NamedTuple):
     """What there is to judge; a check answers None where what it asks for is not there."""
 
     result: CalibrationResult | None = None
-    shots: RigFromShots | None = None
+    shots: CalibrationResult | None = None
     matches: Matches | None = None
     doubts: Mapping[str, str] = {}
     coverage: Sequence[Coverage] = ()

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.shots_result import RigFromShots
 from trinoc.report.numbers import percent, with_decimals, with_sign
 from trinoc.report.pictures import Arrows, PagePicture
 
@@ -105,7 +104,7 @@ def _coverage(
     return Coverage(name, picture, places_px, outline, share, caption)
 
 
-def places_seen(result: RigFromShots) -> dict[str, CameraPlaces]:
+def places_seen(result: CalibrationResult) -> dict[str, CameraPlaces]:
     """By camera; those that saw no board are left out."""
     found = {}
     for number, name in enumerate(result.cameras):

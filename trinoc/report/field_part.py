@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.shots_result import RigFromShots
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.pixel_sigma import PixelSigma, rig_of_known_size
@@ -204,11 +204,11 @@ def _point_sigmas(
     return sigmas
 
 
-def uncertainty_maps(result: RigFromShots) -> Uncertainty | None:
+def uncertainty_maps(result: CalibrationResult) -> Uncertainty | None:
     """How well each camera knows where it images a point, for a board of exactly the stated size;
     None without a rig or a covariance."""
     known = result.pixel_sigma
-    if result.rig is None or known is None:
+    if known is None:
         return None
     levels, worst = [], {}
     rig = rig_of_known_size(result.rig, result.parameters, result.covariance)
@@ -219,7 +219,9 @@ def uncertainty_maps(result: RigFromShots) -> Uncertainty | None:
     return Uncertainty(tuple(levels), worst[TUNING.advice.farther], known)
 
 
-def _draw_maps(result: RigFromShots, rig: Rig, times: float) -> tuple[tuple[FieldMap, ...], float]:
+def _draw_maps(
+    result: CalibrationResult, rig: Rig, times: float
+) -> tuple[tuple[FieldMap, ...], float]:
     maps, worst = [], 0.0
     for name in result.cameras:
         distance = times * result.board_distance_mm(name)
@@ -234,12 +236,12 @@ def _draw_maps(result: RigFromShots, rig: Rig, times: float) -> tuple[tuple[Fiel
     return tuple(maps), worst
 
 
-def halves_maps(result: RigFromShots) -> tuple[tuple[FieldMap, ...], ...]:
+def halves_maps(result: CalibrationResult) -> tuple[tuple[FieldMap, ...], ...]:
     """Where two halves of the shots disagree, in px and in claimed sigmas.
 
     Maps of the cameras at the distance of the boards, and farther; nothing without halves.
     """
-    if result.rig is None or result.halves is None or not result.halves.over_field:
+    if not result.has_rig or result.halves is None or not result.halves.over_field:
         return ()
     maps = []
     for farther in (0, 1):

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.shots_result import RigFromShots
+from trinoc.calib.result.summary import fixed_boards
 from trinoc.calib.starts.pictures import Pictures
 from trinoc.errors import InputError, list_names
 from trinoc.geometry.features import Feature
@@ -68,7 +68,6 @@ def write_report(
     path: str | os.PathLike[str],
     *,
     result: CalibrationResult | None = None,
-    shots: RigFromShots | None = None,
     shot_pictures: Mapping[str, Pictures] | None = None,
     sheet_pictures: Mapping[str, np.ndarray] | None = None,
     rig: Rig | None = None,
@@ -93,10 +92,10 @@ def write_report(
 
     Parameters
     ----------
-    shots : what `calibrate_rig` found, alone, with `advice`, a sentence on what to do next, and
-        `shot_pictures`, the images that it was given, on which residuals are drawn. They may be
-        functions; those of at most 12 shots per camera are called.
-    result : a calibration, with `sheet_pictures`, (rows, columns[, channels]) per camera.
+    result : of `calibrate`, with `sheet_pictures`, (rows, columns[, channels]) per camera; or of
+        `calibrate_rig`, alone, with `advice`, a sentence on what to do next, and `shot_pictures`,
+        the images that it was given, on which residuals are drawn. They may be functions; those of
+        at most 12 shots per camera are called.
     rig : the cameras that `matches` was made with; by default that of `result`.
     segments, matches : found in `scene_pictures`, each optional.
     reference, reference_name : known cameras to stand beside the recovered ones.
@@ -110,14 +109,13 @@ def write_report(
     calibration these are left out, which the page notes.
 
     Raises InputError where neither a rig nor a calibration nor segments are given, where the
-    rig lacks a camera of the segments or matches, where many shots stand beside a
-    calibration or matches, or where `path` cannot be written.
+    rig lacks a camera of the segments or matches, where many shots stand beside matches, or where
+    `path` cannot be written.
     """
     write_text(
         path,
         render_report(
             result=result,
-            shots=shots,
             shot_pictures=shot_pictures,
             sheet_pictures=sheet_pictures,
             rig=rig,
@@ -140,7 +138,6 @@ def write_report(
 def render_report(
     *,
     result: CalibrationResult | None = None,
-    shots: RigFromShots | None = None,
     shot_pictures: Mapping[str, Pictures] | None = None,
     sheet_pictures: Mapping[str, np.ndarray] | None = None,
     rig: Rig | None = None,
@@ -158,11 +155,11 @@ def render_report(
     recording: FramesPart | None = None,
 ) -> str:
     """The page of `write_report` as text."""
-    if shots is not None:
-        if result is not None or matches is not None or segments:
+    if result is not None and result.views:
+        if matches is not None or segments:
             raise InputError("A report on many shots stands alone: write another for the rest.")
-        parts, subject = _parts_of_shots(shots, advice)
-        images = shot_images_part(shots, shot_pictures)
+        parts, subject = _parts_of_shots(result, advice)
+        images = shot_images_part(result, shot_pictures)
         if images is None:
             return _render(title, parts, subject, provenance)
         anchors = [part.anchor for part in parts]
@@ -224,12 +221,12 @@ def render_report(
     return _render(title, parts, subject, provenance, pictures, world)
 
 
-def judge_shots(shots: RigFromShots) -> Verdict | None:
+def judge_shots(shots: CalibrationResult) -> Verdict | None:
     """The verdict that the report on a rig from many shots begins with."""
     return find_verdict(_parts_of_shots(shots, "")[1])
 
 
-def _parts_of_shots(shots: RigFromShots, advice: str) -> tuple[list[ReportPart], Subject]:
+def _parts_of_shots(shots: CalibrationResult, advice: str) -> tuple[list[ReportPart], Subject]:
     seen = places_seen(shots)
     coverage, (residuals, arrows) = coverage_by_boards(seen), mean_residuals(seen)
     subject = Subject(
@@ -239,6 +236,7 @@ def _parts_of_shots(shots: RigFromShots, advice: str) -> tuple[list[ReportPart],
         uncertainty=uncertainty_maps(shots),
     )
     table = {"result": shots, "table": shot_table(shots), "advice": advice}
+    table["fixed_boards"] = fixed_boards(shots)
     parts = [
         ReportPart("cameras", "Lenses and cameras", "cameras", cameras_part_of_shots(shots)),
         ReportPart("shots", "Shots", "shots", table),
@@ -255,7 +253,7 @@ def _parts_of_shots(shots: RigFromShots, advice: str) -> tuple[list[ReportPart],
     if subject.uncertainty is not None:
         title = "Uncertainty over the field"
         parts.append(ReportPart("uncertainty", title, "uncertainty", subject.uncertainty))
-    if shots.rig is not None:
+    if shots.has_rig:
         parts.append(_space_part(boards_in_space(shots, shots.rig), tracks=False))
     return parts, subject
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib.shots_result import RigFromShots
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.targets.board_set import board_names
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
@@ -137,7 +137,7 @@ def _cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> Paramet
     )
 
 
-def parameter_rows_of_shots(result: RigFromShots) -> Rows:
+def parameter_rows_of_shots(result: CalibrationResult) -> Rows:
     """Lens and pose of every camera; a cell of no text is a parameter that the camera has not."""
     names = dict.fromkeys(
         key
@@ -165,7 +165,7 @@ PAIR_HEAD = (
 )
 
 
-def pair_rows(result: RigFromShots) -> tuple[tuple[str, ...], ...]:
+def pair_rows(result: CalibrationResult) -> tuple[tuple[str, ...], ...]:
     """Baseline and relative rotation of each pair of cameras, the cells of `PAIR_HEAD`."""
     return tuple(
         (
@@ -183,9 +183,9 @@ def pair_rows(result: RigFromShots) -> tuple[tuple[str, ...], ...]:
     )
 
 
-def parameter_rows_of_boards(result: RigFromShots) -> Rows:
+def parameter_rows_of_boards(result: CalibrationResult) -> Rows:
     """What was fitted of the boards, but not how they are fixed to each other."""
-    fixed = [f"board.{name}.{axis}" for name in board_names(result.target) for axis in _FIXED]
+    fixed = [f"board.{name}.{axis}" for name in board_names(result.board) for axis in _FIXED]
     return tuple(
         (name.removeprefix("board."), (_cell_of_shots(result, name),))
         for name in result.parameters
@@ -193,7 +193,7 @@ def parameter_rows_of_boards(result: RigFromShots) -> Rows:
     )
 
 
-def _cell_of_shots(result: RigFromShots, name: str) -> ParameterCell:
+def _cell_of_shots(result: CalibrationResult, name: str) -> ParameterCell:
     if name not in result.parameters:
         return ParameterCell(name, "")
     value, sigma = result.value(name), result.sigma(name)

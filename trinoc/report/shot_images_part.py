@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.shots_result import RigFromShots
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.starts.pictures import Pictures, deliver, name_pictures
 from trinoc.calib.starts.placing import of_one_moment
 from trinoc.report.numbers import with_decimals
@@ -78,7 +78,7 @@ class _ShotResiduals(NamedTuple):
 
 
 def shot_images_part(
-    result: RigFromShots, pictures: Mapping[str, Pictures] | None
+    result: CalibrationResult, pictures: Mapping[str, Pictures] | None
 ) -> ShotImagesPart | None:
     """The contact sheet; None if no camera saw a board.
 
@@ -115,7 +115,7 @@ def _say_choice(count: int) -> str:
     return f"all {count} shots, the largest residuals first" if count > 1 else "its only shot"
 
 
-def _list_shots(result: RigFromShots, camera: int) -> list[_ShotResiduals]:
+def _list_shots(result: CalibrationResult, camera: int) -> list[_ShotResiduals]:
     """Each shot of a camera; several boards in it are one."""
     rows: dict[int, list[int]] = {}
     for row, view in enumerate(result.views):
@@ -147,7 +147,7 @@ def _choose_scale(shots: list[_ShotResiduals]) -> Arrows:
 
 
 def _shot_image(
-    result: RigFromShots,
+    result: CalibrationResult,
     camera: int,
     own: _ShotResiduals,
     pictures: Mapping[str, object],

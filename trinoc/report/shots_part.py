@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trinoc.calib.shots_result import RigFromShots
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.targets.board_set import board_names, list_boards
 from trinoc.geometry.rig import Rig
 from trinoc.report.numbers import with_decimals
@@ -38,7 +38,7 @@ class ShotTable(NamedTuple):
         return sum(cell.role == role for _, cells in self.rows for cell in cells)
 
 
-def shot_table(result: RigFromShots) -> ShotTable:
+def shot_table(result: CalibrationResult) -> ShotTable:
     """Every picture that was given, shots that took no part last."""
     rows: dict[tuple[str, str], list[int]] = {}
     for k, view in enumerate(result.views):
@@ -57,7 +57,7 @@ def shot_table(result: RigFromShots) -> ShotTable:
     return ShotTable(result.cameras, table)
 
 
-def _shot_cell(result: RigFromShots, rows: list[int]) -> ShotCell:
+def _shot_cell(result: CalibrationResult, rows: list[int]) -> ShotCell:
     """One picture, which may show several boards."""
     views = [result.views[row] for row in rows]
     used = sum(int(view.used.sum()) for view in views)
@@ -66,15 +66,15 @@ def _shot_cell(result: RigFromShots, rows: list[int]) -> ShotCell:
         return ShotCell("left out", f"{found} places found, none of them used", "left-out")
     errors = np.concatenate([result.residuals_px[row][result.views[row].kept] for row in rows])
     rms = float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else float("nan")
-    text = f"{used} of {len(result.target)}, {with_decimals(rms, 3)} px"
+    text = f"{used} of {len(result.board)}, {with_decimals(rms, 3)} px"
     return ShotCell(text, f"{used} of {found} places found are used; rms of the residuals", "used")
 
 
-def boards_in_space(result: RigFromShots, rig: Rig) -> SpaceFigure:
+def boards_in_space(result: CalibrationResult, rig: Rig) -> SpaceFigure:
     """The cameras and the boards of all shots."""
     outlines = _boards(result)
     box = Box.around(np.concatenate([*frusta(rig), *outlines]), 0.05)
-    names = board_names(result.target)
+    names = board_names(result.board)
     which = [f"board {name}" for name in names] if len(names) > 1 else ["board"]
     words = tuple(f"{each} in shot {shot}" for shot in result.shots for each in which)
     layer = LineLayer(
@@ -85,10 +85,10 @@ def boards_in_space(result: RigFromShots, rig: Rig) -> SpaceFigure:
     return figure.join(axes).join(cameras_in_space(rig))
 
 
-def _boards(result: RigFromShots) -> list[np.ndarray]:
+def _boards(result: CalibrationResult) -> list[np.ndarray]:
     """The outline of the places of each board in each shot."""
     outlines = []
-    for board, fixed in zip(list_boards(result.target), result.reference_from_board, strict=True):
+    for board, fixed in zip(list_boards(result.board), result.reference_from_board, strict=True):
         centres = np.asarray(board.centres_mm)
         (left, top), (right, bottom) = centres.min(axis=0), centres.max(axis=0)
         corners = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]]

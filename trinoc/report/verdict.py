@@ -99,11 +99,11 @@ def _answer_on_rank(subject: Subject) -> Answer | None:
     shots = subject.shots
     if shots is None:
         return None
-    if shots.status is Status.SUSPECT:
+    if shots.overall_status is Status.SUSPECT:
         remedy = "Let the shots find that lens, or calibrate it anew."
         return Answer(1, "suspect", shots.notes[0], remedy=remedy)
-    if shots.status is not Status.CONVERGED:
-        return Answer(1, "no rig", shots.status.value)
+    if shots.overall_status is not Status.CONVERGED:
+        return Answer(1, "no rig", shots.overall_status.value)
     if shots.gauge:
         words = f"the shots leave {', '.join(shots.gauge)} free."
         return Answer(len(shots.gauge), f"{len(shots.gauge)} parameters open", words)
@@ -143,7 +143,8 @@ def _noisy(subject: Subject) -> Answer | None:
 
 
 def _answer_on_scatter(subject: Subject) -> Answer | None:
-    factors = {} if subject.shots is None else subject.shots.sigma_factor
+    fits = {} if subject.shots is None else subject.shots.fits
+    factors = {name: fit.sigma_factor for name, fit in fits.items()}
     words = "the scatter of the places in {}, by which all sigmas are multiplied."
     return _worst_ratio(factors, words)
 

@@ -79,7 +79,7 @@ def test_a_shot_that_was_taken_is_foreseen_as_it_was(before):
     problem = before.ended.problem
     shot = foresee_shots(problem, candidate_shots(problem)[:2])[0]
     ratios = [np.median([v.sigma_ratio for v in problem.views if v.camera == c]) for c in range(3)]
-    factors = np.array([before.sigma_factor[c] for c in CAMERAS])
+    factors = np.array([before.fits[c].sigma_factor for c in CAMERAS])
     np.testing.assert_allclose(place_sigma_px(problem), 0.05 * factors * ratios, rtol=0.03)
     again = foresee_shots(
         problem,
@@ -99,8 +99,7 @@ def test_the_sentence_says_who_sees_it_and_where(advice, before):
     assert "of its picture" in advice.sentence
     assert advice.parameter in before.parameters
     assert f"sigma of {advice.parameter}" in advice.sentence
-    held = advice._replace(sigma_now={}, sigma_then={})
-    assert held.parameter is None
+    held = advice._replace(parameter=None)
     assert "sigma of" not in held.sentence
 
 

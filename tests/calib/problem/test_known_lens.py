@@ -56,7 +56,7 @@ def test_lens_and_pose_are_as_far_off_as_is_claimed():
             systematics=known_to(COVARIANCE, "left"),
             world="left",
         )
-        assert found.rig is not None
+        assert found.has_rig
         rows = [found.parameters.index(f"left.{name}") for name in lens_of("left").parameter_names]
         off, free = found.values[rows] - LENSES["left"], SIGMA > 0
         assert off[~free] == 0
@@ -75,7 +75,7 @@ def check_left_is_strained(said: Intrinsics, covariance: np.ndarray) -> None:
         lens=KNOWN | {"left": said},
         systematics=known_to(covariance, "left"),
     )
-    assert found.status is Status.SUSPECT
+    assert found.overall_status is Status.SUSPECT
     assert found.notes[0].startswith('Of "left": the lens is another than was said, by ')
 
 

@@ -80,7 +80,7 @@ def test_the_cause_is_named_with_its_size(fits):
 def test_sigmas_of_corners_are_those_of_each_camera_alone(fits):
     """The motion is some ten times the corners' noise, and must not be taken for it."""
     for result in fits:
-        assert all(0.8 < factor < 1.3 for factor in result.sigma_factor.values())
+        assert all(0.8 < fit.sigma_factor < 1.3 for fit in result.fits.values())
 
 
 def test_lenses_are_as_good_as_those_of_cameras_alone(fits):

@@ -6,12 +6,21 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.advice.foreseen_shots import ForeseenShot, candidate_shots, foresee_shots
+from trinoc.calib.advice.foreseen_shots import (
+    Candidate,
+    ForeseenShot,
+    candidate_shots,
+    foresee_shots,
+)
 from trinoc.calib.advice.halves import head_names
+from trinoc.calib.problem.information import Information
 from trinoc.calib.problem.problem import Problem
+from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.tuning.every_group import TUNING
+from trinoc.errors import InputError, check_kind
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.pose import Pose
+from trinoc.numerics.precision import in_float64
 
 
 class NextShot(NamedTuple):
@@ -22,71 +31,40 @@ class NextShot(NamedTuple):
     cameras : which would see the board.
     words : how to hold it.
     world_from_board : (3, 4) the pose that these words mean, mm.
-    error_now_px : root mean square length by which lenses and rig miss the places of the shot of
-        which they tell least, its board placed as well as can be, by their own errors alone.
-    error_then_px : the same, of all shots, with this one added.
-    sigma_now, sigma_then : standard deviations of the lenses' parameters, by name.
+    parameter : the parameter of a lens that would gain most; None if all lenses are held.
+    error_now_px : the largest error of lenses and rig over all candidate shots: root mean square
+        distance by which they miss the shot's corners, its board placed as well as possible.
+    error_then_px : the same with this shot added.
+    sigma_now, sigma_then : standard deviations of the lenses' parameters, by name; infinite for
+        those that are not determined.
     """
 
     cameras: tuple[str, ...]
     words: str
     world_from_board: Float[np.ndarray, "3 4"]
+    parameter: str | None
     error_now_px: float
     error_then_px: float
     sigma_now: Mapping[str, float]
     sigma_then: Mapping[str, float]
 
     @property
-    def parameter(self) -> str | None:
-        """The parameter of a lens that would gain most; None where all lenses are held."""
-        return _most_gaining(self.sigma_now, self.sigma_then)
-
-    @property
     def sentence(self) -> str:
         """The advice for people."""
+        name = self.parameter
+        if name is not None and not np.isfinite(self.sigma_now[name]):
+            return f"Next, {self.words}: it would determine {name} to {self.sigma_then[name]:.2g}."
         share = 100.0 * (1.0 - self.error_then_px / self.error_now_px)
         sentence = (
             f"Next, {self.words}: the largest error of lenses and cameras would fall by "
             f"{max(share, 0.0):.0f} %"
         )
-        name = self.parameter
         if name is None:
             return f"{sentence}."
         now, then = self.sigma_now[name], self.sigma_then[name]
         return (
             f"{sentence}; most of all, the sigma of {name} would fall from {now:.2g} to {then:.2g}."
         )
-
-
-class NextImage(NamedTuple):
-    """The picture to take next of one camera whose lens is sought.
-
-    Fields
-    ------
-    words : how to hold the board.
-    cam_from_world : (3, 4) the pose that these words mean, mm.
-    parameter : what it would teach most about.
-    sigma_now : its standard deviation; infinite where it is not determined.
-    sigma_then : its standard deviation with this picture added.
-    """
-
-    words: str
-    cam_from_world: Float[np.ndarray, "3 4"]
-    parameter: str
-    sigma_now: float
-    sigma_then: float
-
-    @property
-    def sentence(self) -> str:
-        """The advice for people."""
-        if not np.isfinite(self.sigma_now):
-            gain = f"determine {self.parameter} to {self.sigma_then:.2g}"
-        else:
-            gain = (
-                f"lower the sigma of {self.parameter} from {self.sigma_now:.2g} to "
-                f"{self.sigma_then:.2g}"
-            )
-        return f"Next picture: {self.words}; it would {gain}."
 
 
 class _BestShot(NamedTuple):
@@ -98,71 +76,86 @@ class _BestShot(NamedTuple):
     error_then_px: float
 
 
-def advise_next_shot(
-    problem: Problem,
-    covariance: Float[np.ndarray, "f f"],
-    variance_factor: float,
-    cameras: tuple[str, ...],
-    world_from_rig: Pose,
-) -> NextShot | None:
-    """The shot that lowers most what the rig errs by where it errs most, over all cameras.
+@in_float64
+def next_shot(result: CalibrationResult) -> NextShot | None:
+    """Return the shot that lowers most the largest error of lenses and cameras.
 
-    covariance : of the free steps of the head, at the end of a fit. None where the board lies in
-    no picture.
+    Compared are shots of the board in nine positions of each camera's image, at two distances, and
+    tilted in four ways or not, seen by every camera in whose image it then lies.
+
+    Parameters
+    ----------
+    result : of `calibrate_rig` or `calibrate_intrinsics`; its parameters need not be determined.
+
+    Returns
+    -------
+    The shot; None if no camera would see it.
+
+    Raises
+    ------
+    InputError : a result of another calibration, or of a fit that did not converge.
     """
-    best = _best_shot(problem, covariance, variance_factor)
+    check_kind(result, CalibrationResult, "result", "what calibrate_rig returns")
+    end = result.ended
+    if end is None:
+        why = result.overall_status.value if result.views else "It is not of many shots."
+        raise InputError(f"There is no rig that a shot could be added to: {why}")
+    problem = end.problem
+    best = _best_shot(problem, end.covariance, end.variance_factor)
     if best is None:
         return None
-    names = tuple(cameras[camera] for camera in best.shot.cameras)
-    candidate = best.shot.candidate
+    is_one, candidate = len(result.cameras) == 1, best.shot.candidate
+    names = tuple(result.cameras[camera] for camera in best.shot.cameras)
+    prefixes = ("",) if is_one else result.cameras
+    sigma_now, sigma_then = (
+        {
+            name.removeprefix("."): sigma
+            for name, sigma in _lens_sigmas(problem, covariance, prefixes).items()
+        }
+        for covariance in (end.covariance, best.covariance)
+    )
+    parameter = min(sigma_then, key=lambda name: sigma_then[name] / sigma_now[name], default=None)
+    for name in result.gauge:
+        key = name.removeprefix(f"{result.cameras[0]}.") if is_one else name
+        if key in sigma_now:
+            sigma_now[key] = np.inf
+    board = Pose(np.asarray(problem.state.rig_from_board)[0])
+    world_from_rig = Pose(result.world_from_board[0]) @ board.inverse
+    return NextShot(
+        cameras=names,
+        words=_words(candidate, names, result.cameras),
+        world_from_board=np.asarray((world_from_rig @ candidate.rig_from_board).cam_from_world),
+        parameter=parameter,
+        error_now_px=best.error_now_px,
+        error_then_px=best.error_then_px,
+        sigma_now=sigma_now,
+        sigma_then=sigma_then,
+    )
+
+
+def _words(candidate: Candidate, names: Sequence[str], cameras: Sequence[str]) -> str:
+    """How to hold the board. names : of the cameras that would see it."""
+    if len(cameras) == 1:
+        return f"hold the board {candidate.words.replace('its picture', 'the picture')}"
     *others, last = names
     shown = f"{', '.join(others)} and {last}" if others else last
     away = candidate.distance_mm
-    return NextShot(
-        cameras=names,
-        words=f"show the board to {shown}, {away:.{'0f' if away >= 100.0 else '3g'}} mm from "
-        f"{cameras[candidate.camera]}, {candidate.words}",
-        world_from_board=np.asarray((world_from_rig @ candidate.rig_from_board).cam_from_world),
-        error_now_px=best.error_now_px,
-        error_then_px=best.error_then_px,
-        sigma_now=_lens_sigmas(problem, covariance, cameras),
-        sigma_then=_lens_sigmas(problem, best.covariance, cameras),
+    return (
+        f"show the board to {shown}, {away:.{'0f' if away >= 100.0 else '3g'}} mm from "
+        f"{cameras[candidate.camera]}, {candidate.words}"
     )
 
 
-def advise_next_image(
-    problem: Problem,
-    information: Float[np.ndarray, "f f"],
-    variance_factor: float,
-    open_names: Sequence[str],
-) -> NextImage | None:
-    """The picture that lowers most what a lens errs by where it errs most, determined or not.
+def weakly_known_covariance(information: Information) -> Float[np.ndarray, "f f"]:
+    """Covariance of the free steps under a weak prior, so that open directions have a variance.
 
-    information : of the pictures taken, on the free steps of the lens. open_names : parameters
-    that they do not determine.
+    Rounding may leave less than no information on a direction that is not determined.
     """
-    # Of a direction that is not determined rounding may leave less than no information.
-    known, directions = np.linalg.eigh(information)
-    variance = 1 / (np.maximum(known, 0.0) + 1 / TUNING.advice.prior_sigma**2)
-    covariance = (directions * variance) @ directions.T
-    best = _best_shot(problem, covariance, variance_factor)
-    if best is None:
-        return None
-    now, then = (_lens_sigmas(problem, each, ("",)) for each in (covariance, best.covariance))
-    name = _most_gaining(now, then)
-    if name is None:
-        return None
-    parameter = name.removeprefix(".")
-    cam_from_rig = Pose(np.asarray(problem.state.cam_from_rig)[0])
-    return NextImage(
-        words=f"hold the board {best.shot.candidate.words.replace('its picture', 'the picture')}",
-        cam_from_world=np.asarray(
-            (cam_from_rig @ best.shot.candidate.rig_from_board).cam_from_world
-        ),
-        parameter=parameter,
-        sigma_now=np.inf if parameter in open_names else now[name],
-        sigma_then=then[name],
-    )
+    free = information.free
+    observed = information.of_shot.sum(axis=0)[np.ix_(free, free)] + information.prior
+    eigenvalues, directions = np.linalg.eigh(observed)
+    variance = 1 / (np.maximum(eigenvalues, 0.0) + 1 / TUNING.advice.prior_sigma**2)
+    return (directions * variance) @ directions.T
 
 
 def _best_shot(
@@ -194,10 +187,6 @@ def add_shot(
     gained = covariance @ (shot.information / variance_factor)
     after = np.linalg.solve(np.eye(len(covariance)) + gained, covariance)
     return 0.5 * (after + after.T)
-
-
-def _most_gaining(now: Mapping[str, float], then: Mapping[str, float]) -> str | None:
-    return min(then, key=lambda name: then[name] / now[name]) if then else None
 
 
 def _lens_sigmas(

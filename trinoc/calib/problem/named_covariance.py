@@ -99,19 +99,27 @@ def poses_in_world(
     return poses, jax.vmap(lambda pose: Pose(pose).parameters)(poses)
 
 
-def open_rows(problem: Problem, information: Information, names: tuple[str, ...]) -> np.ndarray:
-    """Which named parameters what is not determined touches."""
-    parametrization = problem.parametrization
-    count, size = parametrization.lens_shape
+def open_rows(
+    problem: Problem, information: Information, names: tuple[str, ...], world: World
+) -> np.ndarray:
+    """Which named parameters a direction that is not determined changes, (p,).
+
+    The pose of the camera whose frame is the world's is exact.
+    """
+    parametrization, slices = problem.parametrization, problem.slices
     open_head = np.zeros(len(parametrization.free), dtype=bool)
     open_head[information.free[list(information.observability.gauge)]] = True
-    of_lens = open_head[: count * size].reshape(count, size)
-    any_pose = bool(open_head[count * size :].any())
+    count, size = parametrization.lens_shape
+    open_steps = open_head[: count * size].reshape(count, 1, size)
+    of_lens = np.any((np.asarray(parametrization.lens_basis) != 0) & open_steps, axis=2)
+    any_pose = bool(open_head[slices.lenses.stop :].any())
     rows = []
-    for lens in parametrization.lens_of_camera:
-        rows += [any_pose or bool(of_lens.any())] * POSE_SIZE + of_lens[lens].tolist()
+    for camera, lens in enumerate(parametrization.lens_of_camera):
+        is_world = world.camera is not None and int(world.camera) == camera
+        rows += [not is_world and (any_pose or bool(of_lens.any()))] * POSE_SIZE
+        rows += of_lens[lens].tolist()
     rows += [any_pose] * (POSE_SIZE * max(len(problem.state.set_from_board) - 1, 0))
-    rows += open_head[problem.slices.sheets].tolist()
+    rows += open_head[slices.sheets].tolist()
     assert len(rows) == len(names)
     return np.array(rows)
 

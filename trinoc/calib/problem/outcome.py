@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.robust_fit import RobustFit
-from trinoc.calib.result.calibration import Status
+from trinoc.calib.problem.status import Status
 from trinoc.calib.tuning.every_group import TUNING
 
 # numerical: share of the information that stays in a direction which one shot alone determines.

@@ -138,6 +138,19 @@ def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
     return with_head_free(problem._replace(state=state), head)
 
 
+def with_fixed_aspect(problem: Problem) -> Problem:
+    """The problem in which the focal lengths fx and fy of each fitted lens change in proportion."""
+    fx, fy = AFFINE_PARAMETERS.index("fx_px"), AFFINE_PARAMETERS.index("fy_px")
+    free = np.array(problem.free)
+    free_of_lens = free[problem.slices.lenses].reshape(problem.parametrization.lens_shape)
+    basis = np.array(problem.parametrization.lens_basis)
+    basis[:, fy, fx] = basis[:, fy, fy]
+    free_of_lens[:, fy] = 0.0
+    free[problem.slices.lenses] = free_of_lens.ravel()
+    parametrization = dataclasses.replace(problem.parametrization, lens_basis=basis, free=free)
+    return problem._replace(parametrization=parametrization)
+
+
 def is_given(priors: Priors) -> Bool[np.ndarray, "l"]:
     """Which lenses are known by a covariance; the prior of splines has a mean of 0."""
     each = zip(np.asarray(priors.lens_mean), np.asarray(priors.lens_information), strict=True)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from trinoc.calib.result.board_size import covariance_of_size
+from trinoc.calib.uncertainty.board_size import covariance_of_size
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.geometry.rig import Rig
 
@@ -62,7 +62,7 @@ def camera_pairs(
     """Pairs of cameras in the order of the rig: the first camera with each other one comes first.
 
     parameters, covariance : joint covariance of the cameras' poses, and of the boards' scales if
-        these are uncertain, in degrees and mm; `RigFromShots` has both. Poses that it does not
+        these are uncertain, in degrees and mm; `CalibrationResult` has both. Poses that it does not
         contain are exact.
     """
     size = covariance_of_size(parameters, covariance)

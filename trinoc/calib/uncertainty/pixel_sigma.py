@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.result.board_size import covariance_of_size
+from trinoc.calib.uncertainty.board_size import covariance_of_size
 from trinoc.calib.uncertainty.propagation import projection_sigma
 from trinoc.geometry.rig import Rig
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib.intrinsics_result import IntrinsicsResult
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.errors import InputError, list_names
 from trinoc.geometry.features import Feature
@@ -186,7 +185,7 @@ class Format:
     def lost(self, value: object) -> tuple[str, ...]:
         """What of this value the format cannot hold, in words; projections stay the same."""
         lost = say_losses(_plain(value), self.loses)
-        of_lens = isinstance(value, IntrinsicsResult) and value.covariance is not None
+        of_lens = isinstance(value, CalibrationResult) and value.is_lens
         return (LOSSES[COVARIANCE], *lost) if of_lens else lost
 
     def _unit(self, unit_mm: float | None) -> float:
@@ -225,9 +224,7 @@ def _find_kind(value: object) -> str:
 
 def _plain(value: object) -> object:
     if isinstance(value, CalibrationResult):
-        return value.rig
-    if isinstance(value, IntrinsicsResult) and value.lens is not None:
-        return value.lens
+        return value.lens if value.is_lens else value.rig
     return value
 
 

@@ -41,9 +41,8 @@ def _(value: Pattern) -> SpaceFigure:
 
 @figure_in_space.register
 def _(value: CalibrationResult) -> SpaceFigure:
-    if not len(value.rig):
-        return figure_in_space(value.pattern)
-    return space_figure(value.rig, value.pattern, None)
+    sheet = value.target if isinstance(value.target, Pattern) and not value.views else None
+    return space_figure(value.rig, sheet, None)
 
 
 @figure_in_space.register

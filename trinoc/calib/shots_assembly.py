@@ -1,0 +1,272 @@
+"""Tests of a rig that was fitted to many shots, and its `CalibrationResult`."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.advice.halves import compare_halves, cross_validate
+from trinoc.calib.advice.next_shot import weakly_known_covariance
+from trinoc.calib.folded_lens import FoldFindings, assess_folds, observed_pixels
+from trinoc.calib.problem.misfit_causes import find_causes
+from trinoc.calib.problem.named_covariance import (
+    NamedCovariance,
+    World,
+    named_covariance,
+    open_rows,
+    poses_in_world,
+)
+from trinoc.calib.problem.outcome import FitOutcome, assess_fit
+from trinoc.calib.problem.problem import EndedProblem, Problem, lens_number
+from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.status import Status
+from trinoc.calib.refutations import HeldLenses, say_strained_lens
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit, world_of_camera
+from trinoc.calib.shot_messages import (
+    list_refusals,
+    notes_of_fit,
+    notes_of_lens,
+    scatter_sentence,
+    silent_sentences,
+)
+from trinoc.calib.shots_fit import ShotObservations, ShotsFit
+from trinoc.calib.starts.pictures import FoundBoards
+from trinoc.calib.targets.board_set import board_names
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.errors import InputError, list_names
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.lenses.registry import simplify_lens
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
+
+# numerical: of the largest sigma: below, there is none.
+_EXACT = 1e-12
+
+
+def result_of_shots(
+    shots_fit: ShotsFit,
+    boards: FoundBoards,
+    observations: ShotObservations,
+    exact_lenses: Mapping[str, Intrinsics],
+    *,
+    world: str | None,
+    method: str = "points",
+    pixel_pitch_mm: tuple[float, float] | None = None,
+    is_validated: bool = True,
+) -> CalibrationResult:
+    """Decide the status of a fit, and assemble its public result.
+
+    Parameters
+    ----------
+    exact_lenses : intrinsics of cameras whose lens was given as exact.
+    world : name of a shot or a camera; None for the first of the shots that most cameras saw.
+    pixel_pitch_mm : of all lenses that were fitted.
+    is_validated : whether halves of the shots are compared, which costs two fits.
+
+    Raises
+    ------
+    InputError : a world that is neither a camera nor a shot.
+    """
+    fit, cameras, shots = shots_fit.fit, observations.cameras, shots_fit.placed.shots
+    problem, outcome = fit.problem, assess_fit(fit)
+    place = _choose_world(world, shots, problem, cameras)
+    lenses = _fitted_lenses(problem, cameras, pixel_pitch_mm) | dict(exact_lenses)
+    status, reason = outcome.status, None
+    is_determined, folds = status is Status.CONVERGED, FoldFindings(None, ())
+    if is_determined:
+        pixels = {name: observed_pixels(problem.views, k) for k, name in enumerate(cameras)}
+        folds = assess_folds(lenses, pixels)
+    if folds.failure is not None:
+        is_determined, status, reason = False, Status.SUSPECT, folds.failure
+    if is_determined:
+        held_lenses = HeldLenses.of(fit, cameras)
+        reason = say_strained_lens(problem, cameras)
+        reason = reason or (held_lenses and held_lenses.say_what_is_refuted())
+        status = Status.CONVERGED if reason is None else Status.SUSPECT
+        reason = reason or (held_lenses and held_lenses.say_what_goes_unseen(outcome.covariance))
+    causes = find_causes(problem) if is_determined else []
+    factors = dict(zip(cameras, problem.sigma_factor.tolist(), strict=True))
+    worst, scatter = max(factors, key=lambda camera: factors[camera]), None
+    if is_determined and factors[worst] > TUNING.answer.largest_sigma_factor:
+        status = Status.SUSPECT
+        scatter = scatter_sentence(worst, factors[worst], bool(causes))
+    named, gauge = _named_with_gauge(problem, outcome, cameras, place)
+
+    def where(camera: int, shot: int) -> str:
+        return shots[shot] if len(cameras) == 1 else f'{shots[shot]}: "{cameras[camera]}"'
+
+    remarks = (*boards.remarks, *shots_fit.remarks, *folds.notes)
+    notes = [
+        *filter(None, [scatter, reason]),
+        *notes_of_fit(fit, outcome, gauge, cameras, shots_fit.held, remarks, causes, shots),
+    ]
+    if len(cameras) == 1 and is_determined:
+        notes += notes_of_lens(problem, cameras[0], named)
+    residuals_px = tuple(errors_px(problem))
+    poses = [Pose(pose) for pose in np.asarray(poses_in_world(problem.state, place)[0])]
+    world_from_rig = poses[0].inverse @ Pose(np.asarray(problem.state.cam_from_rig)[0])
+    rig_from_board = np.asarray(problem.state.rig_from_board)[: problem.shots]
+    fixed = np.asarray(problem.state.set_from_board)
+    failures = {f"{camera}, {shot}": why for (camera, shot), why in boards.failures.items()}
+    return CalibrationResult(
+        solution=_rig(lenses, poses, named) if is_determined else None,
+        status=dict.fromkeys(cameras, status),
+        parameters=named.names,
+        values=named.values,
+        covariance=named.covariance,
+        fits=_camera_fits(problem, cameras, residuals_px, named, gauge, method),
+        target=problem.target,
+        failures=failures,
+        systematics=observations.systematics.words,
+        notes=(*notes, *silent_sentences(shots_fit.silent, where)),
+        gauge=gauge,
+        reduced_chi_square=fit.chi_square / fit.freedom if fit.freedom > 0 else float("nan"),
+        refused=(
+            *shots_fit.placed.refused,
+            *_remarks_on_detections(boards, cameras),
+            *list_refusals(fit, where),
+        ),
+        world=_world_in_words(place, problem, shots, cameras),
+        shots=shots,
+        world_from_board=np.stack(
+            [(world_from_rig @ Pose(board)).cam_from_world for board in rig_from_board]
+        ),
+        reference_from_board=fixed if len(fixed) else np.eye(3, 4)[None],
+        place_shifts_mm=np.asarray(problem.state.shape),
+        views=problem.views,
+        residuals_px=residuals_px,
+        halves=compare_halves(problem, cameras, outcome.variance_factor)
+        if is_determined and is_validated
+        else None,
+        cross_validation=cross_validate(problem, cameras)
+        if is_determined and is_validated
+        else None,
+        ended=_ended(problem, outcome),
+    )
+
+
+def _ended(problem: Problem, outcome: FitOutcome) -> EndedProblem | None:
+    """The problem from which the next shot is foreseen; None if its fit did not converge."""
+    if outcome.status is Status.NOT_CONVERGED:
+        return None
+    if outcome.status is Status.CONVERGED:
+        return EndedProblem(problem, outcome.covariance, outcome.variance_factor)
+    return EndedProblem(problem, weakly_known_covariance(outcome.information), 1.0)
+
+
+def _named_with_gauge(
+    problem: Problem, outcome: FitOutcome, cameras: tuple[str, ...], place: World
+) -> tuple[NamedCovariance, tuple[str, ...]]:
+    """The public parameters with their covariance, NaN where not determined, and these names."""
+    information = outcome.information
+    named = named_covariance(
+        problem, information, outcome.covariance, outcome.variance_factor, cameras, place
+    )
+    values, covariance = np.array(named.values), named.covariance
+    if outcome.status is Status.NOT_CONVERGED:
+        return named._replace(values=np.full_like(values, np.nan)), ()
+    if outcome.status is not Status.RANK_DEFICIENT:
+        return named, ()
+    is_open = open_rows(problem, information, named.names, place)
+    covariance[is_open], covariance[:, is_open], values[is_open] = np.nan, np.nan, np.nan
+    gauge = tuple(name for name, it_is in zip(named.names, is_open) if it_is)
+    return NamedCovariance(named.names, values, covariance), gauge
+
+
+def _camera_fits(
+    problem: Problem,
+    cameras: tuple[str, ...],
+    residuals_px: Sequence[Float[np.ndarray, "_m 2"]],
+    named: NamedCovariance,
+    gauge: Sequence[str],
+    method: str,
+) -> dict[str, CameraFit]:
+    """The fit of each camera over all its shots."""
+    fits, sigma = {}, np.sqrt(np.diag(named.covariance))
+    for number, camera in enumerate(cameras):
+        rows = [k for k, view in enumerate(problem.views) if view.camera == number]
+        residuals = [np.zeros((0, 2)), *(residuals_px[k] for k in rows)]
+        used = [np.zeros(0, dtype=bool), *(problem.views[k].kept for k in rows)]
+        prefix = f"{camera}."
+        is_own = np.array([name.rpartition(".")[0] == camera for name in named.names])
+        fits[camera] = CameraFit(
+            residuals_px=np.concatenate(residuals),
+            used=np.concatenate(used),
+            rank=int(np.sum(is_own & np.isfinite(sigma) & (sigma > 0))),
+            reduced_chi_square=float("nan"),
+            gauge=tuple(name.removeprefix(prefix) for name in gauge if name.startswith(prefix)),
+            sigma_factor=float(problem.sigma_factor[number]),
+            method=method,
+        )
+    return fits
+
+
+def _remarks_on_detections(boards: FoundBoards, cameras: tuple[str, ...]) -> list[str]:
+    """A sentence on each image of which the detector left out some corners or circles."""
+    return [
+        f"{shot}: {remark}; left out."
+        if len(cameras) == 1
+        else f'{shot}: "{camera}": {remark}; left out.'
+        for camera, detections in boards.detections.items()
+        for shot, detection in detections.items()
+        for remark in detection.remarks
+    ]
+
+
+def _choose_world(
+    world: str | None, shots: tuple[str, ...], problem: Problem, cameras: tuple[str, ...]
+) -> World:
+    """The shot or the camera of this name; by default the first of the shots that most saw."""
+    counts = np.bincount(
+        [view.shot for view in problem.views if view.used.any()], minlength=problem.shots
+    )
+    if world is None:
+        return World(np.asarray(np.argmax(counts)), None)
+    if world in shots and counts[shots.index(world)]:
+        return World(np.asarray(shots.index(world)), None)
+    if world in cameras:
+        return World(None, np.asarray(cameras.index(world)))
+    raise InputError(
+        f'The world is to lie in "{world}", which is neither a camera ({list_names(cameras)}) '
+        "nor a shot in which the board was found."
+    )
+
+
+def _world_in_words(
+    place: World, problem: Problem, shots: tuple[str, ...], cameras: tuple[str, ...]
+) -> str:
+    if place.shot is None:
+        return world_of_camera(cameras[int(place.camera or 0)])
+    names = board_names(problem.target)
+    which = f'"{names[0]}" ' if len(names) > 1 else ""
+    return f"the board {which}in {shots[int(place.shot)]}"
+
+
+def _fitted_lenses(
+    problem: Problem, cameras: tuple[str, ...], pixel_pitch_mm: tuple[float, float] | None
+) -> dict[str, Intrinsics]:
+    sizes, lenses = problem.image_sizes_px, {}
+    for number, camera in enumerate(cameras):
+        lens = lens_number(problem, int(problem.parametrization.lens_of_camera[number]))
+        lenses[camera] = Intrinsics.of_lens(simplify_lens(lens), sizes[number], pixel_pitch_mm)
+    return lenses
+
+
+def _rig(
+    lenses: Mapping[str, Intrinsics], cam_from_world: Sequence[Pose], named: NamedCovariance
+) -> Rig:
+    """The cameras, with the covariance of everything of them that was fitted."""
+    members = {
+        camera: Camera(lens, pose)
+        for (camera, lens), pose in zip(lenses.items(), cam_from_world, strict=True)
+    }
+    # What is held, and the pose of a camera that is the world, has the variance of rounding.
+    sigma = np.sqrt(np.diag(named.covariance))
+    kept = [
+        k
+        for k, name in enumerate(named.names)
+        if not name.startswith("board.") and sigma[k] > _EXACT * max(float(sigma.max()), 1e-300)
+    ]
+    names = [named.names[k] for k in kept]
+    return Rig(members, parameters=names, covariance=named.covariance[np.ix_(kept, kept)])
