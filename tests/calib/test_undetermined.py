@@ -54,6 +54,10 @@ def test_pictures_square_to_the_camera_leave_focal_length_and_distance_open():
 
 
 def test_rounding_below_no_information_is_none():
+    result = calibrate_intrinsics(detections(SQUARE), SHEET, throw=False)
+    assert result.ended is not None
+    ended, information = result.ended, compute_information(result.ended.problem)
+
     def advise(least: float) -> str:
         covariance = weakly_known_covariance(information._replace(of_shot=with_least(least)))
         advice = next_shot(dataclasses.replace(result, ended=ended._replace(covariance=covariance)))
@@ -69,10 +73,6 @@ def test_rounding_below_no_information_is_none():
         whole[np.ix_(free, free)] = changed - information.prior
         return whole[None]
 
-    result = calibrate_intrinsics(detections(SQUARE), SHEET, throw=False)
-    ended = result.ended
-    assert ended is not None
-    information = compute_information(ended.problem)
     assert advise(0.0) == advise(-1.0)
 
 

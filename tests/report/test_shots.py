@@ -58,7 +58,7 @@ def made_up(**changes: Any) -> CalibrationResult:
     views = tuple(seen(k, s, random) for k in range(3) for s in range(len(SHOTS)))
     poses = np.tile(np.eye(3, 4), (len(SHOTS), 1, 1))
     poses[:, :, 3] = random.uniform(-60, 60, (len(SHOTS), 3))
-    fields = {
+    fields: dict[str, Any] = {
         "solution": rig,
         "parameters": (*rig.parameters, "board.scale_x"),
         "values": np.append(np.arange(12.0), 0.001),
@@ -79,7 +79,7 @@ def made_up(**changes: Any) -> CalibrationResult:
         "systematics": ("print size (0.2 %)",),
         "notes": (),
     }
-    status = changes.pop("status", Status.CONVERGED)
+    status: Status = changes.pop("status", Status.CONVERGED)
     factors = {**dict.fromkeys(rig.names, 1.0), **changes.pop("sigma_factor", {})}
     fields = {**fields, **changes}
     fits = {}

@@ -62,7 +62,9 @@ def with_systematics(result: CalibrationResult, systematics: Systematics) -> Cal
     rig = Rig(dict(result.rig.items()), parameters=result.rig.parameters, covariance=covariance)
     told = [rows[key] for key in result.parameters]
     words = (*result.systematics, *systematics.words)
-    return replace(result, rig=rig, covariance=covariance[np.ix_(told, told)], systematics=words)
+    return replace(
+        result, solution=rig, covariance=covariance[np.ix_(told, told)], systematics=words
+    )
 
 
 def _response(result: CalibrationResult, name: str, count: int) -> Float[np.ndarray, "p e"]:

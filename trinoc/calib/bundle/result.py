@@ -68,6 +68,16 @@ class RefineResult(Displayable, Value):
     history: tuple[float, ...] = eqx.field(static=True)
     tracks: LineObservations
 
+    def sigma(self, parameter: str) -> float:
+        """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known.
+
+        Raises InputError for a name that is no parameter of the rig.
+        """
+        if parameter not in self.parameters:
+            return self.rig.sigma(parameter)
+        row = self.parameters.index(parameter)
+        return float(np.sqrt(max(self.covariance[row, row], 0.0)))
+
     def summary(self) -> str:
         """What was refined, by how much it is known now, and what to make of it, as text."""
         before, after = self.chi_square[1], self.chi_square[0]
