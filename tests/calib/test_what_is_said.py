@@ -9,11 +9,11 @@ from scipy.stats import chi2
 
 from tests.calib.made_shots import BOARD, LENSES, SIZE_PX, board_poses, cam_from_rig, lens_of, shots
 from tests.calib.problem.made_problem import problem
-from trinoc.calib import Detection
+from trinoc.calib import Detection, sentences
 from trinoc.calib.problem.rao_test import unseen_sigmas
 from trinoc.calib.result.calibration import CalibrationResult, Status
 from trinoc.calib.rig_calibration import calibrate_rig
-from trinoc.calib.shot_messages import undetermined_sentence
+from trinoc.calib.shot_notes import reason_undetermined
 from trinoc.calib.starts.camera_start import start_poses
 from trinoc.calib.starts.placing import boards_are_parallel, find_exchanged_pair
 from trinoc.calib.starts.sightings import label_sighting
@@ -227,4 +227,4 @@ def test_what_goes_unseen_is_found_as_often_as_is_said(freedom):
 def test_a_board_that_is_parallel_in_all_shots_is_told():
     flat = np.stack([board_poses(1)[0]] * 3)
     flat[:, :, 3] += np.arange(3)[:, None] * 20.0
-    assert "parallel in all shots" in undetermined_sentence(problem(flat), ("left.fx_px",))
+    assert reason_undetermined(problem(flat)) == sentences.PARALLEL_BOARDS

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib import sentences
 from trinoc.calib.lens_of_points import (
     CAMERA,
     extend_lens,
@@ -31,11 +32,6 @@ from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.geometry.rig import Rig
 from trinoc.numerics.information import LARGEST_SIGMA
 from trinoc.numerics.precision import ArrayLike, in_float64, real_array
-
-_SKEW = (
-    "The camera has a skew of {:.3g} +- {:.1g} px, which no sensor has: it is tilted against its "
-    "lens, or the axes of the places are not perpendicular."
-)
 
 
 @in_float64
@@ -143,7 +139,8 @@ def _result(
     status = Status.SUSPECT if told else Status.CONVERGED
     if SKEW in names:
         row = parameters.index(SKEW)
-        told.append(_SKEW.format(float(found.skew_px), float(np.sqrt(covariance[row, row]))))
+        sigma_px = float(np.sqrt(covariance[row, row]))
+        told.append(sentences.skew_of_points(float(found.skew_px), sigma_px))
     names_in_rig = tuple(f"{CAMERA}.{name}" for name in parameters)
     solved = Camera(intrinsics if names else lens, pose)
     return CalibrationResult(

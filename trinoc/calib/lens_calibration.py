@@ -12,7 +12,7 @@ from trinoc.calib.problem.robust_fit import RobustFit
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.rig_calibration import models_to_try
 from trinoc.calib.rig_pixels import expect_method
-from trinoc.calib.shot_messages import misfit_sentence
+from trinoc.calib.shot_notes import misfit_of_lens
 from trinoc.calib.shots_assembly import result_of_shots
 from trinoc.calib.shots_fit import LensFreedom, ShotObservations, ShotsFit, fit_shots
 from trinoc.calib.starts.camera_start import FEWEST_PLACES
@@ -115,7 +115,7 @@ def calibrate_intrinsics(
     observations = ShotObservations.of_boards(boards, {}, {}, freedom, board_errors)
 
     def expect_one_lens(fit: RobustFit) -> None:
-        misfit = misfit_sentence(fit, _kind_of_places(boards.target))
+        misfit = misfit_of_lens(fit, _kind_of_places(boards.target))
         if misfit is not None:
             raise CalibrationError(misfit)
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from trinoc.calib import sentences
 from trinoc.calib.lens_of_points import (
     ROUNDING_PX,
     fit_under_prior,
@@ -14,7 +15,6 @@ from trinoc.calib.lens_of_points import (
     score_of_points,
     with_lens_parameters_free,
 )
-from trinoc.calib.messages import lens_strain_sentence
 from trinoc.calib.problem.coefficients import free_of_lenses
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.outcome import ShotScatter, shot_scatter
@@ -75,7 +75,7 @@ def refutations_of_points(
             test = test.with_noise(score.noise_variance(test))
             notes.append(_sentence_on_points(problem, cause, causes[cause], test))
     if strain > TUNING.answer.strain_sigmas:
-        sentence = lens_strain_sentence(strain)
+        sentence = sentences.lens_strained(strain)
         notes.append(sentence[0].upper() + sentence[1:])
     return tuple(notes)
 
@@ -98,21 +98,16 @@ def _sentence_on_points(
     if cause is _AIM:
         unit = float(problem.parametrization.unit_mm)
         off, sigma = unit * test.step, unit * np.sqrt(np.diag(test.covariance))
-        return (
-            f"The optical axis misses the origin by ({off[0]:.3g}, {off[1]:.3g}) +- "
-            f'({sigma[0]:.1g}, {sigma[1]:.1g}) mm: use pose_model="aim-free".'
-        )
-    by = _amounts(cause, np.asarray(problem.parametrization.lens_scale)[0][columns], test)
-    return (
-        f"The points ask for another lens than was held, above all in {by}: free "
-        f"{', '.join(cause)}, or see that places and pixels are those of one camera."
-    )
+        return sentences.aim_misses_origin(off, sigma)
+    scale = np.asarray(problem.parametrization.lens_scale)[0][columns]
+    return sentences.points_refute_lens(cause, *_offset_and_sigma(scale, test))
 
 
-def _amounts(names: Sequence[str], scale: Float[np.ndarray, "k"], test: RaoTest) -> str:
-    """By how much each is off, with its sigma. scale : of each for a step of one."""
-    off, sigma = scale * test.step, scale * np.sqrt(np.diag(test.covariance))
-    return ", ".join(f"{n} by {o:+.3g} +- {s:.1g}" for n, o, s in zip(names, off, sigma))
+def _offset_and_sigma(
+    scale: Float[np.ndarray, "k"], test: RaoTest
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Estimated offsets of parameters that were held, and sigmas. scale : of each step."""
+    return scale * test.step, scale * np.sqrt(np.diag(test.covariance))
 
 
 class _Noise(NamedTuple):
@@ -216,13 +211,10 @@ class HeldLenses(NamedTuple):
         test = self.score.judge(self.causes[cause])
         if not is_refuted(test.chance_by(*self.noise), len(self.causes)):
             return None
-        amounts = _amounts(group, self._scale(cause), test.with_noise(self.noise.variance))
-        owner = _owner(self.problem, self.cameras, number)
-        return (
-            f"The shots ask for another lens of {owner} than was given, above all "
-            f"in {amounts}: leave it out of `lens`, so that the shots find it, or see that its "
-            "pictures have the zoom, focus and size that it is for."
-        )
+        test = test.with_noise(self.noise.variance)
+        owners = _cameras_of_lens(self.problem, self.cameras, number)
+        offsets, sigmas = _offset_and_sigma(self._scale(cause), test)
+        return sentences.shots_refute_lens(owners, group, offsets, sigmas)
 
     def say_what_goes_unseen(self, covariance: Float[np.ndarray, "g g"]) -> str | None:
         """The error of a lens that the shots may well not show and that moves a camera most; None
@@ -238,7 +230,7 @@ class HeldLenses(NamedTuple):
         by_fitted = -np.nan_to_num(of_fit.observability.covariance)[of_pose]
         by_asked = by_fitted @ self.information.of_shot.sum(axis=0)[np.ix_(of_fit.free, asked)]
         in_sigmas = by_asked / np.sqrt(np.diag(covariance)[of_pose])[:, None]
-        worst, said = TUNING.answer.strain_sigmas, None
+        worst, sentence = TUNING.answer.strain_sigmas, None
         for cause, columns in self.causes.items():
             test, (number, group) = self.score.judge(columns), cause
             if group[0] not in AFFINE_PARAMETERS or test.freedom < len(group):
@@ -251,16 +243,11 @@ class HeldLenses(NamedTuple):
             if not strain[row] > worst:
                 continue
             worst = float(strain[row])
-            off = self._scale(cause) * (error @ moved[row]) / worst
-            amounts = ", ".join(f"{n} off by {o:+.2g}" for n, o in zip(group, off, strict=True))
+            offsets = self._scale(cause) * (error @ moved[row]) / worst
             camera = self.cameras[(of_fit.free[of_pose][row] - cameras.start) // POSE_SIZE]
-            owner = _owner(self.problem, self.cameras, number)
-            said = (
-                f"The lens of {owner} is taken to be exact. The shots may well not "
-                f'show {amounts}, which moves "{camera}" by up to {worst:.0f} of its sigmas: leave '
-                "it out of `lens`, so that the shots find it."
-            )
-        return said
+            owners = _cameras_of_lens(self.problem, self.cameras, number)
+            sentence = sentences.lens_error_unseen(owners, group, offsets, camera, worst)
+        return sentence
 
     def _scale(self, cause: Cause) -> Float[np.ndarray, "k"]:
         """Change of each parameter of a cause for a step of one."""
@@ -276,7 +263,7 @@ def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
 
     The strain is the largest step from the prior's mean along a principal axis, in its sigmas.
     """
-    worst, said, priors = TUNING.answer.strain_sigmas, None, problem.priors
+    worst, sentence, priors = TUNING.answer.strain_sigmas, None, problem.priors
     for number in np.flatnonzero(is_given(problem.priors)).tolist():
         scale = np.asarray(problem.parametrization.lens_scale)[number]
         lens = lens_number(problem, number)
@@ -286,14 +273,15 @@ def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
         strain = float(np.abs(np.sqrt(np.maximum(values, 0.0)) * (axes.T @ (offset / scale))).max())
         if strain > worst:
             worst = strain
-            said = f"Of {_owner(problem, cameras, number)}: {lens_strain_sentence(strain)}"
-    return said
+            owners = _cameras_of_lens(problem, cameras, number)
+            sentence = sentences.lens_of_cameras_strained(owners, strain)
+    return sentence
 
 
-def _owner(problem: Problem, cameras: Sequence[str], number: int) -> str:
-    """The cameras that have a lens."""
-    of = np.asarray(problem.parametrization.lens_of_camera)
-    return ", ".join(f'"{name}"' for name, own in zip(cameras, of) if own == number)
+def _cameras_of_lens(problem: Problem, cameras: Sequence[str], number: int) -> list[str]:
+    """Names of the cameras that have a lens, by its number."""
+    lens_of_camera = np.asarray(problem.parametrization.lens_of_camera)
+    return [name for name, lens in zip(cameras, lens_of_camera) if lens == number]
 
 
 def _with_lenses_open(problem: Problem, which: Bool[np.ndarray, "l"]) -> Problem:

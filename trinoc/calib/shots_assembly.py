@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib import sentences
 from trinoc.calib.advice.halves import compare_halves, cross_validate
 from trinoc.calib.advice.next_shot import weakly_known_covariance
 from trinoc.calib.folded_lens import FoldFindings, assess_folds, observed_pixels
@@ -22,13 +23,7 @@ from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.status import Status
 from trinoc.calib.refutations import HeldLenses, say_strained_lens
 from trinoc.calib.result.calibration import CalibrationResult, CameraFit, world_of_camera
-from trinoc.calib.shot_messages import (
-    list_refusals,
-    notes_of_fit,
-    notes_of_lens,
-    scatter_sentence,
-    silent_sentences,
-)
+from trinoc.calib.shot_notes import list_refusals, notes_of_fit, notes_of_lens
 from trinoc.calib.shots_fit import ShotObservations, ShotsFit
 from trinoc.calib.starts.pictures import FoundBoards
 from trinoc.calib.targets.board_set import board_names
@@ -90,7 +85,7 @@ def result_of_shots(
     worst, scatter = max(factors, key=lambda camera: factors[camera]), None
     if is_determined and factors[worst] > TUNING.answer.largest_sigma_factor:
         status = Status.SUSPECT
-        scatter = scatter_sentence(worst, factors[worst], bool(causes))
+        scatter = sentences.residuals_exceed_sigmas(worst, factors[worst], bool(causes))
     named, gauge = _named_with_gauge(problem, outcome, cameras, place)
 
     def where(camera: int, shot: int) -> str:
@@ -119,12 +114,18 @@ def result_of_shots(
         target=problem.target,
         failures=failures,
         systematics=observations.systematics.words,
-        notes=(*notes, *silent_sentences(shots_fit.silent, where)),
+        notes=(
+            *notes,
+            *(
+                sentences.grey_levels_not_used(where(camera, shot), why)
+                for camera, shot, why in shots_fit.silent
+            ),
+        ),
         gauge=gauge,
         reduced_chi_square=fit.chi_square / fit.freedom if fit.freedom > 0 else float("nan"),
         refused=(
             *shots_fit.placed.refused,
-            *_remarks_on_detections(boards, cameras),
+            *_remarks_on_detections(boards),
             *list_refusals(fit, where),
         ),
         world=_world_in_words(place, problem, shots, cameras),
@@ -202,12 +203,11 @@ def _camera_fits(
     return fits
 
 
-def _remarks_on_detections(boards: FoundBoards, cameras: tuple[str, ...]) -> list[str]:
+def _remarks_on_detections(boards: FoundBoards) -> list[str]:
     """A sentence on each image of which the detector left out some corners or circles."""
+    is_one = len(boards.detections) == 1
     return [
-        f"{shot}: {remark}; left out."
-        if len(cameras) == 1
-        else f'{shot}: "{camera}": {remark}; left out.'
+        sentences.detection_remark(shot if is_one else f'{shot}: "{camera}"', remark)
         for camera, detections in boards.detections.items()
         for shot, detection in detections.items()
         for remark in detection.remarks

@@ -1,0 +1,272 @@
+"""Sentences that calibrations report: numbers and names in, text out, and no decisions."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.problem.misfit_causes import CauseKind, MisfitCause
+from trinoc.errors import list_names
+
+# Lenses and rigs from many shots of a board: what is not determined.
+
+ONE_SHOT = (
+    ": there is one shot, and a plane tells two numbers of a lens and no more. Take more, the "
+    "board tilted another way in each, or give the lenses"
+)
+SQUARE_TO_THE_CAMERA = (
+    ": all pictures show the board square to the camera, where a longer focal length and a larger "
+    "distance look the same. Tilt the board by 30 to 50 degrees, another way each time"
+)
+PARALLEL_BOARDS = (
+    ": the board is parallel in all shots. Tilt it by 30 to 50 degrees, another way each time"
+)
+ONE_AXIS = ": the board is tilted about one axis only"
+MORE_SHOTS = ": take more shots, the board tilted another way in each"
+
+
+def shots_do_not_determine(parameters: Sequence[str], reason: str) -> str:
+    """The shots leave some parameters free. reason : one of the phrases above."""
+    return f"The shots do not determine {list_names(parameters, 8)}{reason}."
+
+
+def coefficients_held(names: Sequence[str]) -> str:
+    """Coefficients that are not determined were fixed at 0."""
+    return f"The shots cannot determine {', '.join(names)}, held at 0."
+
+
+def coefficients_not_called_for(
+    count: int, names: Sequence[str], extra: Sequence[str], gain: float
+) -> str:
+    """The first `count` coefficients of a lens suffice; what the `extra` ones gain."""
+    is_one = len(extra) == 1
+    return (
+        f"The pictures ask for {', '.join(names[:count]) or 'no distortion'}; {', '.join(extra)} "
+        f"lower{'s' if is_one else ''} chi-square by {gain:.1f}, no more than noise does: "
+        f"distortion={count} would leave {'it' if is_one else 'them'} out."
+    )
+
+
+def distortion_extrapolated(place: str, share: float) -> str:
+    """No observation lies near the corners of the image. place : "circle" or "corner"."""
+    return (
+        f"No {place} lies further than {100 * share:.0f} % of the way from the principal point to "
+        "the corners: the distortion beyond is extrapolated."
+    )
+
+
+# Images and observations that were left out.
+
+
+def board_elsewhere(where: str, miss_px: float) -> str:
+    """An image shows the board in another place than the rig has it."""
+    return (
+        f"{where} shows the board {miss_px:.1f} px from where the rig has it, so the board moved "
+        "or the picture is of another moment; it was left out."
+    )
+
+
+def places_located_wrongly(where: str, wrong: int, count: int) -> str:
+    """Some corners or circles of an image were located wrongly."""
+    verb = "was" if wrong == 1 else "were"
+    return f"{where}: {wrong} of {count} places {verb} located wrongly and left out."
+
+
+def grey_levels_not_used(where: str, why: str) -> str:
+    """The corners of an image stand for its grey levels. why : a sentence."""
+    return f"{where}: {why} Its places count as they were detected."
+
+
+def detection_remark(where: str, remark: str) -> str:
+    """The detector left out some corners of an image."""
+    return f"{where}: {remark}; left out."
+
+
+# Why a lens must not be used.
+
+
+def few_places_agree(places: str, kept: int, total: int) -> str:
+    """Most circles or corners do not agree on one lens. places : "circles" or "corners"."""
+    return f"Only {kept} of {total} {places} agree on one lens: {_one_camera(places)}"
+
+
+def places_misfit(places: str, misfit_px: float) -> str:
+    """The residuals are too large for the board. places : "circles" or "corners"."""
+    return f"The {places} miss their predicted places by {misfit_px:.1f} px: {_one_camera(places)}"
+
+
+def _one_camera(places: str) -> str:
+    board = "this pattern" if places == "circles" else "this board"
+    return (
+        f"check that all pictures show {board} and were taken by one camera at one zoom and focus."
+    )
+
+
+# Scatter, and its causes.
+
+
+def not_converged(status: str) -> str:
+    """The fit did not converge. status : its sentence."""
+    return f"{status} See that all pictures show this board."
+
+
+def circles_scatter(camera: str, factor: float) -> str:
+    """The residuals of circles exceed their sigmas."""
+    return (
+        f"The circles of {camera} scatter {factor:.1f} times as much as their own sigmas say; all "
+        "sigmas are enlarged by that. See that the board is flat and does not move, and that focus "
+        "and zoom stay."
+    )
+
+
+def residuals_exceed_sigmas(camera: str, factor: float, has_causes: bool) -> str:
+    """The residuals of a camera are so large that the rig is SUSPECT."""
+    return f'The residuals of "{camera}" are {factor:.1f} times their sigmas: ' + (
+        "see the causes below." if has_causes else "no single cause stands out in them."
+    )
+
+
+def shots_differ(factor: float, has_causes: bool) -> str:
+    """All sigmas were enlarged by the scatter of the shots."""
+    return (
+        f"All sigmas are enlarged {factor:.1f} times, because shots differ from each other by so "
+        "much more than their residuals."
+        + ("" if has_causes else " No single cause stands out in the residuals.")
+    )
+
+
+def cause_of_misfit(cause: MisfitCause, cameras: Sequence[str], shots: Sequence[str]) -> str:
+    """The pattern that a cause leaves in the residuals, and what to do."""
+    camera = f'"{cameras[cause.camera]}"'
+    size = f"{cause.amplitude_px:.2g} px (its residuals are {cause.noise_px:.2g} px rms)"
+    if cause.kind is CauseKind.LENS_MODEL:
+        return (
+            f"The lens model of {camera} leaves a pattern of {size} that all images share: choose "
+            "--lens-model auto or splined."
+        )
+    if cause.kind is CauseKind.BOARD_CHANGES:
+        return (
+            f"In {camera} the board is deformed differently in each image, by {size}: it bends, or "
+            "moves during the exposure. Fix it to something stiff, and hold it still."
+        )
+    if cause.kind is CauseKind.CAMERA_MOVED:
+        return (
+            f'{camera} moved before the shot "{shots[cause.shot]}": from there on it shows the '
+            f"board {cause.amplitude_px:.2g} px aside. Calibrate the shots before and after apart."
+        )
+    return (
+        f"{camera} shows the board {size} from where the other cameras of the shot show it, in the "
+        "median of all shots: the cameras do not look at one moment. Hold the board still in each "
+        "shot, or trigger the cameras together."
+    )
+
+
+# The board.
+
+SEEN_FROM_BEHIND = (
+    "Most pictures show the board from behind: the board, its layout or the pictures are mirrored, "
+    "unless it is of glass. Mirrored pictures make a mirrored rig."
+)
+
+
+def board_shape(aside_mm: float, off_plane_mm: float) -> str:
+    """The board's corners lie off their drawing."""
+    return (
+        f"The board's places lie {aside_mm:.2g} mm aside of the drawing and {off_plane_mm:.2g} mm "
+        "off its plane (root mean square); this was found with the rig, and is taken into account."
+    )
+
+
+def board_deviates(board: str, parameter: str, value: float, sigmas: float) -> str:
+    """A parameter of the board is far from what was stated. board : its name, or ""."""
+    of_board = f" {board}" if board else ""
+    amount = f"{value:.2f} mm" if parameter.endswith("_mm") else f"{100 * value:.2f} %"
+    return (
+        f"The board{of_board}'s {parameter.removesuffix('_mm')} is {amount}, more than was thought "
+        f"possible ({sigmas:.0f} sigmas): check the layout and the size of its squares."
+    )
+
+
+# Lenses and aims that were held or stated, and that the observations contradict.
+
+
+def lens_strained(strain: float) -> str:
+    """A lens that was stated with a covariance is off. strain : by so many of its sigmas."""
+    return (
+        f"the lens is another than was said, by {strain:.1f} of its sigmas: check focal length, "
+        "pixel pitch and focus, that nobody resized or turned the picture, or calibrate its "
+        "intrinsics."
+    )
+
+
+def lens_of_cameras_strained(cameras: Sequence[str], strain: float) -> str:
+    """The same of a lens that one or several cameras of a rig have."""
+    return f"Of {_quoted(cameras)}: {lens_strained(strain)}"
+
+
+def aim_misses_origin(offset_mm: Float[np.ndarray, "2"], sigma_mm: Float[np.ndarray, "2"]) -> str:
+    """An optical axis that was held at the origin does not meet it."""
+    return (
+        f"The optical axis misses the origin by ({offset_mm[0]:.3g}, {offset_mm[1]:.3g}) +- "
+        f'({sigma_mm[0]:.1g}, {sigma_mm[1]:.1g}) mm: use pose_model="aim-free".'
+    )
+
+
+def points_refute_lens(
+    names: Sequence[str], offsets: Float[np.ndarray, "k"], sigmas: Float[np.ndarray, "k"]
+) -> str:
+    """Parameters of a lens that was held are off, by points."""
+    return (
+        "The points ask for another lens than was held, above all in "
+        f"{_amounts(names, offsets, sigmas)}: free {', '.join(names)}, or see that places and "
+        "pixels are those of one camera."
+    )
+
+
+def shots_refute_lens(
+    cameras: Sequence[str],
+    names: Sequence[str],
+    offsets: Float[np.ndarray, "k"],
+    sigmas: Float[np.ndarray, "k"],
+) -> str:
+    """Parameters of a lens that was given are off, by shots of a board."""
+    return (
+        f"The shots ask for another lens of {_quoted(cameras)} than was given, above all in "
+        f"{_amounts(names, offsets, sigmas)}: leave it out of `lens`, so that the shots find it, "
+        "or see that its pictures have the zoom, focus and size that it is for."
+    )
+
+
+def lens_error_unseen(
+    cameras: Sequence[str],
+    names: Sequence[str],
+    offsets: Float[np.ndarray, "k"],
+    moved_camera: str,
+    strain: float,
+) -> str:
+    """An error of a given lens that the shots need not show would move a camera far."""
+    amounts = ", ".join(f"{n} off by {o:+.2g}" for n, o in zip(names, offsets, strict=True))
+    return (
+        f"The lens of {_quoted(cameras)} is taken to be exact. The shots may well not show "
+        f'{amounts}, which moves "{moved_camera}" by up to {strain:.0f} of its sigmas: leave it '
+        "out of `lens`, so that the shots find it."
+    )
+
+
+def skew_of_points(skew_px: float, sigma_px: float) -> str:
+    """A camera fitted to points has a skew."""
+    return (
+        f"The camera has a skew of {skew_px:.3g} +- {sigma_px:.1g} px, which no sensor has: it is "
+        "tilted against its lens, or the axes of the places are not perpendicular."
+    )
+
+
+def _amounts(
+    names: Sequence[str], offsets: Float[np.ndarray, "k"], sigmas: Float[np.ndarray, "k"]
+) -> str:
+    rows = zip(names, offsets, sigmas, strict=True)
+    return ", ".join(f"{name} by {offset:+.3g} +- {sigma:.1g}" for name, offset, sigma in rows)
+
+
+def _quoted(names: Sequence[str]) -> str:
+    return ", ".join(f'"{name}"' for name in names)
