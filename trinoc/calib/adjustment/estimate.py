@@ -10,13 +10,14 @@ from trinoc.calib.problem.information import WhitenedViews, whiten_views
 from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.problem.robust_fit import (
     fit_places,
-    robust_scale,
+    fit_without_outliers,
+    inliers,
+    with_sigma_factors,
 )
 from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
 from trinoc.calib.problem.solver import LEAST_DAMPING
 from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
@@ -144,19 +145,17 @@ def adjust_cameras(
     suspects = [
         k
         for k, one in enumerate(cameras)
-        if one.shown is None
-        and np.linalg.norm(_pairs(views, k), axis=1).max() > TUNING.problem.gate
+        if one.shown is None and not inliers(_pairs(views, k), scale=1.0).all()
     ]
     if suspects:
-        problem, converged, views = _fit_without_outliers(problem, views, suspects)
+        problem, converged = fit_without_outliers(problem, suspects)
+        views = whiten_views(problem)
     root, free = _root(problem, views)
-    reduced, freedom = _reduced_chi_squares(problem, views, root, free)
-    largest = 1 + TUNING.problem.refuted_sigmas * np.sqrt(2 / np.maximum(freedom, 1e-9))
-    enlarged = np.where(reduced > largest, np.sqrt(reduced), 1.0)
-    if (enlarged > 1).any():
-        factor = np.array(problem.sigma_factor)
-        factor[: len(enlarged)] = enlarged
-        problem, converged, views = _fit(problem._replace(sigma_factor=factor))
+    squared, freedom = _chi_squares(problem, views, root, free)
+    reduced = np.where(freedom > 0, squared / np.maximum(freedom, 1.0), np.nan)
+    enlarged = with_sigma_factors(problem, squared, freedom)
+    if (enlarged.sigma_factor > 1).any():
+        problem, converged, views = _fit(enlarged)
         root, free = _root(problem, views)
     inverse = _inverse(root)
     covariance = inverse @ inverse.T
@@ -168,24 +167,6 @@ def _fit(
 ) -> tuple[Problem, bool, WhitenedViews]:
     problem, converged = fit_places(problem, first_damping=first_damping)
     return problem, converged, whiten_views(problem)
-
-
-def _fit_without_outliers(
-    problem: Problem, views: WhitenedViews, suspects: Sequence[int]
-) -> tuple[Problem, bool, WhitenedViews]:
-    """A robust fit names the places that do not fit; one without them is the answer."""
-    used = [view.used for view in problem.views]
-    for share in TUNING.problem.annealing:
-        scale = np.full(len(problem.views), np.inf)
-        for k in suspects:
-            scale[k] = share * robust_scale(_pairs(views, k)[: len(used[k])])
-        problem, _ = fit_places(problem, scale, LEAST_DAMPING)
-        views = whiten_views(problem)
-    for k in suspects:
-        pairs = _pairs(views, k)[: len(used[k])]
-        used[k] = np.linalg.norm(pairs, axis=1) <= TUNING.problem.gate * robust_scale(pairs)
-    kept = zip(problem.views, used, strict=True)
-    return _fit(problem._replace(views=tuple(view._replace(used=own) for view, own in kept)))
 
 
 def _pairs(views: WhitenedViews, view: int) -> Float[np.ndarray, "n 2"]:
@@ -226,18 +207,13 @@ def _inverse(root: Float[np.ndarray, "f f"]) -> Float[np.ndarray, "f f"]:
     return (right[known].T / values[known]) @ left[:, known].T / scale[:, None]
 
 
-def _reduced_chi_squares(
+def _chi_squares(
     problem: Problem,
     views: WhitenedViews,
     root: Float[np.ndarray, "f f"],
     free: np.ndarray,
 ) -> tuple[Float[np.ndarray, "v"], Float[np.ndarray, "v"]]:
-    """Chi-square of each camera over its degrees of freedom, and these."""
-    inverse, count = _inverse(root), len(problem.views)
-    reduced, freedom = np.full(count, np.nan), np.zeros(count)
-    for k, view in enumerate(problem.views):
-        fitted_numbers = float(np.sum((views.jacobian[k][:, free] @ inverse) ** 2))
-        freedom[k] = view.numbers - fitted_numbers
-        if freedom[k] >= 1:
-            reduced[k] = float(np.sum(np.square(views.residual[k]))) / freedom[k]
-    return reduced, freedom
+    """Chi-square of each camera and its degrees of freedom, those below 1 as 0."""
+    fitted = np.sum((views.jacobian[..., free] @ _inverse(root)) ** 2, axis=(1, 2))
+    freedom = np.array([view.numbers for view in problem.views]) - fitted
+    return np.sum(views.residual**2, axis=1), np.where(freedom >= 1, freedom, 0.0)

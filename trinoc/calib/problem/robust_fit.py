@@ -1,5 +1,6 @@
 """The fit of a rig without the places, and the pictures, that it does not explain."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.places import residuals_px, whitened_residuals
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.solver import solve
+from trinoc.calib.problem.solver import LEAST_DAMPING, solve
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.precision import as_numpy
@@ -34,9 +35,15 @@ def robust_scale(whitened: Float[np.ndarray, "m 2"]) -> float:
     return max(1.0, float(np.median(np.linalg.norm(whitened, axis=1))) / _MEDIAN_LENGTH)
 
 
-def inliers(whitened: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, "m"]:
-    """Circles whose error is one that noise can make."""
-    return np.linalg.norm(whitened, axis=1) <= TUNING.problem.gate * robust_scale(whitened)
+def inliers(
+    whitened: Float[np.ndarray, "m 2"], scale: float | None = None
+) -> Bool[np.ndarray, "m"]:
+    """Return which places have an error that noise explains.
+
+    scale : standard deviation of the errors; their own `robust_scale` unless given.
+    """
+    scale = robust_scale(whitened) if scale is None else scale
+    return np.linalg.norm(whitened, axis=1) <= TUNING.problem.gate * scale
 
 
 class RobustFit(NamedTuple):
@@ -70,12 +77,38 @@ def fit_robustly(problem: Problem) -> RobustFit:
     return finish_fit(problem, elsewhere)
 
 
-def anneal(problem: Problem) -> Problem:
-    """The problem after fits that bound the influence of places ever more tightly."""
+def anneal(
+    problem: Problem, suspects: Sequence[int] | None = None, first_damping: float | None = None
+) -> Problem:
+    """The problem after fits that bound the influence of places ever more tightly.
+
+    suspects : the views whose places are bounded, each by its own scatter. Unless given, all are,
+    by the scatter of all.
+    """
     for factor in TUNING.problem.annealing:
-        scale = factor * robust_scale(_take_used_rows(problem, place_errors_in_sigmas(problem)))
-        problem, _ = fit_places(problem, scale)
+        errors = _used_rows(problem, place_errors_in_sigmas(problem))
+        scale = np.full(len(problem.views), np.inf)
+        if suspects is None:
+            scale[:] = factor * robust_scale(np.concatenate(errors))
+        else:
+            scale[suspects] = [factor * robust_scale(errors[k]) for k in suspects]
+        problem, _ = fit_places(problem, scale, first_damping)
     return problem
+
+
+def fit_without_outliers(problem: Problem, suspects: Sequence[int]) -> tuple[Problem, bool]:
+    """The fit without those places of some views that noise does not explain, and whether it
+    converged. No view is left out as a whole.
+
+    suspects : views with places whose error exceeds the gate at the state of the problem.
+    """
+    problem, views = anneal(problem, suspects, LEAST_DAMPING), list(problem.views)
+    errors = _used_rows(problem, place_errors_in_sigmas(problem))
+    for k in suspects:
+        used = views[k].used.copy()
+        used[used] = inliers(errors[k])
+        views[k] = views[k]._replace(used=used)
+    return fit_places(problem._replace(views=tuple(views)), first_damping=LEAST_DAMPING)
 
 
 def finish_fit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
@@ -138,12 +171,11 @@ def _project_across(
     return np.einsum("mik,mk,mjk,mj->mi", vectors, determined, vectors, errors)
 
 
-def _take_used_rows(
+def _used_rows(
     problem: Problem, errors: Float[np.ndarray, "v n 2"]
-) -> Float[np.ndarray, "m 2"]:
-    return np.concatenate(
-        [rows[: len(view.used)][view.used] for rows, view in zip(errors, problem.views)]
-    )
+) -> list[Float[np.ndarray, "_m 2"]]:
+    """The errors of the detected places of each view that take part."""
+    return [rows[: len(view.used)][view.used] for rows, view in zip(errors, problem.views)]
 
 
 def use_all_places(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> Problem:
@@ -185,7 +217,7 @@ def drop_wrong_places(
         for k, whitened in own.items():
             most = TUNING.problem.noisiest_image * of_camera
             scale = float(np.clip(robust_scale(whitened), of_camera, most))
-            right = np.linalg.norm(whitened, axis=1) <= TUNING.problem.gate * scale
+            right = inliers(whitened, scale)
             view, used = problem.views[k], problem.views[k].used.copy()
             used[used] = right
             if right.mean() < TUNING.problem.fewest_agree:
@@ -196,24 +228,34 @@ def drop_wrong_places(
     return problem._replace(views=tuple(views)), elsewhere
 
 
-def with_sigma_factors(problem: Problem) -> Problem:
+def with_sigma_factors(
+    problem: Problem,
+    squared: Float[np.ndarray, "v"] | None = None,
+    freedom_of_view: Float[np.ndarray, "v"] | None = None,
+) -> Problem:
     """The problem with the sigmas that the residuals of each camera and of its images show.
+
+    squared : sum of the squared residuals of each view, in sigmas; computed unless given.
+    freedom_of_view : their degrees of freedom; unless given, those of the whole fit, shared among
+    the views by their numbers of residuals.
 
     The variance of an image's places is its camera's and its own, weighted by their numbers of
     degrees of freedom, where the camera's counts as `TUNING.problem.image_prior`: weights of groups
     of observations by their residuals, as in variance component estimation.
     """
-    errors = place_errors_in_sigmas(problem)
-    squared = np.sum(errors**2, axis=(1, 2))
-    total = sum(view.numbers for view in problem.views)
-    share = max(degrees_of_freedom(problem), 1) / max(total, 1)
+    if squared is None:
+        squared = np.sum(place_errors_in_sigmas(problem) ** 2, axis=(1, 2))
+    if freedom_of_view is None:
+        numbers = np.array([view.numbers for view in problem.views])
+        share = max(degrees_of_freedom(problem), 1) / max(int(numbers.sum()), 1)
+        freedom_of_view = share * numbers
     are_known = problem.parametrization.has_circles or any(
         v.shown is not None for v in problem.views
     )
     factor, views = np.array(problem.sigma_factor), list(problem.views)
     for camera in range(problem.cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == camera and view.numbers]
-        freedom = share * np.array([views[k].numbers for k in rows])
+        freedom = freedom_of_view[rows]
         if freedom.sum() <= 0:
             continue
         # In sigmas as they were detected.
