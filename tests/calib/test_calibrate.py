@@ -8,7 +8,7 @@ import pytest
 from simulation.camera_picture.render import render_sheet
 from tests.calib.simulated import DISTORTED_LENS, EXACT, LENS, TABLE_1, camera_of
 from trinoc.calib import CalibrationResult, Status
-from trinoc.calib.from_images import calibrate
+from trinoc.calib.sheet_calibration import calibrate
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics

@@ -11,9 +11,6 @@ from .detection.registry import (
     detect_pattern as detect_pattern,
     detect_target as detect_target,
 )
-from .from_detections import (
-    calibrate_detections as calibrate_detections,
-)
 from .intrinsics_result import (
     IntrinsicsResult as IntrinsicsResult,
 )
@@ -27,6 +24,9 @@ from .rig_check.knocked import (
 )
 from .rig_from_shots import (
     next_shot as next_shot,
+)
+from .sheet_calibration import (
+    calibrate_detections as calibrate_detections,
 )
 from .shots_result import (
     RigFromShots as RigFromShots,

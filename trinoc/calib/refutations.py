@@ -14,7 +14,6 @@ from trinoc.calib.lens_of_points import (
     score_of_points,
     with_lens_parameters_free,
 )
-from trinoc.calib.messages import lens_strain_sentence
 from trinoc.calib.problem.coefficients import free_of_lenses
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.outcome import ShotScatter, shot_scatter
@@ -34,6 +33,7 @@ from trinoc.calib.problem.rao_test import (
 )
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.problem.variables import POSE_SIZE
+from trinoc.calib.sentences import lens_strain_sentence
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.skewed import SKEW, skew_lens

@@ -7,23 +7,81 @@ jackknife estimate of variance", Annals of Statistics 9(3), 1981.
 Both circles and grey levels are fitted to one picture, the grey levels better. If the model of
 the grey levels is right, the circles' answer differs from theirs by no more than the circles' own
 noise; where they are farther apart, one of both models is wrong, and the scatter of the grey
-levels' own places says which (`rig_fit.choose_answer`): J. A. Hausman, "Specification tests in
+levels' own places says which (`choose_observations`): J. A. Hausman, "Specification tests in
 econometrics", Econometrica 46(6), 1978. His covariance is the difference of both, whichever is the
 larger, here with the sheet and the lens as the grey levels have them: the priors, which make both
 answers nearly as uncertain as each other, then drop out.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 
-from trinoc.calib.adjustment.estimate import Adjustment
+from trinoc.calib.adjustment.adjustment import Adjustment, prior_weights
 from trinoc.calib.problem.information import whiten_views
+from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.numerics.tails import chi_square_tail
+from trinoc.numerics.tails import chi_square_tail, normal_limit
 
 # numerical: neighbours on a lattice, whose diagonals are 1.41 as long.
 _NEIGHBOURS = 1.2
+
+
+def choose_observations(
+    candidates: Sequence[SheetCamera], by_circles: Adjustment, by_pixels: Adjustment
+) -> tuple[SheetCamera, ...]:
+    """Choose the observations of each camera: its grey levels, or its circles where those mislead.
+
+    candidates : the cameras by their grey levels, where these could be fitted.
+    by_circles, by_pixels : all cameras adjusted by their circles, and as `candidates`.
+    """
+    return tuple(
+        _choose(view, camera, by_circles, by_pixels) for view, camera in enumerate(candidates)
+    )
+
+
+def _choose(
+    view: int, camera: SheetCamera, by_circles: Adjustment, by_pixels: Adjustment
+) -> SheetCamera:
+    has_pixels, agreement = camera.method == "pixels", float("nan")
+    if has_pixels:
+        agreement = probability_of_agreement(by_circles, by_pixels, view)
+    agrees = agreement >= TUNING.answer.chance_of_answers
+    is_consistent = has_pixels and by_pixels.enlarged[view] == 1.0
+    # Shadows, uneven light and blur move circles alike, so that these agree among themselves; what
+    # the grey levels do not model makes their places scatter. Filters of phones move whole edges,
+    # which an uncertain lens or sheet absorbs: there the circles count, unless neighbouring ones
+    # are displaced alike, as by glare.
+    is_processed = camera.picture is not None and camera.picture.is_processed
+    if is_processed and _has_open_model(by_circles) and not _are_displaced(by_circles, view):
+        uses_pixels = agrees and is_consistent
+    else:
+        uses_pixels = agrees or is_consistent
+    if uses_pixels:
+        return replace(camera, agreement=agreement)
+    scatter = scatter_of_blocks(by_circles, view)
+    # A model of the grey levels that is wrong casts doubt on the circles, too.
+    if not has_pixels and scatter <= TUNING.answer.largest_scatter:
+        scatter = 1.0
+    return replace(camera, shown=None, agreement=agreement, scatter=scatter)
+
+
+def _has_open_model(adjustment: Adjustment) -> bool:
+    """Whether lens or sheet are estimated along with the poses."""
+    slices, weights = adjustment.problem.slices, prior_weights(adjustment.problem)
+    return bool(weights[slices.lenses].any() or weights[slices.sheets].any())
+
+
+def _are_displaced(by_circles: Adjustment, view: int) -> bool:
+    """Whether neighbouring circles share errors, as under glare: their blocks scatter, or their
+    residuals are correlated."""
+    if scatter_of_blocks(by_circles, view) > TUNING.answer.largest_scatter:
+        return True
+    limit = float(normal_limit(TUNING.answer.chance_of_answers))
+    return autocorrelation_of_circles(by_circles, view) > limit
 
 
 def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:

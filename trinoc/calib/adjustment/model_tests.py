@@ -8,10 +8,9 @@ Netherlands Geodetic Commission, 1968, calls the one internal and the other exte
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import solve_triangular
 
-from trinoc.calib.adjustment.estimate import Adjustment
-from trinoc.calib.problem.rao_test import judge_pull, unseen_sigmas
+from trinoc.calib.adjustment.adjustment import Adjustment
+from trinoc.calib.problem.rao_test import HeldScore, score_of_residuals, unseen_sigmas
 from trinoc.calib.result.calibration import Alternative
 from trinoc.calib.tuning.every_group import TUNING
 
@@ -44,30 +43,29 @@ def alternatives(
             columns["principal point"] = by_lens[:, _CENTRE : _CENTRE + 2]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
     unit = {"aim": float(problem.parametrization.unit_mm)}
-    tests = [
-        _score(name, extra, adjustment, view, freedom, unit.get(name, 1.0))
-        for name, extra in columns.items()
-        if freedom - extra.shape[1] >= 1
-    ]
+    base, residual = by_head[:, adjustment.free], adjustment.near.residual[view]
+    tests = []
+    for name, extra in columns.items():
+        if freedom - extra.shape[1] >= 1:
+            score = score_of_residuals(extra, residual, base, adjustment.root, freedom)
+            tests.append(_test(name, extra, score, adjustment, view, unit.get(name, 1.0)))
     return sorted((test for test in tests if test is not None), key=lambda item: item.p_value)
 
 
-def _score(
+def _test(
     name: str,
     extra: Float[np.ndarray, "n k"],
+    score: HeldScore,
     adjustment: Adjustment,
     view: int,
-    freedom: float,
     unit: float,
 ) -> Alternative | None:
     """The test of one alternative; None where the residuals cannot tell it from what is fitted."""
-    base, residual = adjustment.near.jacobian[view], adjustment.near.residual[view]
-    left = information_left(extra, base[:, adjustment.free], adjustment.root)
-    test = judge_pull(left, extra.T @ residual, np.sum(extra**2, axis=0))
+    test = score.judge(range(extra.shape[1]))
     if test.freedom < extra.shape[1]:
         return None
     # Places that scatter more than they claim scatter alike in every direction.
-    test = test.with_noise(max(1.0, test.noise_variance(float(residual @ residual), freedom)))
+    test = test.with_noise(max(1.0, score.noise_variance(test)))
     sigma = unit * np.sqrt(np.diag(test.covariance))
     motion = motion_by_extra(extra, adjustment, view)
     by_pose = adjustment.pose_root(view) @ motion
@@ -102,19 +100,6 @@ def motion_by_extra(
     base = adjustment.near.jacobian[view][:, adjustment.free]
     step = -adjustment.covariance @ (base.T @ extra)
     return step[adjustment.rows(view)]
-
-
-def information_left(
-    extra: Float[np.ndarray, "n k"],
-    base: Float[np.ndarray, "n f"],
-    root: Float[np.ndarray, "f f"],
-) -> Float[np.ndarray, "k k"]:
-    """On more unknowns, of derivatives `extra`, while those of `base` are fitted along.
-
-    root : R of the information R^T R on these, priors and other views included.
-    """
-    fitted = solve_triangular(root, base.T @ extra, trans=1)
-    return extra.T @ extra - fitted.T @ fitted
 
 
 def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarray, "k"]) -> str:

@@ -14,13 +14,12 @@ Reference: J. A. Hausman, "Specification tests in econometrics", Econometrica 46
 statistic this is for an efficient estimate (the prior and the images) and a consistent one.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.adjustment.estimate import Adjustment, prior_weights
+from trinoc.calib.adjustment.adjustment import Adjustment, prior_weights
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.tails import chi_square_tail, normal_limit
@@ -64,6 +63,22 @@ class PriorPull(NamedTuple):
     freedom: int
     chance: float
     partners: tuple[Unknown, ...] = ()
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """The unknown and its partners."""
+        return (self.unknown, *self.partners)
+
+    @property
+    def views(self) -> frozenset[int]:
+        """The cameras that are concerned alone; none where the sheet may be."""
+        if not all(unknown.views for unknown in self.unknowns):
+            return frozenset()
+        return frozenset(view for unknown in self.unknowns for view in unknown.views)
+
+    def concerns_aim(self, view: int) -> bool:
+        """Whether the aim of a camera may be what is wrong."""
+        return any(one.kind == "aim" and view in one.views for one in self.unknowns)
 
     @property
     def sigmas(self) -> float:
@@ -241,9 +256,8 @@ def list_kinds(pull: PriorPull) -> tuple[str, ...]:
 
     Partners of one lens share the statement that is wrong.
     """
-    unknowns: Sequence[Unknown] = (pull.unknown, *pull.partners)
     by_owner: dict[tuple[str, tuple[int, ...]], str] = {}
-    for unknown in unknowns:
+    for unknown in pull.unknowns:
         of_lens = unknown.kind not in ("aim", "bend", "print size", "print aspect", "all")
         by_owner.setdefault(("lens" if of_lens else unknown.kind, unknown.views), unknown.kind)
     return tuple(dict.fromkeys(by_owner.values()))

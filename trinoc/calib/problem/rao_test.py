@@ -5,6 +5,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.linalg import solve_triangular
 from scipy.special import chdtri, chndtrinc, fdtrc
 
 from trinoc.calib.problem.information import Information, compute_information
@@ -176,6 +177,29 @@ def explain_pull(
     left = whole[np.ix_(held, held)] - explained @ whole[np.ix_(~held, held)]
     unit = scale[held]
     return left * np.outer(unit, unit), unit * (pull[held] - explained @ pull[~held]), unit**2
+
+
+def score_of_residuals(
+    extra: Float[np.ndarray, "n k"],
+    residual: Float[np.ndarray, "n"],
+    base: Float[np.ndarray, "n f"],
+    root: Float[np.ndarray, "f f"],
+    freedom: float,
+) -> HeldScore:
+    """Score of unknowns that were held, from residuals in sigmas of which `freedom` are free.
+
+    extra, base : derivatives of the residuals by these unknowns and by those that were fitted.
+    root : R of the information R^T R on the latter, priors and other views included.
+    """
+    fitted = solve_triangular(root, base.T @ extra, trans=1)
+    return HeldScore(
+        left=extra.T @ extra - fitted.T @ fitted,
+        pull=extra.T @ residual,
+        whole=np.sum(extra**2, axis=0),
+        squared=float(residual @ residual),
+        freedom=freedom,
+        are_exact=False,
+    )
 
 
 def rao_test(information: Information, held: Bool[np.ndarray, "f"]) -> RaoTest:

@@ -1,7 +1,8 @@
-"""The cameras over one sheet, fitted together, and what that says of each."""
+"""Joint adjustment of the cameras over one sheet: estimate, covariance, scatter of each."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -14,46 +15,62 @@ from trinoc.calib.problem.robust_fit import (
     inliers,
     with_sigma_factors,
 )
-from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
+from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors, sheet_problem
 from trinoc.calib.problem.solver import LEAST_DAMPING
-from trinoc.calib.result.degrees import degrees_by_step
+from trinoc.calib.result.degrees import degrees_by_step, largest_sigmas
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
+from trinoc.numerics.information import Observability, observability_of_root
 
 # numerical: singular values of a root with columns of length 1 below this share of the largest
 # are rounding.
 _ROUNDING = 1e-14
 
 
-class Adjustment(NamedTuple):
-    """What the cameras' pictures and all priors say together.
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """Joint estimate of all cameras over one sheet from their observations and all priors.
 
     Fields
     ------
-    problem : at its end; what took part of each view, and by how much its sigmas were enlarged.
+    cameras : the observations, in the order of the views.
+    priors : on sheet, lenses and aims.
+    problem : at the estimate, with the places that are used and the factors of their sigmas.
     near : whitened residuals of the v views there, and their derivatives by all steps.
-    free : (f,) the steps of the head that were fitted.
-    root : (f, f) upper triangular R, of their information R^T R, the priors included. Pixels of
-        one picture and a prior on its lens differ by so much in weight that the information itself
-        would not hold both.
-    covariance : (f, f) of them.
+    root : (f, f) upper triangular R of the information R^T R of the free steps, priors included.
+        `problem.information` forms the information itself, which halves the digits: grey levels
+        and the prior of a lens differ by 10^6 and more in sigmas, and the tests of priors take the
+        difference of prior and posterior covariance.
     reduced_chi_square : (v,) of the places, before sigmas were enlarged by it.
-    freedom : (v,) degrees of freedom of the same.
-    model : what is free of each pose.
-    converged : whether the last fit has.
+    freedom : (v,) degrees of freedom of the same; 0 below 1.
+    converged : whether the last fit converged.
     """
 
+    cameras: tuple[SheetCamera, ...]
+    priors: SheetPriors
     problem: Problem
     near: WhitenedViews
-    free: np.ndarray
     root: Float[np.ndarray, "f f"]
-    covariance: Float[np.ndarray, "f f"]
     reduced_chi_square: Float[np.ndarray, "v"]
     freedom: Float[np.ndarray, "v"]
-    model: PoseModel
     converged: bool
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """(f,) the steps of the head that are estimated."""
+        return np.flatnonzero(self.problem.free)
+
+    @cached_property
+    def covariance(self) -> Float[np.ndarray, "f f"]:
+        """Covariance of the free steps; 0 along directions that nothing determines."""
+        inverse = _inverse(self.root)
+        return inverse @ inverse.T
+
+    @property
+    def model(self) -> PoseModel:
+        """The parameters of each pose that are estimated."""
+        return self.priors.fitted_model
 
     @property
     def used(self) -> list[np.ndarray]:
@@ -107,6 +124,15 @@ class Adjustment(NamedTuple):
         last = np.concatenate([others, rows])
         return _triangle(self.root[:, last])[len(others) :, len(others) :]
 
+    def observability(self, view: int, sigma_factor: float = 1.0) -> Observability:
+        """What is determined of one camera's pose, all else being as uncertain as it is.
+
+        sigma_factor : by which the sigmas of all observations are divided.
+        """
+        largest = largest_sigmas(self.model, self.distance_mm(view))
+        root = sigma_factor * self.pose_root(view)
+        return observability_of_root(root, self.degrees_by_step(view), largest)
+
     def covariance_with(self, weights: Float[np.ndarray, "f"]) -> Float[np.ndarray, "f f"]:
         """The covariance, were each free step known by so much more, in one over its sigma."""
         inverse = _inverse(_triangle(np.concatenate([self.root, np.diag(weights)])))
@@ -121,64 +147,56 @@ class Adjustment(NamedTuple):
         return degrees_by_step(self.pose(view), self.problem.parametrization.unit_mm, self.model)
 
 
-def adjust_cameras(
+def adjust(
     cameras: Sequence[SheetCamera],
     target: AbstractTarget,
-    systematics: Systematics,
-    model: PoseModel,
-    aim_sigma_mm: float,
-    near: Adjustment | None = None,
+    priors: SheetPriors,
+    start: Adjustment | None = None,
     first_damping: float | None = LEAST_DAMPING,
 ) -> Adjustment:
-    """All cameras together, places that fit none of it left out.
+    """Adjust all cameras together, without places that noise does not explain.
 
-    near : an adjustment of the same cameras from the same poses, from which this one starts.
+    start : an adjustment of the same cameras with other observations. This one continues from its
+        estimate, without the places that it leaves out: outliers are decided once.
     first_damping : of the first fit; circles give a start so near that undamped steps do.
 
-    A camera whose places scatter more than they claim gets sigmas that are larger by that much, in
-    a second fit where it weighs less.
+    A camera whose places scatter more than their sigmas gets sigmas that are larger by that factor,
+    in a second fit.
     """
-    problem = sheet_problem(cameras, target, systematics, model, aim_sigma_mm)
-    if near is not None:
-        problem = problem._replace(state=near.problem.state)
-    problem, converged, views = _fit(problem, first_damping)
-    suspects = [
-        k
-        for k, one in enumerate(cameras)
-        if one.shown is None and not inliers(_pairs(views, k), scale=1.0).all()
-    ]
-    if suspects:
-        problem, converged = fit_without_outliers(problem, suspects)
-        views = whiten_views(problem)
-    root, free = _root(problem, views)
-    squared, freedom = _chi_squares(problem, views, root, free)
+    problem = sheet_problem(cameras, target, priors)
+    if start is not None:
+        pairs = zip(problem.views, start.problem.views, strict=True)
+        views = tuple(view._replace(used=before.used) for view, before in pairs)
+        problem = problem._replace(views=views, state=start.problem.state)
+    problem, converged = fit_places(problem, first_damping=first_damping)
+    near = whiten_views(problem)
+    if start is None:
+        errors = near.residual.reshape(len(cameras), -1, 2)
+        suspects = [
+            k
+            for k, camera in enumerate(cameras)
+            if camera.shown is None and not inliers(errors[k], scale=1.0).all()
+        ]
+        if suspects:
+            problem, converged = fit_without_outliers(problem, suspects)
+            near = whiten_views(problem)
+    root = _root(problem, near)
+    squared, freedom = _chi_squares(problem, near, root)
     reduced = np.where(freedom > 0, squared / np.maximum(freedom, 1.0), np.nan)
     enlarged = with_sigma_factors(problem, squared, freedom)
     if (enlarged.sigma_factor > 1).any():
-        problem, converged, views = _fit(enlarged)
-        root, free = _root(problem, views)
-    inverse = _inverse(root)
-    covariance = inverse @ inverse.T
-    return Adjustment(problem, views, free, root, covariance, reduced, freedom, model, converged)
+        problem, converged = fit_places(enlarged, first_damping=LEAST_DAMPING)
+        near = whiten_views(problem)
+        root = _root(problem, near)
+    return Adjustment(tuple(cameras), priors, problem, near, root, reduced, freedom, converged)
 
 
-def _fit(
-    problem: Problem, first_damping: float | None = LEAST_DAMPING
-) -> tuple[Problem, bool, WhitenedViews]:
-    problem, converged = fit_places(problem, first_damping=first_damping)
-    return problem, converged, whiten_views(problem)
-
-
-def _pairs(views: WhitenedViews, view: int) -> Float[np.ndarray, "n 2"]:
-    return views.residual[view].reshape(-1, 2)
-
-
-def _root(problem: Problem, views: WhitenedViews) -> tuple[Float[np.ndarray, "f f"], np.ndarray]:
-    """R of the information R^T R of the free steps, the priors included, and which these are."""
+def _root(problem: Problem, near: WhitenedViews) -> Float[np.ndarray, "f f"]:
+    """R of the information R^T R of the free steps, the priors included."""
     free = np.flatnonzero(problem.free)
-    rows = views.jacobian[..., free].reshape(-1, len(free))
+    rows = near.jacobian[..., free].reshape(-1, len(free))
     priors = np.diag(prior_weights(problem)[free])
-    return _triangle(np.concatenate([rows, priors])), free
+    return _triangle(np.concatenate([rows, priors]))
 
 
 def prior_weights(problem: Problem) -> Float[np.ndarray, "h"]:
@@ -208,12 +226,10 @@ def _inverse(root: Float[np.ndarray, "f f"]) -> Float[np.ndarray, "f f"]:
 
 
 def _chi_squares(
-    problem: Problem,
-    views: WhitenedViews,
-    root: Float[np.ndarray, "f f"],
-    free: np.ndarray,
+    problem: Problem, near: WhitenedViews, root: Float[np.ndarray, "f f"]
 ) -> tuple[Float[np.ndarray, "v"], Float[np.ndarray, "v"]]:
     """Chi-square of each camera and its degrees of freedom, those below 1 as 0."""
-    fitted = np.sum((views.jacobian[..., free] @ _inverse(root)) ** 2, axis=(1, 2))
+    free = np.flatnonzero(problem.free)
+    fitted = np.sum((near.jacobian[..., free] @ _inverse(root)) ** 2, axis=(1, 2))
     freedom = np.array([view.numbers for view in problem.views]) - fitted
-    return np.sum(views.residual**2, axis=1), np.where(freedom >= 1, freedom, 0.0)
+    return np.sum(near.residual**2, axis=1), np.where(freedom >= 1, freedom, 0.0)
