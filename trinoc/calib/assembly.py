@@ -143,13 +143,7 @@ def _camera_fit(
     or the images contradict what was stated of lens, aim or sheet."""
     camera = adjustment.cameras[view]
     source = adjustment if camera.method == "pixels" else by_circles
-    tests = alternatives(
-        source,
-        view,
-        source.freedom[view],
-        lens_is_free=camera.lens_factor is not None,
-        aim_is_held=source.priors.aim_is_fixed,
-    )
+    tests = alternatives(source, view)
     gauge = tuple(PARAMETER_NAMES[k] for k in observability.gauge)
     refutations = notes_of_priors(pulls, adjustment, view)
     suspect = bool(refutations) or is_suspect(tests, float(source.reduced_chi_square[view]))

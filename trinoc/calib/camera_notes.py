@@ -130,11 +130,11 @@ def notes_of_camera(
     if picture is not None and picture.note is not None:
         notes.append(sentences.grey_levels_have_no_fit(picture.note))
     elif picture is not None and by_circles and picture.is_processed:
-        notes.append(sentences.sharpened_grey_levels_disagree())
+        notes.append(sentences.SHARPENED_GREY_LEVELS_DISAGREE)
     elif picture is not None and by_circles:
-        notes.append(sentences.grey_levels_disagree())
+        notes.append(sentences.GREY_LEVELS_DISAGREE)
     elif camera.agreement < tuning.chance_of_answers:
-        notes.append(sentences.circles_disagree())
+        notes.append(sentences.CIRCLES_DISAGREE)
     left_out = detection.circle_index[~circles.used[view]]
     if len(left_out):
         notes.append(sentences.circles_left_out(left_out.tolist()))

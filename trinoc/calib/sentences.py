@@ -7,7 +7,19 @@ from jaxtyping import Float
 
 from trinoc.geometry.intrinsics import FOLD_REMEDY
 
-ONLY_CIRCLES = "Its circles alone were used."
+_ONLY_CIRCLES = "Its circles alone were used."
+SHARPENED_GREY_LEVELS_DISAGREE = (
+    "software has sharpened the picture, and its grey levels disagree with the circles' centres or "
+    f"among themselves. {_ONLY_CIRCLES}"
+)
+GREY_LEVELS_DISAGREE = (
+    "the grey levels disagree with the circles' centres more than noise can explain: the picture "
+    f"is processed, uneven or covered in a way that the model does not know. {_ONLY_CIRCLES}"
+)
+CIRCLES_DISAGREE = (
+    "the circles' centres disagree with the grey levels, as shadows, uneven light and blur make "
+    "them. The grey levels were used."
+)
 # The name of an unknown in a sentence, and how to state it better.
 _NAME = {
     "print size": "the size of the print",
@@ -112,32 +124,7 @@ def axis_misses_origin(aim_mm: Float[np.ndarray, "2"], sigma_mm: Float[np.ndarra
 
 def grey_levels_have_no_fit(reason: str) -> str:
     """The fit to the grey levels failed."""
-    return f"{reason} {ONLY_CIRCLES}"
-
-
-def sharpened_grey_levels_disagree() -> str:
-    """The grey levels of a sharpened image were not used."""
-    return (
-        "software has sharpened the picture, and its grey levels disagree with the circles' "
-        f"centres or among themselves. {ONLY_CIRCLES}"
-    )
-
-
-def grey_levels_disagree() -> str:
-    """The grey levels were not used."""
-    return (
-        "the grey levels disagree with the circles' centres more than noise can explain: the "
-        "picture is processed, uneven or covered in a way that the model does not know. "
-        f"{ONLY_CIRCLES}"
-    )
-
-
-def circles_disagree() -> str:
-    """The grey levels were used though the circles disagree."""
-    return (
-        "the circles' centres disagree with the grey levels, as shadows, uneven light and blur "
-        "make them. The grey levels were used."
-    )
+    return f"{reason} {_ONLY_CIRCLES}"
 
 
 def circles_left_out(circles: Sequence[int]) -> str:

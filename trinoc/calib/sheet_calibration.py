@@ -202,7 +202,10 @@ def adjust_group(
     adjustment = by_circles
     if any(camera.method == "pixels" for camera in candidates):
         adjustment = adjust(candidates, pattern, priors, by_circles)
-    chosen = choose_observations(candidates, by_circles, adjustment)
+    chosen = tuple(
+        choose_observations(view, camera, by_circles, adjustment)
+        for view, camera in enumerate(candidates)
+    )
     if any(a.method != b.method or b.scatter > 1.0 for a, b in zip(candidates, chosen)):
         adjustment = adjust(chosen, pattern, priors, by_circles)
     return by_circles, replace(adjustment, cameras=chosen)

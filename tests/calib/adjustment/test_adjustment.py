@@ -161,6 +161,23 @@ def test_a_circle_that_is_elsewhere_is_left_out() -> None:
     assert found.used[2].all()
 
 
+def test_an_adjustment_continues_from_another_with_its_outliers() -> None:
+    """As those by grey levels do from that by circles: the same observations, the same estimate."""
+    made = made_views(7)
+    detection = made.cameras[0].detection
+    centres = detection.centres_px + 1.5 * (np.arange(len(detection)) == 11)[:, None]
+    detection = dataclasses.replace(detection, centres_px=centres)
+    cameras = [dataclasses.replace(made.cameras[0], detection=detection), *made.cameras[1:]]
+    first, priors = adjusted(cameras), SheetPriors(PoseModel.AIMED, TYPICAL)
+    again = adjust(cameras, SHEET, priors, first)
+    assert np.flatnonzero(~again.used[0]).tolist() == [11]
+    for view in range(3):
+        sigma = np.sqrt(np.diag(pose_covariance(first, view)))
+        away = np.abs(again.parameters(view) - first.parameters(view))
+        np.testing.assert_array_less(away, 1e-3 * sigma)
+    np.testing.assert_allclose(again.covariance, first.covariance, rtol=1e-4, atol=1e-12)
+
+
 def test_places_that_scatter_more_than_they_claim_enlarge_their_camera_alone() -> None:
     made = made_views(8)
     camera = made.cameras[2]

@@ -9,7 +9,7 @@ from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, made_vie
 from trinoc.calib.adjustment.adjustment import Adjustment, adjust
 from trinoc.calib.adjustment.agreement import (
     choose_observations,
-    difference_of_answers,
+    difference_of_estimates,
     probability_of_agreement,
     scatter_of_blocks,
 )
@@ -57,7 +57,7 @@ def test_answers_of_one_picture_differ_as_chi_square_does(circles_know_more: boo
     of_few, of_many = (np.linalg.inv(rows.T @ rows) for rows in (few, many))
     root = np.linalg.cholesky(of_few - of_many)
     squared = [
-        difference_of_answers(by_circles @ root @ random.normal(size=4), by_circles, by_grey)
+        difference_of_estimates(by_circles @ root @ random.normal(size=4), by_circles, by_grey)
         for _ in range(4000)
     ]
     assert np.mean(squared) == pytest.approx(4.0, rel=0.05)
@@ -125,7 +125,7 @@ def test_grey_levels_that_differ_are_believed_where_their_places_agree_with_each
     places_px = _images_px(circles) + SIGMA_PX + finer_px * noise
     root = np.eye(2 * len(SHEET)) / finer_px
     shown = dataclasses.replace(camera, shown=SheetPoints(SHEET.centres_mm, places_px, root))
-    (choice,) = choose_observations([shown], circles, adjusted([shown]))
+    choice = choose_observations(0, shown, circles, adjusted([shown]))
     assert choice.agreement < 1e-3
     assert choice.method == method
 
@@ -155,6 +155,6 @@ def test_grey_levels_of_sharpened_pictures_that_differ_give_way_to_sound_circles
     points = SheetPoints(SHEET.centres_mm, places_px, root)
     picture = PictureFit(camera.pose, points, None, None, is_processed)
     shown = dataclasses.replace(camera, picture=picture, shown=points)
-    (choice,) = choose_observations([shown], circles, adjusted([shown], known))
+    choice = choose_observations(0, shown, circles, adjusted([shown], known))
     assert choice.agreement < 1e-2
     assert choice.method == method

@@ -56,7 +56,7 @@ def fitted(seed: int, change: np.ndarray) -> Fitted:
     )
     camera = SheetCamera("left", seen, LENS, None, pose)
     near = adjust([camera], SHEET, SheetPriors(PoseModel.AIMED, MEASURED))
-    tests = alternatives(near, 0, near.freedom[0], lens_is_free=False, aim_is_held=False)
+    tests = alternatives(near, 0)
     off = near.parameters(0) - np.asarray(pose.parameters)
     off[:3] = np.degrees(off[:3])
     step = np.linalg.solve(near.degrees_by_step(0), off)

@@ -1,9 +1,9 @@
-"""What of all that is still held fixed do the residuals speak against?
+"""Score tests of what one camera's fit holds fixed: aim, focal length, principal point, distortion.
 
-Score tests: each alternative is one more unknown, of which the residuals tell how much chi-square
-it would take away, without another adjustment. What such a test would miss may still move the
-camera by many of its sigmas: W. Baarda, "A testing procedure for use in geodetic networks",
-Netherlands Geodetic Commission, 1968, calls the one internal and the other external reliability.
+Each alternative is one more unknown. The residuals show by how much it would reduce chi-square,
+without another adjustment. An error that such a test misses may still move the camera by many of
+its sigmas: W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic
+Commission, 1968, calls the one internal and the other external reliability.
 """
 
 import numpy as np
@@ -20,17 +20,12 @@ _FOCAL, _CENTRE, _RADIAL, _AIM = (0, 1), 2, 4, (4, 6)
 _ASPECT = np.array([-0.5, 0.5])
 
 
-def alternatives(
-    adjustment: Adjustment, view: int, freedom: float, *, lens_is_free: bool, aim_is_held: bool
-) -> list[Alternative]:
-    """Every alternative for one camera, the one that explains most of the residuals first.
-
-    freedom : degrees of freedom of its residuals.
-    """
+def alternatives(adjustment: Adjustment, view: int) -> list[Alternative]:
+    """Every alternative for one camera, the one that explains most of the residuals first."""
     problem, by_head = adjustment.problem, adjustment.near.jacobian[view]
-    pose = problem.slices.camera(view).start
-    columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_held else {}
-    if not lens_is_free:
+    pose, aim_is_fixed = problem.slices.camera(view).start, adjustment.priors.aim_is_fixed
+    columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_fixed else {}
+    if adjustment.cameras[view].lens_factor is None:
         # A step of a lens that is exact is a change of one parameter.
         number = int(problem.parametrization.lens_of_camera[view])
         by_lens = by_head[:, problem.slices.lens(number)]
@@ -38,13 +33,13 @@ def alternatives(
         focal = np.asarray(adjustment.lens(view).focal_length_px)
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
         columns["aspect"] = by_lens[:, _FOCAL] @ (focal * _ASPECT)[:, None]
-        if not aim_is_held:
-            # Where the aim is held, its own test finds what displaces all alike.
+        if not aim_is_fixed:
+            # Where the aim is fixed, its test finds what displaces all circles alike.
             columns["principal point"] = by_lens[:, _CENTRE : _CENTRE + 2]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
     unit = {"aim": float(problem.parametrization.unit_mm)}
     base, residual = by_head[:, adjustment.free], adjustment.near.residual[view]
-    tests = []
+    tests, freedom = [], float(adjustment.freedom[view])
     for name, extra in columns.items():
         if freedom - extra.shape[1] >= 1:
             score = score_of_residuals(extra, residual, base, adjustment.root, freedom)
@@ -60,11 +55,11 @@ def _test(
     view: int,
     unit: float,
 ) -> Alternative | None:
-    """The test of one alternative; None where the residuals cannot tell it from what is fitted."""
+    """Test of one alternative; None if the residuals cannot separate it from what is fitted."""
     test = score.judge(range(extra.shape[1]))
     if test.freedom < extra.shape[1]:
         return None
-    # Places that scatter more than they claim scatter alike in every direction.
+    # Places that scatter more than their sigmas scatter alike in every direction.
     test = test.with_noise(max(1.0, score.noise_variance(test)))
     sigma = unit * np.sqrt(np.diag(test.covariance))
     motion = motion_by_extra(extra, adjustment, view)
