@@ -125,8 +125,8 @@ def notes_of_camera(
     tuning, detection, picture = TUNING.answer, camera.detection, camera.picture
     by_circles = camera.method == "points"
     notes = []
-    telling = [test for test in tests[:1] if test.found] or [t for t in tests if t.is_strained]
-    notes += [test.sentence for test in telling[:1]]
+    decisive = [test for test in tests[:1] if test.found] or [t for t in tests if t.is_strained]
+    notes += [test.sentence for test in decisive[:1]]
     if picture is not None and picture.note is not None:
         notes.append(sentences.grey_levels_have_no_fit(picture.note))
     elif picture is not None and by_circles and picture.is_processed:
@@ -135,9 +135,9 @@ def notes_of_camera(
         notes.append(sentences.GREY_LEVELS_DISAGREE)
     elif camera.agreement < tuning.chance_of_answers:
         notes.append(sentences.CIRCLES_DISAGREE)
-    left_out = detection.circle_index[~circles.used[view]]
-    if len(left_out):
-        notes.append(sentences.circles_left_out(left_out.tolist()))
+    outliers = detection.circle_index[~circles.used[view]]
+    if len(outliers):
+        notes.append(sentences.circles_left_out(outliers.tolist()))
     if len(detection) < len(circles.problem.target):
         notes.append(sentences.circles_missing(len(detection), len(circles.problem.target)))
     if gauge:

@@ -202,13 +202,13 @@ def adjust_group(
     adjustment = by_circles
     if any(camera.method == "pixels" for camera in candidates):
         adjustment = adjust(candidates, pattern, priors, by_circles)
-    chosen = tuple(
+    final_cameras = tuple(
         choose_observations(view, camera, by_circles, adjustment)
         for view, camera in enumerate(candidates)
     )
-    if any(a.method != b.method or b.scatter > 1.0 for a, b in zip(candidates, chosen)):
-        adjustment = adjust(chosen, pattern, priors, by_circles)
-    return by_circles, replace(adjustment, cameras=chosen)
+    if any(a.method != b.method or b.scatter > 1.0 for a, b in zip(candidates, final_cameras)):
+        adjustment = adjust(final_cameras, pattern, priors, by_circles)
+    return by_circles, replace(adjustment, cameras=final_cameras)
 
 
 def fit_grey_levels(

@@ -153,7 +153,7 @@ def test_grey_levels_of_sharpened_pictures_that_differ_give_way_to_sound_circles
     circles = adjusted([camera], known)
     root = np.eye(2 * len(SHEET)) / finer_px
     points = SheetPoints(SHEET.centres_mm, places_px, root)
-    picture = PictureFit(camera.pose, points, None, None, is_processed)
+    picture = PictureFit(points, None, None, is_processed)
     shown = dataclasses.replace(camera, picture=picture, shown=points)
     choice = choose_observations(0, shown, circles, adjusted([shown], known))
     assert choice.agreement < 1e-2

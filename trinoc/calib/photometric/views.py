@@ -82,7 +82,7 @@ def _refine(
     encoding: Encoding,
 ) -> PictureFit:
     def silent(note: str) -> PictureFit:
-        return PictureFit(start, None, None, note)
+        return PictureFit(None, None, note)
 
     # A threshold moves each edge as it likes; the model would take that for light.
     if len(np.unique(image[:: len(image) // 8 + 1])) <= 2:
@@ -104,7 +104,7 @@ def _refine(
         return silent(f"the picture itself disagrees with its circles by {moved:.2f} px.")
     quality = _quality(refined)
     is_processed = refined.overshoot > TUNING.photometric.processed_overshoot
-    return PictureFit(refined.state.pose, refined.points, quality, None, is_processed)
+    return PictureFit(refined.points, quality, None, is_processed)
 
 
 def _quality(refined: ImageRefinement) -> ImageQuality:

@@ -231,13 +231,13 @@ def drop_wrong_places(
 def with_sigma_factors(
     problem: Problem,
     squared: Float[np.ndarray, "v"] | None = None,
-    freedom_of_view: Float[np.ndarray, "v"] | None = None,
+    freedom: Float[np.ndarray, "v"] | None = None,
 ) -> Problem:
     """The problem with the sigmas that the residuals of each camera and of its images show.
 
     squared : sum of the squared residuals of each view, in sigmas; computed unless given.
-    freedom_of_view : their degrees of freedom; unless given, those of the whole fit, shared among
-    the views by their numbers of residuals.
+    freedom : their degrees of freedom; unless given, those of the whole fit, shared among the views
+    by their numbers of residuals.
 
     The variance of an image's places is its camera's and its own, weighted by their numbers of
     degrees of freedom, where the camera's counts as `TUNING.problem.image_prior`: weights of groups
@@ -245,28 +245,28 @@ def with_sigma_factors(
     """
     if squared is None:
         squared = np.sum(place_errors_in_sigmas(problem) ** 2, axis=(1, 2))
-    if freedom_of_view is None:
+    if freedom is None:
         numbers = np.array([view.numbers for view in problem.views])
         share = max(degrees_of_freedom(problem), 1) / max(int(numbers.sum()), 1)
-        freedom_of_view = share * numbers
+        freedom = share * numbers
     are_known = problem.parametrization.has_circles or any(
         v.shown is not None for v in problem.views
     )
     factor, views = np.array(problem.sigma_factor), list(problem.views)
     for camera in range(problem.cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == camera and view.numbers]
-        freedom = freedom_of_view[rows]
-        if freedom.sum() <= 0:
+        total = float(freedom[rows].sum())
+        if total <= 0:
             continue
         # In sigmas as they were detected.
         ratio = np.array([views[k].sigma_ratio for k in rows])
         chi_square = squared[rows] * (factor[camera] * ratio) ** 2
         if all(views[k].shown is None for k in rows) and len(rows) >= _FEWEST_IMAGES:
-            ratio = _image_ratios(chi_square, freedom)
+            ratio = _image_ratios(chi_square, freedom[rows])
             for k, each in zip(rows, ratio.tolist()):
                 views[k] = views[k]._replace(sigma_ratio=each)
-        reduced = float(np.sum(chi_square / ratio**2) / freedom.sum())
-        refuted = reduced > 1.0 + TUNING.problem.refuted_sigmas * np.sqrt(2.0 / freedom.sum())
+        reduced = float(np.sum(chi_square / ratio**2) / total)
+        refuted = reduced > 1.0 + TUNING.problem.refuted_sigmas * np.sqrt(2.0 / total)
         if refuted or not are_known:
             factor[camera] = np.sqrt(max(reduced, 1e-12))
         else:

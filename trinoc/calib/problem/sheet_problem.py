@@ -34,14 +34,12 @@ class PictureFit:
 
     Fields
     ------
-    pose : of the camera before a flat sheet and through the lens as it was stated.
     points : where the image shows each circle and each piece of the crossed lines.
     quality : light, ink, blur and noise.
     note : why the grey levels cannot be used; None where they can.
     is_processed : whether software has sharpened the image.
     """
 
-    pose: Pose
     points: SheetPoints | None
     quality: ImageQuality | None
     note: str | None
