@@ -57,31 +57,38 @@ def calibrate(
     bayer: str | None = None,
     response: Response = "fit",
 ) -> CalibrationResult:
-    """The cameras of a rig, from one picture of the sheet each.
+    """Calibrate the cameras of a rig from one image of the sheet each.
 
-    images : a grey or colour picture for each camera, by name.
+    Parameters
+    ----------
+    images : a grey or colour image for each camera, by name.
+    pattern : the sheet.
     lens : the intrinsics of all cameras, or of each by name.
     pose_model : "aimed" (pan, tilt, swing, distance; the optical axis meets the origin of the
         sheet), the default, or "aim-free" (the point it meets is free), or a PoseModel.
-    method : "pixels" goes on from the circles to a fit of the grey levels near every edge of
+    method : "pixels" continues from the circles to a fit of the grey levels near every edge of
         the sheet, which reaches the Cramer-Rao bound, and uses it for each camera whose circles
-        agree with it; "points" stops at their centres. `fits[name].method` says what was used.
+        agree with it; "points" stops at their centres. `fits[name].method` is what was used.
     throw : whether a camera that fails raises; without it the failed cameras are left out of
         the rig and `failures` says why.
     systematics : what is known of the errors of the sheet, the lens and the aim: by default what
         printers, paper, hands and data sheets leave open (`Systematics.typical`).
         `Systematics()` takes all of it as exact.
     orientation : for a sheet that looks the same turned, such as a plain grid of discs:
-        "upright" where X points to the right in every picture, as nearly as it can, or an
+        "upright" where X points to the right in every image, as nearly as it can, or an
         earlier rig whose cameras have hardly moved since. Without it such a sheet fails.
     bayer : for raw mosaics of colours, those of the first two pixels of the first two rows, such as
         "RGGB": each pixel is fitted as it is, without interpolation.
-    response : of the cameras, "linear" or "srgb" where it is known; with "fit" a picture is taken
+    response : of the cameras, "linear" or "srgb" where it is known; with "fit" an image is taken
         as linear until the profiles of its edges refute that, and the response is then fitted.
+
+    Returns
+    -------
+    The rig with its covariance, and the status, fit and notes of each camera.
 
     Raises
     ------
-    InputError : a lens is missing, a picture has another size than its lens, one picture was
+    InputError : a lens is missing, an image has another size than its lens, one image was
         given for two cameras, or a pose model that is none of these.
     CalibrationError : some camera failed; the error holds the sentence of each, and the
         result of the others. Raised without `throw`, too, where no camera is left.

@@ -11,7 +11,7 @@ from trinoc.calib.problem.information import WhitenedViews, whiten_views
 from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.problem.robust_fit import (
     fit_places,
-    fit_without_outliers,
+    fit_without_wrong_places,
     inliers,
     with_sigma_factors,
 )
@@ -178,7 +178,7 @@ def adjust(
             if camera.shown is None and not inliers(errors[k], scale=1.0).all()
         ]
         if suspects:
-            problem, converged = fit_without_outliers(problem, suspects)
+            problem, converged = fit_without_wrong_places(problem, suspects)
             near = whiten_views(problem)
     root = _root(problem, near)
     squared, freedom = _chi_squares(problem, near, root)

@@ -1,4 +1,4 @@
-"""The fit of a rig without the places, and the pictures, that it does not explain."""
+"""Robust fit of a problem: outliers left out, sigmas enlarged where residuals contradict them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -29,7 +29,7 @@ _residuals = kept_jit(residuals_px)
 
 
 def robust_scale(whitened: Float[np.ndarray, "m 2"]) -> float:
-    """Standard deviation of whitened errors by their median length; at least 1."""
+    """Standard deviation of whitened errors, from their median length; at least 1."""
     if not len(whitened):
         return 1.0
     return max(1.0, float(np.median(np.linalg.norm(whitened, axis=1))) / _MEDIAN_LENGTH)
@@ -47,15 +47,15 @@ def inliers(
 
 
 class RobustFit(NamedTuple):
-    """Where the fit ended.
+    """Result of a robust fit.
 
     Fields
     ------
-    problem : at its end, with the places that take part.
-    converged : whether the solver says so.
-    elsewhere : views that show the board elsewhere: (camera, shot, median miss in px).
-    chi_square, freedom : of the places that take part, by the sigmas as they were enlarged.
-    is_held : whether lenses and board are those of another fit, and were held in this one.
+    problem : at the estimate, with the places that are used.
+    converged : whether the last solve converged.
+    elsewhere : views that show the board elsewhere: (camera, shot, median error in px).
+    chi_square, freedom : of the used places, with the enlarged sigmas.
+    is_held : whether lenses and board were fixed at the values of another fit.
     """
 
     problem: Problem
@@ -67,10 +67,10 @@ class RobustFit(NamedTuple):
 
 
 def fit_robustly(problem: Problem) -> RobustFit:
-    """Bounded ever more tightly, then without what noise does not make, then as least squares.
+    """Fit with ever tighter bounds on outliers, then without them, then with corrected sigmas.
 
-    The sigmas of corners, which users may give by guess, are those that each camera's residuals
-    show; those of circles grow where the residuals refute them.
+    The sigmas of corners, which users may guess, are estimated from each camera's residuals. Those
+    of circles are enlarged where the residuals contradict them.
     """
     problem, elsewhere = drop_wrong_places(anneal(problem))
     problem, _ = fit_places(problem)
@@ -82,8 +82,8 @@ def anneal(
 ) -> Problem:
     """The problem after fits that bound the influence of places ever more tightly.
 
-    suspects : the views whose places are bounded, each by its own scatter. Unless given, all are,
-    by the scatter of all.
+    suspects : the views whose places are bounded, each by its own scatter. Unless given, all views
+    are, by the scatter of all.
     """
     for factor in TUNING.problem.annealing:
         errors = _used_rows(problem, place_errors_in_sigmas(problem))
@@ -96,7 +96,7 @@ def anneal(
     return problem
 
 
-def fit_without_outliers(problem: Problem, suspects: Sequence[int]) -> tuple[Problem, bool]:
+def fit_without_wrong_places(problem: Problem, suspects: Sequence[int]) -> tuple[Problem, bool]:
     """The fit without those places of some views that noise does not explain, and whether it
     converged. No view is left out as a whole.
 
@@ -112,12 +112,12 @@ def fit_without_outliers(problem: Problem, suspects: Sequence[int]) -> tuple[Pro
 
 
 def finish_fit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
-    """The end of a fit, after the sigmas have become those that its residuals show."""
+    """Fit with the sigmas that the residuals show."""
     return refit(with_sigma_factors(problem), elsewhere)
 
 
 def refit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
-    """The end of a fit by the sigmas as they are."""
+    """Fit with the sigmas as they are."""
     problem, converged = fit_places(problem)
     return end_of_fit(problem, converged, elsewhere)
 
@@ -125,7 +125,7 @@ def refit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFi
 def end_of_fit(
     problem: Problem, converged: bool, elsewhere: list[tuple[int, int, float]]
 ) -> RobustFit:
-    """The end of a fit at the state of a problem."""
+    """Result of a fit that ended at the state of a problem."""
     chi_square = float(np.sum(np.square(place_errors_in_sigmas(problem))))
     return RobustFit(problem, converged, elsewhere, chi_square, degrees_of_freedom(problem))
 
@@ -135,7 +135,7 @@ def fit_places(
     outlier_scale: float | Float[np.ndarray, "_v"] = np.inf,
     first_damping: float | None = None,
 ) -> tuple[Problem, bool]:
-    """The problem where the fit ends, and whether it converged.
+    """The problem at the end of one solve, and whether it converged.
 
     outlier_scale : in sigmas, at which the influence of places is bounded: of all, or of each view.
     """
@@ -179,7 +179,7 @@ def _used_rows(
 
 
 def use_all_places(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> Problem:
-    """The problem with every place, but for views that show the board elsewhere."""
+    """The problem with every place used, except in views that show the board elsewhere."""
     out = {(camera, shot) for camera, shot, _ in elsewhere}
     views = tuple(
         view if (view.camera, view.shot) in out else view._replace(used=np.ones_like(view.used))
@@ -193,8 +193,8 @@ def drop_wrong_places(
 ) -> tuple[Problem, list[tuple[int, int, float]]]:
     """The problem without places, and without images, that noise does not explain.
 
-    Places are judged by the scatter of their own image, which lies between that of its camera and a
-    few times as much: an image that is blurred or taken in motion is noisier, and says less, but is
+    The gate of a place is a multiple of the scatter of its own image, which is at least that of its
+    camera and at most a few times that: an image that is blurred or taken in motion is noisier, but
     not wrong.
 
     errors : residuals in sigmas; those of the problem's state unless given.
@@ -205,7 +205,7 @@ def drop_wrong_places(
     views, elsewhere = list(problem.views), []
     for camera in range(problem.cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == camera]
-        # Places that take no part have residuals of zero, which say nothing.
+        # Unused places have residuals of zero.
         own = {
             k: errors[k][: len(problem.views[k].used)][problem.views[k].used]
             for k in rows
@@ -233,7 +233,7 @@ def with_sigma_factors(
     squared: Float[np.ndarray, "v"] | None = None,
     freedom: Float[np.ndarray, "v"] | None = None,
 ) -> Problem:
-    """The problem with the sigmas that the residuals of each camera and of its images show.
+    """The problem with sigmas multiplied by what the residuals of each camera and image show.
 
     squared : sum of the squared residuals of each view, in sigmas; computed unless given.
     freedom : their degrees of freedom; unless given, those of the whole fit, shared among the views

@@ -209,14 +209,14 @@ def sheet_problem(
 def _lens_prior(
     factor: Float[np.ndarray, "k r"], scale: Float[np.ndarray, "q"]
 ) -> tuple[Float[np.ndarray, "q q"], Float[np.ndarray, "q q"], Float[np.ndarray, "q"]]:
-    """Steps in standard deviations along a covariance's directions, its inverse there, and which
-    of the steps there are."""
-    known, steps = factor.shape
+    """Basis of steps of one sigma along a covariance's directions, its inverse, and which steps
+    exist."""
+    parameters, steps = factor.shape
     size = len(scale)
     basis, information = np.zeros((size, size)), np.zeros((size, size))
-    basis[:known, :steps] = factor
-    inverse = np.linalg.pinv(factor / scale[:known, None]) / scale[None, :known]
-    information[:known, :known] = inverse.T @ inverse
+    basis[:parameters, :steps] = factor
+    inverse = np.linalg.pinv(factor / scale[:parameters, None]) / scale[None, :parameters]
+    information[:parameters, :parameters] = inverse.T @ inverse
     return basis, information, (np.arange(size) < steps).astype(float)
 
 
@@ -226,7 +226,7 @@ def _are_one_lens(cameras: Sequence[SheetCamera]) -> bool:
 
 
 def _reach_of_camera_mm(camera: SheetCamera, target: AbstractTarget) -> float:
-    """From a camera's centre to the middle of what it sees."""
+    """Distance from a camera's centre to the mean of the places that it shows."""
     middle = np.zeros(3)
     places = _places_mm(camera, target)
     middle[: places.shape[1]] = places.mean(axis=0)
