@@ -35,7 +35,7 @@ from trinoc.calib.sheet_inputs import check_image_sizes, check_images, lens_of_e
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
-from trinoc.errors import CalibrationError, DetectionError, InputError, check_kind
+from trinoc.errors import CalibrationError, DetectionError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
 from trinoc.geometry.rig import check_camera_names
@@ -102,8 +102,6 @@ def calibrate(
     encoding = Encoding(bayer, response)
     encoding.check()
     priors = SheetPriors(model, systematics or Systematics.typical(lenses))
-    check_kind(priors.systematics, Systematics, "knowledge of the sheet", "trinoc.Systematics")
-    priors.systematics.check()
     detections, failures = {}, {}
     for name, image in images.items():
         try:
@@ -158,7 +156,6 @@ def calibrate_sheet(
     lenses : of all cameras, in the user's order. images : grey levels, of the cameras that may use
     them. failures : why the sheet was not detected in the other cameras.
     """
-    priors.systematics.check()
     lens_factors = priors.systematics.lens_factors(lenses)
     detections, ambiguous = resolve_orientation(detections, pattern, orientation)
     failures = {**(failures or {}), **ambiguous}

@@ -77,7 +77,7 @@ def test_one_camera_is_known_by_the_rest_of_the_root(sigma_px) -> None:
 def test_the_root_is_that_of_the_pixels_and_of_all_that_was_known() -> None:
     # A lens from a data sheet leaves directions to the aim's prior, though it is wide.
     found = adjusted(made_views(0, lens_factor=10 * LENS_FACTOR).cameras)
-    rows = np.concatenate(list(found.near.jacobian[..., found.free]))
+    rows = np.concatenate(list(found.whitened.jacobian[..., found.free]))
     state, parametrization = found.problem.state, found.problem.parametrization
     known = np.asarray(jax.jit(evaluate_prior)(state, parametrization).information)[
         np.ix_(found.free, found.free)

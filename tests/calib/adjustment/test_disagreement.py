@@ -84,7 +84,7 @@ def _images_px(circles: Adjustment) -> np.ndarray:
 
 
 def _residuals_px(circles: Adjustment) -> np.ndarray:
-    return circles.near.residual[0][: 2 * len(SHEET)].reshape(-1, 2) * SIGMA_PX
+    return circles.whitened.residual[0][: 2 * len(SHEET)].reshape(-1, 2) * SIGMA_PX
 
 
 def moved_circles(camera: SheetCamera, shift_px: np.ndarray) -> SheetCamera:

@@ -37,7 +37,7 @@ class Adjustment:
     cameras : the observations, in the order of the views.
     priors : on sheet, lenses and aims.
     problem : at the estimate, with the places that are used and the factors of their sigmas.
-    near : whitened residuals of the v views there, and their derivatives by all steps.
+    whitened : whitened residuals of the v views there, and their derivatives by all steps.
     root : (f, f) upper triangular R of the information R^T R of the free steps, priors included.
         `problem.information` forms the information of rigs, whose many shots would make a root too
         large. Here that would halve the digits: over the demo's images R has a condition number of
@@ -50,7 +50,7 @@ class Adjustment:
     cameras: tuple[SheetCamera, ...]
     priors: SheetPriors
     problem: Problem
-    near: WhitenedViews
+    whitened: WhitenedViews
     root: Float[np.ndarray, "f f"]
     reduced_chi_square: Float[np.ndarray, "v"]
     freedom: Float[np.ndarray, "v"]
@@ -169,9 +169,9 @@ def adjust(
         views = tuple(view._replace(used=before.used) for view, before in pairs)
         problem = problem._replace(views=views, state=start.problem.state)
     problem, converged = fit_places(problem, first_damping=first_damping)
-    near = whiten_views(problem)
+    whitened = whiten_views(problem)
     if start is None:
-        errors = near.residual.reshape(len(cameras), -1, 2)
+        errors = whitened.residual.reshape(len(cameras), -1, 2)
         suspects = [
             k
             for k, camera in enumerate(cameras)
@@ -179,22 +179,22 @@ def adjust(
         ]
         if suspects:
             problem, converged = fit_without_wrong_places(problem, suspects)
-            near = whiten_views(problem)
-    root = _root(problem, near)
-    squared, freedom = _chi_squares(problem, near, root)
+            whitened = whiten_views(problem)
+    root = _root(problem, whitened)
+    squared, freedom = _chi_squares(problem, whitened, root)
     reduced = np.where(freedom > 0, squared / np.maximum(freedom, 1.0), np.nan)
     enlarged = with_sigma_factors(problem, squared, freedom)
     if (enlarged.sigma_factor > 1).any():
         problem, converged = fit_places(enlarged, first_damping=LEAST_DAMPING)
-        near = whiten_views(problem)
-        root = _root(problem, near)
-    return Adjustment(tuple(cameras), priors, problem, near, root, reduced, freedom, converged)
+        whitened = whiten_views(problem)
+        root = _root(problem, whitened)
+    return Adjustment(tuple(cameras), priors, problem, whitened, root, reduced, freedom, converged)
 
 
-def _root(problem: Problem, near: WhitenedViews) -> Float[np.ndarray, "f f"]:
+def _root(problem: Problem, whitened: WhitenedViews) -> Float[np.ndarray, "f f"]:
     """R of the information R^T R of the free steps, the priors included."""
     free = np.flatnonzero(problem.free)
-    rows = near.jacobian[..., free].reshape(-1, len(free))
+    rows = whitened.jacobian[..., free].reshape(-1, len(free))
     priors = np.diag(prior_weights(problem)[free])
     return _triangle(np.concatenate([rows, priors]))
 
@@ -226,10 +226,10 @@ def _inverse(root: Float[np.ndarray, "f f"]) -> Float[np.ndarray, "f f"]:
 
 
 def _chi_squares(
-    problem: Problem, near: WhitenedViews, root: Float[np.ndarray, "f f"]
+    problem: Problem, whitened: WhitenedViews, root: Float[np.ndarray, "f f"]
 ) -> tuple[Float[np.ndarray, "v"], Float[np.ndarray, "v"]]:
     """Chi-square of each camera and its degrees of freedom, those below 1 as 0."""
     free = np.flatnonzero(problem.free)
-    fitted = np.sum((near.jacobian[..., free] @ _inverse(root)) ** 2, axis=(1, 2))
+    fitted = np.sum((whitened.jacobian[..., free] @ _inverse(root)) ** 2, axis=(1, 2))
     freedom = np.array([view.numbers for view in problem.views]) - fitted
-    return np.sum(near.residual**2, axis=1), np.where(freedom >= 1, freedom, 0.0)
+    return np.sum(whitened.residual**2, axis=1), np.where(freedom >= 1, freedom, 0.0)

@@ -81,8 +81,8 @@ def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
     Independent errors have the sigmas of the camera's detection.
     """
     pose_steps, problem = adjustment.rows(view), adjustment.problem
-    jacobian = adjustment.near.jacobian[view][:, adjustment.free]
-    residuals, covariance = adjustment.near.residual[view], adjustment.covariance
+    jacobian = adjustment.whitened.jacobian[view][:, adjustment.free]
+    residuals, covariance = adjustment.whitened.residual[view], adjustment.covariance
     place_mm = problem.target.centres_mm[problem.views[view].detection.circle_index]
     steps, expected = [], []
     for block in _blocks(place_mm, adjustment.used[view]):
@@ -109,7 +109,7 @@ def autocorrelation_of_circles(adjustment: Adjustment, view: int) -> float:
     used = np.flatnonzero(adjustment.used[view])
     index = adjustment.problem.views[view].detection.circle_index[used]
     place_mm = adjustment.problem.target.centres_mm[index]
-    residuals = adjustment.near.residual[view].reshape(-1, 2)[used]
+    residuals = adjustment.whitened.residual[view].reshape(-1, 2)[used]
     separation_mm = cdist(place_mm, place_mm)
     nearest_mm = np.partition(separation_mm, 1, axis=1)[:, 1]
     are_neighbours = separation_mm < _NEIGHBOURS * np.median(nearest_mm)
@@ -136,7 +136,7 @@ def probability_of_agreement(by_circles: Adjustment, by_pixels: Adjustment, view
     """
     pose = by_circles.free[by_circles.rows(view)]
     moved = whiten_views(by_circles.problem._replace(state=by_pixels.problem.state))
-    circles, pixels = (each.near.jacobian[view][:, pose] for each in (by_circles, by_pixels))
+    circles, pixels = (each.whitened.jacobian[view][:, pose] for each in (by_circles, by_pixels))
     squared = difference_of_estimates(moved.residual[view], circles, pixels)
     return float(chi_square_tail(squared, len(pose)))
 

@@ -22,7 +22,7 @@ _ASPECT = np.array([-0.5, 0.5])
 
 def alternatives(adjustment: Adjustment, view: int) -> list[Alternative]:
     """Every alternative for one camera, the one that explains most of the residuals first."""
-    problem, by_head = adjustment.problem, adjustment.near.jacobian[view]
+    problem, by_head = adjustment.problem, adjustment.whitened.jacobian[view]
     pose, aim_is_fixed = problem.slices.camera(view).start, adjustment.priors.aim_is_fixed
     columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_fixed else {}
     if adjustment.cameras[view].lens_factor is None:
@@ -38,7 +38,7 @@ def alternatives(adjustment: Adjustment, view: int) -> list[Alternative]:
             columns["principal point"] = by_lens[:, _CENTRE : _CENTRE + 2]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
     unit = {"aim": float(problem.parametrization.unit_mm)}
-    base, residual = by_head[:, adjustment.free], adjustment.near.residual[view]
+    base, residual = by_head[:, adjustment.free], adjustment.whitened.residual[view]
     tests, freedom = [], float(adjustment.freedom[view])
     for name, extra in columns.items():
         if freedom - extra.shape[1] >= 1:
@@ -92,7 +92,7 @@ def motion_by_extra(
     R of `Adjustment.pose_root` times a step is its length in sigmas: the squared Mahalanobis
     distance of the pose is |R step|^2.
     """
-    base = adjustment.near.jacobian[view][:, adjustment.free]
+    base = adjustment.whitened.jacobian[view][:, adjustment.free]
     step = -adjustment.covariance @ (base.T @ extra)
     return step[adjustment.rows(view)]
 

@@ -58,9 +58,9 @@ _aimed = jax.jit(lambda pose: pose.aim_at_origin())
 
 def _misfit(fit: Adjustment) -> float:
     """Robust scale of the whitened residuals; infinite without an estimate."""
-    if not fit.converged or not np.isfinite(fit.near.residual).all():
+    if not fit.converged or not np.isfinite(fit.whitened.residual).all():
         return np.inf
-    return robust_scale(fit.near.residual[0].reshape(-1, 2)[: len(fit.used[0])])
+    return robust_scale(fit.whitened.residual[0].reshape(-1, 2)[: len(fit.used[0])])
 
 
 def observe_single_camera(fit: Adjustment | None) -> tuple[Status, Observability]:
@@ -68,7 +68,7 @@ def observe_single_camera(fit: Adjustment | None) -> tuple[Status, Observability
     nothing = Observability(0, np.zeros((0, 0)), ())
     if fit is None or not fit.converged:
         return Status.NOT_CONVERGED, nothing
-    parameters, jacobian = fit.parameters(0), fit.near.jacobian[0][:, fit.free]
+    parameters, jacobian = fit.parameters(0), fit.whitened.jacobian[0][:, fit.free]
     is_finite = np.isfinite(parameters[:4]).all() and np.isfinite(jacobian).all()
     # Distance and tilt of a camera above the sheet are positive.
     if not (is_finite and parameters[3] > 0 and parameters[1] > 0):

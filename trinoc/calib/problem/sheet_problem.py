@@ -20,6 +20,7 @@ from trinoc.calib.problem.views import LINE_PIECES, SheetPoints, View, pad_count
 from trinoc.calib.result.calibration import ImageQuality
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.uncertainty.systematics import CAMERAS_AT_ONCE, Systematics
+from trinoc.errors import check_kind
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.registry import promote_lens
@@ -116,6 +117,11 @@ class SheetPriors:
 
     pose_model: PoseModel
     systematics: Systematics
+
+    def __post_init__(self) -> None:
+        """Raise InputError for something else, or a sigma that is negative or not finite."""
+        check_kind(self.systematics, Systematics, "knowledge of the sheet", "trinoc.Systematics")
+        self.systematics.check()
 
     @property
     def aim_is_fixed(self) -> bool:
