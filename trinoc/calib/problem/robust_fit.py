@@ -244,7 +244,7 @@ def with_sigma_factors(
     of observations by their residuals, as in variance component estimation.
     """
     if squared is None:
-        squared = np.sum(place_errors_in_sigmas(problem) ** 2, axis=(1, 2))
+        squared = np.asarray(np.sum(place_errors_in_sigmas(problem) ** 2, axis=(1, 2)))
     if freedom is None:
         numbers = np.array([view.numbers for view in problem.views])
         share = max(degrees_of_freedom(problem), 1) / max(int(numbers.sum()), 1)
