@@ -30,12 +30,12 @@ from trinoc.calib import (
     calibrate_detections,
     detect_pattern,
 )
-from trinoc.calib.adjustment.each_camera import fit_camera
-from trinoc.calib.from_detections import Search, calibration_of_search
+from trinoc.calib.adjustment.single_camera import fit_single_camera
 from trinoc.calib.photometric.image_fit import refine_image
 from trinoc.calib.photometric.views import refine_views
+from trinoc.calib.problem.sheet_problem import SheetPriors
 from trinoc.calib.result.degrees import pose_of_values
-from trinoc.calib.rig_fit import Knowledge
+from trinoc.calib.sheet_calibration import calibrate_sheet
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import DetectionError
@@ -170,9 +170,8 @@ def by_picture(
     picture: np.ndarray, detection: Detection, pattern: Pattern, model: PoseModel
 ) -> CalibrationResult:
     """The answer of the grey levels, all else being exact."""
-    search = Search(("a",), {"a": detection}, {"a": picture.astype(np.float32)}, {})
-    known = Knowledge(pattern, model, Systematics())
-    return calibration_of_search(search, {"a": LENS}, known, None, throw=True)
+    priors, images = SheetPriors(model, Systematics()), {"a": picture.astype(np.float32)}
+    return calibrate_sheet({"a": detection}, pattern, {"a": LENS}, priors, None, images=images)
 
 
 def one_trial(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) -> Trial | None:
@@ -241,7 +240,7 @@ def report_times(picture: np.ndarray, truth: np.ndarray, true_px: np.ndarray) ->
     calls: dict[str, tuple[Callable[[], object], int]] = {
         "cv2.solvePnP": (lambda: by_solve_pnp_alone(centres), 1),
         "scipy least_squares": (lambda: by_scipy(detection, truth + 0.05), 1),
-        "circle fit": (lambda: fit_camera(detection, SHEET, LENS, aimed), 1),
+        "circle fit": (lambda: fit_single_camera(detection, SHEET, LENS, aimed), 1),
         "detect_pattern": (lambda: detect_pattern(picture, SHEET), 1),
         "refinement": (lambda: refine_image(grey, SHEET, LENS.lens, start, aimed), 1),
         "refinement, three": (

@@ -2,11 +2,11 @@ from . import calib as calib, errors as errors, io as io, match as match, segmen
 from .batch.run import match_recording as match_recording
 from .calib.advice.next_shot import next_shot as next_shot
 from .calib.bundle.refinement import refine as refine
-from .calib.from_images import calibrate as calibrate
 from .calib.from_points import calibrate_points as calibrate_points
 from .calib.lens_calibration import calibrate_intrinsics as calibrate_intrinsics
 from .calib.rig_calibration import calibrate_rig as calibrate_rig
 from .calib.rig_check.knocked import check_rig as check_rig
+from .calib.sheet_calibration import calibrate as calibrate
 from .calib.targets.april_grid import AprilGrid as AprilGrid
 from .calib.targets.checkers import Charuco as Charuco, Chessboard as Chessboard
 from .calib.targets.pattern import Pattern as Pattern

@@ -7,8 +7,9 @@ import pytest
 
 from simulation.camera_picture.render import render_sheet
 from tests.calib.simulated import DISTORTED_LENS, EXACT, LENS, TABLE_1, camera_of
-from trinoc.calib import CalibrationResult, Status
-from trinoc.calib.from_images import calibrate
+from trinoc.calib import CalibrationResult, Status, sheet_calibration
+from trinoc.calib.adjustment.adjustment import adjust
+from trinoc.calib.sheet_calibration import calibrate
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
@@ -30,6 +31,19 @@ def pictures() -> dict[str, np.ndarray]:
 def errors_in_sigmas(result: CalibrationResult) -> np.ndarray:
     truth = np.concatenate([TABLE_1[name] for name in result.rig.names])
     return (result.values - truth) / np.sqrt(np.diag(result.covariance))
+
+
+def test_cameras_are_adjusted_once_by_circles_and_once_by_grey_levels(monkeypatch) -> None:
+    """Where the ink has not spread and no grey levels are rejected."""
+    methods = []
+
+    def counted(cameras, *arguments):
+        methods.append([camera.method for camera in cameras])
+        return adjust(cameras, *arguments)
+
+    monkeypatch.setattr(sheet_calibration, "adjust", counted)
+    calibrate({"left": picture("left")}, SHEET, LENS, systematics=EXACT)
+    assert methods == [["points"], ["pixels"]]
 
 
 @pytest.mark.slow

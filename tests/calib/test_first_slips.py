@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.calib.from_images import expect_pictures
+from trinoc.calib.sheet_inputs import check_images
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 
@@ -23,8 +23,8 @@ SHEET = Pattern.circle_grid(rows=3, columns=4, pitch_mm=10.0, radius_mm=2.0)
 )
 def test_slips_are_named(images, pattern, says):
     with pytest.raises(InputError, match=says):
-        expect_pictures(images, pattern)
+        check_images(images, pattern)
 
 
 def test_grey_and_colours_pass():
-    expect_pictures({"left": PICTURE, "right": np.zeros((4, 6, 3))}, SHEET)
+    check_images({"left": PICTURE, "right": np.zeros((4, 6, 3))}, SHEET)

@@ -5,9 +5,8 @@ In the order of the work: `targets` (the boards) -> `detection` (their places in
 (the fit to the grey levels) -> `adjustment` (the cameras over one sheet) -> `result`. `advice` says
 what a fit is worth and what to show next, `uncertainty` holds errors that no repetition shows.
 `bundle` refines cameras and matched lines together, `rig_check` asks whether a camera was knocked.
-The files of this folder say which variables there are and what is free: `from_images`,
-`from_detections` and `rig_fit` over one sheet, `from_points`, `lens_calibration`,
-`rig_calibration`."""
+The files of this folder say which variables there are and what is free: `sheet_calibration`
+for one image of the sheet per camera, `from_points`, `lens_calibration`, `rig_calibration`."""
 
 import lazy_loader
 

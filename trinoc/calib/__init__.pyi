@@ -14,9 +14,6 @@ from .detection.registry import (
     detect_pattern as detect_pattern,
     detect_target as detect_target,
 )
-from .from_detections import (
-    calibrate_detections as calibrate_detections,
-)
 from .result.calibration import (
     CalibrationResult as CalibrationResult,
     CameraFit as CameraFit,
@@ -24,6 +21,9 @@ from .result.calibration import (
 )
 from .rig_check.knocked import (
     RigCheck as RigCheck,
+)
+from .sheet_calibration import (
+    calibrate_detections as calibrate_detections,
 )
 from .systematic_errors import (
     with_systematics as with_systematics,

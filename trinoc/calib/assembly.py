@@ -1,4 +1,4 @@
-"""From adjusted cameras to the result that users see."""
+"""From the adjustments of all cameras to the result that users get."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,41 +6,46 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
+from trinoc.calib.adjustment.adjustment import Adjustment
 from trinoc.calib.adjustment.better_knowledge import advise_better_knowledge, say_what_goes_unseen
-from trinoc.calib.adjustment.estimate import Adjustment
 from trinoc.calib.adjustment.model_tests import alternatives
-from trinoc.calib.messages import (
+from trinoc.calib.adjustment.prior_pulls import PriorPull, refuted_priors
+from trinoc.calib.camera_notes import (
     is_suspect,
     notes_of_aim,
     notes_of_camera,
     notes_of_misfit,
+    notes_of_priors,
+    notes_of_sheet,
 )
-from trinoc.calib.prior_messages import RefutedPriors, notes_of_priors
+from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.sheet_problem import SheetPriors
 from trinoc.calib.result.calibration import CalibrationResult, CameraFit, Status
-from trinoc.calib.result.degrees import largest_sigmas, values_of_parameters
-from trinoc.calib.rig_fit import Knowledge, RigFit
+from trinoc.calib.result.degrees import values_of_parameters
+from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.lenses.registry import simplify_lens
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
-from trinoc.numerics.information import Observability, observability_of_root
+from trinoc.numerics.information import Observability
 from trinoc.numerics.precision import in_float64
 
 
 @in_float64
-def result_of_fits(
-    fits: Sequence[RigFit],
-    known: Knowledge,
+def result_of_adjustments(
+    fits: Sequence[tuple[Adjustment, Adjustment]],
+    pattern: Pattern,
+    priors: SheetPriors,
     status: Mapping[str, Status],
     failures: dict[str, str],
     failed_fits: Mapping[str, CameraFit],
 ) -> CalibrationResult:
-    """The rig, its covariance and what is to be said of each camera.
+    """Rig, covariance, tests and notes.
 
-    fits : of cameras that share nothing. status : of all cameras asked for, in their order.
-    failed_fits : of cameras that are not in the rig.
+    fits : of groups of cameras that share nothing, the adjustment by circles and the final one.
+    status : of all cameras, in the user's order. failed_fits : of cameras that are not in the rig.
     """
     cameras: dict[str, Camera] = {}
     status_of_camera, camera_fits = dict(status), dict(failed_fits)
@@ -48,26 +53,29 @@ def result_of_fits(
     covariance_blocks: list[np.ndarray] = []
     parameters: list[str] = []
     values: list[np.ndarray] = []
-    pose_parameters = known.model.parameter_names
-    refutations = [notes_of_priors(fit.adjustment, known) for fit in fits]
-    # Cameras that are fitted apart share nothing: the sheet is exact for them.
-    notes_of_sheet = tuple(dict.fromkeys(note for one in refutations for note in one.of_sheet))
-    for fit, refuted in zip(fits, refutations, strict=True):
-        observabilities = [_observability(fit.adjustment, k) for k in range(len(fit.cameras))]
-        names, block = _named_covariance(fit, observabilities)
+    sheet_notes: list[str] = []
+    pose_parameters = priors.pose_model.parameter_names
+    for by_circles, adjustment in fits:
+        pulls = refuted_priors(adjustment)
+        sheet_notes += notes_of_sheet(pulls, adjustment)
+        views = range(len(adjustment.cameras))
+        observabilities = [adjustment.observability(view) for view in views]
+        names, block = _named_covariance(adjustment, observabilities)
         covariance_names += names
         covariance_blocks.append(block)
-        for k, choice in enumerate(fit.cameras):
-            name = choice.camera.name
-            cameras[name] = _camera(fit, k)
-            camera_fits[name], suspect = _camera_fit(fit, k, known, observabilities[k], refuted)
+        for view, observability in zip(views, observabilities, strict=True):
+            name = adjustment.cameras[view].name
+            cameras[name] = _camera(adjustment, view)
+            camera_fits[name], suspect = _camera_fit(
+                by_circles, adjustment, view, observability, pulls
+            )
             if suspect:
                 status_of_camera[name] = Status.SUSPECT
-            of_pose = values_of_parameters(fit.adjustment.parameters(k))
+            of_pose = values_of_parameters(adjustment.parameters(view))
             values.append(of_pose[: len(pose_parameters)])
             parameters += [f"{name}.{parameter}" for parameter in pose_parameters]
     covariance = np.asarray(block_diag(*covariance_blocks))
-    better = advise_better_knowledge([fit.adjustment for fit in fits], known.systematics)
+    better = advise_better_knowledge([last for _, last in fits], priors.systematics)
     unseen = say_what_goes_unseen({name: camera_fits[name].alternatives for name in cameras})
     advice = [unseen] if better is None else [better.sentence, unseen]
     rows = [covariance_names.index(parameter) for parameter in parameters]
@@ -78,32 +86,24 @@ def result_of_fits(
         values=np.concatenate(values),
         covariance=covariance[np.ix_(rows, rows)],
         fits=camera_fits,
-        target=known.pattern,
+        target=pattern,
         failures=failures,
-        systematics=known.systematics.words,
-        notes=notes_of_sheet,
+        systematics=priors.systematics.words,
+        notes=tuple(dict.fromkeys(sheet_notes)),
         advice=" ".join(filter(None, advice)),
     )
 
 
-def _observability(adjustment: Adjustment, view: int) -> Observability:
-    """Of one camera's pose, all else being as uncertain as it is."""
-    largest = largest_sigmas(adjustment.model, adjustment.distance_mm(view))
-    root = adjustment.pose_root(view)
-    return observability_of_root(root, adjustment.degrees_by_step(view), largest)
-
-
 def _named_covariance(
-    fit: RigFit, observabilities: Sequence[Observability]
+    adjustment: Adjustment, observabilities: Sequence[Observability]
 ) -> tuple[list[str], Float[np.ndarray, "k k"]]:
     """Names and covariance of all poses and of the focal lengths and principal points that are
     uncertain; NaN for parameters that are not determined."""
-    adjustment = fit.adjustment
     names: list[str] = []
     jacobians: list[np.ndarray] = []
     undetermined: list[int] = []
-    for k, choice in enumerate(fit.cameras):
-        camera, steps = choice.camera, adjustment.rows(k)
+    for k, camera in enumerate(adjustment.cameras):
+        steps = adjustment.rows(k)
         of_pose = np.zeros((len(steps), len(adjustment.covariance)))
         of_pose[:, steps] = adjustment.degrees_by_step(k)
         undetermined += [len(names) + row for row in observabilities[k].gauge]
@@ -124,57 +124,63 @@ def _named_covariance(
     return names, covariance
 
 
-def _camera(fit: RigFit, view: int) -> Camera:
-    stated, pose = fit.cameras[view].camera, fit.adjustment.pose(view)
-    if stated.lens_factor is None:
-        return Camera(stated.lens, pose)
-    lens = simplify_lens(fit.adjustment.lens(view))
-    return Camera(
-        Intrinsics.of_lens(lens, stated.lens.image_size_px, stated.lens.pixel_pitch_mm), pose
-    )
+def _camera(adjustment: Adjustment, view: int) -> Camera:
+    camera, pose = adjustment.cameras[view], adjustment.pose(view)
+    if camera.lens_factor is None:
+        return Camera(camera.lens, pose)
+    lens, stated = simplify_lens(adjustment.lens(view)), camera.lens
+    return Camera(Intrinsics.of_lens(lens, stated.image_size_px, stated.pixel_pitch_mm), pose)
 
 
 def _camera_fit(
-    fit: RigFit,
+    by_circles: Adjustment,
+    adjustment: Adjustment,
     view: int,
-    known: Knowledge,
     observability: Observability,
-    refuted_priors: RefutedPriors,
+    pulls: Sequence[PriorPull],
 ) -> tuple[CameraFit, bool]:
     """The fit of one camera, and whether it is suspect: its residuals are not those of the model,
-    or what was stated of lens, aim or sheet is refuted."""
-    choice, of_circles = fit.cameras[view], fit.of_circles
-    used = of_circles.used[view]
-    by_pixels = choice.method == "pixels"
-    source = fit.adjustment if by_pixels else of_circles
-    tests = alternatives(
-        source,
-        view,
-        source.freedom[view],
-        lens_is_free=choice.camera.lens_factor is not None,
-        aim_is_held=known.aim_is_held,
-    )
-    reduced = float(of_circles.reduced_chi_square[view])
+    or the images contradict what was stated of lens, aim or sheet."""
+    camera = adjustment.cameras[view]
+    source = adjustment if camera.method == "pixels" else by_circles
+    tests = alternatives(source, view)
     gauge = tuple(PARAMETER_NAMES[k] for k in observability.gauge)
-    refutations = (*refuted_priors.of_views[view], *refuted_priors.of_sheet)
+    refutations = notes_of_priors(pulls, adjustment, view)
     suspect = bool(refutations) or is_suspect(tests, float(source.reduced_chi_square[view]))
     if not suspect:
-        refutations = notes_of_misfit(of_circles, view)
-    of_camera = notes_of_camera(choice, known.pattern, used, tests, reduced, gauge)
+        refutations = notes_of_misfit(by_circles, view)
     of_aim = ()
-    if view not in refuted_priors.wrong_aims:
-        of_aim = notes_of_aim(fit.adjustment, view, known)
-    at_answer = of_circles.problem._replace(state=fit.adjustment.problem.state)
+    if not any(pull.concerns_aim(view) for pull in pulls):
+        of_aim = notes_of_aim(adjustment, view)
+    at_answer = by_circles.problem._replace(state=adjustment.problem.state)
     camera_fit = CameraFit(
-        detections=(choice.camera.detection,),
+        detections=(camera.detection,),
         residuals_px=errors_px(at_answer)[view],
         rank=observability.rank,
-        reduced_chi_square=reduced,
+        reduced_chi_square=float(by_circles.reduced_chi_square[view]),
         gauge=gauge,
-        notes=(*refutations, *of_aim, *of_camera),
-        used=used,
-        image=choice.picture.quality if by_pixels and choice.picture is not None else None,
+        notes=(*refutations, *of_aim, *notes_of_camera(camera, by_circles, view, tests, gauge)),
+        used=by_circles.used[view],
+        image=camera.picture.quality if camera.picture and camera.shown is not None else None,
         alternatives=tuple(tests),
-        method=choice.method,
+        method=camera.method,
     )
     return camera_fit, suspect or bool(refutations)
+
+
+def failed_fit(
+    detection: Detection, fit: Adjustment | None, status: Status, observability: Observability
+) -> CameraFit:
+    """What is known of a camera whose circles give no pose."""
+    residuals_px, count = np.full((len(detection), 2), np.nan), len(detection)
+    if fit is not None and status is not Status.NOT_CONVERGED:
+        residuals_px = errors_px(fit.problem)[0]
+    return CameraFit(
+        detections=(detection,),
+        residuals_px=residuals_px,
+        rank=observability.rank,
+        reduced_chi_square=float("nan") if fit is None else float(fit.reduced_chi_square[0]),
+        gauge=tuple(PARAMETER_NAMES[k] for k in observability.gauge),
+        notes=(),
+        used=np.ones(count, dtype=bool) if fit is None else fit.used[0],
+    )

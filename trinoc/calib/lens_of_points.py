@@ -19,7 +19,7 @@ from trinoc.calib.problem.problem import (
 )
 from trinoc.calib.problem.rao_test import HeldScore
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
-from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
+from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors, sheet_problem
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -72,7 +72,7 @@ def problem_of_points(
     pose = camera.pose.aim_at_origin() if model is PoseModel.AIMED else camera.pose
     target = _Points("points", points_mm, np.zeros(count))
     one = SheetCamera(CAMERA, seen, camera.intrinsics, None, pose)
-    problem = sheet_problem([one], target, Systematics(), model, aim_sigma_mm=0.0)
+    problem = sheet_problem([one], target, SheetPriors(model, Systematics()))
     count, _ = problem.parametrization.lens_shape
     lenses = [skew_lens(lens_number(problem, k)) for k in range(count)]
     problem = with_wider_lenses(problem, lenses, [camera.image_size_px] * count)

@@ -52,7 +52,7 @@ def notes_of_fit(
         notes.append(sentences.coefficients_held(held))
     if problem.parametrization.has_circles:
         notes += [
-            sentences.circles_scatter(camera, factor)
+            sentences.circles_of_camera_scatter(camera, factor)
             for camera, factor in zip(cameras, problem.sigma_factor, strict=True)
             if factor > np.sqrt(2.0)
         ]

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.problem.sheet import BentPaper
-from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
+from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors, sheet_problem
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -72,9 +72,8 @@ def _response(result: CalibrationResult, name: str, count: int) -> Float[np.ndar
     sheet, then those of its lens."""
     fit, camera = result.fits[name], result.rig[name]
     seen = SheetCamera(name, fit.detection, camera.intrinsics, None, camera.pose)
-    problem = sheet_problem(
-        [seen], result.pattern, Systematics(), PoseModel.AIM_FREE, aim_sigma_mm=0.0
-    )
+    priors = SheetPriors(PoseModel.AIM_FREE, Systematics())
+    problem = sheet_problem([seen], result.pattern, priors)
     view = problem.views[0]._replace(used=fit.used)
     problem, slices = problem._replace(views=(view,)), problem.slices
     parametrization, jacobian = problem.parametrization, whiten_views(problem).jacobian[0]

@@ -110,7 +110,7 @@ class CalibrateCommand(DryRunOption, ReportOption, Command):
                 f"--orientation is {self.orientation}: give upright, or the file of an earlier rig."
             )
 
-        from trinoc.calib.from_images import calibrate
+        from trinoc.calib.sheet_calibration import calibrate
         from trinoc.cli.command import provenance
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place

@@ -92,7 +92,7 @@ class DemoWork(NamedTuple):
 
 
 def _work(seconds: dict[str, float]) -> DemoWork:
-    from trinoc.calib.from_images import calibrate
+    from trinoc.calib.sheet_calibration import calibrate
     from trinoc.calib.uncertainty.systematics import Systematics
     from trinoc.io.demo import demo_images, demo_pattern
     from trinoc.match.matcher import match_segments

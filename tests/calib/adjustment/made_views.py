@@ -11,7 +11,7 @@ from tests.calib.simulated import LENS, TABLE_1, reference_sheet
 from trinoc.calib import Detection
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet import BentPaper
-from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
+from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors, sheet_problem
 from trinoc.calib.uncertainty.systematics import Systematics, data_sheet_covariance
 from trinoc.geometry import Pose
 from trinoc.geometry.lenses.registry import promote_lens
@@ -76,7 +76,7 @@ def seen_px(pose: Pose, change: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Where one camera sees the circles of a sheet of that shape, through a lens so changed."""
     nothing = detection(np.zeros((len(SHEET), 2)), 1.0)
     one = SheetCamera("one", nothing, LENS, None, pose)
-    problem = sheet_problem([one], SHEET, Systematics(), PoseModel.AIM_FREE, 0.0)
+    problem = sheet_problem([one], SHEET, SheetPriors(PoseModel.AIM_FREE, Systematics()))
     state, parameters = problem.state, np.array(promote_lens(LENS.lens).parameters)
     parameters[: len(change)] += change
     lenses = jax.vmap(lambda lens: lens.with_parameters(parameters))(state.lenses)

@@ -9,8 +9,9 @@ from scipy.linalg import eigh
 from scipy.stats import chi2
 
 from tests.calib.adjustment.made_views import LENS_FACTOR, SHEET, TYPICAL, made_views
-from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
+from trinoc.calib.adjustment.adjustment import Adjustment, adjust
 from trinoc.calib.problem.information import whiten_views
+from trinoc.calib.problem.sheet_problem import SheetPriors
 from trinoc.calib.problem.variables import evaluate_prior, retract
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry import Pose
@@ -18,11 +19,9 @@ from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.rotation import vector_from_rotation
 from trinoc.numerics.precision import as_numpy
 
-FREE = PoseModel.AIM_FREE
-
 
 def adjusted(cameras, known: Systematics = TYPICAL) -> Adjustment:
-    return adjust_cameras(cameras, SHEET, known, FREE, known.aim_sigma_mm)
+    return adjust(cameras, SHEET, SheetPriors(PoseModel.AIMED, known))
 
 
 def off(found: Adjustment, truth: Pose, view: int) -> np.ndarray:
@@ -78,7 +77,7 @@ def test_one_camera_is_known_by_the_rest_of_the_root(sigma_px) -> None:
 def test_the_root_is_that_of_the_pixels_and_of_all_that_was_known() -> None:
     # A lens from a data sheet leaves directions to the aim's prior, though it is wide.
     found = adjusted(made_views(0, lens_factor=10 * LENS_FACTOR).cameras)
-    rows = np.concatenate(list(found.near.jacobian[..., found.free]))
+    rows = np.concatenate(list(found.whitened.jacobian[..., found.free]))
     state, parametrization = found.problem.state, found.problem.parametrization
     known = np.asarray(jax.jit(evaluate_prior)(state, parametrization).information)[
         np.ix_(found.free, found.free)
@@ -153,17 +152,36 @@ def test_a_circle_that_is_elsewhere_is_left_out() -> None:
     made = made_views(7)
     detection = made.cameras[0].detection
     centres = detection.centres_px + 1.5 * (np.arange(len(detection)) == 11)[:, None]
-    wrong = made.cameras[0]._replace(detection=dataclasses.replace(detection, centres_px=centres))
+    wrong = dataclasses.replace(
+        made.cameras[0], detection=dataclasses.replace(detection, centres_px=centres)
+    )
     found = adjusted([wrong, *made.cameras[1:]])
     assert np.flatnonzero(~found.used[0]).tolist() == [11]
     assert found.used[1].all()
     assert found.used[2].all()
 
 
+def test_an_adjustment_continues_from_another_with_its_outliers() -> None:
+    """As those by grey levels do from that by circles: the same observations, the same estimate."""
+    made = made_views(7)
+    detection = made.cameras[0].detection
+    centres = detection.centres_px + 1.5 * (np.arange(len(detection)) == 11)[:, None]
+    detection = dataclasses.replace(detection, centres_px=centres)
+    cameras = [dataclasses.replace(made.cameras[0], detection=detection), *made.cameras[1:]]
+    first, priors = adjusted(cameras), SheetPriors(PoseModel.AIMED, TYPICAL)
+    again = adjust(cameras, SHEET, priors, first)
+    assert np.flatnonzero(~again.used[0]).tolist() == [11]
+    for view in range(3):
+        sigma = np.sqrt(np.diag(pose_covariance(first, view)))
+        away = np.abs(again.parameters(view) - first.parameters(view))
+        np.testing.assert_array_less(away, 1e-3 * sigma)
+    np.testing.assert_allclose(again.covariance, first.covariance, rtol=1e-4, atol=1e-12)
+
+
 def test_places_that_scatter_more_than_they_claim_enlarge_their_camera_alone() -> None:
     made = made_views(8)
     camera = made.cameras[2]
-    bold = camera._replace(detection=camera.detection.with_larger_sigmas(1 / 3))
+    bold = dataclasses.replace(camera, detection=camera.detection.with_larger_sigmas(1 / 3))
     found, honest = adjusted([*made.cameras[:2], bold]), adjusted(made.cameras)
     assert found.enlarged[:2].tolist() == [1.0, 1.0]
     assert found.enlarged[2] == pytest.approx(3, rel=0.3)

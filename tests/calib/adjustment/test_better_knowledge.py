@@ -1,13 +1,15 @@
 """What knowing more would give is what a fit that knows more gives."""
 
+import dataclasses
 import functools
 
 import numpy as np
 import pytest
 
 from tests.calib.adjustment.made_views import LENS_FACTOR, SHEET, made_views
+from trinoc.calib.adjustment.adjustment import Adjustment, adjust
 from trinoc.calib.adjustment.better_knowledge import advise_better_knowledge
-from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
+from trinoc.calib.problem.sheet_problem import SheetPriors
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
 
@@ -26,8 +28,8 @@ def made_cameras():
 
 def fitted(known: Systematics, lens_factor: np.ndarray | None = None) -> Adjustment:
     """The same circles, made of an exact sheet, under what is said to be known."""
-    cameras = [each._replace(lens_factor=lens_factor) for each in made_cameras()]
-    return adjust_cameras(cameras, SHEET, known, PoseModel.AIM_FREE, AIM_MM)
+    cameras = [dataclasses.replace(each, lens_factor=lens_factor) for each in made_cameras()]
+    return adjust(cameras, SHEET, SheetPriors(PoseModel.AIMED, known._replace(aim_sigma_mm=AIM_MM)))
 
 
 def largest_sigmas(found: Adjustment) -> tuple[float, float]:

@@ -17,10 +17,11 @@ from tests.calib.simulated import (
     simulated_detection,
 )
 from trinoc.calib import Detection, Status, calibrate_detections
-from trinoc.calib.adjustment.each_camera import PoseEstimate, fit_camera
+from trinoc.calib.adjustment.adjustment import Adjustment
+from trinoc.calib.adjustment.single_camera import fit_single_camera, observe_single_camera
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import errors_px
-from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
+from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors, sheet_problem
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry import Pose
 from trinoc.geometry.image_of_circle import image_of_circle_centre
@@ -46,7 +47,7 @@ def problem_of(lens: Intrinsics, pose: Pose) -> Problem:
         np.arange(count), np.zeros((count, 2)), each, each, no_lines, lens.image_size_px
     )
     camera = SheetCamera("one", seen, lens, None, pose)
-    return sheet_problem([camera], SHEET, EXACT, PoseModel.AIM_FREE, 0.0)
+    return sheet_problem([camera], SHEET, SheetPriors(PoseModel.AIM_FREE, EXACT))
 
 
 @pytest.mark.parametrize("lens", [LENS, DISTORTED_LENS])
@@ -165,16 +166,21 @@ def test_what_places_are_said_to_err_by_matters_not_where_they_err_by_more() -> 
     """The covariance of one camera is that of the errors which its circles show."""
     shown = simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=6, sigma_px=0.1)
 
-    def fit(share: float) -> PoseEstimate:
+    def fit(share: float) -> Adjustment:
         stated = share**2 * shown.covariance_px2
         detection = dataclasses.replace(shown, covariance_px2=stated)
-        return fit_camera(detection, SHEET, LENS, PoseModel.AIMED)
+        adjustment = fit_single_camera(detection, SHEET, LENS, PoseModel.AIMED)
+        assert adjustment is not None
+        return adjustment
 
     whole, half, tenth = fit(1.0), fit(0.5), fit(0.1)
-    assert half.used.all()
-    assert tenth.used.all()
+    assert half.used[0].all()
+    assert tenth.used[0].all()
     np.testing.assert_allclose(half.covariance, tenth.covariance, rtol=1e-4)
     # Chi-square over its degrees of freedom, in numbers of 0.1 px.
-    scatter = tenth.reduced_chi_square * 0.1**2
+    scatter = tenth.reduced_chi_square[0] * 0.1**2
     assert 0.6 < scatter < 1.5
     np.testing.assert_allclose(tenth.covariance, scatter * whole.covariance, rtol=1e-3)
+    # Which parameters are determined is judged by the stated sigmas.
+    judged = [observe_single_camera(each)[1].covariance for each in (whole, tenth)]
+    np.testing.assert_allclose(judged[1], 0.1**2 * judged[0], rtol=1e-3)

@@ -6,24 +6,23 @@ import numpy as np
 import pytest
 
 from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, made_views
+from trinoc.calib.adjustment.adjustment import Adjustment, adjust
 from trinoc.calib.adjustment.agreement import (
-    difference_of_answers,
+    choose_observations,
+    difference_of_estimates,
     probability_of_agreement,
     scatter_of_blocks,
 )
-from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
-from trinoc.calib.adjustment.model_tests import information_left
-from trinoc.calib.photometric.views import PictureFit
+from trinoc.calib.problem.rao_test import score_of_residuals
 from trinoc.calib.problem.robust_fit import errors_px
-from trinoc.calib.problem.sheet_problem import SheetCamera
+from trinoc.calib.problem.sheet_problem import PictureFit, SheetCamera, SheetPriors
 from trinoc.calib.problem.views import SheetPoints
-from trinoc.calib.rig_fit import choose_answer
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
 
 
 def adjusted(cameras, known: Systematics = TYPICAL) -> Adjustment:
-    return adjust_cameras(cameras, SHEET, known, PoseModel.AIM_FREE, TYPICAL.aim_sigma_mm)
+    return adjust(cameras, SHEET, SheetPriors(PoseModel.AIMED, known))
 
 
 def test_right_answers_agree_and_wrong_ones_do_not() -> None:
@@ -38,10 +37,10 @@ def test_right_answers_agree_and_wrong_ones_do_not() -> None:
             _images_px(circles) - _residuals_px(circles),
             np.eye(2 * len(SHEET)) * np.sqrt(1.75) / SIGMA_PX,
         )
-        same = adjusted([camera._replace(shown=better)])
+        same = adjusted([dataclasses.replace(camera, shown=better)])
         probabilities.append(probability_of_agreement(circles, same, 0))
         shifted = better._replace(uv_px=better.uv_px + 6 * SIGMA_PX / 8)
-        other = adjusted([camera._replace(shown=shifted)])
+        other = adjusted([dataclasses.replace(camera, shown=shifted)])
         refuted.append(probability_of_agreement(circles, other, 0))
     # The same centres: no difference at all.
     assert min(probabilities) > 0.5
@@ -58,7 +57,7 @@ def test_answers_of_one_picture_differ_as_chi_square_does(circles_know_more: boo
     of_few, of_many = (np.linalg.inv(rows.T @ rows) for rows in (few, many))
     root = np.linalg.cholesky(of_few - of_many)
     squared = [
-        difference_of_answers(by_circles @ root @ random.normal(size=4), by_circles, by_grey)
+        difference_of_estimates(by_circles @ root @ random.normal(size=4), by_circles, by_grey)
         for _ in range(4000)
     ]
     assert np.mean(squared) == pytest.approx(4.0, rel=0.05)
@@ -70,11 +69,10 @@ def test_more_unknowns_take_what_a_whole_fit_with_them_takes() -> None:
     prior = np.diag([3.0, 0.0, 0.0, 1.0, 0.0])
     root = np.linalg.cholesky(base.T @ base + prior).T
     whole = np.concatenate([base, extra], axis=1)
+    score = score_of_residuals(extra, np.zeros(20), base, root, freedom=13.0)
     normal = whole.T @ whole
     normal[:5, :5] += prior
-    np.testing.assert_allclose(
-        np.linalg.inv(information_left(extra, base, root)), np.linalg.inv(normal)[5:, 5:]
-    )
+    np.testing.assert_allclose(np.linalg.inv(score.left), np.linalg.inv(normal)[5:, 5:])
 
 
 def _images_px(circles: Adjustment) -> np.ndarray:
@@ -86,13 +84,15 @@ def _images_px(circles: Adjustment) -> np.ndarray:
 
 
 def _residuals_px(circles: Adjustment) -> np.ndarray:
-    return circles.near.residual[0][: 2 * len(SHEET)].reshape(-1, 2) * SIGMA_PX
+    return circles.whitened.residual[0][: 2 * len(SHEET)].reshape(-1, 2) * SIGMA_PX
 
 
 def moved_circles(camera: SheetCamera, shift_px: np.ndarray) -> SheetCamera:
     """The same with its circles found elsewhere."""
     centres = camera.detection.centres_px + shift_px
-    return camera._replace(detection=dataclasses.replace(camera.detection, centres_px=centres))
+    return dataclasses.replace(
+        camera, detection=dataclasses.replace(camera.detection, centres_px=centres)
+    )
 
 
 def scatters(shared_px: float) -> list[float]:
@@ -124,8 +124,8 @@ def test_grey_levels_that_differ_are_believed_where_their_places_agree_with_each
     noise = np.random.default_rng(1).normal(scale=2.0 if scatters else 1.0, size=(len(SHEET), 2))
     places_px = _images_px(circles) + SIGMA_PX + finer_px * noise
     root = np.eye(2 * len(SHEET)) / finer_px
-    shown = camera._replace(shown=SheetPoints(SHEET.centres_mm, places_px, root))
-    choice = choose_answer(0, shown, None, circles, adjusted([shown]))
+    shown = dataclasses.replace(camera, shown=SheetPoints(SHEET.centres_mm, places_px, root))
+    choice = choose_observations(0, shown, circles, adjusted([shown]))
     assert choice.agreement < 1e-3
     assert choice.method == method
 
@@ -136,7 +136,7 @@ def test_grey_levels_that_differ_are_believed_where_their_places_agree_with_each
         (False, 0.0, TYPICAL, "pixels"),
         (True, 0.0, TYPICAL, "points"),
         (True, 3 * SIGMA_PX, TYPICAL, "pixels"),
-        (True, 0.0, Systematics(), "pixels"),
+        (True, 0.0, Systematics(aim_sigma_mm=TYPICAL.aim_sigma_mm), "pixels"),
     ],
     ids=["camera", "phone", "phone under glare", "phone, all exact"],
 )
@@ -153,8 +153,8 @@ def test_grey_levels_of_sharpened_pictures_that_differ_give_way_to_sound_circles
     circles = adjusted([camera], known)
     root = np.eye(2 * len(SHEET)) / finer_px
     points = SheetPoints(SHEET.centres_mm, places_px, root)
-    picture = PictureFit(camera.pose, points, None, None, is_processed)
-    shown = camera._replace(shown=points)
-    choice = choose_answer(0, shown, picture, circles, adjusted([shown], known))
+    picture = PictureFit(points, None, None, is_processed)
+    shown = dataclasses.replace(camera, picture=picture, shown=points)
+    choice = choose_observations(0, shown, circles, adjusted([shown], known))
     assert choice.agreement < 1e-2
     assert choice.method == method

@@ -1,47 +1,50 @@
 """Circles of a picture and its grey levels are fitted by one program: their tables are alike."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 
 from tests.calib.adjustment.made_views import SHEET, TYPICAL, made_views
-from trinoc.calib.adjustment.estimate import adjust_cameras
+from trinoc.calib.adjustment.adjustment import adjust
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.sheet_problem import SheetCamera, sheet_problem
+from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors, sheet_problem
 from trinoc.calib.problem.views import SheetPoints, view_table
 from trinoc.geometry.pose import PoseModel
 
 PICTURE = np.zeros((4, 4))
+PRIORS = SheetPriors(PoseModel.AIMED, TYPICAL)
 
 
 def problem_of(*cameras: SheetCamera) -> Problem:
-    return sheet_problem(cameras, SHEET, TYPICAL, PoseModel.AIMED, 20.0)
+    return sheet_problem(cameras, SHEET, PRIORS)
 
 
 def shown(camera: SheetCamera, pieces: int) -> SheetCamera:
     """With all circles of the sheet, and pieces of lines, as its grey levels show them."""
     places = np.concatenate([SHEET.centres_mm, np.zeros((pieces, 2))])
-    return camera._replace(
-        shown=SheetPoints(places, np.zeros_like(places), np.eye(2 * len(places)))
+    return replace(
+        camera, shown=SheetPoints(places, np.zeros_like(places), np.eye(2 * len(places)))
     )
 
 
 def test_circles_and_what_the_picture_shows_have_tables_of_one_shape():
-    camera = made_views(0).cameras[0]._replace(image=PICTURE)
+    camera = replace(made_views(0).cameras[0], image=PICTURE)
     tables = [
         view_table(problem_of(each).views, SHEET)
         for each in (camera, shown(camera, 0), shown(camera, 32))
     ]
     shapes = [jax.tree.map(np.shape, table) for table in tables]
     assert shapes[0] == shapes[1] == shapes[2]
-    alone = view_table(problem_of(camera._replace(image=None)).views, SHEET)
+    alone = view_table(problem_of(replace(camera, image=None)).views, SHEET)
     assert np.size(alone.whitening) < np.size(tables[0].whitening) / 10
 
 
 def test_room_for_a_picture_changes_no_answer():
     cameras = made_views(1).cameras
     plain, roomy = (
-        adjust_cameras(each, SHEET, TYPICAL, PoseModel.AIMED, 20.0)
-        for each in (cameras, [camera._replace(image=PICTURE) for camera in cameras])
+        adjust(each, SHEET, PRIORS)
+        for each in (cameras, [replace(camera, image=PICTURE) for camera in cameras])
     )
     for view in range(len(cameras)):
         rows, by_step = plain.rows(view), plain.degrees_by_step(view)

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.picture_conditions import CONDITIONS
 from simulation.camera_picture.render import camera_picture
 from trinoc.calib import CalibrationResult, Status
-from trinoc.calib.from_images import calibrate
+from trinoc.calib.sheet_calibration import calibrate
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.systematics import Systematics, data_sheet_covariance
 from trinoc.synth import table1_lens

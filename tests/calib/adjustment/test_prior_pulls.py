@@ -15,10 +15,11 @@ from tests.calib.adjustment.made_views import (
 )
 from tests.calib.simulated import LENS, TABLE_1
 from trinoc.calib import CalibrationResult, Status
-from trinoc.calib.adjustment.estimate import Adjustment, adjust_cameras
+from trinoc.calib.adjustment.adjustment import Adjustment, adjust
 from trinoc.calib.adjustment.prior_pulls import PriorSpace, refuted_priors, unknowns_with_priors
-from trinoc.calib.from_detections import calibrate_detections
 from trinoc.calib.problem.sheet import BentPaper
+from trinoc.calib.problem.sheet_problem import SheetPriors
+from trinoc.calib.sheet_calibration import calibrate_detections
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry import Pose
 from trinoc.geometry.pose import PoseModel
@@ -36,7 +37,7 @@ AHEAD, ASIDE = (0.0, 50.0, 0.0, 475.0), TABLE_1["left"]
 
 def adjusted(seed: int, known: Systematics = KNOWN) -> Adjustment:
     made = made_views(seed, known, lens_factor=LENS_FACTOR, cameras=("left",))
-    return adjust_cameras(made.cameras, SHEET, known, PoseModel.AIM_FREE, known.aim_sigma_mm)
+    return adjust(made.cameras, SHEET, SheetPriors(PoseModel.AIMED, known))
 
 
 def test_distances_from_right_priors_are_as_probable_as_they_claim() -> None:

@@ -7,8 +7,8 @@ import pytest
 from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, detection, seen_px
 from tests.calib.simulated import LENS, TABLE_1
 from trinoc.calib import CalibrationResult, Status
-from trinoc.calib.from_detections import calibrate_detections
 from trinoc.calib.problem.sheet import BentPaper
+from trinoc.calib.sheet_calibration import calibrate_detections
 from trinoc.geometry import Pose
 
 SIGMAS = dict(

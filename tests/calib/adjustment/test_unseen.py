@@ -8,12 +8,12 @@ import pytest
 
 from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, detection, seen_px
 from tests.calib.simulated import LENS, TABLE_1
+from trinoc.calib.adjustment.adjustment import adjust
 from trinoc.calib.adjustment.better_knowledge import say_what_goes_unseen
-from trinoc.calib.adjustment.estimate import adjust_cameras
 from trinoc.calib.adjustment.model_tests import alternatives
-from trinoc.calib.messages import is_suspect
+from trinoc.calib.camera_notes import is_suspect
 from trinoc.calib.problem.sheet import BentPaper
-from trinoc.calib.problem.sheet_problem import SheetCamera
+from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors
 from trinoc.calib.result.calibration import Alternative
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -55,8 +55,8 @@ def fitted(seed: int, change: np.ndarray) -> Fitted:
         seen_px(pose, change, sigma * random.normal(size=len(sigma))) + noise, SIGMA_PX
     )
     camera = SheetCamera("left", seen, LENS, None, pose)
-    near = adjust_cameras([camera], SHEET, MEASURED, PoseModel.AIM_FREE, MEASURED.aim_sigma_mm)
-    tests = alternatives(near, 0, near.freedom[0], lens_is_free=False, aim_is_held=False)
+    near = adjust([camera], SHEET, SheetPriors(PoseModel.AIMED, MEASURED))
+    tests = alternatives(near, 0)
     off = near.parameters(0) - np.asarray(pose.parameters)
     off[:3] = np.degrees(off[:3])
     step = np.linalg.solve(near.degrees_by_step(0), off)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from trinoc.calib.from_images import calibrate
+from trinoc.calib.sheet_calibration import calibrate
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.io import demo_images, demo_pattern

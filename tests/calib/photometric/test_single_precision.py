@@ -6,9 +6,9 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.calib.from_images import calibrate
 from trinoc.calib.photometric import scene
 from trinoc.calib.problem.solver import CONVERGED_GAIN
+from trinoc.calib.sheet_calibration import calibrate
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.io import demo_images, demo_pattern
 from trinoc.numerics.programs import forget_programs, set_program_store

@@ -1,5 +1,5 @@
-"""The cameras over one sheet, with everything that nobody knows exactly.
+"""Estimates of the cameras over one sheet, with sheet, lenses and aims as unknowns.
 
-`each_camera` fits one by its circles, `estimate` all together: outliers, chi-square, covariance.
-`agreement` and `model_tests` ask whether that can be true, `better_knowledge` what would
-say more."""
+`single_camera` fits one camera to its circles, `adjustment` all cameras together: outliers,
+chi-square, covariance. `agreement` chooses grey levels or circles, `model_tests` and `prior_pulls`
+test what is fixed and what has a prior, `better_knowledge` advises what to measure better."""

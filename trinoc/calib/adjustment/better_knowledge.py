@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.adjustment.estimate import Adjustment, prior_weights
+from trinoc.calib.adjustment.adjustment import Adjustment, prior_weights
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.result.calibration import Alternative
 from trinoc.calib.tuning.every_group import TUNING

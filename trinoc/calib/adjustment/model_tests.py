@@ -1,17 +1,16 @@
-"""What of all that is still held fixed do the residuals speak against?
+"""Score tests of what one camera's fit holds fixed: aim, focal length, principal point, distortion.
 
-Score tests: each alternative is one more unknown, of which the residuals tell how much chi-square
-it would take away, without another adjustment. What such a test would miss may still move the
-camera by many of its sigmas: W. Baarda, "A testing procedure for use in geodetic networks",
-Netherlands Geodetic Commission, 1968, calls the one internal and the other external reliability.
+Each alternative is one more unknown. The residuals show by how much it would reduce chi-square,
+without another adjustment. An error that such a test misses may still move the camera by many of
+its sigmas: W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic
+Commission, 1968, calls the one internal and the other external reliability.
 """
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import solve_triangular
 
-from trinoc.calib.adjustment.estimate import Adjustment
-from trinoc.calib.problem.rao_test import judge_pull, unseen_sigmas
+from trinoc.calib.adjustment.adjustment import Adjustment
+from trinoc.calib.problem.rao_test import HeldScore, score_of_residuals, unseen_sigmas
 from trinoc.calib.result.calibration import Alternative
 from trinoc.calib.tuning.every_group import TUNING
 
@@ -21,17 +20,12 @@ _FOCAL, _CENTRE, _RADIAL, _AIM = (0, 1), 2, 4, (4, 6)
 _ASPECT = np.array([-0.5, 0.5])
 
 
-def alternatives(
-    adjustment: Adjustment, view: int, freedom: float, *, lens_is_free: bool, aim_is_held: bool
-) -> list[Alternative]:
-    """Every alternative for one camera, the one that explains most of the residuals first.
-
-    freedom : degrees of freedom of its residuals.
-    """
-    problem, by_head = adjustment.problem, adjustment.near.jacobian[view]
-    pose = problem.slices.camera(view).start
-    columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_held else {}
-    if not lens_is_free:
+def alternatives(adjustment: Adjustment, view: int) -> list[Alternative]:
+    """Every alternative for one camera, the one that explains most of the residuals first."""
+    problem, by_head = adjustment.problem, adjustment.whitened.jacobian[view]
+    pose, aim_is_fixed = problem.slices.camera(view).start, adjustment.priors.aim_is_fixed
+    columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_fixed else {}
+    if adjustment.cameras[view].lens_factor is None:
         # A step of a lens that is exact is a change of one parameter.
         number = int(problem.parametrization.lens_of_camera[view])
         by_lens = by_head[:, problem.slices.lens(number)]
@@ -39,35 +33,34 @@ def alternatives(
         focal = np.asarray(adjustment.lens(view).focal_length_px)
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
         columns["aspect"] = by_lens[:, _FOCAL] @ (focal * _ASPECT)[:, None]
-        if not aim_is_held:
-            # Where the aim is held, its own test finds what displaces all alike.
+        if not aim_is_fixed:
+            # Where the aim is fixed, its test finds what displaces all circles alike.
             columns["principal point"] = by_lens[:, _CENTRE : _CENTRE + 2]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
     unit = {"aim": float(problem.parametrization.unit_mm)}
-    tests = [
-        _score(name, extra, adjustment, view, freedom, unit.get(name, 1.0))
-        for name, extra in columns.items()
-        if freedom - extra.shape[1] >= 1
-    ]
+    base, residual = by_head[:, adjustment.free], adjustment.whitened.residual[view]
+    tests, freedom = [], float(adjustment.freedom[view])
+    for name, extra in columns.items():
+        if freedom - extra.shape[1] >= 1:
+            score = score_of_residuals(extra, residual, base, adjustment.root, freedom)
+            tests.append(_test(name, extra, score, adjustment, view, unit.get(name, 1.0)))
     return sorted((test for test in tests if test is not None), key=lambda item: item.p_value)
 
 
-def _score(
+def _test(
     name: str,
     extra: Float[np.ndarray, "n k"],
+    score: HeldScore,
     adjustment: Adjustment,
     view: int,
-    freedom: float,
     unit: float,
 ) -> Alternative | None:
-    """The test of one alternative; None where the residuals cannot tell it from what is fitted."""
-    base, residual = adjustment.near.jacobian[view], adjustment.near.residual[view]
-    left = information_left(extra, base[:, adjustment.free], adjustment.root)
-    test = judge_pull(left, extra.T @ residual, np.sum(extra**2, axis=0))
+    """Test of one alternative; None if the residuals cannot separate it from what is fitted."""
+    test = score.judge(range(extra.shape[1]))
     if test.freedom < extra.shape[1]:
         return None
-    # Places that scatter more than they claim scatter alike in every direction.
-    test = test.with_noise(max(1.0, test.noise_variance(float(residual @ residual), freedom)))
+    # Places that scatter more than their sigmas scatter alike in every direction.
+    test = test.with_noise(max(1.0, score.noise_variance(test)))
     sigma = unit * np.sqrt(np.diag(test.covariance))
     motion = motion_by_extra(extra, adjustment, view)
     by_pose = adjustment.pose_root(view) @ motion
@@ -99,22 +92,9 @@ def motion_by_extra(
     R of `Adjustment.pose_root` times a step is its length in sigmas: the squared Mahalanobis
     distance of the pose is |R step|^2.
     """
-    base = adjustment.near.jacobian[view][:, adjustment.free]
+    base = adjustment.whitened.jacobian[view][:, adjustment.free]
     step = -adjustment.covariance @ (base.T @ extra)
     return step[adjustment.rows(view)]
-
-
-def information_left(
-    extra: Float[np.ndarray, "n k"],
-    base: Float[np.ndarray, "n f"],
-    root: Float[np.ndarray, "f f"],
-) -> Float[np.ndarray, "k k"]:
-    """On more unknowns, of derivatives `extra`, while those of `base` are fitted along.
-
-    root : R of the information R^T R on these, priors and other views included.
-    """
-    fitted = solve_triangular(root, base.T @ extra, trans=1)
-    return extra.T @ extra - fitted.T @ fitted
 
 
 def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarray, "k"]) -> str:

@@ -14,13 +14,12 @@ Reference: J. A. Hausman, "Specification tests in econometrics", Econometrica 46
 statistic this is for an efficient estimate (the prior and the images) and a consistent one.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.adjustment.estimate import Adjustment, prior_weights
+from trinoc.calib.adjustment.adjustment import Adjustment, prior_weights
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.tails import chi_square_tail, normal_limit
@@ -52,7 +51,6 @@ class PriorPull(NamedTuple):
     ------
     unknown : what was tested.
     offset : (k,) fitted value less the prior mean, in the unit of the unknown.
-    prior_sigma : (k,) standard deviation of the prior.
     freedom : number of directions that the images determine.
     chance : probability of so large a distance where model and priors are right.
     partners : unknowns that the images cannot separate from it and that lie as far off.
@@ -60,10 +58,25 @@ class PriorPull(NamedTuple):
 
     unknown: Unknown
     offset: Float[np.ndarray, "k"]
-    prior_sigma: Float[np.ndarray, "k"]
     freedom: int
     chance: float
     partners: tuple[Unknown, ...] = ()
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """The unknown and its partners."""
+        return (self.unknown, *self.partners)
+
+    @property
+    def views(self) -> frozenset[int]:
+        """The cameras that are concerned alone; none where the sheet may be."""
+        if not all(unknown.views for unknown in self.unknowns):
+            return frozenset()
+        return frozenset(view for unknown in self.unknowns for view in unknown.views)
+
+    def concerns_aim(self, view: int) -> bool:
+        """Whether the aim of a camera may be what is wrong."""
+        return any(one.kind == "aim" and view in one.views for one in self.unknowns)
 
     @property
     def sigmas(self) -> float:
@@ -121,16 +134,10 @@ class PriorSpace(NamedTuple):
 
     def pull(self, unknown: Unknown) -> PriorPull:
         """The distance of one unknown from its prior."""
-        whitened, scale = self._whiten(unknown)
-        expected = whitened @ self.expected @ whitened.T
-        shares, axes = np.linalg.eigh(expected)
-        seen = shares > TUNING.answer.least_share_of_prior
-        along = axes[:, seen].T @ (whitened @ self.offset)
-        squared, freedom = float(np.sum(along**2 / shares[seen])), int(seen.sum())
+        combinations = self._determined(unknown)
+        squared, freedom = float(np.sum((combinations @ self.offset) ** 2)), len(combinations)
         chance = float(chi_square_tail(squared, freedom)) if freedom else 1.0
-        # An offset of the steps in prior sigmas, back in units of the unknown.
-        by_sigma = self._by_sigma(unknown)
-        return PriorPull(unknown, by_sigma @ self.offset, scale, freedom, chance)
+        return PriorPull(unknown, self._by_sigma(unknown) @ self.offset, freedom, chance)
 
     def are_inseparable(self, first: PriorPull, second: PriorPull) -> bool:
         """True if the images determine only one combination of two unknowns, equally far off.
@@ -141,27 +148,26 @@ class PriorSpace(NamedTuple):
         largest = TUNING.answer.inseparable
         if second.sigmas < largest * first.sigmas:
             return False
-        roots = []
-        for pull in (first, second):
-            whitened, _ = self._whiten(pull.unknown)
-            shares, axes = np.linalg.eigh(whitened @ self.expected @ whitened.T)
-            seen = shares > TUNING.answer.least_share_of_prior
-            roots.append((axes[:, seen] / np.sqrt(shares[seen])).T @ whitened)
-        across = roots[0] @ self.expected @ roots[1].T
+        rows, columns = (self._determined(pull.unknown) for pull in (first, second))
+        across = rows @ self.expected @ columns.T
         return bool(np.linalg.norm(across, 2) > largest)
 
     def _by_sigma(self, unknown: Unknown) -> Float[np.ndarray, "k f"]:
         """Derivative of an unknown by the steps with a prior, in prior sigmas of these."""
-        known = self.weights > 0
-        return np.where(known, unknown.by_step / np.where(known, self.weights, 1.0), 0.0)
+        has_prior = self.weights > 0
+        return np.where(has_prior, unknown.by_step / np.where(has_prior, self.weights, 1.0), 0.0)
 
-    def _whiten(self, unknown: Unknown) -> tuple[Float[np.ndarray, "r f"], Float[np.ndarray, "k"]]:
-        """Combinations of an unknown that have unit prior covariance, and its prior sigmas."""
+    def _determined(self, unknown: Unknown) -> Float[np.ndarray, "r f"]:
+        """Combinations of an unknown that the images determine, with unit covariance."""
         by_sigma = self._by_sigma(unknown)
         scale = np.linalg.norm(by_sigma, axis=1)
         unit = by_sigma[scale > 0] / scale[scale > 0, None]
         _, values, right = np.linalg.svd(unit, full_matrices=False)
-        return right[values > _ROUNDING * values.max(initial=0.0)], scale
+        # Of unit prior covariance.
+        whitened = right[values > _ROUNDING * values.max(initial=0.0)]
+        shares, axes = np.linalg.eigh(whitened @ self.expected @ whitened.T)
+        is_determined = shares > TUNING.answer.least_share_of_prior
+        return (axes[:, is_determined] / np.sqrt(shares[is_determined])).T @ whitened
 
 
 def unknowns_with_priors(adjustment: Adjustment) -> list[Unknown]:
@@ -241,9 +247,8 @@ def list_kinds(pull: PriorPull) -> tuple[str, ...]:
 
     Partners of one lens share the statement that is wrong.
     """
-    unknowns: Sequence[Unknown] = (pull.unknown, *pull.partners)
     by_owner: dict[tuple[str, tuple[int, ...]], str] = {}
-    for unknown in unknowns:
+    for unknown in pull.unknowns:
         of_lens = unknown.kind not in ("aim", "bend", "print size", "print aspect", "all")
         by_owner.setdefault(("lens" if of_lens else unknown.kind, unknown.views), unknown.kind)
     return tuple(dict.fromkeys(by_owner.values()))

@@ -4,7 +4,7 @@ import functools
 import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -14,8 +14,8 @@ from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
 from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
 from trinoc.calib.photometric.scene import ShiftOfPlaces
 from trinoc.calib.photometric.sheet_places import project_to_image
-from trinoc.calib.problem.views import SheetPoints
-from trinoc.calib.result.calibration import ImageQuality
+from trinoc.calib.problem.image_quality import ImageQuality
+from trinoc.calib.problem.sheet_problem import PictureFit
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
 from trinoc.calib.tuning.every_group import TUNING
@@ -26,25 +26,6 @@ from trinoc.geometry.pose import Pose, PoseModel
 _BOX_VARIANCE = 1 / 12
 
 _Answer = TypeVar("_Answer")
-
-
-class PictureFit(NamedTuple):
-    """What the grey levels of one picture say, or a sentence where they say nothing.
-
-    Fields
-    ------
-    pose : of the camera before a flat sheet and through the lens as it was said.
-    points : where the picture shows each circle and each piece of the crossed lines.
-    quality : light, ink, blur and noise.
-    note : why the picture says nothing; None where it does.
-    is_processed : whether software has sharpened the picture.
-    """
-
-    pose: Pose
-    points: SheetPoints | None
-    quality: ImageQuality | None
-    note: str | None
-    is_processed: bool = False
 
 
 def refine_views(
@@ -101,7 +82,7 @@ def _refine(
     encoding: Encoding,
 ) -> PictureFit:
     def silent(note: str) -> PictureFit:
-        return PictureFit(start, None, None, note)
+        return PictureFit(None, None, note)
 
     # A threshold moves each edge as it likes; the model would take that for light.
     if len(np.unique(image[:: len(image) // 8 + 1])) <= 2:
@@ -123,7 +104,7 @@ def _refine(
         return silent(f"the picture itself disagrees with its circles by {moved:.2f} px.")
     quality = _quality(refined)
     is_processed = refined.overshoot > TUNING.photometric.processed_overshoot
-    return PictureFit(refined.state.pose, refined.points, quality, None, is_processed)
+    return PictureFit(refined.points, quality, None, is_processed)
 
 
 def _quality(refined: ImageRefinement) -> ImageQuality:

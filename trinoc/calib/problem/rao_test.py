@@ -1,10 +1,11 @@
-"""Rao's score test: do the shots ask for parameters that were held? Nothing is fitted anew."""
+"""Rao's score test of parameters that a fit held fixed, without another fit."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.linalg import solve_triangular
 from scipy.special import chdtri, chndtrinc, fdtrc
 
 from trinoc.calib.problem.information import Information, compute_information
@@ -22,14 +23,14 @@ Cause = TypeVar("Cause")
 
 
 class RaoTest(NamedTuple):
-    """What the residuals say of parameters that were held.
+    """Score test of parameters that were held fixed.
 
     Fields
     ------
-    chi_square : of the pull at the held parameters.
-    freedom : in how many directions of them the residuals can pull at all.
-    step : (k,) by which they would move, were they free.
-    covariance : (k, k) of the step, for residuals in sigmas; zero in directions without a pull.
+    chi_square : reduction of the residuals' chi-square, were the parameters free.
+    freedom : number of directions of the parameters that the residuals determine.
+    step : (k,) change of the parameters, were they free.
+    covariance : (k, k) of the step, for residuals in sigmas; zero in undetermined directions.
     """
 
     chi_square: float
@@ -39,36 +40,36 @@ class RaoTest(NamedTuple):
 
     @property
     def chance(self) -> float:
-        """Probability by which noise pulls so much; uniform where the held values are right."""
+        """Probability of such a reduction by noise; uniform where the held values are right."""
         return float(chi_square_tail(self.chi_square, self.freedom)) if self.freedom else 1.0
 
     def with_noise(self, variance: float) -> "RaoTest":
-        """The same where the residuals' noise has this variance, in sigmas squared."""
+        """The test for residuals whose noise has this variance, in sigmas squared."""
         return self._replace(
             chi_square=self.chi_square / variance, covariance=variance * self.covariance
         )
 
     def noise_variance(self, squared: float, freedom: float) -> float:
-        """Of the residuals, were the held parameters free.
+        """Variance of the residuals, were the held parameters free.
 
-        squared, freedom : sum of the residuals' squares, and its degrees of freedom, as it is.
+        squared, freedom : sum of the residuals' squares in the fit, and its degrees of freedom.
         """
         return max(squared - self.chi_square, 1e-12 * squared) / (freedom - self.freedom)
 
     def chance_beside(self, squared: float, freedom: float) -> float:
-        """`chance` where the noise is known by the residuals alone, whence an F test."""
+        """`chance` with the noise estimated from the residuals, by an F test."""
         if not self.freedom or freedom - self.freedom < 1:
             return 1.0
         return self.chance_by(self.noise_variance(squared, freedom), freedom - self.freedom)
 
     def chance_by(self, variance: float, freedom: float) -> float:
-        """`chance` by a variance of the noise that is known with so many degrees of freedom."""
+        """`chance` with a variance of the noise that has so many degrees of freedom."""
         ratio = self.chi_square / max(self.freedom, 1) / variance
         return float(fdtrc(self.freedom, freedom, ratio)) if self.freedom else 1.0
 
 
 def unseen_sigmas(chance: float, freedom: int) -> float:
-    """How many sigmas off is what a test at this chance finds as often as `answer.power` says.
+    """Size of an error, in sigmas, that a test at this chance detects with `answer.power`.
 
     W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic Commission,
     1968, by the noncentral chi-square law.
@@ -80,10 +81,11 @@ def unseen_sigmas(chance: float, freedom: int) -> float:
 def judge_pull(
     left: Float[np.ndarray, "k k"], pull: Float[np.ndarray, "k"], whole: Float[np.ndarray, "k"]
 ) -> RaoTest:
-    """The score test, after what is fitted has explained what it can.
+    """Score test from the information and the gradient that the fitted parameters leave.
 
-    left : information on held parameters that is left. pull : the gradient of half of chi-square
-    by them, less what is explained. whole : (k,) information on each, had nothing been fitted.
+    left : information on the held parameters. pull : gradient of half of chi-square by them. Of
+    both, what the fitted parameters explain is taken off. whole : (k,) information on each, had
+    nothing been fitted.
     """
     scale = np.sqrt(np.maximum(whole, 1e-300))
     shares, directions = np.linalg.eigh(left / np.outer(scale, scale))
@@ -99,15 +101,15 @@ def judge_pull(
 
 
 class HeldScore(NamedTuple):
-    """What the residuals at the end of a fit say of some columns that were held in it.
+    """Score of all parameters that a fit held fixed, from which `judge` tests some.
 
     Fields
     ------
-    left : (k, k) information on them, less what a change of what was fitted explains.
+    left : (k, k) information on them, less what a change of the fitted parameters explains.
     pull : (k,) gradient of half of chi-square by them, likewise.
     whole : (k,) information on each, had nothing been fitted.
     squared, freedom : sum of the residuals' squares, and its degrees of freedom.
-    are_exact : whether the residuals are what rounding leaves, which asks for nothing.
+    are_exact : whether the residuals are rounding errors, which contradict nothing.
     """
 
     left: Float[np.ndarray, "k k"]
@@ -123,20 +125,20 @@ class HeldScore(NamedTuple):
         return judge_pull(self.left[np.ix_(rows, rows)], self.pull[rows], self.whole[rows])
 
     def chance(self, test: RaoTest) -> float:
-        """By noise as the residuals show it."""
+        """Probability of a test's reduction, with the noise that the residuals show."""
         return 1.0 if self.are_exact else test.chance_beside(self.squared, self.freedom)
 
     def noise_variance(self, test: RaoTest) -> float:
-        """Of the residuals, were what was tested free."""
+        """Variance of the residuals, were the tested parameters free."""
         return test.noise_variance(self.squared, self.freedom)
 
     def rank(self, test: RaoTest) -> tuple[float, float]:
-        """The less, the more is explained: the chance, and where that is too small for floating
-        point, less what is explained in each direction."""
+        """Sort key of tests, smallest for the strongest: the chance, then the negative reduction in
+        each direction, for chances that are too small for floating point."""
         return self.chance(test), -test.chi_square / max(test.freedom, 1)
 
     def strongest(self, causes: Mapping[Cause, Sequence[int]]) -> Cause | None:
-        """Of causes, each with its columns, the one that explains most of the residuals."""
+        """The cause that explains most of the residuals; causes : the columns of each."""
         return min(causes, key=lambda cause: self.rank(self.judge(causes[cause])), default=None)
 
     def with_freed(self, columns: Sequence[int]) -> "HeldScore":
@@ -176,6 +178,29 @@ def explain_pull(
     left = whole[np.ix_(held, held)] - explained @ whole[np.ix_(~held, held)]
     unit = scale[held]
     return left * np.outer(unit, unit), unit * (pull[held] - explained @ pull[~held]), unit**2
+
+
+def score_of_residuals(
+    extra: Float[np.ndarray, "n k"],
+    residual: Float[np.ndarray, "n"],
+    base: Float[np.ndarray, "n f"],
+    root: Float[np.ndarray, "f f"],
+    freedom: float,
+) -> HeldScore:
+    """Score of unknowns that were held, from residuals in sigmas with `freedom` degrees.
+
+    extra, base : derivatives of the residuals by these unknowns and by those that were fitted.
+    root : R of the information R^T R on the latter, priors and other views included.
+    """
+    fitted = solve_triangular(root, base.T @ extra, trans=1)
+    return HeldScore(
+        left=extra.T @ extra - fitted.T @ fitted,
+        pull=extra.T @ residual,
+        whole=np.sum(extra**2, axis=0),
+        squared=float(residual @ residual),
+        freedom=freedom,
+        are_exact=False,
+    )
 
 
 def rao_test(information: Information, held: Bool[np.ndarray, "f"]) -> RaoTest:

@@ -1,5 +1,6 @@
-"""The fit of a rig without the places, and the pictures, that it does not explain."""
+"""Robust fit of a problem: outliers left out, sigmas enlarged where residuals contradict them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.problem.equations import PlacesProblem
 from trinoc.calib.problem.places import residuals_px, whitened_residuals
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.solver import solve
+from trinoc.calib.problem.solver import LEAST_DAMPING, solve
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.precision import as_numpy
@@ -28,27 +29,33 @@ _residuals = kept_jit(residuals_px)
 
 
 def robust_scale(whitened: Float[np.ndarray, "m 2"]) -> float:
-    """Standard deviation of whitened errors by their median length; at least 1."""
+    """Standard deviation of whitened errors, from their median length; at least 1."""
     if not len(whitened):
         return 1.0
     return max(1.0, float(np.median(np.linalg.norm(whitened, axis=1))) / _MEDIAN_LENGTH)
 
 
-def inliers(whitened: Float[np.ndarray, "m 2"]) -> Bool[np.ndarray, "m"]:
-    """Circles whose error is one that noise can make."""
-    return np.linalg.norm(whitened, axis=1) <= TUNING.problem.gate * robust_scale(whitened)
+def inliers(
+    whitened: Float[np.ndarray, "m 2"], scale: float | None = None
+) -> Bool[np.ndarray, "m"]:
+    """Return which places have an error that noise explains.
+
+    scale : standard deviation of the errors; their own `robust_scale` unless given.
+    """
+    scale = robust_scale(whitened) if scale is None else scale
+    return np.linalg.norm(whitened, axis=1) <= TUNING.problem.gate * scale
 
 
 class RobustFit(NamedTuple):
-    """Where the fit ended.
+    """Result of a robust fit.
 
     Fields
     ------
-    problem : at its end, with the places that take part.
-    converged : whether the solver says so.
-    elsewhere : views that show the board elsewhere: (camera, shot, median miss in px).
-    chi_square, freedom : of the places that take part, by the sigmas as they were enlarged.
-    is_held : whether lenses and board are those of another fit, and were held in this one.
+    problem : at the estimate, with the places that are used.
+    converged : whether the last solve converged.
+    elsewhere : views that show the board elsewhere: (camera, shot, median error in px).
+    chi_square, freedom : of the used places, with the enlarged sigmas.
+    is_held : whether lenses and board were fixed at the values of another fit.
     """
 
     problem: Problem
@@ -60,31 +67,57 @@ class RobustFit(NamedTuple):
 
 
 def fit_robustly(problem: Problem) -> RobustFit:
-    """Bounded ever more tightly, then without what noise does not make, then as least squares.
+    """Fit with ever tighter bounds on outliers, then without them, then with corrected sigmas.
 
-    The sigmas of corners, which users may give by guess, are those that each camera's residuals
-    show; those of circles grow where the residuals refute them.
+    The sigmas of corners, which users may guess, are estimated from each camera's residuals. Those
+    of circles are enlarged where the residuals contradict them.
     """
     problem, elsewhere = drop_wrong_places(anneal(problem))
     problem, _ = fit_places(problem)
     return finish_fit(problem, elsewhere)
 
 
-def anneal(problem: Problem) -> Problem:
-    """The problem after fits that bound the influence of places ever more tightly."""
+def anneal(
+    problem: Problem, suspects: Sequence[int] | None = None, first_damping: float | None = None
+) -> Problem:
+    """The problem after fits that bound the influence of places ever more tightly.
+
+    suspects : the views whose places are bounded, each by its own scatter. Unless given, all views
+    are, by the scatter of all.
+    """
     for factor in TUNING.problem.annealing:
-        scale = factor * robust_scale(_take_used_rows(problem, place_errors_in_sigmas(problem)))
-        problem, _ = fit_places(problem, scale)
+        errors = _used_rows(problem, place_errors_in_sigmas(problem))
+        scale = np.full(len(problem.views), np.inf)
+        if suspects is None:
+            scale[:] = factor * robust_scale(np.concatenate(errors))
+        else:
+            scale[suspects] = [factor * robust_scale(errors[k]) for k in suspects]
+        problem, _ = fit_places(problem, scale, first_damping)
     return problem
 
 
+def fit_without_wrong_places(problem: Problem, suspects: Sequence[int]) -> tuple[Problem, bool]:
+    """The fit without those places of some views that noise does not explain, and whether it
+    converged. No view is left out as a whole.
+
+    suspects : views with places whose error exceeds the gate at the state of the problem.
+    """
+    problem, views = anneal(problem, suspects, LEAST_DAMPING), list(problem.views)
+    errors = _used_rows(problem, place_errors_in_sigmas(problem))
+    for k in suspects:
+        used = views[k].used.copy()
+        used[used] = inliers(errors[k])
+        views[k] = views[k]._replace(used=used)
+    return fit_places(problem._replace(views=tuple(views)), first_damping=LEAST_DAMPING)
+
+
 def finish_fit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
-    """The end of a fit, after the sigmas have become those that its residuals show."""
+    """Fit with the sigmas that the residuals show."""
     return refit(with_sigma_factors(problem), elsewhere)
 
 
 def refit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
-    """The end of a fit by the sigmas as they are."""
+    """Fit with the sigmas as they are."""
     problem, converged = fit_places(problem)
     return end_of_fit(problem, converged, elsewhere)
 
@@ -92,7 +125,7 @@ def refit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFi
 def end_of_fit(
     problem: Problem, converged: bool, elsewhere: list[tuple[int, int, float]]
 ) -> RobustFit:
-    """The end of a fit at the state of a problem."""
+    """Result of a fit that ended at the state of a problem."""
     chi_square = float(np.sum(np.square(place_errors_in_sigmas(problem))))
     return RobustFit(problem, converged, elsewhere, chi_square, degrees_of_freedom(problem))
 
@@ -102,7 +135,7 @@ def fit_places(
     outlier_scale: float | Float[np.ndarray, "_v"] = np.inf,
     first_damping: float | None = None,
 ) -> tuple[Problem, bool]:
-    """The problem where the fit ends, and whether it converged.
+    """The problem at the end of one solve, and whether it converged.
 
     outlier_scale : in sigmas, at which the influence of places is bounded: of all, or of each view.
     """
@@ -138,16 +171,15 @@ def _project_across(
     return np.einsum("mik,mk,mjk,mj->mi", vectors, determined, vectors, errors)
 
 
-def _take_used_rows(
+def _used_rows(
     problem: Problem, errors: Float[np.ndarray, "v n 2"]
-) -> Float[np.ndarray, "m 2"]:
-    return np.concatenate(
-        [rows[: len(view.used)][view.used] for rows, view in zip(errors, problem.views)]
-    )
+) -> list[Float[np.ndarray, "_m 2"]]:
+    """The errors of the detected places of each view that take part."""
+    return [rows[: len(view.used)][view.used] for rows, view in zip(errors, problem.views)]
 
 
 def use_all_places(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> Problem:
-    """The problem with every place, but for views that show the board elsewhere."""
+    """The problem with every place used, except in views that show the board elsewhere."""
     out = {(camera, shot) for camera, shot, _ in elsewhere}
     views = tuple(
         view if (view.camera, view.shot) in out else view._replace(used=np.ones_like(view.used))
@@ -161,8 +193,8 @@ def drop_wrong_places(
 ) -> tuple[Problem, list[tuple[int, int, float]]]:
     """The problem without places, and without images, that noise does not explain.
 
-    Places are judged by the scatter of their own image, which lies between that of its camera and a
-    few times as much: an image that is blurred or taken in motion is noisier, and says less, but is
+    The gate of a place is a multiple of the scatter of its own image, which is at least that of its
+    camera and at most a few times that: an image that is blurred or taken in motion is noisier, but
     not wrong.
 
     errors : residuals in sigmas; those of the problem's state unless given.
@@ -173,7 +205,7 @@ def drop_wrong_places(
     views, elsewhere = list(problem.views), []
     for camera in range(problem.cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == camera]
-        # Places that take no part have residuals of zero, which say nothing.
+        # Unused places have residuals of zero.
         own = {
             k: errors[k][: len(problem.views[k].used)][problem.views[k].used]
             for k in rows
@@ -185,7 +217,7 @@ def drop_wrong_places(
         for k, whitened in own.items():
             most = TUNING.problem.noisiest_image * of_camera
             scale = float(np.clip(robust_scale(whitened), of_camera, most))
-            right = np.linalg.norm(whitened, axis=1) <= TUNING.problem.gate * scale
+            right = inliers(whitened, scale)
             view, used = problem.views[k], problem.views[k].used.copy()
             used[used] = right
             if right.mean() < TUNING.problem.fewest_agree:
@@ -196,35 +228,45 @@ def drop_wrong_places(
     return problem._replace(views=tuple(views)), elsewhere
 
 
-def with_sigma_factors(problem: Problem) -> Problem:
-    """The problem with the sigmas that the residuals of each camera and of its images show.
+def with_sigma_factors(
+    problem: Problem,
+    squared: Float[np.ndarray, "v"] | None = None,
+    freedom: Float[np.ndarray, "v"] | None = None,
+) -> Problem:
+    """The problem with sigmas multiplied by what the residuals of each camera and image show.
+
+    squared : sum of the squared residuals of each view, in sigmas; computed unless given.
+    freedom : their degrees of freedom; unless given, those of the whole fit, shared among the views
+    by their numbers of residuals.
 
     The variance of an image's places is its camera's and its own, weighted by their numbers of
     degrees of freedom, where the camera's counts as `TUNING.problem.image_prior`: weights of groups
     of observations by their residuals, as in variance component estimation.
     """
-    errors = place_errors_in_sigmas(problem)
-    squared = np.sum(errors**2, axis=(1, 2))
-    total = sum(view.numbers for view in problem.views)
-    share = max(degrees_of_freedom(problem), 1) / max(total, 1)
+    if squared is None:
+        squared = np.asarray(np.sum(place_errors_in_sigmas(problem) ** 2, axis=(1, 2)))
+    if freedom is None:
+        numbers = np.array([view.numbers for view in problem.views])
+        share = max(degrees_of_freedom(problem), 1) / max(int(numbers.sum()), 1)
+        freedom = share * numbers
     are_known = problem.parametrization.has_circles or any(
         v.shown is not None for v in problem.views
     )
     factor, views = np.array(problem.sigma_factor), list(problem.views)
     for camera in range(problem.cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == camera and view.numbers]
-        freedom = share * np.array([views[k].numbers for k in rows])
-        if freedom.sum() <= 0:
+        total = float(freedom[rows].sum())
+        if total <= 0:
             continue
         # In sigmas as they were detected.
         ratio = np.array([views[k].sigma_ratio for k in rows])
         chi_square = squared[rows] * (factor[camera] * ratio) ** 2
         if all(views[k].shown is None for k in rows) and len(rows) >= _FEWEST_IMAGES:
-            ratio = _image_ratios(chi_square, freedom)
+            ratio = _image_ratios(chi_square, freedom[rows])
             for k, each in zip(rows, ratio.tolist()):
                 views[k] = views[k]._replace(sigma_ratio=each)
-        reduced = float(np.sum(chi_square / ratio**2) / freedom.sum())
-        refuted = reduced > 1.0 + TUNING.problem.refuted_sigmas * np.sqrt(2.0 / freedom.sum())
+        reduced = float(np.sum(chi_square / ratio**2) / total)
+        refuted = reduced > 1.0 + TUNING.problem.refuted_sigmas * np.sqrt(2.0 / total)
         if refuted or not are_known:
             factor[camera] = np.sqrt(max(reduced, 1e-12))
         else:

@@ -6,38 +6,70 @@ parameters.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection
+from trinoc.calib.problem.image_quality import ImageQuality
 from trinoc.calib.problem.problem import Problem, basis_of_scales, stack_problem_lenses
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, Priors, RigState
 from trinoc.calib.problem.views import LINE_PIECES, SheetPoints, View, pad_count
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.uncertainty.systematics import CAMERAS_AT_ONCE, Systematics
+from trinoc.errors import check_kind
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose, PoseModel
 
+Method = Literal["pixels", "points"]
 
-class SheetCamera(NamedTuple):
-    """What one camera shows of the sheet, and where it is thought to stand.
+
+@dataclass(frozen=True, eq=False)
+class PictureFit:
+    """Result of the fit to the grey levels of one image, or the reason why it has none.
+
+    Fields
+    ------
+    points : where the image shows each circle and each piece of the crossed lines.
+    quality : light, ink, blur and noise.
+    note : why the grey levels cannot be used; None where they can.
+    is_processed : whether software has sharpened the image.
+    """
+
+    points: SheetPoints | None
+    quality: ImageQuality | None
+    note: str | None
+    is_processed: bool = False
+
+    def __post_init__(self) -> None:
+        if (self.points is None) != (self.note is not None):
+            raise ValueError("A fit of grey levels has either points or a note.")
+
+
+@dataclass(frozen=True, eq=False)
+class SheetCamera:
+    """Observations of the sheet by one camera, and what is known of the camera.
 
     Fields
     ------
     name : of the camera.
-    detection : the circles and lines that were found in its picture.
-    lens : as the user says it.
+    detection : the circles and lines that were detected in its image.
+    lens : as the user states it.
     lens_factor : (k, r) L of the covariance L L^T of the first k of the lens's parameters; None for
         a lens that is exact.
     pose : from which the fit starts.
-    image : (h, w) grey levels of its picture; None where the circles alone count.
-    shown : where its grey levels show places of the sheet, which then count instead of circles.
-    ink_spread_mm : by which ink reaches beyond the drawing of each circle.
+    image : (h, w) grey levels of its image; None where the circles alone are used.
+    picture : the fit to these grey levels.
+    shown : positions from the grey levels, which are used instead of circle centres; None where
+        circle centres are used.
+    ink_spread_mm : by which ink extends beyond the drawing of each circle.
+    agreement : probability that circles and grey levels differ so much; NaN without grey levels.
+    scatter : factor by which the sigmas of its circles are enlarged.
     """
 
     name: str
@@ -46,18 +78,26 @@ class SheetCamera(NamedTuple):
     lens_factor: Float[np.ndarray, "_k _r"] | None
     pose: Pose
     image: Float[np.ndarray, "_h _w"] | None = None
+    picture: PictureFit | None = None
     shown: SheetPoints | None = None
     ink_spread_mm: float = 0.0
+    agreement: float = float("nan")
+    scatter: float = 1.0
 
     @property
-    def places(self) -> int:
-        """How many places count."""
-        return len(self.detection) if self.shown is None else len(self.shown.place_mm)
+    def method(self) -> Method:
+        """Which observations of the camera are used: grey levels or circle centres."""
+        return "points" if self.shown is None else "pixels"
+
+    def by_pixels(self) -> "SheetCamera":
+        """The camera by its grey levels where these could be fitted, else by its circles."""
+        return replace(self, shown=self.picture and self.picture.points)
 
     @property
     def places_of_picture(self) -> int:
-        """How many its grey levels show at most: circles, and pieces of the two lines."""
-        return max(len(self.detection) + 4 * LINE_PIECES, self.places)
+        """Largest number of places that its grey levels show: circles, and pieces of the lines."""
+        shown = 0 if self.shown is None else len(self.shown.place_mm)
+        return max(len(self.detection) + 4 * LINE_PIECES, shown)
 
     @property
     def promoted_lens(self) -> AbstractLens:
@@ -65,19 +105,49 @@ class SheetCamera(NamedTuple):
         return promote_lens(self.lens.lens)
 
 
+@dataclass(frozen=True)
+class SheetPriors:
+    """What is known of sheet, lenses and aims before the fit, and what of each pose is wanted.
+
+    Fields
+    ------
+    pose_model : the parameters of each pose that the user wants.
+    systematics : standard deviations of what is not exact.
+    """
+
+    pose_model: PoseModel
+    systematics: Systematics
+
+    def __post_init__(self) -> None:
+        """Raise InputError for something else, or a sigma that is negative or not finite."""
+        check_kind(self.systematics, Systematics, "knowledge of the sheet", "trinoc.Systematics")
+        self.systematics.check()
+
+    @property
+    def aim_is_fixed(self) -> bool:
+        """Whether the optical axes meet the origin exactly."""
+        return self.pose_model is PoseModel.AIMED and not self.systematics.aim_sigma_mm
+
+    @property
+    def fitted_model(self) -> PoseModel:
+        """The parameters of each pose that are estimated."""
+        if self.pose_model is PoseModel.AIMED and self.systematics.aim_sigma_mm:
+            return PoseModel.AIM_FREE
+        return self.pose_model
+
+    @property
+    def aim_sigma_mm(self) -> float:
+        """Standard deviation of the prior on each aim; 0 for none."""
+        return self.systematics.aim_sigma_mm if self.pose_model is PoseModel.AIMED else 0.0
+
+
 def sheet_problem(
     cameras: Sequence[SheetCamera],
     target: AbstractTarget,
-    systematics: Systematics,
-    model: PoseModel,
-    aim_sigma_mm: float,
+    priors: SheetPriors,
 ) -> Problem:
-    """The problem at its start: the sheet flat, as drawn, and on the plane Z = 0.
-
-    model : what is free of each pose: AIM_FREE, AIMED, or RIGID. aim_sigma_mm : of the prior on
-    each aim; 0 for none.
-    """
-    count = len(cameras)
+    """The problem at its start: the sheet flat, as drawn, and on the plane Z = 0."""
+    count, systematics, model = len(cameras), priors.systematics, priors.fitted_model
     padded = [cameras[min(k, count - 1)] for k in range(pad_count(count, CAMERAS_AT_ONCE))]
     is_real = np.arange(len(padded)) < count
     lens_of_camera = np.arange(len(padded))
@@ -111,7 +181,7 @@ def sheet_problem(
             lens_information=lens_information,
             sheet_information=np.diag((sigma > 0) / np.where(sigma > 0, sigma, 1.0) ** 2),
             shape_information=np.zeros((0, 0)),
-            aim_information=is_real * (aim_sigma_mm**-2 if aim_sigma_mm > 0 else 0.0),
+            aim_information=is_real * (priors.aim_sigma_mm**-2 if priors.aim_sigma_mm > 0 else 0.0),
         ),
         pose_model=model if model is PoseModel.RIGID else PoseModel.AIM_FREE,
         has_circles=bool(np.any(target.radius_mm > 0)),
@@ -132,7 +202,8 @@ def sheet_problem(
             used=np.ones(len(one.detection), dtype=bool),
             shown=one.shown,
             ink_spread_mm=one.ink_spread_mm,
-            room=0 if one.image is None else one.places_of_picture - one.places,
+            room=0 if one.image is None else one.places_of_picture - len(_places_mm(one, target)),
+            sigma_ratio=one.scatter,
         )
         for k, one in enumerate(cameras)
     )
@@ -144,14 +215,14 @@ def sheet_problem(
 def _lens_prior(
     factor: Float[np.ndarray, "k r"], scale: Float[np.ndarray, "q"]
 ) -> tuple[Float[np.ndarray, "q q"], Float[np.ndarray, "q q"], Float[np.ndarray, "q"]]:
-    """Steps in standard deviations along a covariance's directions, its inverse there, and which
-    of the steps there are."""
-    known, steps = factor.shape
+    """Basis of steps of one sigma along a covariance's directions, its inverse, and which steps
+    exist."""
+    parameters, steps = factor.shape
     size = len(scale)
     basis, information = np.zeros((size, size)), np.zeros((size, size))
-    basis[:known, :steps] = factor
-    inverse = np.linalg.pinv(factor / scale[:known, None]) / scale[None, :known]
-    information[:known, :known] = inverse.T @ inverse
+    basis[:parameters, :steps] = factor
+    inverse = np.linalg.pinv(factor / scale[:parameters, None]) / scale[None, :parameters]
+    information[:parameters, :parameters] = inverse.T @ inverse
     return basis, information, (np.arange(size) < steps).astype(float)
 
 
@@ -161,7 +232,7 @@ def _are_one_lens(cameras: Sequence[SheetCamera]) -> bool:
 
 
 def _reach_of_camera_mm(camera: SheetCamera, target: AbstractTarget) -> float:
-    """From a camera's centre to the middle of what it sees."""
+    """Distance from a camera's centre to the mean of the places that it shows."""
     middle = np.zeros(3)
     places = _places_mm(camera, target)
     middle[: places.shape[1]] = places.mean(axis=0)

@@ -1,0 +1,195 @@
+"""Which sentences a camera over the sheet gets: its failure, or notes on its fit and its priors."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib import sentences
+from trinoc.calib.adjustment.adjustment import Adjustment
+from trinoc.calib.adjustment.agreement import autocorrelation_of_circles
+from trinoc.calib.adjustment.prior_pulls import PriorPull, list_kinds
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.problem.robust_fit import errors_px
+from trinoc.calib.problem.sheet import BentPaper
+from trinoc.calib.problem.sheet_problem import SheetCamera
+from trinoc.calib.result.calibration import Alternative, Status
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.geometry.intrinsics import Intrinsics, describe_fold, describe_unusable_fold
+from trinoc.geometry.pose import PoseModel
+from trinoc.geometry.rig import PARAMETER_NAMES
+from trinoc.numerics.information import Observability
+from trinoc.numerics.tails import chi_square_tail, normal_limit
+
+# numerical: rows of a lens.
+_PRINCIPAL_POINT = slice(2, 4)
+
+
+def failure_of_camera(
+    fit: Adjustment | None,
+    status: Status,
+    observability: Observability,
+    detection: Detection,
+    lens: Intrinsics,
+    lens_factor: Float[np.ndarray, "_k _r"] | None,
+    model: PoseModel,
+) -> str:
+    """Why the fit of a camera to its circles cannot be used, and the remedy; empty if it can.
+
+    lens_factor : (k, r) of the covariance of a lens that this fit took as exact. model : what is
+    free of each pose later.
+    """
+    if status is Status.RANK_DEFICIENT:
+        gauge = [PARAMETER_NAMES[k] for k in observability.gauge]
+        return sentences.circles_leave_free(len(detection), gauge)
+    if fit is None or status is not Status.CONVERGED:
+        return sentences.fit_did_not_converge(len(detection), _fold(detection, lens))
+    used, residuals_px = fit.used[0], errors_px(fit.problem)[0]
+    misfit_px = float(np.sqrt(np.mean(np.sum(residuals_px[used] ** 2, axis=1))))
+    extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))
+    largest_px = max(TUNING.answer.least_misfit_px, TUNING.answer.misfit_share * extent_px)
+    if lens_factor is not None:
+        # With the aim fixed, a principal point that is off by so much moves every circle.
+        largest_px += TUNING.answer.strain_sigmas * float(
+            np.linalg.norm(lens_factor[_PRINCIPAL_POINT])
+        )
+    if misfit_px > largest_px:
+        aim_is_free = model is PoseModel.AIM_FREE
+        return sentences.circles_misfit(misfit_px, _fold(detection, lens), aim_is_free)
+    if 2 * int(used.sum()) < len(used):
+        return sentences.few_circles_agree(int(used.sum()), len(used))
+    return ""
+
+
+def _fold(detection: Detection, lens: Intrinsics) -> str | None:
+    """The fold of a lens where it may be why a fit failed.
+
+    A fold in the corners of the image is no cause where no circle lies beyond it.
+    """
+    fold = describe_fold(lens)
+    away_px = np.linalg.norm(detection.centres_px - np.asarray(lens.principal_point_px), axis=1)
+    is_beyond = bool((away_px > lens.valid_radius_px).any())
+    is_cause = is_beyond or describe_unusable_fold(lens) is not None
+    return fold if is_cause else None
+
+
+def is_suspect(tests: Sequence[Alternative], reduced_chi_square: float) -> bool:
+    """Whether the images contradict what is held fixed: the residuals exceed their sigmas, or the
+    likeliest change would move the camera by more than its own sigmas allow."""
+    scatters = reduced_chi_square > TUNING.answer.large_chi_square
+    return (scatters and bool(tests) and tests[0].found) or any(test.is_strained for test in tests)
+
+
+def notes_of_misfit(circles: Adjustment, view: int) -> tuple[str, ...]:
+    """A note on errors many times the noise that neighbouring circles share.
+
+    circles : the adjustment of all cameras by their circles.
+    """
+    times = float(circles.enlarged[view])
+    if times <= TUNING.answer.strain_sigmas:
+        return ()
+    if autocorrelation_of_circles(circles, view) <= normal_limit(TUNING.answer.chance_of_answers):
+        return ()
+    used_px = errors_px(circles.problem)[view][circles.used[view]]
+    return (sentences.neighbours_err_alike(float(np.sqrt(np.mean(used_px**2))), times),)
+
+
+def notes_of_aim(adjustment: Adjustment, view: int) -> tuple[str, ...]:
+    """A note on an aim beside the origin, where it is significant and large enough to matter."""
+    if not adjustment.priors.aim_sigma_mm:
+        return ()
+    aim_mm = adjustment.parameters(view)[4:6]
+    if np.abs(aim_mm).max() < TUNING.answer.least_aim_mm:
+        return ()
+    steps = adjustment.rows(view)[4:6]
+    unit_mm = float(adjustment.problem.parametrization.unit_mm)
+    covariance = adjustment.covariance[np.ix_(steps, steps)] * unit_mm**2
+    squared = aim_mm @ np.linalg.solve(covariance, aim_mm)
+    if not chi_square_tail(squared, len(aim_mm)) < TUNING.answer.chance:
+        return ()
+    return (sentences.axis_misses_origin(aim_mm, np.sqrt(np.diag(covariance))),)
+
+
+def notes_of_camera(
+    camera: SheetCamera,
+    circles: Adjustment,
+    view: int,
+    tests: Sequence[Alternative],
+    gauge: Sequence[str],
+) -> tuple[str, ...]:
+    """Sentences on what a user of a good fit should know.
+
+    circles : the adjustment of all cameras by their circles. tests : of the observations that were
+    used. gauge : parameters that are not determined.
+    """
+    tuning, detection, picture = TUNING.answer, camera.detection, camera.picture
+    by_circles = camera.method == "points"
+    notes = []
+    decisive = [test for test in tests[:1] if test.found] or [t for t in tests if t.is_strained]
+    notes += [test.sentence for test in decisive[:1]]
+    if picture is not None and picture.note is not None:
+        notes.append(sentences.grey_levels_have_no_fit(picture.note))
+    elif picture is not None and by_circles and picture.is_processed:
+        notes.append(sentences.SHARPENED_GREY_LEVELS_DISAGREE)
+    elif picture is not None and by_circles:
+        notes.append(sentences.GREY_LEVELS_DISAGREE)
+    elif camera.agreement < tuning.chance_of_answers:
+        notes.append(sentences.CIRCLES_DISAGREE)
+    outliers = detection.circle_index[~circles.used[view]]
+    if len(outliers):
+        notes.append(sentences.circles_left_out(outliers.tolist()))
+    if len(detection) < len(circles.problem.target):
+        notes.append(sentences.circles_missing(len(detection), len(circles.problem.target)))
+    if gauge:
+        notes.append(sentences.not_determined_one_by_one(gauge))
+    quality = picture.quality if picture is not None else None
+    if quality is not None and quality.found:
+        notes.append(sentences.fitted_along(quality.found))
+    if quality is not None and quality.pixels_cut > tuning.cut_share * quality.pixels:
+        share = quality.pixels_cut / (quality.pixels + quality.pixels_cut)
+        notes.append(sentences.pixels_left_out(share))
+    if quality is not None and quality.reduced_chi_square > tuning.large_chi_square:
+        notes.append(sentences.picture_departs(quality.noise, quality.noise_floor))
+    reduced_chi_square = float(circles.reduced_chi_square[view])
+    if by_circles and reduced_chi_square > tuning.large_chi_square:
+        notes.append(sentences.circles_scatter(float(np.sqrt(reduced_chi_square))))
+    if camera.scatter > 1.0:
+        notes.append(sentences.parts_disagree(camera.scatter))
+    return tuple(notes)
+
+
+def notes_of_priors(
+    pulls: Sequence[PriorPull], adjustment: Adjustment, view: int
+) -> tuple[str, ...]:
+    """Notes on what the images contradict of one camera's lens and aim, then of the sheet."""
+    of_camera = [sentence_of_pull(p, adjustment, view) for p in pulls if view in p.views]
+    return (*dict.fromkeys(of_camera), *notes_of_sheet(pulls, adjustment))
+
+
+def notes_of_sheet(pulls: Sequence[PriorPull], adjustment: Adjustment) -> tuple[str, ...]:
+    """Notes on what the images contradict of the sheet, or of what it cannot be separated from."""
+    of_sheet = [sentence_of_pull(pull, adjustment, 0) for pull in pulls if not pull.views]
+    return tuple(dict.fromkeys(map(sentences.capitalise, of_sheet)))
+
+
+def sentence_of_pull(pull: PriorPull, adjustment: Adjustment, view: int) -> str:
+    """The sentence that reports an unknown which the images contradict, and the remedy.
+
+    Unknowns that the images cannot separate share one sentence.
+    """
+    kind, *others = kinds = list_kinds(pull)
+    if others:
+        return sentences.one_of_them_is_off(kinds, pull.sigmas)
+    if kind == "bend":
+        sheet = np.asarray(adjustment.problem.state.sheet)
+        shape = dict(zip(BentPaper.names, sheet, strict=True))
+        height_mm = max(abs(float(shape[term])) for term in BentPaper.height_terms)
+        return sentences.sheet_bends(height_mm, adjustment.priors.systematics.flatness_mm)
+    if kind == "print aspect":
+        return sentences.print_is_longer(float(pull.offset[0]), pull.sigmas)
+    if kind == "aim":
+        aim_mm = adjustment.parameters(view)[4:6]
+        return sentences.aim_is_off(aim_mm, adjustment.priors.aim_sigma_mm)
+    if kind == "all":
+        return sentences.statements_disagree(pull.sigmas)
+    return sentences.statement_is_off(kind, pull.offset, pull.sigmas)

@@ -1,0 +1,242 @@
+"""Calibrate cameras from one image of the sheet each: every step from detections to the result.
+
+1. Each camera alone: a first pose from its circles, or a sentence that says why it has none.
+2. All cameras together by circle centres, with sheet, lenses and aims as unknowns (`adjust`).
+3. The grey levels of each image, fitted alone, give more precise positions of the same ink.
+4. All cameras together by these positions, from the estimate of step 2.
+5. Each camera uses its grey levels or its circles (`choose_observations`). Where a camera does not
+   use its grey levels, all cameras are adjusted once more.
+6. Tests, notes and covariance (`assembly`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.calib.adjustment.adjustment import Adjustment, adjust
+from trinoc.calib.adjustment.agreement import choose_observations
+from trinoc.calib.adjustment.single_camera import fit_single_camera, observe_single_camera
+from trinoc.calib.assembly import failed_fit, result_of_adjustments
+from trinoc.calib.camera_notes import failure_of_camera
+from trinoc.calib.detection.detection import Detection
+from trinoc.calib.detection.orientation import Orientation, resolve_orientation
+from trinoc.calib.detection.registry import detect_pattern
+from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding, Response, neutral_mosaic
+from trinoc.calib.photometric.scene import ShiftOfPlaces
+from trinoc.calib.photometric.views import refine_views
+from trinoc.calib.problem.apparent_shift import apparent_shift
+from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit, Status
+from trinoc.calib.sentences import cameras_failed
+from trinoc.calib.sheet_inputs import check_image_sizes, check_images, lens_of_each
+from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.errors import CalibrationError, DetectionError, InputError
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import PoseModel, pose_model_over_sheet
+from trinoc.geometry.rig import check_camera_names
+from trinoc.image.grey import grey_image
+from trinoc.numerics.precision import ArrayLike, in_float64
+
+
+@in_float64
+def calibrate(
+    images: Mapping[str, ArrayLike],
+    pattern: Pattern,
+    lens: Intrinsics | Mapping[str, Intrinsics],
+    *,
+    pose_model: PoseModel | str = PoseModel.AIMED,
+    method: Literal["pixels", "points"] = "pixels",
+    throw: bool = True,
+    systematics: Systematics | None = None,
+    orientation: Orientation = None,
+    bayer: str | None = None,
+    response: Response = "fit",
+) -> CalibrationResult:
+    """Calibrate the cameras of a rig from one image of the sheet each.
+
+    Parameters
+    ----------
+    images : a grey or colour image for each camera, by name.
+    pattern : the sheet.
+    lens : the intrinsics of all cameras, or of each by name.
+    pose_model : "aimed" (pan, tilt, swing, distance; the optical axis meets the origin of the
+        sheet), the default, or "aim-free" (the point it meets is free), or a PoseModel.
+    method : "pixels" continues from the circles to a fit of the grey levels near every edge of
+        the sheet, which reaches the Cramer-Rao bound, and uses it for each camera whose circles
+        agree with it; "points" stops at their centres. `fits[name].method` is what was used.
+    throw : whether a camera that fails raises; without it the failed cameras are left out of
+        the rig and `failures` says why.
+    systematics : what is known of the errors of the sheet, the lens and the aim: by default what
+        printers, paper, hands and data sheets leave open (`Systematics.typical`).
+        `Systematics()` takes all of it as exact.
+    orientation : for a sheet that looks the same turned, such as a plain grid of discs:
+        "upright" where X points to the right in every image, as nearly as it can, or an
+        earlier rig whose cameras have hardly moved since. Without it such a sheet fails.
+    bayer : for raw mosaics of colours, those of the first two pixels of the first two rows, such as
+        "RGGB": each pixel is fitted as it is, without interpolation.
+    response : of the cameras, "linear" or "srgb" where it is known; with "fit" an image is taken
+        as linear until the profiles of its edges refute that, and the response is then fitted.
+
+    Returns
+    -------
+    The rig with its covariance, and the status, fit and notes of each camera.
+
+    Raises
+    ------
+    InputError : a lens is missing, an image has another size than its lens, one image was
+        given for two cameras, or a pose model that is none of these.
+    CalibrationError : some camera failed; the error holds the sentence of each, and the
+        result of the others. Raised without `throw`, too, where no camera is left.
+    """
+    if method not in ("pixels", "points"):
+        raise InputError(f'method is {method!r}, but must be "pixels" or "points".')
+    check_images(images, pattern)
+    model = pose_model_over_sheet(pose_model)
+    lenses = lens_of_each(lens, images)
+    check_image_sizes(images, lenses)
+    encoding = Encoding(bayer, response)
+    encoding.check()
+    priors = SheetPriors(model, systematics or Systematics.typical(lenses))
+    detections, failures = {}, {}
+    for name, image in images.items():
+        try:
+            grey = np.asarray(image) if bayer is None else neutral_mosaic(np.asarray(image))
+            detections[name] = detect_pattern(grey, pattern)
+        except DetectionError as error:
+            failures[name] = str(error)
+        except InputError as error:
+            raise InputError(f'Camera "{name}": {error}') from error
+    grey_levels = {}
+    if method == "pixels":
+        grey_levels = {name: grey_image(np.asarray(images[name])).grey for name in detections}
+    return calibrate_sheet(
+        detections, pattern, lenses, priors, orientation,
+        images=grey_levels, encoding=encoding, failures=failures, throw=throw,
+    )  # fmt: skip
+
+
+@in_float64
+def calibrate_detections(
+    detections: Mapping[str, Detection],
+    pattern: Pattern,
+    lens: Intrinsics | Mapping[str, Intrinsics],
+    *,
+    pose_model: PoseModel | str = PoseModel.AIMED,
+    throw: bool = True,
+    systematics: Systematics | None = None,
+    orientation: Orientation = None,
+) -> CalibrationResult:
+    """`trinoc.calibrate` from circles that are already detected. Raises as it does."""
+    check_camera_names(detections)
+    lenses = lens_of_each(lens, detections)
+    model = pose_model_over_sheet(pose_model)
+    priors = SheetPriors(model, systematics or Systematics.typical(lenses))
+    return calibrate_sheet(detections, pattern, lenses, priors, orientation, throw=throw)
+
+
+def calibrate_sheet(
+    detections: Mapping[str, Detection],
+    pattern: Pattern,
+    lenses: Mapping[str, Intrinsics],
+    priors: SheetPriors,
+    orientation: Orientation,
+    *,
+    images: Mapping[str, Float[np.ndarray, "_h _w"]] | None = None,
+    encoding: Encoding = AS_DELIVERED,
+    failures: Mapping[str, str] | None = None,
+    throw: bool = True,
+) -> CalibrationResult:
+    """Calibrate the cameras in whose images the sheet was detected. Raises CalibrationError.
+
+    lenses : of all cameras, in the user's order. images : grey levels, of the cameras that may use
+    them. failures : why the sheet was not detected in the other cameras.
+    """
+    lens_factors = priors.systematics.lens_factors(lenses)
+    detections, ambiguous = resolve_orientation(detections, pattern, orientation)
+    failures = {**(failures or {}), **ambiguous}
+    status = dict.fromkeys(lenses, Status.NOT_DETECTED) | dict.fromkeys(ambiguous, Status.AMBIGUOUS)
+    cameras: list[SheetCamera] = []
+    failed_fits: dict[str, CameraFit] = {}
+    for name in (name for name in lenses if name in detections and name not in ambiguous):
+        detection, lens, factor = detections[name], lenses[name], lens_factors.get(name)
+        image = (images or {}).get(name)
+        # Circles that do not determine an aim with a prior still determine the rest of the pose.
+        for model in dict.fromkeys((priors.fitted_model, priors.pose_model)):
+            fit = fit_single_camera(detection, pattern, lens, model, image)
+            status[name], observability = observe_single_camera(fit)
+            if status[name] is Status.CONVERGED:
+                break
+        failure = failure_of_camera(
+            fit, status[name], observability, detection, lens, factor, priors.fitted_model
+        )
+        if failure or fit is None:
+            failures[name] = failure
+            failed_fits[name] = failed_fit(detection, fit, status[name], observability)
+        else:
+            cameras.append(SheetCamera(name, detection, lens, factor, fit.pose(0), image))
+    result = None
+    if cameras:
+        # Cameras of different groups share neither an uncertain sheet nor an uncertain lens.
+        fits = [
+            adjust_group(group, pattern, priors, encoding)
+            for group in priors.systematics.groups(cameras)
+        ]
+        result = result_of_adjustments(fits, pattern, priors, status, failures, failed_fits)
+    if result is not None and not (failures and throw):
+        return result
+    in_order = {name: failures[name] for name in lenses if name in failures}
+    raise CalibrationError(cameras_failed(in_order, len(lenses)), failures, result)
+
+
+def adjust_group(
+    cameras: Sequence[SheetCamera], pattern: Pattern, priors: SheetPriors, encoding: Encoding
+) -> tuple[Adjustment, Adjustment]:
+    """Adjust cameras that share a sheet: by circle centres, and by what each camera uses."""
+    by_circles = adjust(cameras, pattern, priors)
+    cameras = fit_grey_levels(by_circles, pattern, encoding)
+    if any(camera.ink_spread_mm for camera in cameras):
+        # The image of a larger circle has its centre further aside.
+        by_circles = adjust(cameras, pattern, priors, by_circles)
+    candidates = [camera.by_pixels() for camera in cameras]
+    adjustment = by_circles
+    if any(camera.method == "pixels" for camera in candidates):
+        adjustment = adjust(candidates, pattern, priors, by_circles)
+    final_cameras = tuple(
+        choose_observations(view, camera, by_circles, adjustment)
+        for view, camera in enumerate(candidates)
+    )
+    if any(a.method != b.method or b.scatter > 1.0 for a, b in zip(candidates, final_cameras)):
+        adjustment = adjust(final_cameras, pattern, priors, by_circles)
+    return by_circles, replace(adjustment, cameras=final_cameras)
+
+
+def fit_grey_levels(
+    by_circles: Adjustment, pattern: Pattern, encoding: Encoding
+) -> list[SheetCamera]:
+    """The cameras with the fits of their images, around the bend and the lens that circles show."""
+    images, poses, lenses = {}, {}, {}
+    shifts: dict[str, ShiftOfPlaces] = {}
+    for view, camera in zip(by_circles.problem.views, by_circles.cameras, strict=True):
+        if camera.image is None:
+            continue
+        name, lens = camera.name, camera.lens.lens
+        images[name], poses[name], lenses[name] = camera.image, camera.pose, lens
+        shift = apparent_shift(by_circles.problem, view, camera.pose, lens)
+        centres_mm = pattern.centres_mm[camera.detection.circle_index]
+        if np.abs(shift(centres_mm)).max() > TUNING.answer.least_shift_px:
+            shifts[name] = shift
+    model = by_circles.priors.fitted_model
+    pictures = refine_views(images, poses, pattern, lenses, model, shifts, encoding)
+    cameras = [replace(one, picture=pictures.get(one.name)) for one in by_circles.cameras]
+    spreads_mm = [
+        one.picture.quality.ink_spread_mm if one.picture and one.picture.quality else 0.0
+        for one in cameras
+    ]
+    if max(map(abs, spreads_mm)) <= TUNING.answer.least_spread_mm:
+        return cameras
+    return [replace(one, ink_spread_mm=spread) for one, spread in zip(cameras, spreads_mm)]

@@ -1,0 +1,84 @@
+"""First pose of a camera from the images of the two crossed lines."""
+
+import numpy as np
+from jaxtyping import Float
+
+from trinoc.geometry.pose import Pose
+
+# numerical: steps of 7.5 degrees, after which the parabola through the best three is good to a
+# degree or two.
+_ANGLES_RAD = np.arange(48) * (2 * np.pi / 48)
+
+
+def pose_of_crossed_lines(
+    planes: Float[np.ndarray, "2 3"],
+    slopes: Float[np.ndarray, "m 2"],
+    place_mm: Float[np.ndarray, "m 2"],
+) -> Pose | None:
+    """The pose of the crossed lines whose circles lie nearest to the observed ones.
+
+    planes : normals, in the camera's frame, of the planes of the lines along X and along Y.
+    slopes : x/z and y/z of the ray to each circle. place_mm : the circles' centres.
+
+    None where a line was not seen, or no such pose has the circles in front.
+    """
+    if not np.isfinite(planes).all():
+        return None
+    normal_x, normal_y = _unit(planes)
+    ray = _unit(np.cross(normal_x, normal_y))
+    ray = ray * np.sign(ray[2])
+
+    def view_circle(
+        angles_rad: Float[np.ndarray, "a"],
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        axes = _axes(normal_x, normal_y, ray, angles_rad)
+        return axes, *_distance_and_misfit(axes, ray, slopes, place_mm)
+
+    _, _, misfit = view_circle(_ANGLES_RAD)
+    best = int(np.argmin(misfit))
+    if not np.isfinite(misfit[best]):
+        return None
+    before, at, after = misfit[(best + np.array([-1, 0, 1])) % len(_ANGLES_RAD)]
+    bend = before - 2 * at + after
+    shift = (before - after) / (2 * bend) if np.isfinite(bend) and bend > 0 else 0.0
+    (axes,), (distance_mm,), _ = view_circle(_ANGLES_RAD[best : best + 1] + shift * _ANGLES_RAD[1])
+    return Pose(np.column_stack([axes, distance_mm * ray]))
+
+
+def _axes(
+    normal_x: Float[np.ndarray, "3"],
+    normal_y: Float[np.ndarray, "3"],
+    ray: Float[np.ndarray, "3"],
+    angles_rad: Float[np.ndarray, "a"],
+) -> Float[np.ndarray, "a 3 3"]:
+    """Rotations from the sheet to the camera, X turned by each angle out of the ray to the
+    crossing."""
+    across = np.cross(normal_x, ray)
+    axis_x = np.cos(angles_rad)[:, None] * ray + np.sin(angles_rad)[:, None] * across
+    axis_y = _unit(np.cross(normal_y, axis_x))
+    # The camera sees the sheet from above: Z points against the ray to the crossing.
+    axis_y *= -np.sign(np.cross(axis_x, axis_y) @ ray)[:, None]
+    return np.stack([axis_x, axis_y, np.cross(axis_x, axis_y)], axis=2)
+
+
+def _distance_and_misfit(
+    axes: Float[np.ndarray, "a 3 3"],
+    ray: Float[np.ndarray, "3"],
+    slopes: Float[np.ndarray, "m 2"],
+    place_mm: Float[np.ndarray, "m 2"],
+) -> tuple[Float[np.ndarray, "a"], Float[np.ndarray, "a"]]:
+    """Of each rotation the distance that fits best in the plane of the picture, and the sum of
+    squares it leaves; infinite where a circle lies behind."""
+    offset = place_mm @ np.swapaxes(axes[:, :, :2], 1, 2)
+    slope = ray[:2] - slopes * ray[2]
+    target = slopes * offset[..., 2:] - offset[..., :2]
+    distance_mm = np.sum(slope * target, axis=(1, 2)) / np.sum(slope * slope)
+    points = offset + distance_mm[:, None, None] * ray
+    in_front = (distance_mm > 0) & (points[..., 2] > 0).all(axis=1)
+    depth = np.where(points[..., 2:] > 0, points[..., 2:], 1.0)
+    misfit = np.sum((points[..., :2] / depth - slopes) ** 2, axis=(1, 2))
+    return distance_mm, np.where(in_front, misfit, np.inf)
+
+
+def _unit(vector: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
