@@ -44,7 +44,7 @@ from trinoc.calib.problem.problem import (
     with_lens_prior,
 )
 from trinoc.calib.problem.rao_test import rational_lens_test, wider_lens_test
-from trinoc.calib.problem.robust_fit import RobustFit, anneal, fit_robustly
+from trinoc.calib.problem.robust_fit import RobustFit, anneal, fit_annealed
 from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.status import Status
 from trinoc.calib.problem.unsynchronised import with_images_apart, with_motion_between_images
@@ -319,7 +319,7 @@ def _fit_corners(observations: ShotObservations, model: type[AbstractLens]) -> S
             break
         placed = take_out(placed, problem, [other.view for other in others], tuple(starts))
         problem = anneal(with_shots_of_their_own(problem, [other.view for other in others]))
-    return ShotsFit(placed._replace(views=problem.views), fit_robustly(problem))
+    return ShotsFit(placed._replace(views=problem.views), fit_annealed(problem))
 
 
 def _build_problem(

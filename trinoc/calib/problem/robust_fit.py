@@ -72,7 +72,12 @@ def fit_robustly(problem: Problem) -> RobustFit:
     The sigmas of corners, which users may guess, are estimated from each camera's residuals. Those
     of circles are enlarged where the residuals contradict them.
     """
-    problem, elsewhere = drop_wrong_places(anneal(problem))
+    return fit_annealed(anneal(problem))
+
+
+def fit_annealed(problem: Problem) -> RobustFit:
+    """The robust fit of a problem that `anneal` has been applied to."""
+    problem, elsewhere = drop_wrong_places(problem)
     problem, _ = fit_places(problem)
     return finish_fit(problem, elsewhere)
 
