@@ -146,7 +146,9 @@ def _camera_fit(
     tests = alternatives(source, view)
     gauge = tuple(PARAMETER_NAMES[k] for k in observability.gauge)
     refutations = notes_of_priors(pulls, adjustment, view)
-    suspect = bool(refutations) or is_suspect(tests, float(source.reduced_chi_square[view]))
+    suspect = bool(refutations) or is_suspect(
+        tests, float(source.reduced_chi_square[view]), source.problem.tuning.answer
+    )
     if not suspect:
         refutations = notes_of_misfit(by_circles, view)
     of_aim = ()

@@ -14,7 +14,7 @@ from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.result.calibration import Alternative, Status
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, AnswerTuning
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold, describe_unusable_fold
 from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.rig import PARAMETER_NAMES
@@ -33,6 +33,7 @@ def failure_of_camera(
     lens: Intrinsics,
     lens_factor: Float[np.ndarray, "_k _r"] | None,
     model: PoseModel,
+    tuning: AnswerTuning,
 ) -> str:
     """Why the fit of a camera to its circles cannot be used, and the remedy; empty if it can.
 
@@ -47,12 +48,10 @@ def failure_of_camera(
     used, residuals_px = fit.used[0], errors_px(fit.problem)[0]
     misfit_px = float(np.sqrt(np.mean(np.sum(residuals_px[used] ** 2, axis=1))))
     extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))
-    largest_px = max(TUNING.answer.least_misfit_px, TUNING.answer.misfit_share * extent_px)
+    largest_px = max(tuning.least_misfit_px, tuning.misfit_share * extent_px)
     if lens_factor is not None:
         # With the aim fixed, a principal point that is off by so much moves every circle.
-        largest_px += TUNING.answer.strain_sigmas * float(
-            np.linalg.norm(lens_factor[_PRINCIPAL_POINT])
-        )
+        largest_px += tuning.strain_sigmas * float(np.linalg.norm(lens_factor[_PRINCIPAL_POINT]))
     if misfit_px > largest_px:
         aim_is_free = model is PoseModel.AIM_FREE
         return sentences.circles_misfit(misfit_px, _fold(detection, lens), aim_is_free)
@@ -73,10 +72,12 @@ def _fold(detection: Detection, lens: Intrinsics) -> str | None:
     return fold if is_cause else None
 
 
-def is_suspect(tests: Sequence[Alternative], reduced_chi_square: float) -> bool:
+def is_suspect(
+    tests: Sequence[Alternative], reduced_chi_square: float, tuning: AnswerTuning = TUNING.answer
+) -> bool:
     """Whether the images contradict what is held fixed: the residuals exceed their sigmas, or the
     likeliest change would move the camera by more than its own sigmas allow."""
-    scatters = reduced_chi_square > TUNING.answer.large_chi_square
+    scatters = reduced_chi_square > tuning.large_chi_square
     return (scatters and bool(tests) and tests[0].found) or any(test.is_strained for test in tests)
 
 
@@ -86,9 +87,10 @@ def notes_of_misfit(circles: Adjustment, view: int) -> tuple[str, ...]:
     circles : the adjustment of all cameras by their circles.
     """
     times = float(circles.enlarged[view])
-    if times <= TUNING.answer.strain_sigmas:
+    tuning = circles.problem.tuning.answer
+    if times <= tuning.strain_sigmas:
         return ()
-    if autocorrelation_of_circles(circles, view) <= normal_limit(TUNING.answer.chance_of_answers):
+    if autocorrelation_of_circles(circles, view) <= normal_limit(tuning.chance_of_answers):
         return ()
     used_px = errors_px(circles.problem)[view][circles.used[view]]
     return (sentences.neighbours_err_alike(float(np.sqrt(np.mean(used_px**2))), times),)
@@ -99,13 +101,14 @@ def notes_of_aim(adjustment: Adjustment, view: int) -> tuple[str, ...]:
     if not adjustment.priors.aim_sigma_mm:
         return ()
     aim_mm = adjustment.parameters(view)[4:6]
-    if np.abs(aim_mm).max() < TUNING.answer.least_aim_mm:
+    tuning = adjustment.problem.tuning.answer
+    if np.abs(aim_mm).max() < tuning.least_aim_mm:
         return ()
     steps = adjustment.rows(view)[4:6]
     unit_mm = float(adjustment.problem.parametrization.unit_mm)
     covariance = adjustment.covariance[np.ix_(steps, steps)] * unit_mm**2
     squared = aim_mm @ np.linalg.solve(covariance, aim_mm)
-    if not chi_square_tail(squared, len(aim_mm)) < TUNING.answer.chance:
+    if not chi_square_tail(squared, len(aim_mm)) < tuning.chance:
         return ()
     return (sentences.axis_misses_origin(aim_mm, np.sqrt(np.diag(covariance))),)
 
@@ -122,7 +125,8 @@ def notes_of_camera(
     circles : the adjustment of all cameras by their circles. tests : of the observations that were
     used. gauge : parameters that are not determined.
     """
-    tuning, detection, picture = TUNING.answer, camera.detection, camera.picture
+    tuning, detection = circles.problem.tuning.answer, camera.detection
+    picture = camera.picture
     by_circles = camera.method == "points"
     notes = []
     decisive = [test for test in tests[:1] if test.found] or [t for t in tests if t.is_strained]

@@ -14,7 +14,6 @@ from trinoc.calib.problem.problem import Problem, lens_number, with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, refit
 from trinoc.calib.problem.status import Status
 from trinoc.calib.problem.views import View
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold, describe_usable_fold
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
@@ -108,7 +107,7 @@ def hold_folding(fit: RobustFit, cameras: Sequence[str]) -> tuple[RobustFit, tup
         if not _folds(changed.problem):
             every = range(len(cameras))
             rise = _rms_px(changed.problem, every) / _rms_px(problem, every)
-            if not rise <= TUNING.answer.most_rise_by_fixing:
+            if not rise <= problem.tuning.answer.most_rise_by_fixing:
                 return fit, ()
             return changed, _fixed_sentences(fit, changed, first, cameras)
     return fit, ()
@@ -149,7 +148,7 @@ def fit_wider_model(
         if assess_fit(other.fit).status is not Status.CONVERGED:
             continue
         rms_px = _rms_px(other.fit.problem, every)
-        explains = rms_px <= TUNING.answer.most_rise_by_fixing * folding_rms_px
+        explains = rms_px <= folding.fit.problem.tuning.answer.most_rise_by_fixing * folding_rms_px
         if not explains or _folds(other.fit.problem):
             continue
         lens_of_camera = np.asarray(folding.fit.problem.parametrization.lens_of_camera).tolist()

@@ -20,7 +20,7 @@ from trinoc.calib.refutations import refutations_of_points
 from trinoc.calib.result.calibration import CalibrationResult, CameraFit
 from trinoc.calib.result.degrees import degrees_by_step
 from trinoc.calib.starts.resection import find_linear_camera, find_pose, is_flat
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.camera import Camera
@@ -44,6 +44,7 @@ def calibrate_points(
     free: Sequence[str] | None = None,
     pose_model: PoseModel | str = PoseModel.RIGID,
     systematics: Systematics | None = None,
+    tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
     """The pose of a camera, and what of its lens is `free`, by least squares in the picture.
 
@@ -60,6 +61,7 @@ def calibrate_points(
     systematics : its `lens_covariance` is that of what is not `free` of the lens, and is in the
         covariance; by default that of a data sheet where the lens is one (`Systematics.typical`).
         `Systematics()` takes the lens as exact. The places are exact either way.
+    tuning : every tuned constant of calibration; a benchmark or a study changes them.
 
     The status is SUSPECT, with a note that names it, where the points ask for something of lens or
     aim that was held and said to be exact (Rao's score test, by noise as the residuals show it), or
@@ -75,13 +77,13 @@ def calibrate_points(
     seen = np.ascontiguousarray(real_array(uv_px, "uv_px"))
     model = PoseModel.of(pose_model)
     names = tuple((() if lens is not None else AFFINE_PARAMETERS) if free is None else free)
-    _check(points, seen, lens, image_size_px, names)
+    _check(points, seen, lens, image_size_px, names, tuning)
     if lens is None:
         assert image_size_px is not None
         camera = find_linear_camera(points, seen, image_size_px)
     else:
         camera = Camera(lens, find_pose(points, seen, lens))
-    problem = fit_without_outliers(problem_of_points(camera, points, seen, names, model))
+    problem = fit_without_outliers(problem_of_points(camera, points, seen, names, model, tuning))
     if lens is None and free is None:
         problem, names = extend_lens(problem, names)
     known = systematics or Systematics.typical({CAMERA: camera.intrinsics} if lens else {})
@@ -181,6 +183,7 @@ def _check(
     lens: Intrinsics | None,
     image_size_px: tuple[int, int] | None,
     names: tuple[str, ...],
+    tuning: CalibTuning,
 ) -> None:
     if points.ndim != 2 or points.shape[1:] != (3,) or seen.shape != (len(points), 2):
         raise InputError(
@@ -195,7 +198,7 @@ def _check(
     unknown = [name for name in names if name not in known]
     if unknown:
         raise InputError(f"`free` names {unknown[0]!r}, but knows {', '.join(known)}.")
-    fewest = 4 if not names else TUNING.answer.fewest_points
+    fewest = 4 if not names else tuning.answer.fewest_points
     if len(points) < fewest:
         raise InputError(f"{len(points)} points are too few: give at least {fewest}.")
     if lens is None and is_flat(points):

@@ -19,6 +19,7 @@ from trinoc.calib.starts.camera_start import FEWEST_PLACES
 from trinoc.calib.starts.pictures import FoundBoards, find_boards
 from trinoc.calib.targets.abstract_target import A_BOARD, AbstractTarget
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError, check_kind
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
@@ -44,6 +45,7 @@ def calibrate_intrinsics(
     method: Literal["points", "pixels"] = "points",
     systematics: Systematics | None = None,
     throw: bool = True,
+    tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
     """Calibrate focal lengths, principal point and distortion of a lens.
 
@@ -67,6 +69,7 @@ def calibrate_intrinsics(
         `Systematics.typical`; `Systematics()` for a board that is exact. The board's size does not
         change a lens.
     throw : whether an undetermined lens raises an error; otherwise its status reports it.
+    tuning : every tuned constant of calibration; a benchmark or a study changes them.
 
     Returns
     -------
@@ -112,7 +115,7 @@ def calibrate_intrinsics(
     if aspect == "pitch":
         ratio = 1.0 if pixel_pitch_mm is None else pixel_pitch_mm[1] / pixel_pitch_mm[0]
     freedom = LensFreedom(distortion, centred=principal_point == "centre", aspect=ratio)
-    observations = ShotObservations.of_boards(boards, {}, {}, freedom, board_errors)
+    observations = ShotObservations.of_boards(boards, {}, {}, freedom, board_errors, tuning)
 
     def expect_one_lens(fit: RobustFit) -> None:
         misfit = misfit_of_lens(fit, _kind_of_places(boards.target))

@@ -21,7 +21,7 @@ from trinoc.calib.problem.rao_test import HeldScore
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors, sheet_problem
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError
 from trinoc.geometry.camera import Camera
@@ -60,6 +60,7 @@ def problem_of_points(
     uv_px: Float[np.ndarray, "n 2"],
     names: tuple[str, ...],
     model: PoseModel,
+    tuning: CalibTuning = TUNING,
 ) -> Problem:
     """One camera that sees the points, each to a pixel; the lens's `names` are free.
 
@@ -72,7 +73,7 @@ def problem_of_points(
     pose = camera.pose.aim_at_origin() if model is PoseModel.AIMED else camera.pose
     target = _Points("points", points_mm, np.zeros(count))
     one = SheetCamera(CAMERA, seen, camera.intrinsics, None, pose)
-    problem = sheet_problem([one], target, SheetPriors(model, Systematics()))
+    problem = sheet_problem([one], target, SheetPriors(model, Systematics(), tuning))
     count, _ = problem.parametrization.lens_shape
     lenses = [skew_lens(lens_number(problem, k)) for k in range(count)]
     problem = with_wider_lenses(problem, lenses, [camera.image_size_px] * count)
@@ -103,7 +104,7 @@ def fit_without_outliers(problem: Problem) -> Problem:
             )
         far = np.linalg.norm(errors_px(problem)[0], axis=1)
         # The median of a Rayleigh distribution is 1.18 sigma.
-        kept = far <= TUNING.problem.gate * np.median(far[view.used]) / 1.18 + 1e-9
+        kept = far <= problem.tuning.problem.gate * np.median(far[view.used]) / 1.18 + 1e-9
         if np.array_equal(kept, view.used):
             break
         view = view._replace(used=kept)
@@ -127,7 +128,7 @@ def extend_lens(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tupl
             if columns:
                 asked.append((*points.rank(points.judge(columns)), group))
         chance, _, best = min(asked, default=(1.0, 0.0, ()))
-        if chance * len(asked) > TUNING.answer.chance or not asked:
+        if chance * len(asked) > problem.tuning.answer.chance or not asked:
             break
         straight = problem if best == (SKEW,) else straight
         names = tuple(name for name in every if name in {*names, *best})
@@ -140,7 +141,7 @@ def extend_lens(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tupl
     except CalibrationError:  # without a skew the points have no fit
         return problem, names
     points = score_of_points(held)
-    is_idle = points.chance(points.judge([every.index(SKEW)])) > TUNING.answer.chance
+    is_idle = points.chance(points.judge([every.index(SKEW)])) > problem.tuning.answer.chance
     return (held, fewer) if is_idle else (problem, names)
 
 

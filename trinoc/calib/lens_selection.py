@@ -11,7 +11,7 @@ from trinoc.calib.problem.problem import Problem, with_head_held, with_sheet_hel
 from trinoc.calib.problem.rao_test import RaoTest
 from trinoc.calib.problem.robust_fit import errors_px, fit_places
 from trinoc.calib.starts.placing import of_one_moment
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, AnswerTuning
 
 # From the one that people expect to the one with most coefficients.
 LENSES_TRIED = ("brown_conrady", "kannala_brandt", "rational")
@@ -50,23 +50,25 @@ class LensChoice(NamedTuple):
     rms_px: Mapping[str, float]
 
 
-def choose_lens(tried: Mapping[str, HeldOut]) -> LensChoice:
+def choose_lens(tried: Mapping[str, HeldOut], tuning: AnswerTuning = TUNING.answer) -> LensChoice:
     """The first of the lenses that is not significantly worse than the best, shot by shot."""
-    squares = _mean_squares(tried)
+    squares = _mean_squares(tried, tuning.cap)
     best = min(squares.values(), key=np.mean)
 
     def is_worse(own: Float[np.ndarray, "s"]) -> bool:
         # Quotients, since a few shots with large errors would drown all others in a difference.
         excess = np.log(own / best)
         sigma = excess.std() / np.sqrt(max(len(excess) - 1, 1))
-        return bool(excess.mean() > TUNING.answer.worse_sigmas * sigma)
+        return bool(excess.mean() > tuning.worse_sigmas * sigma)
 
     chosen = next(name for name, own in squares.items() if not is_worse(own))
     return LensChoice(chosen, {name: float(np.sqrt(own.mean())) for name, own in squares.items()})
 
 
-def _mean_squares(tried: Mapping[str, HeldOut]) -> dict[str, Float[np.ndarray, "_s"]]:
-    """Of each lens, mean squares of its errors in each shot, none counting beyond the cap."""
+def _mean_squares(
+    tried: Mapping[str, HeldOut], largest: float
+) -> dict[str, Float[np.ndarray, "_s"]]:
+    """Mean squared errors of each lens in each shot; errors are capped at `largest` medians."""
     keys = set.intersection(*(set(each) for each in tried.values()))
     shots = sorted({shot for _, shot in keys})
     errors = {
@@ -74,16 +76,16 @@ def _mean_squares(tried: Mapping[str, HeldOut]) -> dict[str, Float[np.ndarray, "
                for shot in shots]
         for name, own in tried.items()
     }  # fmt: skip
-    cap = TUNING.answer.cap * min(float(np.median(np.concatenate(own))) for own in errors.values())
+    cap = largest * min(float(np.median(np.concatenate(own))) for own in errors.values())
     return {
         name: _LEAST_PX2 + np.array([np.mean(np.minimum(each, cap) ** 2) for each in own])
         for name, own in errors.items()
     }
 
 
-def is_significant(test: RaoTest) -> bool:
+def is_significant(test: RaoTest, limit: float = TUNING.answer.chance_of_lens) -> bool:
     """Whether chance alone hardly pulls so much."""
-    return test.chance < TUNING.answer.chance_of_lens
+    return test.chance < limit
 
 
 def choice_sentence(

@@ -34,7 +34,6 @@ from trinoc.calib.problem.rao_test import (
 )
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.problem.variables import POSE_SIZE
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.skewed import SKEW, skew_lens
 from trinoc.geometry.pose import PoseModel
@@ -71,10 +70,10 @@ def refutations_of_points(
     notes, cause = [], score.strongest(causes)
     if cause is not None:
         test = score.judge(causes[cause])
-        if is_refuted(score.chance(test), len(causes)):
+        if is_refuted(score.chance(test), len(causes), problem.tuning.answer.chance):
             test = test.with_noise(score.noise_variance(test))
             notes.append(_sentence_on_points(problem, cause, causes[cause], test))
-    if strain > TUNING.answer.strain_sigmas:
+    if strain > problem.tuning.answer.strain_sigmas:
         sentence = sentences.lens_strained(strain)
         notes.append(sentence[0].upper() + sentence[1:])
     return tuple(notes)
@@ -127,12 +126,12 @@ class _Noise(NamedTuple):
 
 
 def _free_causes(
-    score: HeldScore, causes: Mapping[Cause, list[int]]
+    score: HeldScore, causes: Mapping[Cause, list[int]], limit: float
 ) -> tuple[tuple[Cause, ...], HeldScore]:
     """What the places ask for, the strongest first, and the score beside it."""
     freed: list[Cause] = []
     while cause := score.strongest({key: causes[key] for key in causes if key not in freed}):
-        if not is_refuted(score.chance(score.judge(causes[cause])), len(causes)):
+        if not is_refuted(score.chance(score.judge(causes[cause])), len(causes), limit):
             break
         score = score.with_freed(causes[cause])
         freed.append(cause)
@@ -185,7 +184,7 @@ class HeldLenses(NamedTuple):
             for k in np.flatnonzero(is_held).tolist()
             for group in _groups(lens)
         }
-        freed, after = _free_causes(score, causes)
+        freed, after = _free_causes(score, causes, problem.tuning.answer.chance)
         is_freed = ~is_asked
         is_freed[np.flatnonzero(is_asked)[[at for one in freed for at in causes[one]]]] = True
         scatter = shot_scatter(information.of_steps(is_freed), is_asked[is_freed])
@@ -209,7 +208,9 @@ class HeldLenses(NamedTuple):
             return None
         cause = number, group = self.freed[0]
         test = self.score.judge(self.causes[cause])
-        if not is_refuted(test.chance_by(*self.noise), len(self.causes)):
+        if not is_refuted(
+            test.chance_by(*self.noise), len(self.causes), self.problem.tuning.answer.chance
+        ):
             return None
         test = test.with_noise(self.noise.variance)
         owners = _cameras_of_lens(self.problem, self.cameras, number)
@@ -230,13 +231,15 @@ class HeldLenses(NamedTuple):
         by_fitted = -np.nan_to_num(of_fit.observability.covariance)[of_pose]
         by_asked = by_fitted @ self.information.of_shot.sum(axis=0)[np.ix_(of_fit.free, asked)]
         in_sigmas = by_asked / np.sqrt(np.diag(covariance)[of_pose])[:, None]
-        worst, sentence = TUNING.answer.strain_sigmas, None
+        tuning = self.problem.tuning.answer
+        worst, sentence = tuning.strain_sigmas, None
         for cause, columns in self.causes.items():
             test, (number, group) = self.score.judge(columns), cause
             if group[0] not in AFFINE_PARAMETERS or test.freedom < len(group):
                 continue
             root = np.linalg.cholesky(test.with_noise(self.noise.variance).covariance)
-            error = root * unseen_sigmas(TUNING.answer.chance / len(self.causes), test.freedom)
+            chance = tuning.chance / len(self.causes)
+            error = root * unseen_sigmas(chance, test.freedom, tuning.power)
             moved = in_sigmas[:, columns] @ error
             strain = np.linalg.norm(moved, axis=1)
             row = int(np.argmax(strain))
@@ -263,7 +266,7 @@ def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
 
     The strain is the largest step from the prior's mean along a principal axis, in its sigmas.
     """
-    worst, sentence, priors = TUNING.answer.strain_sigmas, None, problem.priors
+    worst, sentence, priors = problem.tuning.answer.strain_sigmas, None, problem.priors
     for number in np.flatnonzero(is_given(problem.priors)).tolist():
         scale = np.asarray(problem.parametrization.lens_scale)[number]
         lens = lens_number(problem, number)

@@ -14,6 +14,7 @@ from trinoc.calib.shots_assembly import result_of_shots
 from trinoc.calib.shots_fit import LensFreedom, ShotObservations, ShotsFit, fit_shots
 from trinoc.calib.starts.pictures import FoundBoards, Pictures, find_boards
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError, check_kind, list_names
 from trinoc.geometry.intrinsics import A_LENS, Intrinsics
@@ -41,6 +42,7 @@ def calibrate_rig(
     systematics: Systematics | None = None,
     throw: bool = True,
     progress: Callable[[int, int], None] | None = None,
+    tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
     """Calibrate lenses and cameras together from synchronous images of a board that moves.
 
@@ -73,6 +75,7 @@ def calibrate_rig(
         lenses, without which they are exact.
     throw : whether a rig that is not determined raises an error; otherwise its status reports it.
     progress : called with the numbers of images searched and of all images.
+    tuning : every tuned constant of calibration; a benchmark or a study changes them.
 
     Returns
     -------
@@ -94,7 +97,7 @@ def calibrate_rig(
     models, splined = models_to_try(lens_model, distortion, lenses)
     boards = find_boards(images, board, progress)
     freedom = LensFreedom(distortion, same_lens)
-    observations = ShotObservations.of_boards(boards, lenses, factors, freedom, systematics)
+    observations = ShotObservations.of_boards(boards, lenses, factors, freedom, systematics, tuning)
     _expect_boards(boards, observations)
 
     def fit_models(

@@ -30,7 +30,6 @@ from trinoc.calib.targets.board_set import BoardSet
 from trinoc.calib.targets.markers import marker_cells, opencv_dictionary
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet, square_sheet
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError, check_kind
 from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.projection import project_points
@@ -112,7 +111,7 @@ def fit_pixels(fit: RobustFit, read_grey: GreyOfView) -> PixelFit:
             for after, then, view in zip(errors_px(problem), before, views, strict=True)
             if view.used.any()
         ]
-        if max(moves, default=0.0) < TUNING.answer.least_shift_px:
+        if max(moves, default=0.0) < problem.tuning.answer.least_shift_px:
             break
     return PixelFit(finish_fit(problem, fit.elsewhere), silent)
 

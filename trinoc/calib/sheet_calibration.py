@@ -33,7 +33,7 @@ from trinoc.calib.result.calibration import CalibrationResult, CameraFit, Status
 from trinoc.calib.sentences import cameras_failed
 from trinoc.calib.sheet_inputs import check_image_sizes, check_images, lens_of_each
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, DetectionError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
@@ -56,6 +56,7 @@ def calibrate(
     orientation: Orientation = None,
     bayer: str | None = None,
     response: Response = "fit",
+    tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
     """Calibrate the cameras of a rig from one image of the sheet each.
 
@@ -81,6 +82,7 @@ def calibrate(
         "RGGB": each pixel is fitted as it is, without interpolation.
     response : of the cameras, "linear" or "srgb" where it is known; with "fit" an image is taken
         as linear until the profiles of its edges refute that, and the response is then fitted.
+    tuning : every tuned constant of calibration; a benchmark or a study changes them.
 
     Returns
     -------
@@ -101,7 +103,7 @@ def calibrate(
     check_image_sizes(images, lenses)
     encoding = Encoding(bayer, response)
     encoding.check()
-    priors = SheetPriors(model, systematics or Systematics.typical(lenses))
+    priors = SheetPriors(model, systematics or Systematics.typical(lenses), tuning)
     detections, failures = {}, {}
     for name, image in images.items():
         try:
@@ -130,12 +132,13 @@ def calibrate_detections(
     throw: bool = True,
     systematics: Systematics | None = None,
     orientation: Orientation = None,
+    tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
     """`trinoc.calibrate` from circles that are already detected. Raises as it does."""
     check_camera_names(detections)
     lenses = lens_of_each(lens, detections)
     model = pose_model_over_sheet(pose_model)
-    priors = SheetPriors(model, systematics or Systematics.typical(lenses))
+    priors = SheetPriors(model, systematics or Systematics.typical(lenses), tuning)
     return calibrate_sheet(detections, pattern, lenses, priors, orientation, throw=throw)
 
 
@@ -167,12 +170,19 @@ def calibrate_sheet(
         image = (images or {}).get(name)
         # Circles that do not determine an aim with a prior still determine the rest of the pose.
         for model in dict.fromkeys((priors.fitted_model, priors.pose_model)):
-            fit = fit_single_camera(detection, pattern, lens, model, image)
+            fit = fit_single_camera(detection, pattern, lens, model, image, priors.tuning)
             status[name], observability = observe_single_camera(fit)
             if status[name] is Status.CONVERGED:
                 break
         failure = failure_of_camera(
-            fit, status[name], observability, detection, lens, factor, priors.fitted_model
+            fit,
+            status[name],
+            observability,
+            detection,
+            lens,
+            factor,
+            priors.fitted_model,
+            priors.tuning.answer,
         )
         if failure or fit is None:
             failures[name] = failure
@@ -220,6 +230,7 @@ def fit_grey_levels(
 ) -> list[SheetCamera]:
     """The cameras with the fits of their images, around the bend and the lens that circles show."""
     images, poses, lenses = {}, {}, {}
+    tuning = by_circles.problem.tuning.answer
     shifts: dict[str, ShiftOfPlaces] = {}
     for view, camera in zip(by_circles.problem.views, by_circles.cameras, strict=True):
         if camera.image is None:
@@ -228,7 +239,7 @@ def fit_grey_levels(
         images[name], poses[name], lenses[name] = camera.image, camera.pose, lens
         shift = apparent_shift(by_circles.problem, view, camera.pose, lens)
         centres_mm = pattern.centres_mm[camera.detection.circle_index]
-        if np.abs(shift(centres_mm)).max() > TUNING.answer.least_shift_px:
+        if np.abs(shift(centres_mm)).max() > tuning.least_shift_px:
             shifts[name] = shift
     model = by_circles.priors.fitted_model
     pictures = refine_views(images, poses, pattern, lenses, model, shifts, encoding)
@@ -237,6 +248,6 @@ def fit_grey_levels(
         one.picture.quality.ink_spread_mm if one.picture and one.picture.quality else 0.0
         for one in cameras
     ]
-    if max(map(abs, spreads_mm)) <= TUNING.answer.least_spread_mm:
+    if max(map(abs, spreads_mm)) <= tuning.least_spread_mm:
         return cameras
     return [replace(one, ink_spread_mm=spread) for one, spread in zip(cameras, spreads_mm)]

@@ -16,7 +16,6 @@ from trinoc.calib.problem.status import Status
 from trinoc.calib.starts.placing import boards_are_parallel
 from trinoc.calib.targets.board_set import board_names, list_boards
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.geometry.pose import Pose
 
@@ -76,15 +75,16 @@ def reason_undetermined(problem: Problem) -> str:
         return sentences.ONE_SHOT
     facing = np.array([cam_from_board(problem.state, view).rotation[:, 2] for view in used])
     tilts_deg = np.degrees(np.arccos(np.clip(np.abs(facing[:, 2]), 0.0, 1.0)))
-    if max(tilts_deg) < TUNING.starts.parallel_deg:
+    parallel_deg = problem.tuning.starts.parallel_deg
+    if max(tilts_deg) < parallel_deg:
         return sentences.SQUARE_TO_THE_CAMERA
     boards = [Pose(np.asarray(problem.state.rig_from_board)[shot]) for shot in shots]
     if not len(problem.state.set_from_board) and boards_are_parallel(boards):
         return sentences.PARALLEL_BOARDS
-    tilted = facing[tilts_deg >= TUNING.starts.parallel_deg, :2]
+    tilted = facing[tilts_deg >= parallel_deg, :2]
     doubled = 2.0 * np.arctan2(tilted[:, 1], tilted[:, 0])
     alignment = np.hypot(np.mean(np.cos(doubled)), np.mean(np.sin(doubled)))
-    if problem.cameras == 1 and alignment > np.cos(np.radians(2.0 * TUNING.starts.parallel_deg)):
+    if problem.cameras == 1 and alignment > np.cos(np.radians(2.0 * parallel_deg)):
         return sentences.ONE_AXIS
     return sentences.MORE_SHOTS
 
@@ -116,8 +116,8 @@ def misfit_of_lens(fit: RobustFit, places: str) -> str | None:
     errors = [each[view.used] for view, each in zip(views, errors_px(fit.problem), strict=True)]
     misfit_px = float(np.sqrt(np.mean(np.sum(np.concatenate(errors) ** 2, axis=1))))
     extent_px = np.median([np.ptp(view.detection.centres_px, axis=0).max() for view in views])
-    share = TUNING.answer.misfit_share_of_lens
-    if misfit_px > max(TUNING.answer.least_misfit_px, share * float(extent_px)):
+    tuning = fit.problem.tuning.answer
+    if misfit_px > max(tuning.least_misfit_px, tuning.misfit_share_of_lens * float(extent_px)):
         return sentences.places_misfit(places, misfit_px)
     return None
 
@@ -138,7 +138,7 @@ def notes_of_lens(problem: Problem, camera: str, named: NamedCovariance) -> tupl
         if extra:
             notes.append(sentences.coefficients_not_called_for(count, names, extra, gain))
     reach = _share_reached(problem)
-    if reach < TUNING.answer.enough_reach:
+    if reach < problem.tuning.answer.enough_reach:
         place = "circle" if isinstance(problem.target, Pattern) else "corner"
         notes.append(sentences.distortion_extrapolated(place, reach))
     return tuple(notes)
@@ -166,7 +166,7 @@ def _deviations_of_board(problem: Problem) -> list[str]:
     notes = []
     for row, value, sigma in zip(free, np.asarray(problem.state.sheet)[free], sigmas, strict=True):
         board, term = names[row]
-        if abs(value) > TUNING.answer.strain_sigmas * sigma:
+        if abs(value) > problem.tuning.answer.strain_sigmas * sigma:
             strain = abs(value) / sigma
             notes.append(sentences.board_deviates(board if several else "", term, value, strain))
     return notes

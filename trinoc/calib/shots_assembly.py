@@ -27,7 +27,6 @@ from trinoc.calib.shot_notes import list_refusals, notes_of_fit, notes_of_lens
 from trinoc.calib.shots_fit import ShotObservations, ShotsFit
 from trinoc.calib.starts.pictures import FoundBoards
 from trinoc.calib.targets.board_set import board_names
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError, list_names
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
@@ -83,7 +82,7 @@ def result_of_shots(
     causes = find_causes(problem) if is_determined else []
     factors = dict(zip(cameras, problem.sigma_factor.tolist(), strict=True))
     worst, scatter = max(factors, key=lambda camera: factors[camera]), None
-    if is_determined and factors[worst] > TUNING.answer.largest_sigma_factor:
+    if is_determined and factors[worst] > problem.tuning.answer.largest_sigma_factor:
         status = Status.SUSPECT
         scatter = sentences.residuals_exceed_sigmas(worst, factors[worst], bool(causes))
     named, gauge = _named_with_gauge(problem, outcome, cameras, place)

@@ -53,6 +53,7 @@ from trinoc.calib.starts.camera_start import FEWEST_PLACES, CameraStart, start_c
 from trinoc.calib.starts.pictures import FoundBoards, Pictures
 from trinoc.calib.starts.placing import PlacedRig, ShotBoard, place_rig, take_out
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.intrinsics import Intrinsics
@@ -98,6 +99,7 @@ class ShotObservations:
     lens_factors : for given lenses that are not exact, a factor of their covariance.
     freedom : what is fixed of the other lenses.
     systematics : errors of the board.
+    tuning : constants of the method.
     """
 
     detections: Mapping[str, Mapping[ShotBoard, Detection]]
@@ -107,6 +109,7 @@ class ShotObservations:
     lens_factors: Mapping[str, Float[np.ndarray, "_ _"]]
     freedom: LensFreedom
     systematics: Systematics
+    tuning: CalibTuning = TUNING
 
     @classmethod
     def of_boards(
@@ -116,6 +119,7 @@ class ShotObservations:
         lens_factors: Mapping[str, Float[np.ndarray, "_ _"]],
         freedom: LensFreedom,
         systematics: Systematics,
+        tuning: CalibTuning = TUNING,
     ) -> "ShotObservations":
         """Detections with enough corners or circles, each board of a set apart."""
         detections = {
@@ -128,7 +132,14 @@ class ShotObservations:
             for camera, of_camera in boards.detections.items()
         }
         return cls(
-            detections, boards.shots, boards.target, lenses, lens_factors, freedom, systematics
+            detections,
+            boards.shots,
+            boards.target,
+            lenses,
+            lens_factors,
+            freedom,
+            systematics,
+            tuning,
         )
 
     @property
@@ -261,7 +272,8 @@ def fit_best_lens(
         return measure_held_out_errors(each.fit.problem, each.placed.shots, observations.cameras)
 
     tried = {name: measure(each) for name, each in fits.items()}
-    choice = choose_lens(tried)
+    tuning = observations.tuning.answer
+    choice = choose_lens(tried, tuning)
     best = fits[choice.model]
     problem, rational = best.fit.problem, None
     # The scatter between shots is not taken off for splines: a lens that the model does not
@@ -270,10 +282,10 @@ def fit_best_lens(
     if choice.model == BrownConrady.model:
         factor = shot_scatter(compute_information(problem)).variance_factor
         rational = rational_lens_test(problem, observations.sizes_px, factor)
-    if splined or (splined is None and is_significant(spline)):
+    if splined or (splined is None and is_significant(spline, tuning.chance_of_lens)):
         wider = best.correct_lenses(observations.sizes_px)
         name = wider.fit.problem.state.lenses.model
-        among = choose_lens({choice.model: tried[choice.model], name: measure(wider)})
+        among = choose_lens({choice.model: tried[choice.model], name: measure(wider)}, tuning)
         rms_px = {**choice.rms_px, **among.rms_px}
         choice = LensChoice(name if splined else among.model, rms_px)
         best = wider if choice.model == name else best
@@ -361,6 +373,7 @@ def _build_problem(
         Freedom(lens_of_camera, free),
         observations.systematics,
         placed.set_from_board,
+        observations.tuning,
     )
     for number, factor in enumerate(factors[: len(lenses)]):
         if factor is not None:

@@ -5,7 +5,6 @@ import pytest
 
 from tests.calib.made_shots import BOARD, board_poses, detection
 from tests.calib.problem.made_problem import problem
-from trinoc.calib.problem import moments
 from trinoc.calib.problem.misfit_causes import change_point, lens_pattern_px, smooth_pattern_px
 from trinoc.calib.problem.moments import (
     errors_about_image_poses_px,
@@ -78,13 +77,10 @@ def of_shots(*, late_mm=0.0, seed=0):
     return fit_places(held)[0]
 
 
-def test_the_excess_is_the_fall_of_chi_square_where_each_image_has_a_pose_of_its_own(
-    monkeypatch,
-):
+def test_the_excess_is_the_fall_of_chi_square_where_each_image_has_a_pose_of_its_own():
     """With lenses and cameras held, and all places counted in full; the median of the six shots
     over 12 degrees of freedom."""
-    monkeypatch.setattr(moments, "TUNING", with_field(TUNING, "problem.gate", 1e6))
-    together = of_shots()
+    together = of_shots()._replace(tuning=with_field(TUNING, "problem.gate", 1e6))
     others = [k for images in images_of_shots(together).values() for k in images[1:]]
     apart, _ = fit_places(with_shots_of_their_own(together, others))
     before, after = (

@@ -175,7 +175,8 @@ def adjust(
         suspects = [
             k
             for k, camera in enumerate(cameras)
-            if camera.shown is None and not inliers(errors[k], scale=1.0).all()
+            if camera.shown is None
+            and not inliers(errors[k], 1.0, problem.tuning.problem.gate).all()
         ]
         if suspects:
             problem, converged = fit_without_wrong_places(problem, suspects)

@@ -40,7 +40,8 @@ def choose_observations(
     has_pixels, agreement = camera.method == "pixels", float("nan")
     if has_pixels:
         agreement = probability_of_agreement(by_circles, by_pixels, view)
-    agrees = agreement >= TUNING.answer.chance_of_answers
+    tuning = by_circles.problem.tuning.answer
+    agrees = agreement >= tuning.chance_of_answers
     is_consistent = has_pixels and by_pixels.enlarged[view] == 1.0
     # Shadows, uneven light and blur move circles alike, so that these agree among themselves; what
     # the grey levels do not model makes their places scatter. Filters of phones move whole edges,
@@ -55,7 +56,7 @@ def choose_observations(
         return replace(camera, agreement=agreement)
     scatter = scatter_of_blocks(by_circles, view)
     # A model of the grey levels that is wrong casts doubt on the circles, too.
-    if not has_pixels and scatter <= TUNING.answer.largest_scatter:
+    if not has_pixels and scatter <= tuning.largest_scatter:
         scatter = 1.0
     return replace(camera, shown=None, agreement=agreement, scatter=scatter)
 
@@ -69,9 +70,10 @@ def _has_open_model(adjustment: Adjustment) -> bool:
 def _are_displaced(by_circles: Adjustment, view: int) -> bool:
     """Whether neighbouring circles share errors, as under glare: their blocks scatter, or their
     residuals are correlated."""
-    if scatter_of_blocks(by_circles, view) > TUNING.answer.largest_scatter:
+    tuning = by_circles.problem.tuning.answer
+    if scatter_of_blocks(by_circles, view) > tuning.largest_scatter:
         return True
-    limit = float(normal_limit(TUNING.answer.chance_of_answers))
+    limit = float(normal_limit(tuning.chance_of_answers))
     return autocorrelation_of_circles(by_circles, view) > limit
 
 
@@ -85,7 +87,8 @@ def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
     residuals, covariance = adjustment.whitened.residual[view], adjustment.covariance
     place_mm = problem.target.centres_mm[problem.views[view].detection.circle_index]
     steps, expected = [], []
-    for block in _blocks(place_mm, adjustment.used[view]):
+    tuning = problem.tuning.adjustment
+    for block in _blocks(place_mm, adjustment.used[view], tuning.blocks):
         rows = np.concatenate([2 * block, 2 * block + 1])
         # The estimate without the block, by its rows alone (M. A. Woodbury): what they fit of
         # themselves is the leverage.
@@ -94,7 +97,7 @@ def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
         steps.append(np.linalg.solve(remainder, residuals[rows]) @ gain[:, pose_steps])
         # What independent noise makes of such a step, the residuals being less than the noise.
         expected.append(gain[:, pose_steps].T @ np.linalg.solve(remainder, gain[:, pose_steps]))
-    if len(steps) < TUNING.adjustment.fewest_blocks:
+    if len(steps) < tuning.fewest_blocks:
         return 1.0
     spread = np.stack(steps)
     ratio = np.linalg.solve(np.sum(expected, axis=0), spread.T @ spread)
@@ -120,9 +123,9 @@ def autocorrelation_of_circles(adjustment: Adjustment, view: int) -> float:
     return float(products.sum() / sigma)
 
 
-def _blocks(place_mm: np.ndarray, used: np.ndarray) -> list[np.ndarray]:
-    """Rows of `place_mm` that are used, by the block of the sheet in which they lie."""
-    blocks, low, high = TUNING.adjustment.blocks, place_mm.min(axis=0), place_mm.max(axis=0)
+def _blocks(place_mm: np.ndarray, used: np.ndarray, blocks: int) -> list[np.ndarray]:
+    """Rows of `place_mm` that are used, by the block of the sheet; `blocks` along each side."""
+    low, high = place_mm.min(axis=0), place_mm.max(axis=0)
     cell = np.floor((place_mm - low) / (high - low + 1e-9) * blocks).astype(int)
     number = np.where(used, cell[:, 0] * blocks + cell[:, 1], -1)
     return [np.flatnonzero(number == k) for k in range(blocks**2) if (number == k).any()]
@@ -137,7 +140,8 @@ def probability_of_agreement(by_circles: Adjustment, by_pixels: Adjustment, view
     pose = by_circles.free[by_circles.rows(view)]
     moved = whiten_views(by_circles.problem._replace(state=by_pixels.problem.state))
     circles, pixels = (each.whitened.jacobian[view][:, pose] for each in (by_circles, by_pixels))
-    squared = difference_of_estimates(moved.residual[view], circles, pixels)
+    least = by_circles.problem.tuning.adjustment.least_difference
+    squared = difference_of_estimates(moved.residual[view], circles, pixels, least)
     return float(chi_square_tail(squared, len(pose)))
 
 
@@ -145,6 +149,7 @@ def difference_of_estimates(
     residual: Float[np.ndarray, "n"],
     by_circles: Float[np.ndarray, "n p"],
     by_pixels: Float[np.ndarray, "m p"],
+    least_difference: float = TUNING.adjustment.least_difference,
 ) -> float:
     """Chi-square, of p degrees of freedom, of the circles' estimate less that of the grey levels.
 
@@ -157,5 +162,5 @@ def difference_of_estimates(
     # gradient of the light determine less than circles, which assume even light.
     covariance = root @ np.linalg.solve(by_pixels.T @ by_pixels, root.T)
     shares, directions = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    variance = np.maximum(np.abs(1 - shares), TUNING.adjustment.least_difference)
+    variance = np.maximum(np.abs(1 - shares), least_difference)
     return float(np.sum((directions.T @ step) ** 2 / variance))

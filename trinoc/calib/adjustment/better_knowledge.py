@@ -9,7 +9,7 @@ from jaxtyping import Float
 from trinoc.calib.adjustment.adjustment import Adjustment, prior_weights
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.result.calibration import Alternative
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, AnswerTuning
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.rig import PARAMETER_NAMES
@@ -40,6 +40,7 @@ class BetterKnowledge(NamedTuple):
     angle_now_deg, angle_then_deg : the largest sigma of pan, tilt and swing over all cameras, and
         what it would be, were this known so much better.
     distance_now_mm, distance_then_mm : the same of the distance.
+    tuning : what counts as a gain, and how much better is compared.
     """
 
     what: str
@@ -47,6 +48,7 @@ class BetterKnowledge(NamedTuple):
     angle_then_deg: float
     distance_now_mm: float
     distance_then_mm: float
+    tuning: AnswerTuning = TUNING.answer
 
     @property
     def sentence(self) -> str:
@@ -58,11 +60,11 @@ class BetterKnowledge(NamedTuple):
         gains = " and ".join(
             f"{of} within {then:.2g} {unit} (now {now:.2g})"
             for of, now, then, unit in pairs
-            if now > TUNING.answer.enough_gain * then
+            if now > self.tuning.enough_gain * then
         )
         sentence = (
             f"What is assumed of the {self.what} makes up most of the cameras' sigmas: "
-            f"{_HOW[self.what]}. Were it known {TUNING.answer.better_known:.0f} times as well, one "
+            f"{_HOW[self.what]}. Were it known {self.tuning.better_known:.0f} times as well, one "
             f"sigma would hold {gains}."
         )
         if self.what != "lens":
@@ -88,20 +90,20 @@ def advise_better_knowledge(
     if not now.all():
         # A pose that the circles leave free wants circles first.
         return None
-    gains = {}
+    gains, tuning = {}, adjustments[0].problem.tuning.answer
     for what in _HOW:
         if what == "print" and not systematics.print_size_sigma:
             continue
         then = np.concatenate([_sigmas(each, _covariance(each, what)) for each in adjustments])
         mean = float(np.mean(np.log(now / then)))
-        if mean > np.log(TUNING.answer.enough_gain):
+        if mean > np.log(tuning.enough_gain):
             gains[what] = mean, then.max(axis=0)
     if not gains:
         return None
     what = max(gains, key=lambda what: gains[what][0])
     most, then = now.max(axis=0), gains[what][1]
     return BetterKnowledge(
-        what, float(most[:3].max()), float(then[:3].max()), float(most[3]), float(then[3])
+        what, float(most[:3].max()), float(then[:3].max()), float(most[3]), float(then[3]), tuning
     )
 
 
@@ -123,7 +125,7 @@ def say_what_goes_unseen(alternatives: Mapping[str, Sequence[Alternative]]) -> s
             is_worse = test.name not in worst or (
                 test.unseen_strain > worst[test.name].unseen_strain
             )
-            if is_worse and test.unseen_strain > TUNING.answer.strain_sigmas:
+            if is_worse and test.unseen_strain > test.tuning.strain_sigmas:
                 worst[test.name] = test
     ranked = sorted(worst.values(), key=lambda test: test.unseen_strain, reverse=True)
     of_lens = [test for test in ranked if test.name in _LENS_ERRORS][:_MOST_LISTED]
@@ -164,7 +166,7 @@ def _covariance(adjustment: Adjustment, what: str) -> Float[np.ndarray, "f f"]:
     """The covariance, were the prior's sigmas of one thing so many times as small."""
     slices = adjustment.problem.slices
     better = np.zeros(len(adjustment.problem.free))
-    narrower = np.sqrt(TUNING.answer.better_known**2 - 1)
+    narrower = np.sqrt(adjustment.problem.tuning.answer.better_known**2 - 1)
     better[slices.lenses] = what == "lens"
     first = slices.sheets.start + BentPaper.names.index(BentPaper.print_terms[0])
     better[first : first + len(BentPaper.print_terms)] = what == "print"

@@ -12,7 +12,6 @@ from jaxtyping import Float
 from trinoc.calib.adjustment.adjustment import Adjustment
 from trinoc.calib.problem.rao_test import HeldScore, score_of_residuals, unseen_sigmas
 from trinoc.calib.result.calibration import Alternative
-from trinoc.calib.tuning.every_group import TUNING
 
 # numerical: columns of a lens and of a pose.
 _FOCAL, _CENTRE, _RADIAL, _AIM = (0, 1), 2, 4, (4, 6)
@@ -67,7 +66,8 @@ def _test(
     root = np.linalg.cholesky(test.covariance)
     # Of all changes that are found equally often, the one that moves the camera most.
     strains, worst = np.linalg.svd(by_pose @ root)[1:]
-    sigmas = unseen_sigmas(TUNING.answer.chance, test.freedom)
+    tuning = adjustment.problem.tuning.answer
+    sigmas = unseen_sigmas(tuning.chance, test.freedom, tuning.power)
     unseen_step = sigmas * root @ worst[0]
     unseen_step = unseen_step * np.sign(unseen_step[np.argmax(np.abs(unseen_step))])
     return Alternative(
@@ -81,6 +81,7 @@ def _test(
         unseen=unit * unseen_step,
         unseen_strain=sigmas * float(strains[0]),
         unseen_motion=adjustment.degrees_by_step(view) @ motion @ unseen_step,
+        tuning=tuning,
     )
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from trinoc.calib.adjustment.adjustment import Adjustment, prior_weights
 from trinoc.calib.problem.sheet import BentPaper
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, AnswerTuning
 from trinoc.numerics.tails import chi_square_tail, normal_limit
 
 # numerical: variances of a prior below this share of its largest are rounding.
@@ -61,6 +61,7 @@ class PriorPull(NamedTuple):
     freedom: int
     chance: float
     partners: tuple[Unknown, ...] = ()
+    largest_sigmas: float = TUNING.answer.strain_sigmas
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -86,7 +87,7 @@ class PriorPull(NamedTuple):
     @property
     def is_refuted(self) -> bool:
         """True if the images contradict the stated value of the unknown."""
-        return self.sigmas > TUNING.answer.strain_sigmas
+        return self.sigmas > self.largest_sigmas
 
 
 def refuted_priors(adjustment: Adjustment) -> list[PriorPull]:
@@ -123,6 +124,7 @@ class PriorSpace(NamedTuple):
     weights: Float[np.ndarray, "f"]
     offset: Float[np.ndarray, "f"]
     expected: Float[np.ndarray, "f f"]
+    tuning: AnswerTuning = TUNING.answer
 
     @classmethod
     def of(cls, adjustment: Adjustment) -> "PriorSpace":
@@ -130,14 +132,21 @@ class PriorSpace(NamedTuple):
         weights = prior_weights(adjustment.problem)[adjustment.free]
         posterior = weights[:, None] * adjustment.covariance * weights
         expected = np.diag((weights > 0).astype(float)) - posterior
-        return cls(weights, weights * _offsets(adjustment), expected)
+        tuning = adjustment.problem.tuning.answer
+        return cls(weights, weights * _offsets(adjustment), expected, tuning)
 
     def pull(self, unknown: Unknown) -> PriorPull:
         """The distance of one unknown from its prior."""
         combinations = self._determined(unknown)
         squared, freedom = float(np.sum((combinations @ self.offset) ** 2)), len(combinations)
         chance = float(chi_square_tail(squared, freedom)) if freedom else 1.0
-        return PriorPull(unknown, self._by_sigma(unknown) @ self.offset, freedom, chance)
+        return PriorPull(
+            unknown,
+            self._by_sigma(unknown) @ self.offset,
+            freedom,
+            chance,
+            largest_sigmas=self.tuning.strain_sigmas,
+        )
 
     def are_inseparable(self, first: PriorPull, second: PriorPull) -> bool:
         """True if the images determine only one combination of two unknowns, equally far off.
@@ -145,7 +154,7 @@ class PriorSpace(NamedTuple):
         By the largest canonical correlation of both in P_0 - P (H. Hotelling, "Relations between
         two sets of variates", Biometrika 28, 1936).
         """
-        largest = TUNING.answer.inseparable
+        largest = self.tuning.inseparable
         if second.sigmas < largest * first.sigmas:
             return False
         rows, columns = (self._determined(pull.unknown) for pull in (first, second))
@@ -166,7 +175,7 @@ class PriorSpace(NamedTuple):
         # Of unit prior covariance.
         whitened = right[values > _ROUNDING * values.max(initial=0.0)]
         shares, axes = np.linalg.eigh(whitened @ self.expected @ whitened.T)
-        is_determined = shares > TUNING.answer.least_share_of_prior
+        is_determined = shares > self.tuning.least_share_of_prior
         return (axes[:, is_determined] / np.sqrt(shares[is_determined])).T @ whitened
 
 

@@ -12,7 +12,7 @@ from trinoc.calib.result.calibration import Status
 from trinoc.calib.starts.camera_start import plane_pose
 from trinoc.calib.starts.crossed_lines import pose_of_crossed_lines
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import PoseModel
@@ -27,6 +27,7 @@ def fit_single_camera(
     lens: Intrinsics,
     model: PoseModel,
     image: Float[np.ndarray, "h w"] | None = None,
+    tuning: CalibTuning = TUNING,
 ) -> Adjustment | None:
     """Fit one camera to its circles, with sheet and lens exact; None if it has no first pose.
 
@@ -45,10 +46,12 @@ def fit_single_camera(
             continue
         start = pose if model is PoseModel.AIM_FREE else as_numpy(_aimed(pose))
         camera = SheetCamera("camera", detection, lens, None, start, image)
-        fit = adjust([camera], pattern, SheetPriors(model, Systematics()), first_damping=None)
+        fit = adjust(
+            [camera], pattern, SheetPriors(model, Systematics(), tuning), first_damping=None
+        )
         if best is None or _misfit(fit) < _misfit(best):
             best = fit
-        if _misfit(best) < TUNING.adjustment.far_sigmas:
+        if _misfit(best) < tuning.adjustment.far_sigmas:
             break
     return best
 

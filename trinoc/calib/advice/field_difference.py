@@ -24,7 +24,6 @@ from trinoc.calib.problem.variables import (
 from trinoc.calib.result.halves import FieldDifference
 from trinoc.calib.starts.sightings import IN_PLACE
 from trinoc.calib.targets.board_set import list_boards
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.propagation import MAP_PLACES
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_point, project_points, unproject_pixels
@@ -97,7 +96,7 @@ def _image_field(problem: Problem, camera: int) -> _Field:
         for view in own
         if view.used.any()
     ]
-    distance_mm = float(np.median(away)) * np.array([1.0, TUNING.advice.farther])
+    distance_mm = float(np.median(away)) * np.array([1.0, problem.tuning.advice.farther])
     rig_from_cam = Pose(np.asarray(problem.state.cam_from_rig)[camera]).inverse
     points = np.asarray(rig_from_cam.transform_points(distance_mm[:, None, None] * rays))
     return _Field(uv_px, np.linalg.norm(back_px - uv_px, axis=-1) < _SAME_PX, distance_mm, points)

@@ -18,13 +18,12 @@ from trinoc.calib.starts.camera_start import on_board
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import board_names, first_places, list_boards
 from trinoc.calib.targets.checkers import Chessboard
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import unproject_pixels
 from trinoc.numerics.buckets import blocks
 
-_TILTED = f"tilted by {TUNING.advice.tilt_deg:.0f} degrees"
+_TILTED = "tilted by {:.0f} degrees"
 # numerical: the side of the board that comes nearer, by a turn about the camera's x and y.
 _TURNS = {
     "square to it": (0.0, 0.0),
@@ -47,7 +46,8 @@ class Candidate(NamedTuple):
 
 def candidate_shots(problem: Problem) -> list[Candidate]:
     """The board in nine places of every camera's picture, at two distances, tilted or not."""
-    rules, members, names = TUNING.advice, list_boards(problem.target), board_names(problem.target)
+    rules, members = problem.tuning.advice, list_boards(problem.target)
+    names = board_names(problem.target)
     set_from_board = [Pose(each) for each in np.asarray(problem.state.set_from_board)]
     shots = []
     for camera, size_px in problem.image_sizes_px.items():
@@ -65,10 +65,14 @@ def candidate_shots(problem: Problem) -> list[Candidate]:
                     continue
                 place = which + _place_words(_ROWS[row], _COLUMNS[column])
                 for words, about in _TURNS.items():
-                    pose = rig_from_cam @ _hold(board, ray, distance, about)
+                    pose = rig_from_cam @ _hold(board, ray, distance, about, rules.tilt_deg)
                     if len(members) > 1:
                         pose @= set_from_board[number].inverse
-                    shots.append(Candidate(camera, f"{place}, {words}", distance, pose))
+                    shots.append(
+                        Candidate(
+                            camera, f"{place}, {words.format(rules.tilt_deg)}", distance, pose
+                        )
+                    )
     return shots
 
 
@@ -83,12 +87,13 @@ def _hold(
     ray: Float[np.ndarray, "3"],
     distance_mm: float,
     about: tuple[float, float],
+    tilt_deg: float,
 ) -> Pose:
     """The board before a camera, its middle on a ray along which it faces it, and then turned."""
     axis = np.cross([0.0, 0.0, 1.0], ray)
     sine = float(np.linalg.norm(axis))
     aim = cv2.Rodrigues(axis / max(sine, 1e-12) * np.arctan2(sine, ray[2]))[0]
-    turn = cv2.Rodrigues(np.radians(TUNING.advice.tilt_deg) * np.append(about, 0.0))[0]
+    turn = cv2.Rodrigues(np.radians(tilt_deg) * np.append(about, 0.0))[0]
     rotation = aim @ turn @ np.diag([1.0, -1.0, -1.0])
     middle = np.append(0.5 * (target.centres_mm.min(axis=0) + target.centres_mm.max(axis=0)), 0.0)
     return Pose(np.column_stack([rotation, distance_mm * ray - rotation @ middle]))
@@ -202,7 +207,8 @@ def _with_visible(
     oblique = np.arccos(np.clip(-(places @ pose.rotation[:, 2]) / away, -1.0, 1.0))
     border = 1.0 + float(np.max(lens.focal_length_px)) * board.radius_mm / away
     inside = np.minimum(uv_px, np.array(view.detection.image_size_px) - 1.0 - uv_px).min(axis=1)
-    is_shown = oblique < np.radians(TUNING.advice.most_oblique_deg)
+    rules = problem.tuning.advice
+    is_shown = oblique < np.radians(rules.most_oblique_deg)
     seen = view.used & (angle < fold_rad) & (inside > border) & is_shown
-    least = 1.0 if isinstance(board, Chessboard) else TUNING.advice.least_seen
+    least = 1.0 if isinstance(board, Chessboard) else rules.least_seen
     return view._replace(used=seen & (seen.mean() >= least))

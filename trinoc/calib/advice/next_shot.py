@@ -16,7 +16,6 @@ from trinoc.calib.advice.halves import head_names
 from trinoc.calib.problem.information import Information
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError, check_kind
 from trinoc.geometry.lenses.splined import SPLINE_PARAMETERS
 from trinoc.geometry.pose import Pose
@@ -154,7 +153,7 @@ def weakly_known_covariance(information: Information) -> Float[np.ndarray, "f f"
     free = information.free
     observed = information.of_shot.sum(axis=0)[np.ix_(free, free)] + information.prior
     eigenvalues, directions = np.linalg.eigh(observed)
-    variance = 1 / (np.maximum(eigenvalues, 0.0) + 1 / TUNING.advice.prior_sigma**2)
+    variance = 1 / (np.maximum(eigenvalues, 0.0) + 1 / information.tuning.advice.prior_sigma**2)
     return (directions * variance) @ directions.T
 
 
@@ -167,7 +166,8 @@ def _best_shot(
     if not shots:
         return None
     now = np.array([shot_error_px(shot, covariance) for shot in shots])
-    compared = [shots[k] for k in np.argsort(-now, kind="stable")[: TUNING.advice.most_compared]]
+    most = problem.tuning.advice.most_compared
+    compared = [shots[k] for k in np.argsort(-now, kind="stable")[:most]]
     after = [add_shot(covariance, shot, variance_factor) for shot in compared]
     then = [max(shot_error_px(each, changed) for each in compared) for changed in after]
     best = int(np.argmin(then))

@@ -32,7 +32,6 @@ from trinoc.calib.problem.solver import gauss_newton_gain
 from trinoc.calib.problem.variables import Parametrization, RigState
 from trinoc.calib.problem.views import ViewTable
 from trinoc.calib.problem.wrong_circles import drop_wrong_circles
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
@@ -47,11 +46,11 @@ def with_board_shape(fit: RobustFit) -> RobustFit:
     problem = fit.problem
     if len(problem.state.shape) or not _may_lie_elsewhere(problem):
         return fit
-    spread_mm = TUNING.problem.first_spread * _residual_mm(problem)
+    spread_mm = problem.tuning.problem.first_spread * _residual_mm(problem)
     opened = with_free_places(problem, np.eye(3 * len(problem.target)) / spread_mm**2)
     if not _is_shown(opened):
         return fit
-    prior = shape_prior(problem.target, spread_mm)
+    prior = shape_prior(problem.target, spread_mm, problem.tuning)
     opened = with_priors(opened, shape_information=prior.information)
     by_pixels = any(view.shown is not None for view in opened.views)
     if not by_pixels:
@@ -75,7 +74,7 @@ def _lenses_stay(before: Problem, after: Problem) -> bool:
     ratio = np.asarray(after.state.lenses.focal_length_px) / np.asarray(
         before.state.lenses.focal_length_px
     )
-    largest = TUNING.problem.largest_focal_change
+    largest = before.tuning.problem.largest_focal_change
     return bool(np.all(ratio < largest) and np.all(ratio > 1 / largest))
 
 
@@ -89,7 +88,9 @@ def _is_shown(opened: Problem) -> bool:
     if left <= unknowns:
         return False
     ratio = gain / unknowns / max((chi_square - gain) / left, 1e-300)
-    return bool(ratio > 1.0 + TUNING.problem.refuted_sigmas * np.sqrt(2.0 / unknowns + 2.0 / left))
+    return bool(
+        ratio > 1.0 + opened.tuning.problem.refuted_sigmas * np.sqrt(2.0 / unknowns + 2.0 / left)
+    )
 
 
 def _may_lie_elsewhere(problem: Problem) -> bool:
@@ -143,7 +144,7 @@ def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, 
     for _ in range(_MOST_UPDATES):
         scatter, covariance_mm2 = shape_covariance(problem)
         # A tighter prior leaves larger residuals, which must not tighten it again.
-        factor = min(factor, scatter, TUNING.problem.largest_scatter)
+        factor = min(factor, scatter, problem.tuning.problem.largest_scatter)
         after = prior.update(np.asarray(problem.state.shape), covariance_mm2)
         spent = prior.count_determined(covariance_mm2)
         problem = with_sigma_factors(problem._replace(spent=max(spent, 0.0)))

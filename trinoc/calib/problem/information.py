@@ -13,6 +13,7 @@ from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, RigState, evaluate_prior
 from trinoc.calib.problem.views import ViewTable
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.numerics.information import Observability, observability
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
@@ -31,6 +32,7 @@ class Information(NamedTuple):
     free : (f,) columns of the head that were fitted.
     prior : (f, f) information that was known of lenses and board beforehand.
     shape_first : where, in the head, the steps of the board's places begin.
+    tuning : constants of the problem that was fitted.
     """
 
     of_shot: Float[np.ndarray, "s h h"]
@@ -40,6 +42,7 @@ class Information(NamedTuple):
     free: np.ndarray
     prior: Float[np.ndarray, "f f"]
     shape_first: int
+    tuning: CalibTuning = TUNING
 
     @property
     def observability(self) -> Observability:
@@ -67,7 +70,8 @@ def compute_information(problem: Problem) -> Information:
     )
     free = np.flatnonzero(problem.free)
     prior = prior[np.ix_(free, free)]
-    return Information(of_shot, pulls, follow, own, free, prior, problem.slices.places.start)
+    first = problem.slices.places.start
+    return Information(of_shot, pulls, follow, own, free, prior, first, problem.tuning)
 
 
 @kept_jit

@@ -68,7 +68,7 @@ class MisfitCause(NamedTuple):
 
 def find_causes(problem: Problem) -> list[MisfitCause]:
     """The causes that explain a share of the residuals worth naming, the largest first."""
-    causes, poses = [], fit_image_poses(problem)
+    causes, poses, tuning = [], fit_image_poses(problem), problem.tuning.answer
     # Where the cameras of a shot see the board at other moments, each image has a pose of its own.
     every = errors_about_image_poses_px(problem, poses)
     for camera in range(problem.cameras):
@@ -90,10 +90,10 @@ def find_causes(problem: Problem) -> list[MisfitCause]:
         noise_px = float(np.sqrt(np.mean(np.sum(np.concatenate(residuals) ** 2, axis=1))))
         size_px = problem.views[rows[0]].detection.image_size_px
         patterns = {
-            CauseKind.LENS_MODEL: lens_pattern_px(residuals, places, size_px),
-            CauseKind.BOARD_CHANGES: smooth_pattern_px(residuals, board),
+            CauseKind.LENS_MODEL: lens_pattern_px(residuals, places, size_px, tuning.named_ratio),
+            CauseKind.BOARD_CHANGES: smooth_pattern_px(residuals, board, tuning.named_ratio),
         }
-        least_px = max(TUNING.answer.named_share * noise_px, TUNING.answer.least_shift_px)
+        least_px = max(tuning.named_share * noise_px, tuning.least_shift_px)
         causes += [
             MisfitCause(kind, camera, amplitude_px, noise_px)
             for kind, amplitude_px in patterns.items()
@@ -107,6 +107,7 @@ def lens_pattern_px(
     residuals: Sequence[Float[np.ndarray, "_m 2"]],
     places_px: Sequence[Float[np.ndarray, "_m 2"]],
     size_px: tuple[int, int],
+    named_ratio: float = TUNING.answer.named_ratio,
 ) -> float:
     """Amplitude of the pattern that all images of one camera share; 0 where noise explains it.
 
@@ -133,13 +134,15 @@ def lens_pattern_px(
         excess, weight = excess + number * (square - variance), weight + number
         score, freedom = score + 2 * square / max(variance, 1e-300), freedom + 2
     # Means of few images: a cell's ratio is an F statistic, whose mean is (n - 1) / (n - 3).
-    if freedom < 8 or score / freedom < TUNING.answer.named_ratio or excess <= 0:
+    if freedom < 8 or score / freedom < named_ratio or excess <= 0:
         return 0.0
     return float(np.sqrt(excess / weight))
 
 
 def smooth_pattern_px(
-    residuals: Sequence[Float[np.ndarray, "_m 2"]], board_mm: Sequence[Float[np.ndarray, "_m 2"]]
+    residuals: Sequence[Float[np.ndarray, "_m 2"]],
+    board_mm: Sequence[Float[np.ndarray, "_m 2"]],
+    named_ratio: float = TUNING.answer.named_ratio,
 ) -> float:
     """Amplitude of polynomials of second degree over the board, one for each image; 0 where noise
     explains them. Six of their twelve numbers are the pose's, which residuals do not show."""
@@ -157,18 +160,18 @@ def smooth_pattern_px(
         return 0.0
     variance = rest / freedom
     expected = (_SMOOTH - _ABSORBED) * count * variance
-    if explained < TUNING.answer.named_ratio * expected:
+    if explained < named_ratio * expected:
         return 0.0
     return float(np.sqrt((explained - expected) / sum(map(len, residuals))))
 
 
 def _of_moments(problem: Problem, poses: ImagePoses) -> list[MisfitCause]:
-    causes, every = [], errors_px(problem)
+    causes, every, tuning = [], errors_px(problem), problem.tuning.answer
     for camera, (shots, shifts_px) in pose_differences_px(problem, poses).items():
         rows = [k for k, v in enumerate(problem.views) if v.camera == camera and v.used.any()]
         residuals = np.concatenate([every[k][problem.views[k].kept] for k in rows])
         noise_px = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
-        moved = change_point(shifts_px)
+        moved = change_point(shifts_px, tuning.moved_scatters)
         if moved is not None:
             index, distance_px = moved
             causes.append(
@@ -178,12 +181,14 @@ def _of_moments(problem: Problem, poses: ImagePoses) -> list[MisfitCause]:
             )
             continue
         typical_px = float(np.median(np.linalg.norm(shifts_px, axis=1)))
-        if typical_px > max(TUNING.answer.named_share * noise_px, TUNING.answer.least_shift_px):
+        if typical_px > max(tuning.named_share * noise_px, tuning.least_shift_px):
             causes.append(MisfitCause(CauseKind.MOMENTS_DIFFER, camera, typical_px, noise_px))
     return causes
 
 
-def change_point(shifts_px: Float[np.ndarray, "s 2"]) -> tuple[int, float] | None:
+def change_point(
+    shifts_px: Float[np.ndarray, "s 2"], moved_scatters: float = TUNING.answer.moved_scatters
+) -> tuple[int, float] | None:
     """(index of the first shot after a change, its size in px), where the shifts of a camera jump
     once by far more than they scatter on either side; else None."""
     splits = range(_FEWEST_SHOTS, len(shifts_px) - _FEWEST_SHOTS + 1)
@@ -200,4 +205,4 @@ def change_point(shifts_px: Float[np.ndarray, "s 2"]) -> tuple[int, float] | Non
     jump, rest = parts(index)
     size_px = float(np.linalg.norm(jump))
     scatter_px = float(np.median(np.linalg.norm(rest, axis=1)))
-    return (index, size_px) if size_px > TUNING.answer.moved_scatters * scatter_px else None
+    return (index, size_px) if size_px > moved_scatters * scatter_px else None

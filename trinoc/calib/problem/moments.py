@@ -20,7 +20,6 @@ from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.robust_fit import errors_px, place_errors_in_sigmas
 from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, RigState
 from trinoc.calib.problem.views import ViewTable, shot_capacity
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
@@ -55,7 +54,7 @@ def find_other_moments(problem: Problem) -> list[OtherMoment]:
     others = []
     for shot, images in images_by_shot.items():
         remaining, value = list(images), excess_by_shot[shot]
-        while value > TUNING.problem.other_moment * usual:
+        while value > problem.tuning.problem.other_moment * usual:
             without = {k: excess([j for j in remaining if j != k]) for k in remaining}
             # Of two images either may be the other one: the first keeps the shot.
             worst = (
@@ -147,7 +146,7 @@ def _pose_equations(
     for k, view in enumerate(problem.views):
         length = np.linalg.norm(whitened[k], axis=1)[: view.rows][view.kept]
         if len(length):
-            scale[k] = TUNING.problem.gate * max(float(np.median(length)), 1e-9)
+            scale[k] = problem.tuning.problem.gate * max(float(np.median(length)), 1e-9)
     loss = GemanMcClure.from_scale(scale)
     parts = _by_view(problem.state, problem.parametrization, problem.table, loss)
     information, gradient = (np.asarray(part)[:count] for part in parts)

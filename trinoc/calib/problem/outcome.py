@@ -132,15 +132,17 @@ def jackknife_covariance(
 
 class ShotScatter(NamedTuple):
     """factor : variance of the shots' pulls over what their places' sigmas say.
-    sigma : of that factor, where it is 1."""
+    sigma : of that factor, where it is 1.
+    largest_sigmas : beyond so many sigmas of it the shots refute a factor of 1."""
 
     factor: float
     sigma: float
+    largest_sigmas: float = TUNING.problem.shots_sigmas
 
     @property
     def variance_factor(self) -> float:
         """What the covariance is to be multiplied by: 1 unless the shots refute it."""
-        return self.factor if self.factor > 1.0 + TUNING.problem.shots_sigmas * self.sigma else 1.0
+        return self.factor if self.factor > 1.0 + self.largest_sigmas * self.sigma else 1.0
 
 
 def shot_scatter(
@@ -167,9 +169,10 @@ def shot_scatter(
     squares = float(np.einsum("sij,sji->", products, products))
     expected = float(np.einsum("sii->", products)) - squares
     if expected < 0.5:
-        return ShotScatter(1.0, float("inf"))
+        return ShotScatter(1.0, float("inf"), information.tuning.problem.shots_sigmas)
     found = float(np.einsum("si,ij,sj->", pulls, covariance, pulls))
-    return ShotScatter(found / expected, float(np.sqrt(2.0 * squares) / expected))
+    sigma = float(np.sqrt(2.0 * squares) / expected)
+    return ShotScatter(found / expected, sigma, information.tuning.problem.shots_sigmas)
 
 
 def enlarge_covariance(

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.problem.variables import HeadSlices, Parametrization, Priors, RigState
 from trinoc.calib.problem.views import View, ViewTable, view_table
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
 from trinoc.geometry.lenses.registry import stack_lenses
 from trinoc.geometry.pose import Pose
@@ -35,6 +36,7 @@ class Problem(NamedTuple):
     sigma_factor : (c,) by how much the places' sigmas are multiplied for each camera.
     spent : how many numbers the residuals determine of where the board's places lie.
     spent_on_lenses : how many they determine of what has a prior in the lenses.
+    tuning : constants of the method, which every step of the fit reads.
     """
 
     views: tuple[View, ...]
@@ -45,6 +47,7 @@ class Problem(NamedTuple):
     sigma_factor: Float[np.ndarray, "c"]
     spent: float = 0.0
     spent_on_lenses: float = 0.0
+    tuning: CalibTuning = TUNING
 
     @property
     def slices(self) -> HeadSlices:

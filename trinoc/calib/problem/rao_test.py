@@ -68,14 +68,13 @@ class RaoTest(NamedTuple):
         return float(fdtrc(self.freedom, freedom, ratio)) if self.freedom else 1.0
 
 
-def unseen_sigmas(chance: float, freedom: int) -> float:
-    """Size of an error, in sigmas, that a test at this chance detects with `answer.power`.
+def unseen_sigmas(chance: float, freedom: int, power: float = TUNING.answer.power) -> float:
+    """Size of an error, in sigmas, that a test at this chance detects with this power.
 
     W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic Commission,
     1968, by the noncentral chi-square law.
     """
-    unseen = 1.0 - TUNING.answer.power
-    return float(np.sqrt(chndtrinc(chdtri(freedom, chance), freedom, unseen)))
+    return float(np.sqrt(chndtrinc(chdtri(freedom, chance), freedom, 1.0 - power)))
 
 
 def judge_pull(
@@ -152,9 +151,9 @@ class HeldScore(NamedTuple):
         )
 
 
-def is_refuted(chance: float, causes: int) -> bool:
+def is_refuted(chance: float, causes: int, limit: float = TUNING.answer.chance) -> bool:
     """Whether noise hardly makes the strongest of so many causes, by its chance, what it is."""
-    return chance * causes < TUNING.answer.chance
+    return chance * causes < limit
 
 
 def explain_pull(

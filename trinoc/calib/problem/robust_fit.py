@@ -11,7 +11,7 @@ from trinoc.calib.problem.places import residuals_px, whitened_residuals
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.solver import LEAST_DAMPING, solve
 from trinoc.calib.problem.views import SheetPoints
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, ProblemTuning
 from trinoc.numerics.precision import as_numpy
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
@@ -36,14 +36,17 @@ def robust_scale(whitened: Float[np.ndarray, "m 2"]) -> float:
 
 
 def inliers(
-    whitened: Float[np.ndarray, "m 2"], scale: float | None = None
+    whitened: Float[np.ndarray, "m 2"],
+    scale: float | None = None,
+    gate: float = TUNING.problem.gate,
 ) -> Bool[np.ndarray, "m"]:
     """Return which places have an error that noise explains.
 
     scale : standard deviation of the errors; their own `robust_scale` unless given.
+    gate : largest error that noise explains, in standard deviations.
     """
     scale = robust_scale(whitened) if scale is None else scale
-    return np.linalg.norm(whitened, axis=1) <= TUNING.problem.gate * scale
+    return np.linalg.norm(whitened, axis=1) <= gate * scale
 
 
 class RobustFit(NamedTuple):
@@ -90,7 +93,7 @@ def anneal(
     suspects : the views whose places are bounded, each by its own scatter. Unless given, all views
     are, by the scatter of all.
     """
-    for factor in TUNING.problem.annealing:
+    for factor in problem.tuning.problem.annealing:
         errors = _used_rows(problem, place_errors_in_sigmas(problem))
         scale = np.full(len(problem.views), np.inf)
         if suspects is None:
@@ -111,7 +114,7 @@ def fit_without_wrong_places(problem: Problem, suspects: Sequence[int]) -> tuple
     errors = _used_rows(problem, place_errors_in_sigmas(problem))
     for k in suspects:
         used = views[k].used.copy()
-        used[used] = inliers(errors[k])
+        used[used] = inliers(errors[k], gate=problem.tuning.problem.gate)
         views[k] = views[k]._replace(used=used)
     return fit_places(problem._replace(views=tuple(views)), first_damping=LEAST_DAMPING)
 
@@ -207,7 +210,7 @@ def drop_wrong_places(
     if errors is None:
         errors = place_errors_in_sigmas(problem)
     pixels = errors_px(problem)
-    views, elsewhere = list(problem.views), []
+    views, elsewhere, tuning = list(problem.views), [], problem.tuning.problem
     for camera in range(problem.cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == camera]
         # Unused places have residuals of zero.
@@ -220,12 +223,12 @@ def drop_wrong_places(
             continue
         of_camera = robust_scale(np.concatenate(list(own.values())))
         for k, whitened in own.items():
-            most = TUNING.problem.noisiest_image * of_camera
+            most = tuning.noisiest_image * of_camera
             scale = float(np.clip(robust_scale(whitened), of_camera, most))
-            right = inliers(whitened, scale)
+            right = inliers(whitened, scale, tuning.gate)
             view, used = problem.views[k], problem.views[k].used.copy()
             used[used] = right
-            if right.mean() < TUNING.problem.fewest_agree:
+            if right.mean() < tuning.fewest_agree:
                 miss_px = float(np.median(np.linalg.norm(pixels[k], axis=1)))
                 elsewhere.append((view.camera, view.shot, miss_px))
                 used[:] = False
@@ -245,7 +248,7 @@ def with_sigma_factors(
     by their numbers of residuals.
 
     The variance of an image's places is its camera's and its own, weighted by their numbers of
-    degrees of freedom, where the camera's counts as `TUNING.problem.image_prior`: weights of groups
+    degrees of freedom, where the camera's counts as `ProblemTuning.image_prior`: weights of groups
     of observations by their residuals, as in variance component estimation.
     """
     if squared is None:
@@ -267,11 +270,11 @@ def with_sigma_factors(
         ratio = np.array([views[k].sigma_ratio for k in rows])
         chi_square = squared[rows] * (factor[camera] * ratio) ** 2
         if all(views[k].shown is None for k in rows) and len(rows) >= _FEWEST_IMAGES:
-            ratio = _image_ratios(chi_square, freedom[rows])
+            ratio = _image_ratios(chi_square, freedom[rows], problem.tuning.problem)
             for k, each in zip(rows, ratio.tolist()):
                 views[k] = views[k]._replace(sigma_ratio=each)
         reduced = float(np.sum(chi_square / ratio**2) / total)
-        refuted = reduced > 1.0 + TUNING.problem.refuted_sigmas * np.sqrt(2.0 / total)
+        refuted = reduced > 1.0 + problem.tuning.problem.refuted_sigmas * np.sqrt(2.0 / total)
         if refuted or not are_known:
             factor[camera] = np.sqrt(max(reduced, 1e-12))
         else:
@@ -280,15 +283,13 @@ def with_sigma_factors(
 
 
 def _image_ratios(
-    chi_square: Float[np.ndarray, "v"], freedom: Float[np.ndarray, "v"]
+    chi_square: Float[np.ndarray, "v"], freedom: Float[np.ndarray, "v"], tuning: ProblemTuning
 ) -> Float[np.ndarray, "v"]:
     """Scatter of each image over that of its camera, which lies within fixed bounds."""
-    prior = TUNING.problem.image_prior
+    prior = tuning.image_prior
     typical = float(np.median(chi_square / np.maximum(freedom, 1e-9)))
     variance = (chi_square / max(typical, 1e-300) + prior) / (freedom + prior)
-    return np.clip(
-        np.sqrt(variance), 1 / TUNING.problem.noisiest_image, TUNING.problem.noisiest_image
-    )
+    return np.clip(np.sqrt(variance), 1 / tuning.noisiest_image, tuning.noisiest_image)
 
 
 def degrees_of_freedom(problem: Problem) -> int:

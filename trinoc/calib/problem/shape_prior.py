@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import first_places, list_boards
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 
 # numerical: polynomials that the corners of a small board do not tell apart have less of the norm.
 _DEPENDENT = 1e-6
@@ -97,12 +97,14 @@ class ShapePrior(NamedTuple):
         return float(len(covariance_mm2) - np.sum(self.information * covariance_mm2))
 
 
-def shape_prior(target: AbstractTarget, spread_mm: float) -> ShapePrior:
+def shape_prior(
+    target: AbstractTarget, spread_mm: float, tuning: CalibTuning = TUNING
+) -> ShapePrior:
     """The prior of a board, or of a set of boards, before any image.
 
     spread_mm : standard deviation of single corners, and of each smooth amplitude, to start from.
     """
-    flatness, shear = TUNING.uncertainty.flatness_mm, TUNING.problem.shear
+    flatness, shear = tuning.uncertainty.flatness_mm, tuning.problem.shear
     boards = [
         _smooth_parts(np.asarray(board.centres_mm)[:, :2], int(first), len(target))
         for first, board in zip(first_places(target), list_boards(target), strict=True)

@@ -163,9 +163,13 @@ class BentPaper(AbstractSheet):
 
     @classmethod
     def sigmas(
-        cls, print_size: float, print_lengths: tuple[float, float], flatness_mm: float
+        cls,
+        print_size: float,
+        print_lengths: tuple[float, float],
+        flatness_mm: float,
+        height_shares: tuple[float, float, float] = TUNING.problem.height_shares,
     ) -> Float[np.ndarray, "w"]:
         """Standard deviations of `names`: shares of a length, then mm."""
-        shares: dict[int, float] = dict(zip((2, 3, 4), TUNING.problem.height_shares, strict=True))
+        shares: dict[int, float] = dict(zip((2, 3, 4), height_shares, strict=True))
         heights = [shares[len(term)] * flatness_mm for term in cls.height_terms]
         return np.array([print_size, *print_lengths, *heights])

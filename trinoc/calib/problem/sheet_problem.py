@@ -19,6 +19,7 @@ from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, Priors, RigState
 from trinoc.calib.problem.views import LINE_PIECES, SheetPoints, View, pad_count
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import CAMERAS_AT_ONCE, Systematics
 from trinoc.errors import check_kind
 from trinoc.geometry.intrinsics import Intrinsics
@@ -113,10 +114,12 @@ class SheetPriors:
     ------
     pose_model : the parameters of each pose that the user wants.
     systematics : standard deviations of what is not exact.
+    tuning : constants of the method.
     """
 
     pose_model: PoseModel
     systematics: Systematics
+    tuning: CalibTuning = TUNING
 
     def __post_init__(self) -> None:
         """Raise InputError for something else, or a sigma that is negative or not finite."""
@@ -163,7 +166,10 @@ def sheet_problem(
         if one.lens_factor is not None and is_real[k]:
             basis[k], lens_information[k], lens_free[k] = _lens_prior(one.lens_factor, scale[k])
     sigma = BentPaper.sigmas(
-        systematics.print_size_sigma, systematics.print_scale_sigma, systematics.flatness_mm
+        systematics.print_size_sigma,
+        systematics.print_scale_sigma,
+        systematics.flatness_mm,
+        priors.tuning.problem.height_shares,
     )
     reach_mm = max(float(np.hypot(*_places_mm(one, target).T[:2]).max()) for one in cameras)
     unit_mm = np.median([_reach_of_camera_mm(one, target) for one in cameras])
@@ -208,7 +214,13 @@ def sheet_problem(
         for k, one in enumerate(cameras)
     )
     return Problem(
-        views, target, state, parametrization, shots=1, sigma_factor=np.ones(len(padded))
+        views,
+        target,
+        state,
+        parametrization,
+        shots=1,
+        sigma_factor=np.ones(len(padded)),
+        tuning=priors.tuning,
     )
 
 

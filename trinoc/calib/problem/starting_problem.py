@@ -18,6 +18,7 @@ from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, Priors, R
 from trinoc.calib.problem.views import View, shot_capacity
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import list_boards
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import PoseModel
@@ -36,6 +37,7 @@ def start_problem(
     freedom: Freedom,
     systematics: Systematics,
     set_from_board: Float[np.ndarray, "b 3 4"] | None = None,
+    tuning: CalibTuning = TUNING,
 ) -> Problem:
     """The problem at its start. The first camera, and of several boards the first, stay in place.
 
@@ -89,7 +91,7 @@ def start_problem(
         has_circles=bool(np.any(target.radius_mm > 0)),
     )
     factor = np.ones(len(cam_from_rig))
-    problem = Problem(tuple(views), target, state, parametrization, shots, factor)
+    problem = Problem(tuple(views), target, state, parametrization, shots, factor, tuning=tuning)
     return with_lens_free(problem, freedom.free)
 
 

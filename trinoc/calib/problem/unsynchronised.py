@@ -39,7 +39,6 @@ from trinoc.calib.problem.robust_fit import (
 )
 from trinoc.calib.problem.variables import POSE_SIZE, step_motion
 from trinoc.calib.problem.views import SheetPoints, View
-from trinoc.calib.tuning.every_group import TUNING
 
 # numerical: rounds in which the cameras' poses and the covariance of the motion follow each other.
 _ROUNDS = 3
@@ -63,7 +62,7 @@ def with_images_apart(fit: RobustFit) -> RobustFit | None:
     poses = fit_image_poses(problem)
     used = [k for k, view in enumerate(problem.views) if view.used.any()]
     noise = float(np.median(_reduced_chi_square(problem, poses)[used]))
-    if excess < TUNING.problem.moments_differ * noise:
+    if excess < problem.tuning.problem.moments_differ * noise:
         return None
     # Places that were right for one pose of the shot may be wrong for that of their image.
     problem, elsewhere = drop_wrong_places(problem, _errors_in_sigmas(problem, poses))

@@ -23,7 +23,10 @@ def drop_wrong_circles(problem: Problem) -> Problem:
             continue
         circles = {k: _circles(views[k], problem) for k in own}
         every = [_in_sigmas(views[k].shown, errors[k], circles[k]) for k in own]
-        right = np.split(inliers(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1])
+        right = np.split(
+            inliers(np.concatenate(every), gate=problem.tuning.problem.gate),
+            np.cumsum([len(e) for e in every])[:-1],
+        )
         for k, is_right in zip(own, right, strict=True):
             shown, detection = views[k].shown, views[k].detection
             assert shown is not None

@@ -16,7 +16,7 @@ from trinoc.calib.result.halves import CrossValidation, HalvesCheck
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import list_boards
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, AnswerTuning
 from trinoc.calib.uncertainty.pixel_sigma import PixelSigma, compute_pixel_sigma
 from trinoc.calib.uncertainty.propagation import MAP_PLACES, field_places_px, field_sigma_px
 from trinoc.errors import CalibrationError, InputError, list_names
@@ -45,6 +45,7 @@ class Alternative(NamedTuple):
     unseen : of changes that the residuals may well not show, the one that moves the camera most.
     unseen_strain : by how many of its sigmas that would move the camera.
     unseen_motion : (p,) change of the camera's parameters by `unseen`, degrees and mm.
+    tuning : chances and strains beyond which the test counts.
     """
 
     name: str
@@ -57,17 +58,18 @@ class Alternative(NamedTuple):
     unseen: Float[np.ndarray, "k"]
     unseen_strain: float
     unseen_motion: Float[np.ndarray, "p"]
+    tuning: AnswerTuning = TUNING.answer
 
     @property
     def found(self) -> bool:
         """Whether noise alone would hardly make it."""
-        return self.p_value < TUNING.answer.chance
+        return self.p_value < self.tuning.chance
 
     @property
     def is_strained(self) -> bool:
         """Whether noise alone would rarely make it, and it would move the camera far."""
-        is_rare = self.p_value < TUNING.answer.chance_where_strained
-        return is_rare and self.strain > TUNING.answer.strain_sigmas
+        is_rare = self.p_value < self.tuning.chance_where_strained
+        return is_rare and self.strain > self.tuning.strain_sigmas
 
 
 class CameraFit(Value):

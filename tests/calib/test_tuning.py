@@ -1,0 +1,51 @@
+"""The constants of calibration are arguments: another value changes the answer, the default none."""
+
+import dataclasses
+
+import numpy as np
+
+from tests.calib.made_shots import BOARD, shots
+from tests.calib.simulated import EXACT, TABLE_1, camera_of, reference_sheet, simulated_detection
+from trinoc.calib import CalibrationResult, calibrate_detections
+from trinoc.calib.lens_calibration import calibrate_intrinsics
+from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
+
+
+def with_gate(gate: float) -> CalibTuning:
+    """The default, but for the gate beyond which a corner or circle was located wrongly."""
+    return dataclasses.replace(TUNING, problem=dataclasses.replace(TUNING.problem, gate=gate))
+
+
+def left_out(result: CalibrationResult) -> int:
+    return sum(int((~fit.used).sum()) for fit in result.fits.values())
+
+
+def test_a_tighter_gate_leaves_out_more_corners_of_a_rig() -> None:
+    given = shots(count=6)
+    default, same = (calibrate_rig(given, BOARD, throw=False) for _ in range(2))
+    strict = calibrate_rig(given, BOARD, throw=False, tuning=with_gate(2.0))
+    again = calibrate_rig(given, BOARD, throw=False, tuning=CalibTuning())
+    assert left_out(strict) > left_out(default) == 0
+    np.testing.assert_array_equal(default.values, again.values)
+    np.testing.assert_array_equal(default.values, same.values)
+
+
+def test_a_tighter_gate_leaves_out_more_corners_of_a_lens() -> None:
+    given = shots(count=8, cameras=("left",))["left"]
+    results = [
+        calibrate_intrinsics(given, BOARD, throw=False, tuning=with_gate(gate))
+        for gate in (6.0, 2.0)
+    ]
+    assert left_out(results[1]) > left_out(results[0]) == 0
+
+
+def test_a_tighter_gate_leaves_out_more_circles_of_a_sheet() -> None:
+    sheet = reference_sheet()
+    seen = {"left": simulated_detection(camera_of(TABLE_1["left"]), sheet, seed=1)}
+    lens = camera_of(TABLE_1["left"]).intrinsics
+    default, strict = (
+        calibrate_detections(seen, sheet, lens, systematics=EXACT, tuning=with_gate(gate))
+        for gate in (6.0, 1.5)
+    )
+    assert left_out(strict) > left_out(default) == 0
