@@ -1,4 +1,4 @@
-"""The constants of calibration are arguments: another value changes the answer, the default none."""
+"""The constants of calibration are arguments: another value changes the answer."""
 
 import dataclasses
 
