@@ -44,6 +44,29 @@ def is_marked(lines, node):
     return False
 
 
+# Rooms of `calib` whose functions take the tuning as an argument.
+PASSED_ON = ("calib/detection", "calib/starts")
+
+
+@pytest.mark.parametrize("part", PASSED_ON)
+def test_a_room_reads_the_default_tuning_only_as_the_default_of_an_argument(part):
+    wrong = []
+    for path in PARTS[part]:
+        nodes = list(ast.walk(parse_file(path)))
+        defaults = [
+            default
+            for node in nodes
+            if isinstance(node, ast.FunctionDef)
+            for default in (*node.args.defaults, *node.args.kw_defaults)
+        ]
+        wrong += [
+            f"{path.relative_to(ROOT)}:{node.lineno}"
+            for node in nodes
+            if isinstance(node, ast.Name) and node.id == "TUNING" and node not in defaults
+        ]
+    assert wrong == []
+
+
 @pytest.mark.parametrize("part", PARTS)
 def test_a_number_stands_in_tuning_or_is_marked_as_numerical(part):
     wrong = []

@@ -20,6 +20,7 @@ from trinoc.calib import BoardSet, CalibrationResult, Detection
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.starts.connected import solve_hand_eye
 from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry import Pose
 from trinoc.geometry.lenses.polynomial import BrownConrady
@@ -152,7 +153,7 @@ def by_opencv(found: dict[str, list], name: str) -> dict[str, float]:
             ]
         )
         first += len(board)
-    motions = solve_hand_eye(*([Pose(pose) for pose in each] for each in poses))
+    motions = solve_hand_eye(*([Pose(pose) for pose in each] for each in poses), TUNING)
     assert motions is not None
     cameras, boards = (pose.cam_from_world for pose in motions)
     return own | errors([np.eye(3, 4), cameras], [np.eye(3, 4), boards], name)

@@ -37,6 +37,7 @@ from trinoc.calib.result.summary import fixed_boards
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.starts.connected import solve_hand_eye
 from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import Pose
@@ -172,7 +173,7 @@ def test_motions_that_turn_about_one_axis_leave_something_open():
     first = board_poses(5)
     second = [Pose(chained(chained(cameras, pose), boards)) for pose in first]
     first = [Pose(pose) for pose in first]
-    found = solve_hand_eye(first, second)
+    found = solve_hand_eye(first, second, TUNING)
     assert found is not None
     np.testing.assert_allclose(found.cameras.cam_from_world, cameras, atol=1e-8)
     np.testing.assert_allclose(found.boards.cam_from_world, boards, atol=1e-8)
@@ -182,8 +183,8 @@ def test_motions_that_turn_about_one_axis_leave_something_open():
         Pose(np.column_stack([turn, [9 * angle, 5.0, 600.0]]))
         for turn, angle in zip(turns, angles, strict=True)
     ]
-    assert solve_hand_eye(on_a_table, on_a_table) is None
-    assert solve_hand_eye(first[:2], second[:2]) is None
+    assert solve_hand_eye(on_a_table, on_a_table, TUNING) is None
+    assert solve_hand_eye(first[:2], second[:2], TUNING) is None
 
 
 def test_boards_that_nothing_connects_are_named():

@@ -59,8 +59,13 @@ def test_an_exchange_is_found_in_its_own_shot_alone():
             for k, (start, each) in enumerate(zip(starts, found, strict=True))
         ]
 
-    assert find_exchanged_pair(seen_by(("middle", "left", "right"), 2), poses, BOARD) == (0, 1)
-    assert find_exchanged_pair(seen_by(("middle", "right", "left"), 2), poses, BOARD) is None
+    assert find_exchanged_pair(seen_by(("middle", "left", "right"), 2), poses, BOARD, TUNING) == (
+        0,
+        1,
+    )
+    assert (
+        find_exchanged_pair(seen_by(("middle", "right", "left"), 2), poses, BOARD, TUNING) is None
+    )
 
 
 def test_folders_exchanged_as_a_whole_are_known_by_lenses_of_other_pictures_alone():

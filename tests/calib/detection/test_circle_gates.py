@@ -10,6 +10,7 @@ from tests.calib.simulated import TABLE_1, camera_of, reference_sheet
 from trinoc.calib import detect_pattern
 from trinoc.calib.detection.ellipse_fit import Ellipses
 from trinoc.calib.detection.quality_gate import are_plausible, select_agreeing
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.image_of_circle import image_of_circle_centre
 
 SHEET = reference_sheet()
@@ -45,7 +46,7 @@ def test_a_circle_of_another_shape_does_not_agree_though_it_lies_right() -> None
     shape = exact.shape_px2.copy()
     shape[5] = np.diag([1.3, 1 / 1.3]) @ shape[5] @ np.diag([1.3, 1 / 1.3])
     index = np.arange(len(shape))
-    good, _ = select_agreeing(exact._replace(shape_px2=shape), index, SHEET)
+    good, _ = select_agreeing(exact._replace(shape_px2=shape), index, SHEET, TUNING)
     assert np.flatnonzero(~good).tolist() == [5]
 
 

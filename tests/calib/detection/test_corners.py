@@ -6,6 +6,7 @@ import pytest
 
 from trinoc.calib.detection.corner_fit import fit_corners
 from trinoc.calib.detection.search_image import search_image
+from trinoc.calib.tuning.every_group import TUNING
 
 FINER, TILE_PX, EACH_WAY, RADIUS_PX = 6, 27, 11, 9.5
 # Sigmas are right to a quarter: those of 121 corners together are known to .05.
@@ -87,7 +88,7 @@ def test_corners_are_off_by_what_they_claim(deliver, look):
     squares = []
     for seed in (1, 5):
         grey = deliver(light, np.random.default_rng(seed))
-        found = fit_corners(search_image(grey), start, np.full(len(corners), RADIUS_PX))
+        found = fit_corners(search_image(grey), start, np.full(len(corners), RADIUS_PX), TUNING)
         off = found.places_px - corners
         squares.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance_px2), off))
     assert 1 / QUARTER < np.sqrt(np.mean(squares) / 2) < QUARTER
@@ -99,13 +100,13 @@ def test_a_window_without_information_spoils_no_other():
     light, corners = picture()
     grey = white(light, np.random.default_rng(1))
     radius_px = np.full(len(corners), RADIUS_PX)
-    before = fit_corners(search_image(grey), corners, radius_px)
+    before = fit_corners(search_image(grey), corners, radius_px, TUNING)
     x, y = np.rint(corners[5]).astype(int)
     for spoil in (120.0, 1e6):
         spoilt = grey.copy()
         spoilt[y - 12 : y + 13, x - 12 : x + 13] = 120.0
         spoilt[y, x] = spoil
-        after = fit_corners(search_image(spoilt), corners, radius_px)
+        after = fit_corners(search_image(spoilt), corners, radius_px, TUNING)
         assert np.isfinite(after.covariance_px2).all()
         assert np.linalg.eigvalsh(after.covariance_px2).min() > 0
         near = np.linalg.norm(corners - corners[5], axis=1) < 40
@@ -117,7 +118,7 @@ def test_where_there_is_no_corner_the_start_is_kept_and_says_little():
     grey = np.full((60, 90), 120.0)
     grey[:, :60] += np.random.default_rng(0).normal(0, 3, (60, 60))
     start = np.array([[20.3, 20.6], [40.2, 41.0], [0.5, 58.0], [75.1, 30.0]])
-    found = fit_corners(search_image(grey), start, np.full(4, RADIUS_PX))
+    found = fit_corners(search_image(grey), start, np.full(4, RADIUS_PX), TUNING)
     assert np.linalg.norm(found.places_px - start, axis=1).max() < 0.5 * RADIUS_PX
     assert np.isfinite(found.covariance_px2).all()
     assert np.sqrt(np.linalg.eigvalsh(found.covariance_px2)[:, 1]).min() > 0.5

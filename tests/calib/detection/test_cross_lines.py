@@ -7,6 +7,7 @@ from trinoc.calib.detection.cross_lines import fit_cross_lines
 from trinoc.calib.detection.plane_mapping import PlaneMapping
 from trinoc.calib.detection.search_image import SearchImage
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 
 # Lines between the circles of eight rows and columns, 3 pixels a millimetre, turned.
 SHEET = Pattern.cross_grid(rows=8, columns=8, pitch_mm=20.0, radius_mm=6.0)
@@ -36,7 +37,7 @@ def drawn_lines() -> SearchImage:
 
 def errors_px(image: SearchImage) -> np.ndarray:
     """Distances of points of the true lines along X and Y from the fitted ones."""
-    lines = fit_cross_lines(image, SHEET, mapping(), BLUR_PX)
+    lines = fit_cross_lines(image, SHEET, mapping(), BLUR_PX, TUNING)
     reach_px = 0.8 * PX_PER_MM * np.array(SHEET.line_half_length_mm)
     steps = np.linspace(-1, 1, 9)[:, None]
     return np.array(

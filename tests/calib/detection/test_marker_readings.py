@@ -16,6 +16,7 @@ from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import BoardSet
 from trinoc.calib.targets.checkers import Charuco, opencv_board
 from trinoc.calib.targets.markers import opencv_dictionary
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError, DetectionError
 
 CHARUCO = Charuco(rows=6, columns=8, square_mm=11.0, marker_mm=8.25, dictionary="4x4_50")
@@ -105,7 +106,7 @@ def test_a_pattern_that_differs_by_a_shift_is_named(legacy):
 def test_a_plain_print_is_named_where_another_one_is_stated(words):
     image, _ = picture(CHARUCO)
     stated = replace(CHARUCO, **PRINTS[words])
-    reading = find_marker_reading(image, stated)
+    reading = find_marker_reading(image, stated, TUNING)
     assert reading is not None
     assert reading.board == replace(CHARUCO, name=stated.name)
     assert words.replace("=yes", "=no").replace("8 columns=6", "6 columns=8") in refusal(
@@ -166,7 +167,7 @@ def test_nothing_is_claimed_without_markers_or_where_the_stated_board_is_in_view
     part[150:330, 220:420] = image[150:330, 220:420]
     noise = np.random.default_rng(0).integers(0, 255, image.shape).astype(np.uint8)
     for shown in (image, part, noise, np.full_like(image, 90)):
-        assert find_marker_reading(shown, board) is None
+        assert find_marker_reading(shown, board, TUNING) is None
     assert "no " in refusal(noise, board)
     assert "fits" not in refusal(noise, board)
     assert max(np.bincount(np.arange(len(searches)) // MOST_SEARCHES)) <= MOST_SEARCHES
@@ -279,5 +280,5 @@ def test_a_marker_of_another_sheet_does_not_shift_the_first_one():
     markers = {number: corners for number, corners in seen.items() if number < 95 + 20}
     markers[5] = markers[95] + 300.0
     stated = replace(printed, first=300)
-    readings = list(marker_readings._read_other_first(markers, stated))
+    readings = list(marker_readings._read_other_first(markers, stated, TUNING))
     assert [reading.board.first for reading in readings] == [95]

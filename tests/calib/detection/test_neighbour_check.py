@@ -5,6 +5,7 @@ import pytest
 
 from trinoc.calib.detection.neighbour_check import are_in_place, predict_from_neighbours
 from trinoc.calib.targets.checkers import Chessboard
+from trinoc.calib.tuning.every_group import TUNING
 
 BOARD = Chessboard(rows=6, columns=9, square_mm=25.0).centres_mm
 
@@ -23,9 +24,13 @@ def image_of(board_mm, *, tilt=0.0015, bend=-0.3, seed=0, noise_px=0.1):
     return pixels + random.normal(0, noise_px, pixels.shape)
 
 
+def in_place(board_mm, corners_px):
+    return are_in_place(board_mm, corners_px, TUNING.detection.out_of_place_share, TUNING)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_right_corners_are_in_place_whatever_tilt_and_lens(seed):
-    assert are_in_place(BOARD, image_of(BOARD, seed=seed)).all()
+    assert in_place(BOARD, image_of(BOARD, seed=seed)).all()
 
 
 @pytest.mark.parametrize("wrong", [0, 8, 13, 30, 53])
@@ -35,16 +40,16 @@ def test_a_corner_aside_is_named_alone(wrong, share):
     spacing = np.linalg.norm(pixels[1] - pixels[0])
     direction = np.array([np.cos(wrong), np.sin(wrong)])
     pixels[wrong] += share * spacing * direction
-    assert np.flatnonzero(~are_in_place(BOARD, pixels)).tolist() == [wrong]
+    assert np.flatnonzero(~in_place(BOARD, pixels)).tolist() == [wrong]
 
 
 def test_a_part_of_the_board_with_gaps_is_tested_too():
     random = np.random.default_rng(3)
     rows = np.sort(random.permutation(len(BOARD))[:20])
     pixels = image_of(BOARD)[rows]
-    assert are_in_place(BOARD[rows], pixels).all()
+    assert in_place(BOARD[rows], pixels).all()
     pixels[7] += 25.0
-    assert np.flatnonzero(~are_in_place(BOARD[rows], pixels)).tolist() == [7]
+    assert np.flatnonzero(~in_place(BOARD[rows], pixels)).tolist() == [7]
 
 
 def test_the_prediction_has_the_stated_noise():

@@ -3,6 +3,7 @@
 import numpy as np
 
 from trinoc.calib.detection.window_noise import WindowPixels, sandwich_covariance
+from trinoc.calib.tuning.every_group import TUNING
 
 RADIUS_PX, SPREAD_PX = 4, 1.3
 
@@ -29,7 +30,7 @@ def fitted_covariance(noise_sigma: np.ndarray, seed: int = 0) -> tuple[np.ndarra
     centre = np.full((count, 2), float(RADIUS_PX))
     jacobian, covariance = of_each(jacobian).astype(np.float32), of_each(covariance)
     found = sandwich_covariance(
-        pixels, centre, residual.astype(np.float32), jacobian, covariance, (0, 1)
+        pixels, centre, residual.astype(np.float32), jacobian, covariance, (0, 1), TUNING
     )
     return found, covariance[:, :2, :2]
 

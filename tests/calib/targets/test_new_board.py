@@ -54,7 +54,7 @@ class Steps(AbstractSquareBoard):
         return [CellGrid(np.eye(self.rows, dtype=bool)[::-1], self.square_mm, np.zeros(2))]
 
 
-def detect_steps(image, board):
+def detect_steps(image, board, tuning):
     """Corners of a picture that is square to the board and a millimetre a pixel."""
     middle = 0.5 * np.array(image.shape[::-1]) - 0.5
     places = board.centres_mm * [1.0, -1.0] + middle

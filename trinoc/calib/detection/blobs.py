@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection.ellipse_pixels import inverse_square_root
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 
 # numerical: for time: no circle that can be measured has an outline of fewer pixels.
 _SHORTEST_OUTLINE_PX = 8
@@ -47,21 +47,25 @@ class BlobScale(NamedTuple):
     closing_px: int = 0
 
 
-def find_blobs(grey: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale) -> Blobs:
+def find_blobs(
+    grey: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale, tuning: CalibTuning
+) -> Blobs:
     """Connected dark regions of a round enough shape."""
     smooth = cv2.GaussianBlur(grey, (0, 0), scale.smoothing_px)
-    dark = _dark(smooth, noise_sigma / (2 * np.sqrt(np.pi) * scale.smoothing_px), scale)
+    dark = _dark(smooth, noise_sigma / (2 * np.sqrt(np.pi) * scale.smoothing_px), scale, tuning)
     steps = (cv2.MORPH_OPEN, scale.opening_px), (cv2.MORPH_CLOSE, scale.closing_px)
     for step, side_px in steps:
         if side_px:
             kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side_px, side_px))
             dark = cv2.morphologyEx(dark, step, kernel)
-    return _moments(dark)
+    return _moments(dark, tuning)
 
 
-def _dark(smooth: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale) -> np.ndarray:
+def _dark(
+    smooth: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale, tuning: CalibTuning
+) -> np.ndarray:
     """Mask (0 or 1) of the pixels below the middle of their neighbourhood's extremes."""
-    block_px = TUNING.detection.block_px
+    block_px = tuning.detection.block_px
     height, width = smooth.shape
     # The picture is smooth, so every second pixel shows its extremes.
     half = np.ascontiguousarray(smooth[::2, ::2])
@@ -82,7 +86,7 @@ def _dark(smooth: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale
     return cv2.compare(smooth, full, cv2.CMP_LT)
 
 
-def _moments(dark: np.ndarray) -> Blobs:
+def _moments(dark: np.ndarray, tuning: CalibTuning) -> Blobs:
     """Ellipses with the moments of the regions' outer outlines; holes count as filled."""
     height, width = dark.shape
     outlines, hierarchy = cv2.findContours(dark, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
@@ -101,10 +105,10 @@ def _moments(dark: np.ndarray) -> Blobs:
     xx, xy, yy = (table[:, 3:] / area[:, None]).T
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 1e-9))
     roundness = area / (4 * np.pi * root)
-    least, most = TUNING.detection.roundness
+    least, most = tuning.detection.roundness
     keep = (roundness > least) & (roundness < most)
-    if np.sum(keep) > TUNING.detection.most_blobs:
-        keep &= area >= np.sort(area[keep])[-TUNING.detection.most_blobs]
+    if np.sum(keep) > tuning.detection.most_blobs:
+        keep &= area >= np.sort(area[keep])[-tuning.detection.most_blobs]
     centres = table[:, 1:3] / area[:, None]
     shape = 4.0 * np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)[keep]
     # Half a pixel more on every side, as outlines run through the centres of pixels.

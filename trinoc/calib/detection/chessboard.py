@@ -21,14 +21,16 @@ from trinoc.calib.detection.neighbour_check import are_in_place, predict_from_ne
 from trinoc.calib.detection.search_image import search_image
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.calib.targets.squares import dark_squares
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.errors import DetectionError
 
 _CLASSIC = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _EXHAUSTIVE = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
 
 
-def detect_chessboard(image: Shaped[np.ndarray, "..."], board: Chessboard) -> Detection:
+def detect_chessboard(
+    image: Shaped[np.ndarray, "..."], board: Chessboard, tuning: CalibTuning
+) -> Detection:
     """All inner corners of a chessboard, which must be seen whole.
 
     Where turning the board leaves its colours as they are, the labelling in which X points most
@@ -40,7 +42,7 @@ def detect_chessboard(image: Shaped[np.ndarray, "..."], board: Chessboard) -> De
     """
     picture = search_image(image)
     grey = levels_of_8_bit(picture.grey)
-    corners_px = _search(grey, board)
+    corners_px = _search(grey, board, tuning)
     if corners_px is None:
         raise DetectionError(
             f"No chessboard {board.name!r} of {board.rows} x {board.columns} inner corners was "
@@ -53,31 +55,33 @@ def detect_chessboard(image: Shaped[np.ndarray, "..."], board: Chessboard) -> De
         key=lambda index: -rightward_share(corners_px, board.centres_mm[index]),
     )
     # The search puts outer rows of slanted boards aside by some tenths of a pixel.
-    fitted = refine_corners(picture, grey, corners_px, distances_to_next(corners_px))
+    fitted = refine_corners(picture, grey, corners_px, distances_to_next(corners_px), tuning)
     return build_detection(np.stack(labellings), *fitted, picture.size_px)
 
 
-def _search(grey: UInt8[np.ndarray, "h w"], board: Chessboard) -> Float[np.ndarray, "n 2"] | None:
+def _search(
+    grey: UInt8[np.ndarray, "h w"], board: Chessboard, tuning: CalibTuning
+) -> Float[np.ndarray, "n 2"] | None:
     """Corners row by row, each within some pixels; None where no search finds the board.
 
     Large images are searched at a smaller size first: corners are refined in the image itself.
     """
-    scale = min(1.0, np.sqrt(TUNING.detection.most_searched_px / grey.size))
+    scale = min(1.0, np.sqrt(tuning.detection.most_searched_px / grey.size))
     small = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale,
                                                  interpolation=cv2.INTER_AREA)  # fmt: skip
-    share, best, most = TUNING.detection.first_out_of_place_share, None, 0
+    share, best, most = tuning.detection.first_out_of_place_share, None, 0
     grid_mm = board.centres_mm
     for image in (small,) if small is grey else (small, grey):
         for corners in _searches(image, (board.columns, board.rows)):
             # The middle of the first pixel is the origin at both sizes.
             corners_px = (corners + 0.5) * (grey.shape[1] / image.shape[1]) - 0.5
-            right = are_in_place(grid_mm, corners_px, share)
+            right = are_in_place(grid_mm, corners_px, share, tuning)
             if right.sum() > most:
                 best, most = corners_px, int(right.sum())
             if right.all():
                 return corners_px
-        if best is not None and most >= TUNING.detection.least_right_share * len(grid_mm):
-            return _move_into_place(grid_mm, best)
+        if best is not None and most >= tuning.detection.least_right_share * len(grid_mm):
+            return _move_into_place(grid_mm, best, tuning)
     return None
 
 
@@ -102,11 +106,11 @@ def _searches(
 
 
 def _move_into_place(
-    board_mm: Float[np.ndarray, "n 2"], corners_px: Float[np.ndarray, "n 2"]
+    board_mm: Float[np.ndarray, "n 2"], corners_px: Float[np.ndarray, "n 2"], tuning: CalibTuning
 ) -> Float[np.ndarray, "n 2"]:
     """The corners, with those that are something else moved to where their neighbours put them."""
     moved = corners_px.copy()
-    right = are_in_place(board_mm, corners_px, TUNING.detection.first_out_of_place_share)
+    right = are_in_place(board_mm, corners_px, tuning.detection.first_out_of_place_share, tuning)
     for wrong in np.flatnonzero(~right):
         rows = np.append(np.flatnonzero(right), wrong)
         moved[wrong] = predict_from_neighbours(board_mm[rows], corners_px[rows]).px[-1]

@@ -24,7 +24,7 @@ from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
 from trinoc.calib.detection.quality_gate import are_plausible
 from trinoc.calib.detection.search_image import SearchImage, search_image, shrink_image
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import DetectionError
 
 
@@ -41,23 +41,25 @@ class Sheet(NamedTuple):
     mapping: PlaneMapping
 
 
-def detect_circles(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detection:
+def detect_circles(
+    image: Shaped[np.ndarray, "..."], pattern: Pattern, tuning: CalibTuning
+) -> Detection:
     """The circles and crossed lines of a sheet in one picture: see `detect_pattern`."""
     picture = search_image(image)
-    symmetry = pattern_symmetry(pattern)
+    symmetry = pattern_symmetry(pattern, tuning)
     refusals: list[tuple[int, DetectionError]] = []
     # Dark circles on light paper, then light ones on dark.
     negative = picture._replace(grey=picture.grey.max() - picture.grey)
     for positive in (picture, negative):
-        for blobs in _find_blobs_by_scale(positive):
-            sheets = _find_sheets(positive, blobs, symmetry, refusals)
+        for blobs in _find_blobs_by_scale(positive, tuning):
+            sheets = _find_sheets(positive, blobs, symmetry, refusals, tuning)
             if len(sheets) > 1:
                 raise DetectionError(
                     f"The picture shows the sheet {pattern.name!r} more than once; leave one in"
                     " view."
                 )
             if sheets:
-                return _as_detection(positive, sheets[0], pattern)
+                return _as_detection(positive, sheets[0], pattern, tuning)
     if refusals:
         # The largest lattice is likeliest to be the sheet, so its refusal says most.
         raise max(refusals, key=lambda refusal: refusal[0])[1]
@@ -71,23 +73,23 @@ def _nothing_found(pattern: Pattern) -> DetectionError:
     )
 
 
-def circle_candidates(image: Shaped[np.ndarray, "..."]) -> Blobs:
+def circle_candidates(image: Shaped[np.ndarray, "..."], *, tuning: CalibTuning = TUNING) -> Blobs:
     """Dark regions of a picture that could be circles, whatever the pattern.
 
     image : as of `detect_pattern`, which searches at other scales too where these are no sheet.
     """
-    return next(_find_blobs_by_scale(search_image(image)))
+    return next(_find_blobs_by_scale(search_image(image), tuning))
 
 
-def _find_blobs_by_scale(picture: SearchImage) -> Iterator[Blobs]:
+def _find_blobs_by_scale(picture: SearchImage, tuning: CalibTuning) -> Iterator[Blobs]:
     # Circles are measured in the whole picture, whatever its size.
-    factor = max(1, round(max(picture.size_px) / TUNING.detection.search_side_px))
+    factor = max(1, round(max(picture.size_px) / tuning.detection.search_side_px))
     grey, noise = shrink_image(picture, factor)
-    *scales, of_doubled = (BlobScale(*each) for each in TUNING.detection.blob_scales)
+    *scales, of_doubled = (BlobScale(*each) for each in tuning.detection.blob_scales)
     for scale in scales:
-        yield find_blobs(grey, noise, scale).rescale(factor)
+        yield find_blobs(grey, noise, scale, tuning).rescale(factor)
     doubled = cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    yield find_blobs(doubled, noise, of_doubled).rescale(0.5 * factor)
+    yield find_blobs(doubled, noise, of_doubled, tuning).rescale(0.5 * factor)
 
 
 def _find_sheets(
@@ -95,12 +97,13 @@ def _find_sheets(
     blobs: Blobs,
     symmetry: PatternSymmetry,
     refusals: list[tuple[int, DetectionError]],
+    tuning: CalibTuning,
 ) -> list[Sheet]:
     """All sheets among the blobs; what was refused is added to `refusals`."""
     pattern, sheets = symmetry.pattern, list[Sheet]()
-    for lattice in find_lattices(blobs, symmetry):
+    for lattice in find_lattices(blobs, symmetry, tuning):
         try:
-            sheet = _read_sheet(picture, blobs, lattice, symmetry)
+            sheet = _read_sheet(picture, blobs, lattice, symmetry, tuning)
         except MirroredError:
             raise
         except DetectionError as refusal:
@@ -113,7 +116,11 @@ def _find_sheets(
 
 
 def _read_sheet(
-    image: SearchImage, blobs: Blobs, lattice: Lattice, symmetry: PatternSymmetry
+    image: SearchImage,
+    blobs: Blobs,
+    lattice: Lattice,
+    symmetry: PatternSymmetry,
+    tuning: CalibTuning,
 ) -> Sheet:
     """Label a lattice and measure all circles of the pattern that the picture shows.
 
@@ -125,20 +132,20 @@ def _read_sheet(
     pattern, cell = symmetry.pattern, lattice.cell.astype(float)
     centres = blobs.centres_px[lattice.blob]
     unit_radius = np.full(len(lattice), 1.0 / symmetry.pitch_radii)
-    mapping = fit_plane_mapping(cell, centres)
+    mapping = fit_plane_mapping(cell, centres, tuning=tuning)
     _, shape = mapping.ellipses(cell, unit_radius)
     found_area = np.sqrt(np.linalg.det(blobs.shape_px2[lattice.blob]))
     swelling = quick_median(found_area / np.sqrt(np.linalg.det(shape)))
-    coarse = fit_coarsely(image, centres, shape * swelling, symmetry.hole_ratio)
+    coarse = fit_coarsely(image, centres, shape * swelling, symmetry.hole_ratio, tuning)
     good = are_plausible(coarse, centres, shape, image.noise_sigma)
-    fewest = TUNING.detection.fewest_places
+    fewest = tuning.detection.fewest_places
     if np.sum(good) < fewest:
         raise _nothing_found(pattern)
     coarse, cell = coarse.take(good), lattice.cell[good]
-    index = label_circles(cell, _ring_evidence(coarse, symmetry), symmetry)
+    index = label_circles(cell, _ring_evidence(coarse, symmetry, tuning), symmetry, tuning)
     on_pattern = index >= 0
     ellipses, index, mapping = measure_circles(
-        image, coarse.take(on_pattern), index[on_pattern], symmetry
+        image, coarse.take(on_pattern), index[on_pattern], symmetry, tuning
     )
     if len(index) < fewest:
         count = f"Only {len(index)}" if len(index) else "None of the"
@@ -152,16 +159,18 @@ def _read_sheet(
     first = labellings[0]
     if not np.array_equal(first, index):
         centres_mm, radius_mm = pattern.centres_mm[first], pattern.radius_mm[first]
-        mapping = fit_plane_mapping(centres_mm, ellipses.centres_px, radius_mm)
+        mapping = fit_plane_mapping(centres_mm, ellipses.centres_px, radius_mm, tuning=tuning)
     return Sheet(labellings, ellipses, mapping)
 
 
-def _ring_evidence(fitted: Ellipses, symmetry: PatternSymmetry) -> Float[np.ndarray, "n"]:
+def _ring_evidence(
+    fitted: Ellipses, symmetry: PatternSymmetry, tuning: CalibTuning
+) -> Float[np.ndarray, "n"]:
     """Log odds of ring against disc; nothing where the pattern has no rings."""
     if symmetry.hole_ratio == 0.0:
         return np.zeros(len(fitted.hole))
     hole = np.clip(fitted.hole, -0.3, 1.3)
-    return (2.0 * hole - 1.0) / (2.0 * (fitted.hole_sigma**2 + TUNING.detection.hole_sigma**2))
+    return (2.0 * hole - 1.0) / (2.0 * (fitted.hole_sigma**2 + tuning.detection.hole_sigma**2))
 
 
 def _shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:
@@ -176,8 +185,12 @@ def _shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:
     return bool(np.nanmedian(miss2) < 1.0)
 
 
-def _as_detection(picture: SearchImage, sheet: Sheet, pattern: Pattern) -> Detection:
+def _as_detection(
+    picture: SearchImage, sheet: Sheet, pattern: Pattern, tuning: CalibTuning
+) -> Detection:
     circles, size_px = sheet.ellipses, picture.size_px
-    lines = fit_cross_lines(picture, pattern, sheet.mapping, float(quick_median(circles.blur_px)))
+    lines = fit_cross_lines(
+        picture, pattern, sheet.mapping, float(quick_median(circles.blur_px)), tuning
+    )
     found = circles.centres_px, circles.covariance_px2, size_px, circles.shape_px2
     return build_detection(sheet.index, *found, lines)

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.detection.ellipse_pixels import column_32 as _column, normal_cdf
 from trinoc.calib.detection.search_image import SearchImage
 from trinoc.calib.detection.window_noise import WindowPixels, sandwich_covariance
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton
 
 # numerical: parameters of a corner, in the order of the Jacobian's columns.
@@ -66,7 +67,10 @@ class _Windows(NamedTuple):
 
 
 def fit_corners(
-    image: SearchImage, start_px: Float[np.ndarray, "n 2"], radius_px: Float[np.ndarray, "n"]
+    image: SearchImage,
+    start_px: Float[np.ndarray, "n 2"],
+    radius_px: Float[np.ndarray, "n"],
+    tuning: CalibTuning,
 ) -> FittedCorners:
     """Each corner by the grey levels within a radius of it.
 
@@ -109,6 +113,7 @@ def fit_corners(
         jacobian / noise,
         independent,
         _ODD,
+        tuning,
     )
     covariance_px2[~shown] = radius_px[~shown, None, None] ** 2 * np.eye(2)
     return FittedCorners(np.where(shown[:, None], places_px, start_px), covariance_px2)

@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 
 from trinoc.calib.detection.corner_fit import FittedCorners, fit_corners
 from trinoc.calib.detection.search_image import SearchImage
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.numerics.joins import point_tree
 
 
@@ -16,6 +16,7 @@ def refine_corners(
     grey: UInt8[np.ndarray, "h w"],
     start_px: Float[np.ndarray, "n 2"],
     room_px: Float[np.ndarray, "n"],
+    tuning: CalibTuning,
 ) -> FittedCorners:
     """Corners as all that is around them shows them, from some px off.
 
@@ -25,7 +26,7 @@ def refine_corners(
 
     grey : the picture by `levels_of_8_bit`. room_px : beside each corner to the next thing.
     """
-    share, limits = TUNING.detection.refined_share, TUNING.detection.refined_half_px
+    share, limits = tuning.detection.refined_share, tuning.detection.refined_half_px
     half_px = np.clip(share * room_px, *limits)
     half = int(np.median(half_px))
     places = cv2.cornerSubPix(
@@ -35,8 +36,8 @@ def refine_corners(
         (-1, -1),
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3),
     )
-    fitted = fit_corners(image, places.reshape(-1, 2).astype(np.float64), half_px + 0.5)
-    floor_px2 = TUNING.detection.corner_floor_px**2 * np.eye(2)
+    fitted = fit_corners(image, places.reshape(-1, 2).astype(np.float64), half_px + 0.5, tuning)
+    floor_px2 = tuning.detection.corner_floor_px**2 * np.eye(2)
     return fitted._replace(covariance_px2=fitted.covariance_px2 + floor_px2)
 
 

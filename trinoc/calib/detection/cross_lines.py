@@ -14,7 +14,7 @@ from trinoc.calib.detection.ellipse_pixels import (
 from trinoc.calib.detection.plane_mapping import PlaneMapping
 from trinoc.calib.detection.search_image import SearchImage
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 
 # numerical: size of a sample.
 _STATIONS = 96
@@ -25,7 +25,11 @@ _REACH_BLURS = 3.0
 
 
 def fit_cross_lines(
-    image: SearchImage, pattern: Pattern, mapping: PlaneMapping, blur_px: float
+    image: SearchImage,
+    pattern: Pattern,
+    mapping: PlaneMapping,
+    blur_px: float,
+    tuning: CalibTuning,
 ) -> Float[np.ndarray, "2 3"]:
     """Images of the lines along X and along Y, unit normals; NaN where not seen.
 
@@ -37,8 +41,8 @@ def fit_cross_lines(
         return lines
     for axis in (0, 1):
         stations = _stations_mm(pattern, axis)
-        if len(stations) >= TUNING.detection.fewest_stations:
-            lines[axis] = _fit_line(image, stations, axis, pattern, mapping, blur_px)
+        if len(stations) >= tuning.detection.fewest_stations:
+            lines[axis] = _fit_line(image, stations, axis, pattern, mapping, blur_px, tuning)
     return lines
 
 
@@ -65,6 +69,7 @@ def _fit_line(
     pattern: Pattern,
     mapping: PlaneMapping,
     blur_px: float,
+    tuning: CalibTuning,
 ) -> Float[np.ndarray, "3"]:
     side = np.zeros(2)
     side[1 - axis] = 0.5 * pattern.line_width_mm
@@ -76,7 +81,7 @@ def _fit_line(
     reach = quick_median(half_width_px) + 2.5 * max(blur_px, 0.5) + 1.0
     inside = np.all((place > reach + 1) & (place < np.array(image.size_px) - reach - 2), axis=1)
     place, normal = place[inside], normal[inside]
-    if len(place) < TUNING.detection.fewest_stations:
+    if len(place) < tuning.detection.fewest_stations:
         return np.full(3, np.nan)
     steps = np.linspace(-2 * reach, 2 * reach, 2 * int(np.ceil(4 * reach)) + 1)
     at = (place[:, None] + steps[None, :, None] * normal[:, None]).astype(np.float32)
@@ -89,7 +94,7 @@ def _fit_line(
     mass = dark.sum(axis=1)
     mean_noise = max(image.noise_sigma, 1e-6) * np.sqrt(core.sum())
     seen = mass > max(4.0 * mean_noise, 0.35 * float(quick_median(mass)))
-    if np.sum(seen) < max(TUNING.detection.fewest_stations, 0.3 * len(mass)):
+    if np.sum(seen) < max(tuning.detection.fewest_stations, 0.3 * len(mass)):
         return np.full(3, np.nan)
     offset = (dark[seen] @ steps) / mass[seen]
     points = place[seen] + offset[:, None] * normal[seen]
@@ -112,10 +117,12 @@ def _robust_line(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3"]:
     return line
 
 
-def are_clear_of_lines(pattern: Pattern, index: Int[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+def are_clear_of_lines(
+    pattern: Pattern, index: Int[np.ndarray, "n"], tuning: CalibTuning
+) -> Bool[np.ndarray, "n"]:
     """Whether no line darkens the paper beside each circle, where its grey is read."""
     centre_mm = np.abs(pattern.centres_mm[index])
-    reach_mm = TUNING.detection.outer_radii * pattern.radius_mm[index, None]
+    reach_mm = tuning.detection.outer_radii * pattern.radius_mm[index, None]
     beside = centre_mm[:, ::-1] < reach_mm + 0.5 * pattern.line_width_mm
     along = centre_mm < reach_mm + np.array(pattern.line_half_length_mm)
     return ~np.any(beside & along, axis=1) | (pattern.line_width_mm == 0.0)

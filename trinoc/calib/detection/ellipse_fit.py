@@ -21,7 +21,7 @@ from trinoc.calib.detection.ellipse_pixels import (
     smallest_axis,
 )
 from trinoc.calib.detection.window_noise import WindowPixels, sandwich_covariance
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 
 # numerical: parameters of one circle, in the order of the Jacobian's columns.
 _CENTRE, _SHAPE, _BLUR, _PAPER, _INK = slice(0, 2), slice(2, 5), 5, 6, 7
@@ -137,6 +137,7 @@ def refine_ellipses(
     slope_sigma: Float[np.ndarray, "n"] | None,
     noise_sigma: float,
     outlier_shares: tuple[float, ...],
+    tuning: CalibTuning,
 ) -> Ellipses:
     """Gauss-Newton steps, one for each of `outlier_shares`, then the covariance.
 
@@ -152,18 +153,18 @@ def refine_ellipses(
     for share in outlier_shares:
         frame = inverse_square_root(state.shape_px2)
         jacobian, residual = _linearise(pixels, state, frame, hole_ratio, free_hole, free_slope)
-        kept = _keep_pixels(pixels, residual, state, share, noise_sigma)
+        kept = _keep_pixels(pixels, residual, state, share, noise_sigma, tuning)
         weighted = jacobian * kept[:, None, :]
         normal = (weighted @ np.swapaxes(jacobian, 1, 2)).astype(float)
         right = (weighted @ residual[:, :, None])[:, :, 0].astype(float)
         variance = _masked_mean(residual**2, kept) + 1e-12
-        _add_priors(normal, right, state, start, variance, slope_sigma)
+        _add_priors(normal, right, state, start, variance, slope_sigma, tuning)
         change = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
         change = np.where(np.isfinite(change), change, 0.0)
         state = _step_ellipses(state, frame, change, free_hole, free_slope)
     # Near the end the model is straight enough to carry the residual to the last step.
     residual = residual - (change.astype(np.float32)[:, None, :] @ jacobian)[:, 0]
-    kept = _keep_pixels(pixels, residual, state, outlier_shares[-1], noise_sigma)
+    kept = _keep_pixels(pixels, residual, state, outlier_shares[-1], noise_sigma, tuning)
     return _with_covariance(state, normal, pixels, residual, kept, noise_sigma, free_hole)
 
 
@@ -229,11 +230,12 @@ def _keep_pixels(
     state: Ellipses,
     share: float,
     noise_sigma: float,
+    tuning: CalibTuning,
 ) -> Bool[np.ndarray, "n p"]:
     """Pixels whose residual is no larger than noise and the sheet's usual misfit explain."""
     contrast = np.abs(state.paper * state.ink) + 1e-12
     relative = np.abs(residual) * _column(1.0 / contrast)
-    near = pixels.used & (relative < TUNING.detection.largest_misfit)
+    near = pixels.used & (relative < tuning.detection.largest_misfit)
     # Sharpening in the camera and the like leave residuals no single circle is to blame for.
     usual = float(quick_median(np.sqrt(_masked_mean(relative**2, near))))
     noise = 4.5 * noise_sigma / contrast
@@ -247,12 +249,13 @@ def _add_priors(
     start: Ellipses,
     variance: Float[np.ndarray, "n"],
     slope_sigma: Float[np.ndarray, "n"] | None,
+    tuning: CalibTuning,
 ) -> None:
     """Draw each blur to the sheet's and each slope to the start's; keep the equations regular."""
     diagonal = np.einsum("nkk->nk", normal)
     diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
     common = quick_median(state.blur_px)
-    weight = variance / (TUNING.detection.blur_width * common) ** 2
+    weight = variance / (tuning.detection.blur_width * common) ** 2
     diagonal[:, _BLUR] += weight
     right[:, _BLUR] += weight * (common - state.blur_px)
     if slope_sigma is not None:
@@ -323,6 +326,7 @@ def with_window_noise(
     slope_sigma: Float[np.ndarray, "n"],
     noise_sigma: float,
     outlier_share: float,
+    tuning: CalibTuning,
 ) -> Ellipses:
     """The ellipses with the covariance that the noise of their own pixels gives their centres.
 
@@ -331,10 +335,10 @@ def with_window_noise(
     """
     frame = inverse_square_root(fitted.shape_px2)
     jacobian, residual = _linearise(pixels, fitted, frame, hole_ratio, False, True)
-    kept = _keep_pixels(pixels, residual, fitted, outlier_share, noise_sigma)
+    kept = _keep_pixels(pixels, residual, fitted, outlier_share, noise_sigma, tuning)
     normal = ((jacobian * kept[:, None]) @ np.swapaxes(jacobian, 1, 2)).astype(float)
     variance = _masked_mean(residual**2, kept) + 1e-12
-    _add_priors(normal, np.zeros(normal.shape[:2]), fitted, start, variance, slope_sigma)
+    _add_priors(normal, np.zeros(normal.shape[:2]), fitted, start, variance, slope_sigma, tuning)
     inverse = np.linalg.inv(normal)
     half = int(max(np.abs(each[pixels.used]).max(initial=0) for each in (pixels.x, pixels.y)))
     column, row = (
@@ -348,6 +352,7 @@ def with_window_noise(
         rows,
         inverse,
         range(2),
+        tuning,
     )
     # What was known of the slope is off by its sigma.
     by_slope = inverse[:, _CENTRE, _SLOPE] * (variance / (slope_sigma + 1e-6))[:, None, None]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.errors import DetectionError, InputError
 
 # numerical: the corners of one cell of a lattice.
@@ -48,7 +48,7 @@ class PatternSymmetry(NamedTuple):
         return float(np.sqrt(abs(np.linalg.det(self.steps_mm)))) / self.radius_mm
 
 
-def pattern_symmetry(pattern: Pattern) -> PatternSymmetry:
+def pattern_symmetry(pattern: Pattern, tuning: CalibTuning) -> PatternSymmetry:
     """The lattice of a pattern.
 
     Raises
@@ -75,8 +75,8 @@ def pattern_symmetry(pattern: Pattern) -> PatternSymmetry:
         hole_ratio=float(np.median(ratio)) if np.any(rings) else 0.0,
         turns=turns,
         mirrors=mirrors,
-        symmetries=_symmetries(pattern, turns),
-        is_chiral=len(_symmetries(pattern, mirrors)) == 0,
+        symmetries=_symmetries(pattern, turns, tuning),
+        is_chiral=len(_symmetries(pattern, mirrors, tuning)) == 0,
     )
 
 
@@ -89,13 +89,15 @@ def _rigid_maps(
     return maps[np.all(np.abs(gram - np.eye(2)) < 0.1, axis=(1, 2))]
 
 
-def _symmetries(pattern: Pattern, maps: Int[np.ndarray, "turns 2 2"]) -> Int[np.ndarray, "k n"]:
+def _symmetries(
+    pattern: Pattern, maps: Int[np.ndarray, "turns 2 2"], tuning: CalibTuning
+) -> Int[np.ndarray, "k n"]:
     """Permutations of the circles by those maps of the lattice that leave the sheet as it is.
 
     The identity, if `maps` holds it, comes first.
     """
     ring_evidence = np.where(pattern.is_ring, 2.0, -2.0)
-    index, score = _placements(pattern.lattice, ring_evidence, pattern, maps)
+    index, score = _placements(pattern.lattice, ring_evidence, pattern, maps, tuning)
     same = index[score > len(pattern) - 0.5]
     is_identity = np.all(same == np.arange(len(pattern)), axis=1)
     return same[np.argsort(~is_identity, kind="stable")]
@@ -106,6 +108,7 @@ def _placements(
     ring_evidence: Float[np.ndarray, "m"],
     pattern: Pattern,
     maps: Int[np.ndarray, "turns 2 2"],
+    tuning: CalibTuning,
 ) -> tuple[Int[np.ndarray, "k m"], Float[np.ndarray, "k"]]:
     """Every turn and shift of the lattice on the pattern: (pattern index of each circle, -1 where
     the pattern has none; log likelihood)."""
@@ -125,7 +128,7 @@ def _placements(
         indices.append(np.where(inside, grid[at[..., 0], at[..., 1]], -1))
     index = np.concatenate(indices)
     sign = np.append(np.where(pattern.is_ring, 0.5, -0.5), 0.0)
-    score = np.where(index >= 0, sign[index] * ring_evidence, -TUNING.detection.outside_cost).sum(
+    score = np.where(index >= 0, sign[index] * ring_evidence, -tuning.detection.outside_cost).sum(
         axis=1
     )
     return index, score
@@ -135,6 +138,7 @@ def label_circles(
     cell: Int[np.ndarray, "m 2"],
     ring_evidence: Float[np.ndarray, "m"],
     symmetry: PatternSymmetry,
+    tuning: CalibTuning,
 ) -> Int[np.ndarray, "m"]:
     """Pattern index of each circle of a lattice, -1 where the pattern has none.
 
@@ -147,23 +151,27 @@ def label_circles(
     DetectionError : the picture is mirrored, it shows another pattern, or too little of the
         sheet is seen to tell where it lies.
     """
-    pattern, margin = symmetry.pattern, TUNING.detection.margin
-    ways, score = _placements(cell, ring_evidence, pattern, symmetry.turns)
-    index, allowed = ways[np.argmax(score)], int(TUNING.detection.most_wrong * len(cell))
+    pattern, margin = symmetry.pattern, tuning.detection.margin
+    ways, score = _placements(cell, ring_evidence, pattern, symmetry.turns, tuning)
+    index, allowed = ways[np.argmax(score)], int(tuning.detection.most_wrong * len(cell))
     rivals = ways[score > score.max() - margin]
     own = np.where(index >= 0, symmetry.symmetries[:, index], -1)
     is_ambiguous = not np.all(np.any(np.all(own == rivals[:, None], axis=2), axis=1))
     if symmetry.is_chiral:
-        mirrored, mirrored_score = _placements(cell, ring_evidence, pattern, symmetry.mirrors)
+        mirrored, mirrored_score = _placements(
+            cell, ring_evidence, pattern, symmetry.mirrors, tuning
+        )
         lead = mirrored_score.max() - score.max()
         is_ambiguous |= bool(lead > -margin)
-        wrong = _count_contradicting(mirrored[mirrored_score.argmax()], ring_evidence, pattern)
+        wrong = _count_contradicting(
+            mirrored[mirrored_score.argmax()], ring_evidence, pattern, tuning
+        )
         if lead > margin and wrong <= allowed:
             raise MirroredError(
                 f"The picture shows the sheet {pattern.name!r} mirrored; flip it left to"
                 " right, or photograph the printed side."
             )
-    wrong = _count_contradicting(index, ring_evidence, pattern)
+    wrong = _count_contradicting(index, ring_evidence, pattern, tuning)
     if wrong > allowed:
         raise DetectionError(
             f"The picture shows a grid of {len(cell)} circles, but {wrong} of them do not fit"
@@ -179,10 +187,13 @@ def label_circles(
 
 
 def _count_contradicting(
-    index: Int[np.ndarray, "m"], ring_evidence: Float[np.ndarray, "m"], pattern: Pattern
+    index: Int[np.ndarray, "m"],
+    ring_evidence: Float[np.ndarray, "m"],
+    pattern: Pattern,
+    tuning: CalibTuning,
 ) -> int:
     """Circles outside the pattern, or clearly a ring where it has a disc or the reverse."""
     is_ring = np.append(pattern.is_ring, False)[index]
-    clear = TUNING.detection.clear_log_odds
+    clear = tuning.detection.clear_log_odds
     misread = np.where(is_ring, ring_evidence < -clear, ring_evidence > clear)
     return int(np.sum((index < 0) | misread))

@@ -16,7 +16,7 @@ from trinoc.calib.detection.blobs import Blobs
 from trinoc.calib.detection.ellipse_pixels import inverse_square_root
 from trinoc.calib.detection.labels import PatternSymmetry
 from trinoc.calib.detection.plane_mapping import fit_plane_mapping
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 
 # numerical: a lattice grows by a cell to each side in a round, and ends when it does no more.
 _ROUNDS = 30
@@ -39,11 +39,13 @@ class Lattice(NamedTuple):
         return len(self.blob)
 
 
-def find_lattices(blobs: Blobs, symmetry: PatternSymmetry) -> Iterator[Lattice]:
+def find_lattices(
+    blobs: Blobs, symmetry: PatternSymmetry, tuning: CalibTuning
+) -> Iterator[Lattice]:
     """Lattices of a few blobs at least, each blob used once, as they are found."""
     # Cells of a lattice along each axis, at most.
     span = int(np.ptp(symmetry.pattern.lattice, axis=0).max()) + 3
-    relation = _Neighbours.of(blobs, symmetry)
+    relation = _Neighbours.of(blobs, symmetry, tuning)
     free = np.ones(len(blobs), dtype=bool)
     tried = np.zeros(len(blobs), dtype=bool)
     # Blobs amid the sheet have a neighbour on every side: start there.
@@ -52,8 +54,8 @@ def find_lattices(blobs: Blobs, symmetry: PatternSymmetry) -> Iterator[Lattice]:
             continue
         for corner in relation.cells_at(int(start), free):
             tried[corner.blob] = True
-            lattice = _grow(blobs, symmetry, corner, free, span)
-            if len(lattice) >= TUNING.detection.fewest_places:
+            lattice = _grow(blobs, symmetry, corner, free, span, tuning)
+            if len(lattice) >= tuning.detection.fewest_places:
                 free[lattice.blob] = False
                 yield lattice
                 break
@@ -69,7 +71,7 @@ class _Neighbours(NamedTuple):
     cosine: float
 
     @classmethod
-    def of(cls, blobs: Blobs, symmetry: PatternSymmetry) -> "_Neighbours":
+    def of(cls, blobs: Blobs, symmetry: PatternSymmetry, tuning: CalibTuning) -> "_Neighbours":
         frame = inverse_square_root(blobs.shape_px2)
         between = blobs.centres_px[None] - blobs.centres_px[:, None]
         offset = between @ frame
@@ -79,7 +81,7 @@ class _Neighbours(NamedTuple):
         step = np.linalg.norm(steps, axis=0)
         area = np.sqrt(np.linalg.det(blobs.shape_px2))
         ratio = area[:, None] / area[None]
-        largest, factor = TUNING.detection.largest_area_ratio, TUNING.detection.distance_factor
+        largest, factor = tuning.detection.largest_area_ratio, tuning.detection.distance_factor
         near = (ratio < largest) & (ratio > 1 / largest)
         near &= (mean > step.min() / factor) & (mean < step.max() * factor)
         cosine = float(steps[:, 0] @ steps[:, 1] / np.prod(step))
@@ -128,7 +130,12 @@ class _Neighbours(NamedTuple):
 
 
 def _grow(
-    blobs: Blobs, symmetry: PatternSymmetry, corner: Lattice, free: np.ndarray, span: int
+    blobs: Blobs,
+    symmetry: PatternSymmetry,
+    corner: Lattice,
+    free: np.ndarray,
+    span: int,
+    tuning: CalibTuning,
 ) -> Lattice:
     """Add the blobs that lie where the lattice predicts them, refit, and look further."""
     inverse_shape = np.linalg.inv(blobs.shape_px2)
@@ -137,7 +144,9 @@ def _grow(
     log_circle = -2.0 * np.log(symmetry.pitch_radii)
     lattice = corner
     for _ in range(_ROUNDS):
-        mapping = fit_plane_mapping(lattice.cell.astype(float), blobs.centres_px[lattice.blob])
+        mapping = fit_plane_mapping(
+            lattice.cell.astype(float), blobs.centres_px[lattice.blob], tuning=tuning
+        )
         cells = _cells_round(lattice.cell, span, reach=1 if len(lattice) < 8 else 2)
         cells = np.concatenate([lattice.cell, cells])
         place = mapping.apply(cells.astype(float))
@@ -147,11 +156,11 @@ def _grow(
         dy = blobs.centres_px[None, :, 1] - place[:, None, 1]
         miss = (a11 * dx + 2.0 * a12 * dy) * dx + a22 * dy * dy
         wrong_size = np.abs(log_area[None] - (log_enlargement + log_circle)[:, None])
-        miss[(wrong_size > np.log(TUNING.detection.area_factor)) | ~free[None]] = np.inf
+        miss[(wrong_size > np.log(tuning.detection.area_factor)) | ~free[None]] = np.inf
         nearest = np.argmin(miss, axis=1)
         best_cell = np.argmin(miss, axis=0)
         index = np.arange(len(cells))
-        good = (miss[index, nearest] < TUNING.detection.miss_radii**2) & (
+        good = (miss[index, nearest] < tuning.detection.miss_radii**2) & (
             best_cell[nearest] == index
         )
         grown = Lattice(nearest[good], cells[good])

@@ -19,12 +19,10 @@ from trinoc.calib.detection.search_image import SearchImage, search_image
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.checkers import Charuco, opencv_board
 from trinoc.calib.targets.markers import opencv_dictionary
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.errors import DetectionError
 from trinoc.numerics.joins import point_tree
 
-# numerical: the fewest tags that have as many corners.
-_FEWEST_TAGS = -(-TUNING.detection.fewest_places // 4)
 # numerical: neighbours of a marker whose positions it predicts, and how far the median one may be
 # off, over the distance between both: a wrong layout misses by about that distance.
 _NEIGHBOURS, _MOST_OFF = 3, 0.3
@@ -34,13 +32,15 @@ _MORE_IN_PLACE = 2
 _CELL_PX, _RIM_PX = 8, 2
 
 
-def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detection:
+def detect_charuco(
+    image: Shaped[np.ndarray, "..."], board: Charuco, tuning: CalibTuning
+) -> Detection:
     """The corners of a ChArUco board that the picture shows, whole or in part.
 
     Raises DetectionError where the picture shows no such board, or too little of it.
     """
     picture = search_image(image)
-    grey, fewest = levels_of_8_bit(picture.grey), TUNING.detection.fewest_places
+    grey, fewest = levels_of_8_bit(picture.grey), tuning.detection.fewest_places
     detector = cv2.aruco.CharucoDetector(opencv_board(board))
     plain = as_plain_print(grey, inverted=board.inverted, mirrored=board.mirrored)
     corners, index, marker_corners, numbers = detector.detectBoard(plain)
@@ -58,11 +58,13 @@ def detect_charuco(image: Shaped[np.ndarray, "..."], board: Charuco) -> Detectio
         corners_px[:, 0] = grey.shape[1] - 1 - corners_px[:, 0]
     # OpenCV 4 puts them half a pixel aside: they are found again, in what markers leave of room.
     room = distances_to_next(corners_px) * (1 - board.marker_mm / board.square_mm)
-    fitted = refine_corners(picture, grey, corners_px, room)
+    fitted = refine_corners(picture, grey, corners_px, room, tuning)
     return build_detection(index[None], *fitted, picture.size_px)
 
 
-def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Detection:
+def detect_april_grid(
+    image: Shaped[np.ndarray, "..."], board: AprilGrid, tuning: CalibTuning
+) -> Detection:
     """The corners of the tags that the picture shows, all of them or some.
 
     Raises DetectionError where the picture shows no such board, or too little of it.
@@ -70,15 +72,17 @@ def detect_april_grid(image: Shaped[np.ndarray, "..."], board: AprilGrid) -> Det
     picture = search_image(image)
     grey = levels_of_8_bit(picture.grey)
     dictionary = opencv_dictionary(board.dictionary)
-    seen = read_tags(list_figures(grey, dictionary, board.border), dictionary, board.border)
-    tags, corners_px = tags_in_place(seen, board)
-    if len(tags) < _FEWEST_TAGS:
+    figures = list_figures(grey, dictionary, board.border, tuning)
+    seen = read_tags(figures, dictionary, board.border, tuning)
+    tags, corners_px = tags_in_place(seen, board, tuning)
+    fewest = tuning.detection.fewest_tags
+    if len(tags) < fewest:
         raise DetectionError(
-            f"The picture shows {len(tags)} tags of the board {board.name!r}, but {_FEWEST_TAGS} "
+            f"The picture shows {len(tags)} tags of the board {board.name!r}, but {fewest} "
             f"are needed; {_describe_tags(board, seen)}."
         )
     index = (4 * tags[:, None] + np.arange(4)).ravel()
-    fitted, is_sharp = _refine_tags(picture, grey, corners_px, board.spacing)
+    fitted, is_sharp = _refine_tags(picture, grey, corners_px, board.spacing, tuning)
     places, covariance_px2 = fitted.places_px[is_sharp], fitted.covariance_px2[is_sharp]
     return build_detection(index[None, is_sharp], places, covariance_px2, picture.size_px)
 
@@ -181,7 +185,7 @@ def _visible(numbers: Collection[int], thing: str, family: str) -> str:
 
 
 def tags_in_place(
-    seen: Mapping[int, Float[np.ndarray, "4 2"]], board: AprilGrid
+    seen: Mapping[int, Float[np.ndarray, "4 2"]], board: AprilGrid, tuning: CalibTuning
 ) -> tuple[Int[np.ndarray, "t"], Float[np.ndarray, "t 4 2"]]:
     """Which tags lie as the board has them, and their corners in the board's order.
 
@@ -191,7 +195,7 @@ def tags_in_place(
     seen : corners by the number of the tag, see `read_tags`.
     """
     tags = np.array([k for k in sorted(seen) if k in board.numbers], dtype=int)
-    if len(tags) < _FEWEST_TAGS:
+    if len(tags) < tuning.detection.fewest_tags:
         return np.zeros(0, dtype=int), np.zeros((0, 4, 2))
     corners_px, tags = np.stack([seen[number] for number in tags]), tags - board.first
     places = board.centres_mm.reshape(-1, 4, 2)[tags]
@@ -199,7 +203,7 @@ def tags_in_place(
     turned = [corners_px[:, np.roll([3, 2, 1, 0], quarters)] for quarters in range(4)]
     off = [_distances_in_sides(places, corners) for corners in turned]
     best = int(np.argmin([np.median(each) for each in off]))
-    kept = off[best] < TUNING.detection.most_off_sides
+    kept = off[best] < tuning.detection.most_off_sides
     return tags[kept], turned[best][kept]
 
 
@@ -221,14 +225,15 @@ def _refine_tags(
     grey: UInt8[np.ndarray, "h w"],
     corners_px: Float[np.ndarray, "t 4 2"],
     spacing: float,
+    tuning: CalibTuning,
 ) -> tuple[FittedCorners, Bool[np.ndarray, "n"]]:
     """(places, which of them the picture shows as corners between dark squares)."""
     side = np.linalg.norm(corners_px - np.roll(corners_px, 1, axis=1), axis=2).min(axis=1)
     gap, start = np.repeat(spacing * side, 4), corners_px.reshape(-1, 2)
-    fitted = refine_corners(image, grey, start, gap)
+    fitted = refine_corners(image, grey, start, gap, tuning)
     # Farther, a corner is nearer to another one.
     sharp = np.linalg.norm(fitted.places_px - start, axis=1) < np.maximum(0.5 * gap, 1.5)
-    return fitted, sharp & _is_saddle(grey, corners_px, fitted.places_px, spacing)
+    return fitted, sharp & _is_saddle(grey, corners_px, fitted.places_px, spacing, tuning)
 
 
 def _is_saddle(
@@ -236,9 +241,10 @@ def _is_saddle(
     corners_px: Float[np.ndarray, "t 4 2"],
     places: Float[np.ndarray, "n 2"],
     spacing: float,
+    tuning: CalibTuning,
 ) -> Bool[np.ndarray, "n"]:
     """Whether the tag and the square opposite are alike dark, and both gaps alike light."""
-    reach = TUNING.detection.field_share * spacing
+    reach = tuning.detection.field_share * spacing
     one = reach * (np.roll(corners_px, -1, axis=1) - corners_px).reshape(-1, 2)
     other = reach * (np.roll(corners_px, 1, axis=1) - corners_px).reshape(-1, 2)
     ways = np.stack([one + other, -one - other, one - other, other - one])
@@ -248,7 +254,7 @@ def _is_saddle(
     dark, light = levels.astype(np.float64).reshape(2, 2, -1)
     contrast = light.mean(axis=0) - dark.mean(axis=0)
     unlike = np.maximum(np.ptp(dark, axis=0), np.ptp(light, axis=0))
-    return (contrast > 0) & (unlike < TUNING.detection.alike_share * contrast)
+    return (contrast > 0) & (unlike < tuning.detection.alike_share * contrast)
 
 
 class Figure(NamedTuple):
@@ -266,7 +272,10 @@ class Figure(NamedTuple):
 
 
 def list_figures(
-    grey: UInt8[np.ndarray, "h w"], dictionary: cv2.aruco.Dictionary, border: int
+    grey: UInt8[np.ndarray, "h w"],
+    dictionary: cv2.aruco.Dictionary,
+    border: int,
+    tuning: CalibTuning,
 ) -> list[Figure]:
     """What may be a tag. Another dictionary or border gives nearly the same figures.
 
@@ -276,8 +285,8 @@ def list_figures(
     tags 40 px wide.
     """
     figures = []
-    for scale, wide in TUNING.detection.tag_scales:
-        if scale > 1 and grey.size > TUNING.detection.most_enlarged_px:
+    for scale, wide in tuning.detection.tag_scales:
+        if scale > 1 and grey.size > tuning.detection.most_enlarged_px:
             continue
         large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
         found = _find_quadrangles(large, dictionary, border, wide)
@@ -286,7 +295,10 @@ def list_figures(
 
 
 def read_tags(
-    figures: Iterable[Figure], dictionary: cv2.aruco.Dictionary, border: int
+    figures: Iterable[Figure],
+    dictionary: cv2.aruco.Dictionary,
+    border: int,
+    tuning: CalibTuning,
 ) -> dict[int, Float[np.ndarray, "4 2"]]:
     """Corners of each tag by number, from its top left clockwise in the picture, some px off.
 
@@ -295,7 +307,7 @@ def read_tags(
     tags: dict[int, Float[np.ndarray, "4 2"]] = {}
     twice = set()
     for large, scale, corners in figures:
-        read = _read_tag(large, corners, dictionary, border)
+        read = _read_tag(large, corners, dictionary, border, tuning)
         if read is None:
             continue
         number, turn = read
@@ -330,6 +342,7 @@ def _read_tag(
     corners: Float[np.ndarray, "4 2"],
     dictionary: cv2.aruco.Dictionary,
     border: int,
+    tuning: CalibTuning,
 ) -> tuple[int, int] | None:
     """(number, by how many corners the tag is turned); None for what is no tag."""
     cells = dictionary.markerSize + 2 * border
@@ -342,7 +355,7 @@ def _read_tag(
     share = light.reshape(cells, _CELL_PX, cells, _CELL_PX)[:, middle, :, middle].mean(axis=(1, 3))
     bits: Bool[np.ndarray, "c c"] = share > 0.5
     code = bits[border:-border, border:-border]
-    if bits.sum() - code.sum() > TUNING.detection.most_wrong * (bits.size - code.size):
+    if bits.sum() - code.sum() > tuning.detection.most_wrong * (bits.size - code.size):
         return None
     correctable = cv2.aruco.DetectorParameters().errorCorrectionRate
     is_one, number, turn = dictionary.identify(code.astype(np.uint8), correctable)

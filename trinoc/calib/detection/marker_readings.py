@@ -39,6 +39,7 @@ from trinoc.calib.targets.markers import (
     opencv_dictionary,
     smallest_dictionary,
 )
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import DetectionError
 
 # numerical: markers that must lie as in another layout, or all of a smaller board.
@@ -101,11 +102,18 @@ class ReadingSearch:
     All readings are tried in few images of each camera; those that fit one are then tried alone.
     """
 
-    def __init__(self, target: AbstractTarget, *, most_images: int = MOST_IMAGES) -> None:
+    def __init__(
+        self,
+        target: AbstractTarget,
+        *,
+        most_images: int = MOST_IMAGES,
+        tuning: CalibTuning = TUNING,
+    ) -> None:
         boards = list_boards(target)
         self._boards = [board for board in boards if isinstance(board, Charuco | AprilGrid)]
         self._readings: list[MarkerReading] = []
         self._images, self._most_images = Counter[str](), most_images
+        self._tuning = tuning
 
     def is_over(self, camera: str) -> bool:
         """Whether no more images of a camera will be explained."""
@@ -115,14 +123,14 @@ class ReadingSearch:
     def find(self, image: Shaped[np.ndarray, "..."], camera: str = "") -> MarkerReading | None:
         """The board that an image shows in place of a stated one; None if none is known."""
         for reading in self._readings:
-            count = _count_markers(image, reading)
+            count = _count_markers(image, reading, self._tuning)
             if count:
                 return reading._replace(count=count)
         if self._images[camera] >= self._most_images:
             return None
         self._images[camera] += 1
         for board in self._boards:
-            reading = find_marker_reading(image, board)
+            reading = find_marker_reading(image, board, self._tuning)
             if reading is not None:
                 self._readings.append(reading)
                 return reading
@@ -130,7 +138,7 @@ class ReadingSearch:
 
 
 def find_marker_reading(
-    image: Shaped[np.ndarray, "..."], board: _MarkerBoard
+    image: Shaped[np.ndarray, "..."], board: _MarkerBoard, tuning: CalibTuning
 ) -> MarkerReading | None:
     """The layout that an image shows in place of `board`, which was not found in it; None if none.
 
@@ -138,46 +146,54 @@ def find_marker_reading(
     """
     grey = levels_of_8_bit(search_image(image).grey)
     readings = (
-        _read_charuco(grey, board) if isinstance(board, Charuco) else _read_april_grid(grey, board)
+        _read_charuco(grey, board, tuning)
+        if isinstance(board, Charuco)
+        else _read_april_grid(grey, board, tuning)
     )
-    return next((reading for reading in readings if _shows_corners(image, reading)), None)
+    return next((reading for reading in readings if _shows_corners(image, reading, tuning)), None)
 
 
-def _count_markers(image: Shaped[np.ndarray, "..."], reading: MarkerReading) -> int:
+def _count_markers(
+    image: Shaped[np.ndarray, "..."], reading: MarkerReading, tuning: CalibTuning
+) -> int:
     """How many markers of a board an image shows in place; 0 where they are too few to tell."""
     grey, board = levels_of_8_bit(search_image(image).grey), reading.board
     dictionary = opencv_dictionary(board.dictionary)
     if isinstance(board, Charuco):
-        return _count_in_place(_find_markers(grey, board, dictionary), board)
+        return _count_in_place(_find_markers(grey, board, dictionary), board, tuning)
     plain = as_plain_print(grey, inverted=False, mirrored=reading.is_in_mirror)
-    figures = list_figures(plain, dictionary, board.border)
-    return _count_in_place(read_tags(figures, dictionary, board.border), board)
+    figures = list_figures(plain, dictionary, board.border, tuning)
+    return _count_in_place(read_tags(figures, dictionary, board.border, tuning), board, tuning)
 
 
-def _shows_corners(image: Shaped[np.ndarray, "..."], reading: MarkerReading) -> bool:
+def _shows_corners(
+    image: Shaped[np.ndarray, "..."], reading: MarkerReading, tuning: CalibTuning
+) -> bool:
     """Whether the corners of this board are found in an image."""
     board, image = reading.board, np.asarray(image)
     try:
         if isinstance(board, Charuco):
-            keep_usable(detect_charuco(image, board), board)
+            keep_usable(detect_charuco(image, board, tuning), board, tuning)
         else:
             seen = np.ascontiguousarray(image[:, ::-1]) if reading.is_in_mirror else image
-            keep_usable(detect_april_grid(seen, board), board)
+            keep_usable(detect_april_grid(seen, board, tuning), board, tuning)
     except DetectionError:
         return False
     return True
 
 
-def _read_charuco(grey: UInt8[np.ndarray, "h w"], stated: Charuco) -> Iterator[MarkerReading]:
+def _read_charuco(
+    grey: UInt8[np.ndarray, "h w"], stated: Charuco, tuning: CalibTuning
+) -> Iterator[MarkerReading]:
     """Other layouts in which markers are in place, the likeliest first."""
     dictionary, stated_markers = opencv_dictionary(stated.dictionary), {}
     for looks in ((), ("inverted",), ("mirrored",), ("inverted", "mirrored")):
         looking = replace(stated, **{look: not getattr(stated, look) for look in looks})
         markers = _find_markers(grey, looking, dictionary)
-        changes, board, count = _best_layout(markers, looking, most_changes=2 - len(looks))
+        changes, board, count = _best_layout(markers, looking, tuning, most_changes=2 - len(looks))
         if not looks:
             stated_markers = markers
-            for other in _read_other_first(markers, stated):
+            for other in _read_other_first(markers, stated, tuning):
                 if other.count > count:
                     yield other
                     count = 0
@@ -197,27 +213,29 @@ def _read_charuco(grey: UInt8[np.ndarray, "h w"], stated: Charuco) -> Iterator[M
     for name in list_largest_dictionaries():
         if name != stated.dictionary:
             markers = _find_markers(grey, stated, opencv_dictionary(name))
-            yield from _read_other_dictionary(markers, stated, name)
+            yield from _read_other_dictionary(markers, stated, name, tuning)
 
 
-def _read_april_grid(grey: UInt8[np.ndarray, "h w"], stated: AprilGrid) -> Iterator[MarkerReading]:
+def _read_april_grid(
+    grey: UInt8[np.ndarray, "h w"], stated: AprilGrid, tuning: CalibTuning
+) -> Iterator[MarkerReading]:
     """Other layouts in which tags are in place, the likeliest first."""
     dictionary = opencv_dictionary(stated.dictionary)
-    figures = list_figures(grey, dictionary, stated.border)
-    tags = read_tags(figures, dictionary, stated.border)
-    stated_count, others = _count_in_place(tags, stated), []
+    figures = list_figures(grey, dictionary, stated.border, tuning)
+    tags = read_tags(figures, dictionary, stated.border, tuning)
+    stated_count, others = _count_in_place(tags, stated, tuning), []
     exchanged = replace(stated, rows=stated.columns, columns=stated.rows)
-    if count := _count_in_place(tags, exchanged):
+    if count := _count_in_place(tags, exchanged, tuning):
         others.append(MarkerReading(exchanged, (_describe(exchanged, "exchanged"),), count))
-    others += _read_other_first(tags, stated)
+    others += _read_other_first(tags, stated, tuning)
     yield from (other for other in others if other.count > stated_count)
     if stated_count:
         return
     flipped = as_plain_print(grey, inverted=False, mirrored=True)
     in_mirror = read_tags(
-        list_figures(flipped, dictionary, stated.border), dictionary, stated.border
+        list_figures(flipped, dictionary, stated.border, tuning), dictionary, stated.border, tuning
     )
-    if count := _count_in_place(in_mirror, stated):
+    if count := _count_in_place(in_mirror, stated, tuning):
         yield MarkerReading(stated, (), count, is_in_mirror=True)
     largest = sorted(figures, key=lambda figure: figure.side_px)[-_MOST_FIGURES:]
     fewest = min(_FEWEST_IN_PLACE, len(stated.numbers))
@@ -225,14 +243,14 @@ def _read_april_grid(grey: UInt8[np.ndarray, "h w"], stated: AprilGrid) -> Itera
         other = replace(stated, border=border)
         for name in list_largest_dictionaries():
             dictionary = opencv_dictionary(name)
-            if len(read_tags(largest, dictionary, border)) < fewest:
+            if len(read_tags(largest, dictionary, border, tuning)) < fewest:
                 continue
-            tags = read_tags(figures, dictionary, border)
+            tags = read_tags(figures, dictionary, border, tuning)
             if border != stated.border and name == stated.dictionary:
-                if count := _count_in_place(tags, other):
+                if count := _count_in_place(tags, other, tuning):
                     yield MarkerReading(other, (f"border={border}",), count)
             elif name != stated.dictionary:
-                for reading in _read_other_dictionary(tags, other, name):
+                for reading in _read_other_dictionary(tags, other, name, tuning):
                     changes = reading.changes
                     if border != stated.border:
                         changes = (*changes, f"border={border}")
@@ -240,22 +258,22 @@ def _read_april_grid(grey: UInt8[np.ndarray, "h w"], stated: AprilGrid) -> Itera
 
 
 def _read_other_dictionary(
-    markers: _Markers, stated: _MarkerBoard, name: str
+    markers: _Markers, stated: _MarkerBoard, name: str, tuning: CalibTuning
 ) -> Iterator[MarkerReading]:
     """The board with markers of another dictionary, and if need be of other numbers."""
-    changes, board, count = (), stated, _count_in_place(markers, stated)
+    changes, board, count = (), stated, _count_in_place(markers, stated, tuning)
     if isinstance(stated, Charuco):
-        changes, board, count = _best_layout(markers, stated, most_changes=1)
+        changes, board, count = _best_layout(markers, stated, tuning, most_changes=1)
     held = smallest_dictionary(name, stated.numbers[-1], like=stated.dictionary)
     if count and held is not None and held != stated.dictionary:
         board = replace(board, dictionary=held)
         yield MarkerReading(board, (f"dictionary={held}", *changes), count)
     if not count:
-        yield from _read_other_first(markers, stated, name)
+        yield from _read_other_first(markers, stated, tuning, name)
 
 
 def _read_other_first(
-    markers: _Markers, stated: _MarkerBoard, name: str | None = None
+    markers: _Markers, stated: _MarkerBoard, tuning: CalibTuning, name: str | None = None
 ) -> Iterator[MarkerReading]:
     """The board with the first marker with which most of these are in place, if it is only one.
 
@@ -271,7 +289,10 @@ def _read_other_first(
         if first != stated.first
         and np.sum((numbers >= first) & (numbers < first + size)) >= _FEWEST_IN_PLACE
     ]
-    counts = [_count_in_place(_renumber(markers, stated.first - first), stated) for first in firsts]
+    counts = [
+        _count_in_place(_renumber(markers, stated.first - first), stated, tuning)
+        for first in firsts
+    ]
     best = max(counts, default=0)
     if not best or counts.count(best) > 1:
         return
@@ -290,13 +311,13 @@ def _renumber(markers: _Markers, step: int) -> _Markers:
 
 
 def _best_layout(
-    markers: _Markers, board: Charuco, *, most_changes: int
+    markers: _Markers, board: Charuco, tuning: CalibTuning, *, most_changes: int
 ) -> tuple[tuple[str, ...], Charuco, int]:
     """(changes, board, markers in place) of the layout in which most markers are in place.
 
     A layout with fewer changes is preferred.
     """
-    changes, layout, count = (), board, _count_in_place(markers, board)
+    changes, layout, count = (), board, _count_in_place(markers, board, tuning)
     for number in range(1, most_changes + 1):
         for changed in combinations(("legacy", "exchanged"), number):
             other = board
@@ -304,7 +325,7 @@ def _best_layout(
                 other = replace(other, rows=board.columns, columns=board.rows)
             if "legacy" in changed:
                 other = replace(other, legacy=not board.legacy)
-            other_count = _count_in_place(markers, other)
+            other_count = _count_in_place(markers, other, tuning)
             if other_count > count:
                 layout, count = other, other_count
                 changes = tuple(_describe(other, each) for each in changed)
@@ -326,13 +347,13 @@ def _find_markers(
     return corners_by_number(corners, numbers)
 
 
-def _count_in_place(markers: _Markers, board: _MarkerBoard) -> int:
+def _count_in_place(markers: _Markers, board: _MarkerBoard, tuning: CalibTuning) -> int:
     """How many markers lie as in a board; 0 where they are too few to tell.
 
     Markers of a ChArUco board are those of `_find_markers`, which finds the plain print.
     """
     if isinstance(board, AprilGrid):
-        count = len(tags_in_place(markers, board)[0])
+        count = len(tags_in_place(markers, board, tuning)[0])
     else:
         count = count_beside_neighbours(markers, board)
     return count if count >= min(_FEWEST_IN_PLACE, len(board.numbers)) else 0

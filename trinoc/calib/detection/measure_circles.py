@@ -20,7 +20,7 @@ from trinoc.calib.detection.labels import PatternSymmetry
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
 from trinoc.calib.detection.quality_gate import are_plausible, are_undisturbed, select_agreeing
 from trinoc.calib.detection.search_image import SearchImage, shrink_image
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 
 # numerical: tolerance and steps of an iteration that converges.
 _SETTLED_BLUR, _MOST_REPEATS = 0.25, 4
@@ -37,11 +37,12 @@ def fit_coarsely(
     centres_px: Float[np.ndarray, "n 2"],
     shape_px2: Float[np.ndarray, "n 2 2"],
     hole_ratio: float,
+    tuning: CalibTuning,
 ) -> Ellipses:
     """Ellipses fitted to whole circles, holes included, on a part of their pixels."""
-    count, outer = len(centres_px), TUNING.detection.outer_radii
+    count, outer = len(centres_px), tuning.detection.outer_radii
     area = np.pi * outer**2 * np.sqrt(quick_median(np.linalg.det(shape_px2)))
-    step = max(1, int(np.sqrt(area / TUNING.detection.coarse_pixels)))
+    step = max(1, int(np.sqrt(area / tuning.detection.coarse_pixels)))
     # Every n-th pixel of a large circle would miss its edge: a reduced picture does not.
     factor = max(1, step // 2)
     small, step = shrink_image(image, factor), step // factor
@@ -63,6 +64,7 @@ def fit_coarsely(
         slope_sigma=None,
         noise_sigma=small.noise_sigma,
         outlier_shares=(0.5, 0.25),
+        tuning=tuning,
     ).rescale(factor)
 
 
@@ -71,29 +73,30 @@ def measure_circles(
     coarse: Ellipses,
     index: Int[np.ndarray, "m"],
     symmetry: PatternSymmetry,
+    tuning: CalibTuning,
 ) -> tuple[Ellipses, Int[np.ndarray, "k"], PlaneMapping]:
     """Look for the circles that the blobs missed, then measure all together."""
     pattern = symmetry.pattern
     mapping = fit_plane_mapping(
-        pattern.centres_mm[index], coarse.centres_px, pattern.radius_mm[index]
+        pattern.centres_mm[index], coarse.centres_px, pattern.radius_mm[index], tuning=tuning
     )
     missing = np.setdiff1d(np.arange(len(pattern)), index)
     centre, shape = mapping.ellipses(pattern.centres_mm[missing], pattern.radius_mm[missing])
     seen = _are_inside(centre, shape, image.size_px)
     missing, centre, shape = missing[seen], centre[seen], shape[seen]
     if len(missing):
-        extra = fit_coarsely(image, centre, shape, symmetry.hole_ratio)
+        extra = fit_coarsely(image, centre, shape, symmetry.hole_ratio, tuning)
         like = are_plausible(extra, centre, shape, image.noise_sigma)
         like &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
         contrast = (extra.paper * extra.ink) / quick_median(coarse.paper * coarse.ink)
         like &= (contrast > 0.35) & (contrast < 3.0)
         coarse = coarse.concatenate(extra.take(like))
         index = np.concatenate([index, missing[like]])
-    fine = _fit_finely(image, coarse, index, symmetry, mapping)
+    fine = _fit_finely(image, coarse, index, symmetry, mapping, tuning)
     centre, shape = mapping.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
     good = are_plausible(fine, centre, shape, image.noise_sigma)
     good &= are_undisturbed(fine, image.noise_sigma)
-    where_expected, mapping = select_agreeing(fine, index, pattern)
+    where_expected, mapping = select_agreeing(fine, index, pattern, tuning)
     good &= where_expected
     return fine.take(good), index[good], mapping
 
@@ -117,17 +120,18 @@ def _fit_finely(
     index: Int[np.ndarray, "n"],
     symmetry: PatternSymmetry,
     mapping: PlaneMapping,
+    tuning: CalibTuning,
 ) -> Ellipses:
     """Fits with all pixels of a band round the outer edge, again for those circles that moved too
     far for one step to be the last."""
     pattern = symmetry.pattern
-    clear = are_clear_of_lines(pattern, index)
-    slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper, clear)
+    clear = are_clear_of_lines(pattern, index, tuning)
+    slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper, clear, tuning)
     halfway = 0.5 * (1.0 + symmetry.hole_ratio) if symmetry.hole_ratio > 0 else 0.3
 
     def cut_pixels(start: Ellipses, rows: np.ndarray) -> EllipsePixels:
         band = (2.6 * start.blur_px + 0.7) / smallest_axis(start.shape_px2)
-        outer = np.clip(1.0 + band, 1.1, TUNING.detection.outer_radii)
+        outer = np.clip(1.0 + band, 1.1, tuning.detection.outer_radii)
         inner = np.clip(1.0 - band, halfway, 0.9)
         pixels = pixels_round(image.grey, start.centres_px, start.shape_px2, inner, outer)
         return subtract_line_blur(pixels, start, index[rows], pattern, mapping, outer)
@@ -140,6 +144,7 @@ def _fit_finely(
             slope_sigma=slope_sigma[rows],
             noise_sigma=image.noise_sigma,
             outlier_shares=(_OUTLIER_SHARE,),
+            tuning=tuning,
         )
 
     before = coarse._replace(hole=pattern.is_ring[index].astype(float), slope=slope)
@@ -162,6 +167,7 @@ def _fit_finely(
         slope_sigma=slope_sigma,
         noise_sigma=image.noise_sigma,
         outlier_share=_OUTLIER_SHARE,
+        tuning=tuning,
     )
 
 
@@ -182,6 +188,7 @@ def light_slope(
     centres_px: Float[np.ndarray, "n 2"],
     paper: Float[np.ndarray, "n"],
     clear: Bool[np.ndarray, "n"],
+    tuning: CalibTuning,
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
     """Relative change of the paper's grey per pixel at each circle, and how sure it is.
 
@@ -192,7 +199,7 @@ def light_slope(
     than its own pixels do, and costs its centre nothing. Where the greys do not lie on that
     surface, near a shadow, the slope is as unsure as they are over one pitch.
     """
-    count, fewest = len(paper), TUNING.detection.fewest_places
+    count, fewest = len(paper), tuning.detection.fewest_places
     if count < fewest:
         # Nothing is claimed of as few circles.
         return np.zeros((count, 2)), np.zeros(count)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.numerics.joins import point_tree
 
 # numerical: neighbours that predict a corner, and the fewest for a polynomial of second degree.
@@ -64,7 +64,8 @@ def predict_from_neighbours(
 def are_in_place(
     board_mm: Float[np.ndarray, "n 2"],
     corners_px: Float[np.ndarray, "n 2"],
-    largest_share: float = TUNING.detection.out_of_place_share,
+    largest_share: float,
+    tuning: CalibTuning,
 ) -> Bool[np.ndarray, "n"]:
     """Which of n corners lie where the others put them. Fewer than 7 corners are not tested.
 
@@ -84,7 +85,7 @@ def are_in_place(
         typical = float(np.median(miss_px / predicted.gain))
         allowed = np.maximum(
             largest_share * predicted.spacing_px,
-            TUNING.detection.out_of_place_medians * typical,
+            tuning.detection.out_of_place_medians * typical,
         )
         is_off = miss_px > predicted.gain * allowed
         if not is_off.any():

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.image_of_circle import image_of_circle_centre
@@ -26,7 +26,11 @@ Orientation = Literal["upright"] | Rig | None
 
 
 def resolve_orientation(
-    detections: Mapping[str, Detection], pattern: Pattern, orientation: Orientation
+    detections: Mapping[str, Detection],
+    pattern: Pattern,
+    orientation: Orientation,
+    *,
+    tuning: CalibTuning = TUNING,
 ) -> tuple[dict[str, Detection], dict[str, str]]:
     """Every detection with one labelling, and a sentence for each that leaves it open.
 
@@ -40,7 +44,7 @@ def resolve_orientation(
         )
     resolved, failures = dict(detections), {}
     for name, detection in detections.items():
-        choice = _choose_labelling(detection, pattern, orientation, name)
+        choice = _choose_labelling(detection, pattern, orientation, name, tuning)
         if isinstance(choice, str):
             failures[name] = choice
         else:
@@ -49,7 +53,11 @@ def resolve_orientation(
 
 
 def _choose_labelling(
-    detection: Detection, pattern: Pattern, orientation: Orientation, name: str
+    detection: Detection,
+    pattern: Pattern,
+    orientation: Orientation,
+    name: str,
+    tuning: CalibTuning,
 ) -> Int[np.ndarray, "m"] | str:
     """The labelling to take, or why none can be."""
     if detection.ambiguity is None or orientation == "upright":
@@ -66,7 +74,7 @@ def _choose_labelling(
         return f"{sheet}, and the earlier rig has no such camera that would tell."
     misses = [_miss_px(orientation[name], detection, pattern, index) for index in choices]
     order = np.argsort(misses)
-    if not misses[order[0]] * TUNING.detection.orientation_ratio < misses[order[1]]:
+    if not misses[order[0]] * tuning.detection.orientation_ratio < misses[order[1]]:
         return (
             f"{sheet}, and the earlier rig does not tell which: its camera misses the best two "
             f"by {misses[order[0]]:.0f} and {misses[order[1]]:.0f} px."

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 
 
 class PlaneMapping(NamedTuple):
@@ -50,6 +50,8 @@ def fit_plane_mapping(
     points: Float[np.ndarray, "n 2"],
     places_px: Float[np.ndarray, "n 2"],
     radius: Float[np.ndarray, "n"] | None = None,
+    *,
+    tuning: CalibTuning,
 ) -> PlaneMapping:
     """The warp through point pairs.
 
@@ -65,11 +67,11 @@ def fit_plane_mapping(
     low, high = points.min(axis=0), points.max(axis=0)
     middle, extent = 0.5 * (low + high), max(float(np.max(high - low)), 1e-9)
     bend = np.zeros((10, 2))
-    if len(points) >= TUNING.detection.bend_points:
+    if len(points) >= tuning.detection.bend_points:
         residual = target - apply_homography(homography, points)
         if np.all(np.isfinite(residual)):
             terms = _cubic_terms((points - middle) / extent)
-            ridge = TUNING.detection.bend_damping * len(points) * np.eye(10)
+            ridge = tuning.detection.bend_damping * len(points) * np.eye(10)
             bend = np.linalg.solve(terms.T @ terms + ridge, terms.T @ residual)
     return PlaneMapping(homography, bend, middle, extent)
 

@@ -11,7 +11,7 @@ from trinoc.calib.detection.ellipse_pixels import (
 )
 from trinoc.calib.detection.plane_mapping import PlaneMapping, fit_plane_mapping
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 
 
 def are_plausible(
@@ -63,14 +63,14 @@ def _have_expected_shapes(
 
 
 def select_agreeing(
-    fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern
+    fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern, tuning: CalibTuning
 ) -> tuple[np.ndarray, PlaneMapping]:
     """Circles that lie where a smooth picture of the sheet puts them, and that picture."""
     good = np.ones(len(index), dtype=bool)
     own = np.sqrt(np.trace(fitted.covariance_px2, axis1=1, axis2=2))
     sharp = 0.03 * smallest_axis(fitted.shape_px2)
     centres_mm, radius_mm = pattern.centres_mm[index], pattern.radius_mm[index]
-    mapping = fit_plane_mapping(centres_mm, fitted.centres_px, radius_mm)
+    mapping = fit_plane_mapping(centres_mm, fitted.centres_px, radius_mm, tuning=tuning)
     for _ in range(2):
         centre, shape = mapping.ellipses(centres_mm, radius_mm)
         off = fitted.centres_px - centre
@@ -78,7 +78,9 @@ def select_agreeing(
         before = good
         good = miss < 3.0 * quick_median(miss[good]) + 3.0 * own + sharp
         good &= _have_expected_shapes(fitted, shape, own)
-        if np.array_equal(before, good) or np.sum(good) < TUNING.detection.fewest_places:
+        if np.array_equal(before, good) or np.sum(good) < tuning.detection.fewest_places:
             break
-        mapping = fit_plane_mapping(centres_mm[good], fitted.centres_px[good], radius_mm[good])
+        mapping = fit_plane_mapping(
+            centres_mm[good], fitted.centres_px[good], radius_mm[good], tuning=tuning
+        )
     return good, mapping

@@ -17,6 +17,7 @@ from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import BoardSet, first_places
 from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import DetectionError, InputError
 from trinoc.image.grey import grey_image, why_mixed
 
@@ -28,10 +29,13 @@ DETECTORS: dict[type[AbstractTarget], Callable[..., Detection]] = {
 }
 
 
-def detect_target(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> Detection:
+def detect_target(
+    image: Shaped[np.ndarray, "..."], target: AbstractTarget, *, tuning: CalibTuning = TUNING
+) -> Detection:
     """The labelled places of a board, or of a set of boards, in one picture, with covariances.
 
     image : (height, width) or (height, width, channels), 8 or 16 bit or real numbers.
+    tuning : all tuned constants; `tuning.detection` has those of the search.
 
     Raises
     ------
@@ -40,7 +44,7 @@ def detect_target(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> D
         two moments place it between them, pixels of several colours beside it. Where the picture
         shows a board with markers that is almost this one, the sentence says which.
     """
-    return detect_or_explain(image, target, ReadingSearch(target))
+    return detect_or_explain(image, target, ReadingSearch(target, tuning=tuning), tuning=tuning)
 
 
 def detect_or_explain(
@@ -48,6 +52,8 @@ def detect_or_explain(
     target: AbstractTarget,
     search: ReadingSearch | None,
     camera: str = "",
+    *,
+    tuning: CalibTuning = TUNING,
 ) -> Detection:
     """`detect_target` with a search for other readings of the board that other images share.
 
@@ -57,7 +63,7 @@ def detect_or_explain(
     if mixed is not None:
         raise DetectionError(mixed)
     try:
-        return _detect(image, target)
+        return _detect(image, target, tuning)
     except DetectionError:
         reading = None if search is None else search.find(image, camera)
         if reading is None:
@@ -65,9 +71,11 @@ def detect_or_explain(
     raise DetectionError(reading.sentence)
 
 
-def _detect(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> Detection:
+def _detect(
+    image: Shaped[np.ndarray, "..."], target: AbstractTarget, tuning: CalibTuning
+) -> Detection:
     if isinstance(target, BoardSet):
-        return _detect_board_set(image, target)
+        return _detect_board_set(image, target, tuning)
     if type(target) not in DETECTORS:
         raise InputError(
             f"Nothing detects a {type(target).__name__}: give a Pattern, a Chessboard, a Charuco, "
@@ -75,10 +83,12 @@ def _detect(image: Shaped[np.ndarray, "..."], target: AbstractTarget) -> Detecti
         )
     # Numbers that overflow are found below, whatever they came from.
     with np.errstate(all="ignore"):
-        return keep_usable(DETECTORS[type(target)](image, target), target)
+        return keep_usable(DETECTORS[type(target)](image, target, tuning), target, tuning)
 
 
-def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detection:
+def detect_pattern(
+    image: Shaped[np.ndarray, "..."], pattern: Pattern, *, tuning: CalibTuning = TUNING
+) -> Detection:
     """`detect_target` of a sheet of circles.
 
     Circles may be missing, covered, or cut by the border as long as the rings seen tell where
@@ -92,10 +102,12 @@ def detect_pattern(image: Shaped[np.ndarray, "..."], pattern: Pattern) -> Detect
     DetectionError : no sheet is seen, or two, or a mirrored one, or another pattern, or too
         little of it to tell where it lies.
     """
-    return detect_target(image, pattern)
+    return detect_target(image, pattern, tuning=tuning)
 
 
-def _detect_board_set(image: Shaped[np.ndarray, "..."], boards: BoardSet) -> Detection:
+def _detect_board_set(
+    image: Shaped[np.ndarray, "..."], boards: BoardSet, tuning: CalibTuning
+) -> Detection:
     """The places of all boards of a set that the picture shows.
 
     Lines are left out: of several boards they would not say whose they are. Raises DetectionError
@@ -104,7 +116,7 @@ def _detect_board_set(image: Shaped[np.ndarray, "..."], boards: BoardSet) -> Det
     parts, labels, failures = [], [], []
     for first, board in zip(first_places(boards), boards.boards, strict=True):
         try:
-            part = _detect(image, board)
+            part = _detect(image, board, tuning)
         except DetectionError as error:
             failures.append(str(error))
             continue

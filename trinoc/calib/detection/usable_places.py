@@ -7,11 +7,11 @@ from jaxtyping import Bool, Float
 from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.detection.neighbour_check import are_in_place
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.errors import DetectionError
 
 
-def keep_usable(detection: Detection, target: AbstractTarget) -> Detection:
+def keep_usable(detection: Detection, target: AbstractTarget, tuning: CalibTuning) -> Detection:
     """The detection without places that no fit can use, their number in `Detection.remarks`.
 
     Raises DetectionError where too few are left.
@@ -24,11 +24,16 @@ def keep_usable(detection: Detection, target: AbstractTarget) -> Detection:
     rows = np.flatnonzero(usable)
     index = detection.circle_index[rows]
     if len(rows) and not np.any(target.radius_mm[index] > 0):
-        in_place = are_in_place(target.centres_mm[index], detection.centres_px[rows])
+        in_place = are_in_place(
+            target.centres_mm[index],
+            detection.centres_px[rows],
+            tuning.detection.out_of_place_share,
+            tuning,
+        )
         if not in_place.all():
             remarks.append(f"{_count(~in_place)} a position that its neighbours contradict")
         usable[rows[~in_place]] = False
-    fewest = TUNING.detection.fewest_places
+    fewest = tuning.detection.fewest_places
     if not usable.all() and usable.sum() < fewest:
         raise DetectionError(
             f"Only {usable.sum()} of the {len(usable)} places found on the board {target.name!r} "

@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 
 # numerical: pixels of a pair that counts are at most so far apart in rows or columns.
 _REACH = 2
@@ -85,6 +85,7 @@ def sandwich_covariance(
     jacobian: Float[np.ndarray, "n k p"],
     covariance: Float[np.ndarray, "n p p"],
     odd: Sequence[int],
+    tuning: CalibTuning,
 ) -> Float[np.ndarray, "n 2 2"]:
     """Covariance of the position of each window, px^2 for residuals in grey levels.
 
@@ -121,7 +122,7 @@ def sandwich_covariance(
         return white
     ratio = np.divide(observed, expected, out=np.zeros_like(total), where=counts)
     # Correlations make the sum of one window negative by chance, that of all windows seldom.
-    least = TUNING.photometric.least_spread * _mean(squares[counts] / expected_squares[counts])
+    least = tuning.photometric.least_spread * _mean(squares[counts] / expected_squares[counts])
     scale = max(_mean(ratio[counts]), least, 1e-300)
     return white * np.maximum(scale, ratio / _LARGEST_RATIO)[:, None, None]
 

@@ -14,6 +14,7 @@ from trinoc.calib.detection.marker_readings import find_marker_reading
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import BoardSet, board_names, list_boards
 from trinoc.calib.targets.checkers import Charuco, Chessboard
+from trinoc.calib.tuning.every_group import CalibTuning
 
 _Image = TypeVar("_Image")
 # numerical: images in which other readings are tried, and the share that must show one.
@@ -73,6 +74,7 @@ def find_charuco_reading(
     which: int,
     images: Sequence[_Image],
     load: Callable[[_Image], Any],
+    tuning: CalibTuning,
 ) -> BoardReading | None:
     """The reading of a ChArUco board, alone or in a set, that the first image with one shows.
 
@@ -86,7 +88,7 @@ def find_charuco_reading(
         return None
     for k in np.unique(np.linspace(0, len(images) - 1, min(_SEARCHED, len(images))).astype(int)):
         image = load(images[k])
-        reading = None if image is None else find_marker_reading(image, board)
+        reading = None if image is None else find_marker_reading(image, board, tuning)
         if reading is None or not reading.is_same_sheet:
             continue
         boards[which] = reading.board

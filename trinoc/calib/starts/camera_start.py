@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import CalibrationError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.polynomial import BrownConrady
@@ -48,6 +48,7 @@ def start_camera(
     *,
     lens: AbstractLens | None = None,
     aspect: float | None = None,
+    tuning: CalibTuning = TUNING,
 ) -> CameraStart:
     """A lens of the model in the middle of the picture, and poses; poses alone for a given `lens`.
 
@@ -58,14 +59,14 @@ def start_camera(
     if lens is not None:
         return start_poses(promote_lens(lens), detections, target)
     if model.zero_is_ideal:
-        return _start_by_zhang(detections, target, model, aspect)
+        return _start_by_zhang(detections, target, model, aspect, tuning)
     width, height = detections[0].image_size_px
     middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
     focal_px = max(width, height) * np.array([1.0, 1.0 / (aspect or 1.0)])
     none = np.zeros(len(model.coefficient_names))
     starts = [
         start_poses(model(share * focal_px, middle, np.zeros(()), none), detections, target)
-        for share in TUNING.starts.fisheye_shares
+        for share in tuning.starts.fisheye_shares
     ]
 
     def reprojection_error(start: CameraStart) -> float:
@@ -141,19 +142,20 @@ def _start_by_zhang(
     target: AbstractTarget,
     model: type[AbstractLens],
     aspect: float | None,
+    tuning: CalibTuning,
 ) -> CameraStart:
     """Several focal lengths are tried, as the formula has none where all pictures are taken square
     to the board. Coefficients of a model that OpenCV does not start are zero."""
     size = detections[0].image_size_px
     sheet, image = [], []
     for detection in detections:
-        right = _roughly_right(detection, target)
+        right = _roughly_right(detection, target, tuning)
         places_mm = target.centres_mm[detection.circle_index[right]]
         sheet.append(on_board(places_mm).astype(np.float32))
         image.append(detection.centres_px[right].astype(np.float32))
     guesses = [_zhang_matrix(sheet, image, size, aspect)]
     middle = 0.5 * (np.array(size) - 1.0)
-    for share in TUNING.starts.focal_shares:
+    for share in tuning.starts.focal_shares:
         focal_px = share * max(size) * np.array([1.0, 1.0 / (aspect or 1.0)])
         guesses.append(
             np.array([[focal_px[0], 0, middle[0]], [0, focal_px[1], middle[1]], [0, 0, 1]])
@@ -174,11 +176,13 @@ def _start_by_zhang(
     return start._replace(lens=ideal)
 
 
-def _roughly_right(detection: Detection, target: AbstractTarget) -> Bool[np.ndarray, "m"]:
+def _roughly_right(
+    detection: Detection, target: AbstractTarget, tuning: CalibTuning
+) -> Bool[np.ndarray, "m"]:
     """Places that lie near the homography of most; all where there is no such homography."""
     sheet = target.centres_mm[detection.circle_index]
     extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))
-    threshold = max(TUNING.starts.least_px, TUNING.starts.gross_share * extent_px)
+    threshold = max(tuning.starts.least_px, tuning.starts.gross_share * extent_px)
     right = np.ones(len(detection), dtype=bool)
     try:
         _, mask = cv2.findHomography(sheet, detection.centres_px, cv2.RANSAC, threshold)

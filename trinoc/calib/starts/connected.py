@@ -22,7 +22,7 @@ from trinoc.calib.starts.camera_start import nearest_rotation
 from trinoc.calib.starts.links import Link, Links, Poses, chain_links, link_boards, link_cameras
 from trinoc.calib.starts.sightings import IN_PLACE, Sighting
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.geometry.pose import Pose
 
 # numerical: two motions about two axes.
@@ -47,26 +47,29 @@ class ConnectedShots(NamedTuple):
 
 
 def connect(
-    sightings: Mapping[int, Sequence[Sighting]], boards: Sequence[int], target: AbstractTarget
+    sightings: Mapping[int, Sequence[Sighting]],
+    boards: Sequence[int],
+    target: AbstractTarget,
+    tuning: CalibTuning,
 ) -> ConnectedShots:
     """All cameras and boards that the shots connect. `sightings` : of each camera."""
     groups: list[Poses] = [{board: IN_PLACE} for board in boards]
     cameras_by_motion: Links = {}
     boards_by_motion: Links = {}
     while True:
-        links = _link_all_cameras(_in_sets(sightings, groups), groups, target)
+        links = _link_all_cameras(_in_sets(sightings, groups), groups, target, tuning)
         cameras = chain_links({**cameras_by_motion, **links}, sightings)
         if len(boards) == 1:
             return ConnectedShots(cameras, groups, links)
         before = len(groups)
-        board_links = _link_all_boards(sightings, cameras, boards, target)
+        board_links = _link_all_boards(sightings, cameras, boards, target, tuning)
         chained = chain_links({**boards_by_motion, **board_links}, boards)
         groups = [{board: pose.inverse for board, pose in own.items()} for own in chained]
         if len(groups) < before:
             continue
         found = None
         if len(cameras) > 1:
-            found = link_by_motion(_in_sets(sightings, groups), cameras, groups, target)
+            found = link_by_motion(_in_sets(sightings, groups), cameras, groups, target, tuning)
         if found is None:
             return ConnectedShots(cameras, groups, links)
         cameras_by_motion |= found[0]
@@ -86,7 +89,10 @@ def _in_sets(
 
 
 def _link_all_cameras(
-    sightings: Mapping[int, Sequence[Sighting]], groups: Sequence[Poses], target: AbstractTarget
+    sightings: Mapping[int, Sequence[Sighting]],
+    groups: Sequence[Poses],
+    target: AbstractTarget,
+    tuning: CalibTuning,
 ) -> Links:
     links: Links = {}
     for a, b in combinations(sightings, 2):
@@ -101,7 +107,7 @@ def _link_all_cameras(
                 if known is None or (known[0].board != known[1].board and one.board == other.board):
                     pairs[one.shot, group] = one, other
         if pairs:
-            links[a, b] = link_cameras([pairs[key] for key in sorted(pairs)], target)
+            links[a, b] = link_cameras([pairs[key] for key in sorted(pairs)], target, tuning)
     return links
 
 
@@ -110,6 +116,7 @@ def _link_all_boards(
     cameras: Sequence[Poses],
     boards: Sequence[int],
     target: AbstractTarget,
+    tuning: CalibTuning,
 ) -> Links:
     links: Links = {}
     for a, b in combinations(boards, 2):
@@ -121,7 +128,7 @@ def _link_all_boards(
             if one.shot == other.shot
         ]
         if pairs:
-            links[a, b] = link_boards(sorted(pairs, key=lambda pair: pair[0].shot), target)
+            links[a, b] = link_boards(sorted(pairs, key=lambda pair: pair[0].shot), target, tuning)
     return links
 
 
@@ -132,7 +139,9 @@ class HandEye(NamedTuple):
     boards: Pose
 
 
-def solve_hand_eye(first: Sequence[Pose], second: Sequence[Pose]) -> HandEye | None:
+def solve_hand_eye(
+    first: Sequence[Pose], second: Sequence[Pose], tuning: CalibTuning
+) -> HandEye | None:
     """The motions that explain all pairs best; None where they leave something open."""
     if len(first) < FEWEST_SHOTS:
         return None
@@ -144,7 +153,7 @@ def solve_hand_eye(first: Sequence[Pose], second: Sequence[Pose]) -> HandEye | N
         for motions in (before, after)
     )
     spread = np.linalg.svd(axes, compute_uv=False)
-    if not spread[1] > TUNING.starts.least_other_turns * spread[0]:
+    if not spread[1] > tuning.starts.least_other_turns * spread[0]:
         return None
     rotation = nearest_rotation(turned.T @ axes)
     rows = np.concatenate([motion.rotation - np.eye(3) for motion in after])
@@ -170,6 +179,7 @@ def link_by_motion(
     cameras: Sequence[Poses],
     boards: Sequence[Poses],
     target: AbstractTarget,
+    tuning: CalibTuning,
 ) -> tuple[Links, Links] | None:
     """Two groups of cameras and two of boards that move as if both were fixed to each other.
 
@@ -182,7 +192,7 @@ def link_by_motion(
                 _largest_by_shot(sightings, *own) for own in ((near, front), (far, back))
             )
             pairs = [(first[shot], second[shot]) for shot in sorted(set(first) & set(second))]
-            found = _most_agreed(pairs, near, far, target)
+            found = _most_agreed(pairs, near, far, target, tuning)
             if found is None or (best is not None and found.agreeing <= best[0].agreeing):
                 continue
             counts = len(pairs), found.agreeing
@@ -224,6 +234,7 @@ def _most_agreed(
     near: Poses,
     far: Poses,
     target: AbstractTarget,
+    tuning: CalibTuning,
 ) -> _Agreement | None:
     """What most pairs agree on: by all shots, by few of them, and by those that agreed."""
     count = len(pairs)
@@ -231,13 +242,13 @@ def _most_agreed(
     second = [far[b.camera].inverse @ b.cam_from_set[0] for _, b in pairs]
 
     def by_rows(rows: np.ndarray) -> _Agreement | None:
-        found = solve_hand_eye([first[k] for k in rows], [second[k] for k in rows])
+        found = solve_hand_eye([first[k] for k in rows], [second[k] for k in rows], tuning)
         if found is None:
             return None
         agrees = np.zeros(count, dtype=bool)
         for k, (_, other) in enumerate(pairs):
             pose = far[other.camera] @ found.cameras @ first[k] @ found.boards
-            agrees[k] = other.nearest(pose, target)[1] < other.agreement_px
+            agrees[k] = other.nearest(pose, target)[1] < other.agreement_px(tuning)
         return _Agreement(found, agrees)
 
     random, tried = np.random.default_rng(0), [np.arange(count)]

@@ -12,6 +12,7 @@ import numpy as np
 
 from trinoc.calib.starts.sightings import IN_PLACE, Sighting
 from trinoc.calib.targets.abstract_target import AbstractTarget
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.geometry.pose import Pose
 
 # numerical: so many shots propose a relative pose, and so many judge it; it bounds the time.
@@ -44,7 +45,9 @@ class Link(NamedTuple):
 Links = dict[tuple[int, int], Link]
 
 
-def link_cameras(pairs: Sequence[tuple[Sighting, Sighting]], target: AbstractTarget) -> Link:
+def link_cameras(
+    pairs: Sequence[tuple[Sighting, Sighting]], target: AbstractTarget, tuning: CalibTuning
+) -> Link:
     """The pose of the second camera that most pairs of sightings, taken in turn, agree on.
 
     Both of a pair are of one board, or of boards of which it is known how they are fixed.
@@ -59,10 +62,13 @@ def link_cameras(pairs: Sequence[tuple[Sighting, Sighting]], target: AbstractTar
         lambda first, second: second @ first.inverse,
         lambda step, first: step @ first,
         target,
+        tuning,
     )
 
 
-def link_boards(pairs: Sequence[tuple[Sighting, Sighting, Poses]], target: AbstractTarget) -> Link:
+def link_boards(
+    pairs: Sequence[tuple[Sighting, Sighting, Poses]], target: AbstractTarget, tuning: CalibTuning
+) -> Link:
     """How a second board is fixed to a first one, by what most pairs of sightings agree on.
 
     pairs : of sightings of both in one shot, with cam_from_rig of cameras fixed to each other.
@@ -78,6 +84,7 @@ def link_boards(pairs: Sequence[tuple[Sighting, Sighting, Poses]], target: Abstr
         lambda first, second: first.inverse @ second,
         lambda first_from_second, first: first @ first_from_second,
         target,
+        tuning,
     )
     return link._replace(second_from_first=link.second_from_first.inverse)
 
@@ -87,6 +94,7 @@ def _most_agreed(
     between: Callable[[Pose, Pose], Pose],
     apply: Callable[[Pose, Pose], Pose],
     target: AbstractTarget,
+    tuning: CalibTuning,
 ) -> Link:
     """The step `between` two poses which, if it `apply`s, leaves most second sightings in place.
 
@@ -100,7 +108,7 @@ def _most_agreed(
             step = between(first, second)
             misses = [
                 min(sighting.nearest(apply(step, own), target)[1] for own in starts)
-                / sighting.agreement_px
+                / sighting.agreement_px(tuning)
                 for starts, _, sighting in judges
             ]
             agreeing = int(np.sum(np.array(misses) < 1.0))
@@ -154,7 +162,10 @@ class PlacedBoard(NamedTuple):
 
 
 def place_board(
-    sightings: Sequence[Sighting], cam_from_rig: Mapping[int, Pose], target: AbstractTarget
+    sightings: Sequence[Sighting],
+    cam_from_rig: Mapping[int, Pose],
+    target: AbstractTarget,
+    tuning: CalibTuning,
 ) -> PlacedBoard:
     """The pose of the board that most sightings of a shot agree on."""
     # A board alone stands as well turned as it looks the same; among others it does not.
@@ -168,8 +179,9 @@ def place_board(
                 turn, miss = labelling, 0.0
                 if other is not one:
                     turn, miss = other.nearest(cam_from_rig[other.camera] @ board, target)
-                total += min(miss / other.agreement_px, 1.0)
-                if miss < other.agreement_px:
+                agreement_px = other.agreement_px(tuning)
+                total += min(miss / agreement_px, 1.0)
+                if miss < agreement_px:
                     members.append((other, turn))
                 else:
                     stragglers.append((other, miss))

@@ -14,6 +14,7 @@ from trinoc.calib.detection.registry import detect_or_explain
 from trinoc.calib.starts.board_readings import find_charuco_reading, find_reading
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import BoardSet
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import InputError, TrinocError, check_kind
 from trinoc.image.grey import grey_image
 
@@ -53,6 +54,8 @@ def find_boards(
     pictures: Mapping[str, Pictures],
     target: AbstractTarget,
     progress: Callable[[int, int], None] | None = None,
+    *,
+    tuning: CalibTuning = TUNING,
 ) -> FoundBoards:
     """Detect the board in every picture, several at a time.
 
@@ -73,7 +76,7 @@ def find_boards(
             given = deliver(named[job[0]][job[1]])
             if isinstance(given, Detection):
                 return given
-            return detect_or_explain(given, board, None)
+            return detect_or_explain(given, board, None, tuning=tuning)
         except TrinocError as error:
             return str(error)
         except Exception as error:  # one image must not end a calibration
@@ -113,13 +116,13 @@ def find_boards(
             return None
 
     for which in _unseen_boards(target, detections, len(failures) > _FEW_FOUND * len(jobs)):
-        reading = find_charuco_reading(target, which, list(failures), load)
+        reading = find_charuco_reading(target, which, list(failures), load, tuning)
         if reading is not None:
             target, remarks = reading.target, (*remarks, reading.sentence)
             failures.clear()
             detections.update({camera: {} for camera in named})
             look_at_all(target)
-    causes = _explain_failures(target, failures, load)
+    causes = _explain_failures(target, failures, load, tuning)
     for camera, own in detections.items():
         for shot, why in _list_other_sizes(own).items():
             failures[camera, shot] = why
@@ -142,9 +145,10 @@ def _explain_failures(
     target: AbstractTarget,
     failures: dict[tuple[str, str], str],
     load: Callable[[tuple[str, str]], Any],
+    tuning: CalibTuning,
 ) -> dict[str, str]:
     """Name the board that failed images show in place of a stated one, and the first by camera."""
-    search, causes = ReadingSearch(target), {}
+    search, causes = ReadingSearch(target, tuning=tuning), {}
     for camera in {camera: None for camera, _ in failures}:
         shots = [shot for name, shot in failures if name == camera]
         # All readings are tried in the first images: they are taken from the whole recording.

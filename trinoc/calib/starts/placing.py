@@ -17,7 +17,7 @@ from trinoc.calib.starts.links import Poses, link_cameras, place_board
 from trinoc.calib.starts.sightings import Sighting, label_sighting
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import board_names
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import CalibrationError, list_names
 from trinoc.geometry.pose import Pose
 
@@ -54,6 +54,8 @@ def place_rig(
     shots: Sequence[str],
     target: AbstractTarget,
     known: Collection[str] = (),
+    *,
+    tuning: CalibTuning = TUNING,
 ) -> PlacedRig:
     """Chain the cameras and place the board of every shot. `known` : cameras with a given lens.
 
@@ -73,10 +75,12 @@ def place_rig(
         ]
         for k, (camera, start) in enumerate(starts.items())
     }
-    found = connect(sightings, range(len(members)), target)
+    found = connect(sightings, range(len(members)), target, tuning)
     _expect_all_boards(sightings, members)
     if len(found.cameras) > 1:
-        raise CalibrationError(explain_cameras_apart(found, names, sightings, target, known))
+        raise CalibrationError(
+            explain_cameras_apart(found, names, sightings, target, known, tuning)
+        )
     if len(found.boards) > 1:
         raise CalibrationError(explain_boards_apart(found.boards, members))
     cam_from_rig, boards, shot_names = found.cameras[0], [], []
@@ -85,7 +89,7 @@ def place_rig(
 
     def place(own: Sequence[Sighting], shot: str) -> list[tuple[Sighting, float]]:
         """Adds a shot, and returns the sightings that do not fit."""
-        placed = place_board(own, cam_from_rig, target)
+        placed = place_board(own, cam_from_rig, target, tuning)
         for each, labelling in placed.members:
             detection = each.detections[labelling]
             used = np.ones(len(detection), dtype=bool)
@@ -102,7 +106,7 @@ def place_rig(
         stragglers = place(own, shot)
         away = [each for each, _ in stragglers]
         if away and len({each.camera for each in own}) == len(own):
-            pair = find_exchanged_pair(own, cam_from_rig, target)
+            pair = find_exchanged_pair(own, cam_from_rig, target, tuning)
             if pair:
                 a, b = (names[camera] for camera in pair)
                 refused.append(
@@ -163,7 +167,10 @@ def of_one_moment(shot: str, camera: str) -> str:
 
 
 def find_exchanged_pair(
-    sightings: Sequence[Sighting], cam_from_rig: Poses, target: AbstractTarget
+    sightings: Sequence[Sighting],
+    cam_from_rig: Poses,
+    target: AbstractTarget,
+    tuning: CalibTuning,
 ) -> tuple[int, int] | None:
     """Two cameras that agree with all others of a shot once their pictures change places.
 
@@ -181,7 +188,7 @@ def find_exchanged_pair(
                 trial[k] = owner._replace(detections=giver.detections, cam_from_board=poses)
         except CalibrationError:
             continue
-        if not place_board(trial, cam_from_rig, target).stragglers:
+        if not place_board(trial, cam_from_rig, target, tuning).stragglers:
             found.append((one.camera, other.camera))
     return found[0] if len(found) == 1 else None
 
@@ -200,11 +207,11 @@ def _expect_all_boards(sightings: Mapping[int, Sequence[Sighting]], names: Seque
             )
 
 
-def boards_are_parallel(poses: Sequence[Pose]) -> bool:
+def boards_are_parallel(poses: Sequence[Pose], *, tuning: CalibTuning = TUNING) -> bool:
     """Whether boards at these poses are parallel to each other, of which there are several."""
     facing = np.array([pose.rotation[:, 2] for pose in poses])
     between = np.degrees(np.arccos(np.clip(np.abs(facing @ facing[0]), 0.0, 1.0)))
-    return len(facing) > 1 and bool(between.max() < TUNING.starts.parallel_deg)
+    return len(facing) > 1 and bool(between.max() < tuning.starts.parallel_deg)
 
 
 def explain_cameras_apart(
@@ -213,12 +220,13 @@ def explain_cameras_apart(
     sightings: Mapping[int, Sequence[Sighting]],
     target: AbstractTarget,
     known: Collection[str],
+    tuning: CalibTuning,
 ) -> str:
     """Why the cameras are not in one frame. `known` : cameras with a given lens."""
     groups = found.cameras
     broken = [(pair, link) for pair, link in found.links.items() if not link.holds]
     for (a, b), _ in broken:
-        shift = _find_shift(sightings[a], sightings[b], target)
+        shift = _find_shift(sightings[a], sightings[b], target, tuning)
         if shift:
             earlier = "earlier" if shift > 0 else "later"
             return (
@@ -232,7 +240,7 @@ def explain_cameras_apart(
         for number in (a, b):
             camera = names[number]
             poses = [each.cam_from_board[0] for each in sightings[number]]
-            if camera not in known and boards_are_parallel(poses):
+            if camera not in known and boards_are_parallel(poses, tuning=tuning):
                 return (
                     f'The board is parallel in all shots of "{camera}", which tells no lens, and '
                     "without its lens not how it stands. Tilt the board by 30 to 50 degrees, "
@@ -266,16 +274,21 @@ def explain_boards_apart(groups: Sequence[Mapping[int, Pose]], names: Sequence[s
     )
 
 
-def _find_shift(one: Sequence[Sighting], other: Sequence[Sighting], target: AbstractTarget) -> int:
+def _find_shift(
+    one: Sequence[Sighting],
+    other: Sequence[Sighting],
+    target: AbstractTarget,
+    tuning: CalibTuning,
+) -> int:
     """By how many shots the second camera's pictures come too late; 0 where no shift helps."""
     first, second = ({(each.shot, each.board): each for each in own} for own in (one, other))
-    for size in range(1, TUNING.starts.most_shift + 1):
+    for size in range(1, tuning.starts.most_shift + 1):
         for shift in (size, -size):
             shared = sorted(key for key in first if (key[0] + shift, key[1]) in second)
             if len(shared) < 3:
                 continue
             pairs = [(first[shot, board], second[shot + shift, board]) for shot, board in shared]
-            link = link_cameras(pairs, target)
+            link = link_cameras(pairs, target, tuning)
             if 2 * link.agreeing > link.shared:
                 return shift
     return 0

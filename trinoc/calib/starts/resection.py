@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special
 
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import CalibrationError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
@@ -31,7 +31,11 @@ def is_flat(points: Float[np.ndarray, "n 3"]) -> bool:
 
 
 def find_pose(
-    points: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 2"], lens: Intrinsics
+    points: Float[np.ndarray, "n 3"],
+    seen: Float[np.ndarray, "n 2"],
+    lens: Intrinsics,
+    *,
+    tuning: CalibTuning = TUNING,
 ) -> Pose:
     """Pose by SQPnP (Terzakis and Lourakis 2020), for points on a plane and off it.
 
@@ -43,7 +47,8 @@ def find_pose(
         mirrored = points * [1.0, 1.0, -1.0]
         mirrored_pose = _solve_pose(mirrored, seen, lens)
         if mirrored_pose is not None and (
-            pose is None or _fits_better((mirrored_pose, mirrored), (pose, points), seen, lens)
+            pose is None
+            or _fits_better((mirrored_pose, mirrored), (pose, points), seen, lens, tuning)
         ):
             raise CalibrationError(_LEFT_HANDED)
     if pose is None:
@@ -76,6 +81,7 @@ def _fits_better(
     second: tuple[Pose, np.ndarray],
     seen: Float[np.ndarray, "n 2"],
     lens: Intrinsics,
+    tuning: CalibTuning,
 ) -> bool:
     """Whether the first pose and points fit better than chance explains, by their medians, which
     outliers hardly change (F test of two variances)."""
@@ -86,7 +92,7 @@ def _fits_better(
         medians.append(float(np.median(residuals)) + _SOLVER_PX)
     freedom = 2 * len(seen) - 6
     chance = special.fdtrc(freedom, freedom, (medians[1] / medians[0]) ** 2)
-    return bool(chance < TUNING.answer.chance)
+    return bool(chance < tuning.answer.chance)
 
 
 def find_linear_camera(

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.starts.camera_start import miss_px
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 
@@ -43,11 +43,10 @@ class Sighting(NamedTuple):
         """Where this board says that the set stands, for each labelling."""
         return tuple(pose @ self.set_from_board.inverse for pose in self.cam_from_board)
 
-    @property
-    def agreement_px(self) -> float:
+    def agreement_px(self, tuning: CalibTuning) -> float:
         """By how much the board may lie elsewhere and still be the same."""
         extent = float(np.ptp(self.detections[0].centres_px, axis=0).max())
-        return max(TUNING.starts.least_px, TUNING.starts.elsewhere_share * extent)
+        return max(tuning.starts.least_px, tuning.starts.elsewhere_share * extent)
 
     def nearest(self, cam_from_set: Pose, target: AbstractTarget) -> tuple[int, float]:
         """The labelling that a given pose of the set fits best, and by how many pixels not."""

@@ -99,3 +99,8 @@ class DetectionTuning:
     # widened: fine tags need the one, soft corners the other. No more than so many px are enlarged.
     tag_scales: tuple[tuple[int, int], ...] = ((1, 3), (1, 7), (2, 5))
     most_enlarged_px: int = 4_000_000
+
+    @property
+    def fewest_tags(self) -> int:
+        """The fewest tags that have `fewest_places` corners."""
+        return -(-self.fewest_places // 4)
