@@ -82,7 +82,7 @@ def calibrate_points(
         assert image_size_px is not None
         camera = find_linear_camera(points, seen, image_size_px)
     else:
-        camera = Camera(lens, find_pose(points, seen, lens))
+        camera = Camera(lens, find_pose(points, seen, lens, tuning=tuning))
     problem = fit_without_outliers(problem_of_points(camera, points, seen, names, model, tuning))
     if lens is None and free is None:
         problem, names = extend_lens(problem, names)

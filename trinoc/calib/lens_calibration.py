@@ -109,7 +109,7 @@ def calibrate_intrinsics(
     board_errors = Systematics.typical({}) if systematics is None else systematics
     board_errors.check()
     board_errors = board_errors._replace(print_size_sigma=0.0, aim_sigma_mm=0.0)
-    boards = find_boards(images, pattern)
+    boards = find_boards(images, pattern, tuning=tuning)
     _expect_usable(boards, image_size_px)
     ratio = None
     if aspect == "pitch":

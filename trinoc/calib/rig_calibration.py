@@ -95,7 +95,7 @@ def calibrate_rig(
     systematics = _board_systematics(systematics)
     factors = _lens_factors(systematics, lenses, tuple(images))
     models, splined = models_to_try(lens_model, distortion, lenses)
-    boards = find_boards(images, board, progress)
+    boards = find_boards(images, board, progress, tuning=tuning)
     freedom = LensFreedom(distortion, same_lens)
     observations = ShotObservations.of_boards(boards, lenses, factors, freedom, systematics, tuning)
     _expect_boards(boards, observations)

@@ -108,7 +108,7 @@ def calibrate(
     for name, image in images.items():
         try:
             grey = np.asarray(image) if bayer is None else neutral_mosaic(np.asarray(image))
-            detections[name] = detect_pattern(grey, pattern)
+            detections[name] = detect_pattern(grey, pattern, tuning=tuning)
         except DetectionError as error:
             failures[name] = str(error)
         except InputError as error:
@@ -160,7 +160,9 @@ def calibrate_sheet(
     them. failures : why the sheet was not detected in the other cameras.
     """
     lens_factors = priors.systematics.lens_factors(lenses)
-    detections, ambiguous = resolve_orientation(detections, pattern, orientation)
+    detections, ambiguous = resolve_orientation(
+        detections, pattern, orientation, tuning=priors.tuning
+    )
     failures = {**(failures or {}), **ambiguous}
     status = dict.fromkeys(lenses, Status.NOT_DETECTED) | dict.fromkeys(ambiguous, Status.AMBIGUOUS)
     cameras: list[SheetCamera] = []

@@ -79,7 +79,7 @@ def reason_undetermined(problem: Problem) -> str:
     if max(tilts_deg) < parallel_deg:
         return sentences.SQUARE_TO_THE_CAMERA
     boards = [Pose(np.asarray(problem.state.rig_from_board)[shot]) for shot in shots]
-    if not len(problem.state.set_from_board) and boards_are_parallel(boards):
+    if not len(problem.state.set_from_board) and boards_are_parallel(boards, tuning=problem.tuning):
         return sentences.PARALLEL_BOARDS
     tilted = facing[tilts_deg >= parallel_deg, :2]
     doubled = 2.0 * np.arctan2(tilted[:, 1], tilted[:, 0])

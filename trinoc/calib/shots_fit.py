@@ -312,6 +312,7 @@ def _fit_corners(observations: ShotObservations, model: type[AbstractLens]) -> S
                 model,
                 lens=None if lens is None else lens.lens,
                 aspect=observations.freedom.aspect,
+                tuning=observations.tuning,
             )
         except CalibrationError as error:
             if len(observations.cameras) == 1:
@@ -323,6 +324,7 @@ def _fit_corners(observations: ShotObservations, model: type[AbstractLens]) -> S
         observations.shots,
         observations.target,
         observations.lenses,
+        tuning=observations.tuning,
     )
     problem = anneal(_build_problem(observations, placed, starts))
     for _ in range(_MOST_SPLITS):
