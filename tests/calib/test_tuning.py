@@ -3,13 +3,16 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from tests.calib.made_shots import BOARD, shots
 from tests.calib.simulated import EXACT, TABLE_1, camera_of, reference_sheet, simulated_detection
 from trinoc.calib import CalibrationResult, calibrate_detections
 from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.sheet_calibration import calibrate
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
+from trinoc.errors import InputError
 
 
 def with_gate(gate: float) -> CalibTuning:
@@ -49,3 +52,12 @@ def test_a_tighter_gate_leaves_out_more_circles_of_a_sheet() -> None:
         for gate in (6.0, 1.5)
     )
     assert left_out(strict) > left_out(default) == 0
+
+
+def test_changed_constants_of_the_grey_levels_are_refused_where_they_would_be_ignored() -> None:
+    changed = dataclasses.replace(TUNING.photometric, fewest_pixels=5)
+    tuning = dataclasses.replace(TUNING, photometric=changed)
+    images = {"left": np.full((480, 512), 200, np.uint8)}
+    lens = camera_of(TABLE_1["left"]).intrinsics
+    with pytest.raises(InputError, match='give method="points"'):
+        calibrate(images, reference_sheet(), lens, tuning=tuning)

@@ -61,7 +61,7 @@ def calibrate_points(
     systematics : its `lens_covariance` is that of what is not `free` of the lens, and is in the
         covariance; by default that of a data sheet where the lens is one (`Systematics.typical`).
         `Systematics()` takes the lens as exact. The places are exact either way.
-    tuning : every tuned constant of calibration; a benchmark or a study changes them.
+    tuning : constants of calibration; a benchmark or a study changes them.
 
     The status is SUSPECT, with a note that names it, where the points ask for something of lens or
     aim that was held and said to be exact (Rao's score test, by noise as the residuals show it), or

@@ -69,7 +69,8 @@ def calibrate_intrinsics(
         `Systematics.typical`; `Systematics()` for a board that is exact. The board's size does not
         change a lens.
     throw : whether an undetermined lens raises an error; otherwise its status reports it.
-    tuning : every tuned constant of calibration; a benchmark or a study changes them.
+    tuning : constants of calibration; a benchmark or a study changes them. Those of the fit to grey
+        levels, `tuning.photometric`, cannot be changed.
 
     Returns
     -------

@@ -75,7 +75,8 @@ def calibrate_rig(
         lenses, without which they are exact.
     throw : whether a rig that is not determined raises an error; otherwise its status reports it.
     progress : called with the numbers of images searched and of all images.
-    tuning : every tuned constant of calibration; a benchmark or a study changes them.
+    tuning : constants of calibration; a benchmark or a study changes them. Those of the fit to grey
+        levels, `tuning.photometric`, cannot be changed.
 
     Returns
     -------

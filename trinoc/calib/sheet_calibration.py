@@ -82,7 +82,8 @@ def calibrate(
         "RGGB": each pixel is fitted as it is, without interpolation.
     response : of the cameras, "linear" or "srgb" where it is known; with "fit" an image is taken
         as linear until the profiles of its edges refute that, and the response is then fitted.
-    tuning : every tuned constant of calibration; a benchmark or a study changes them.
+    tuning : constants of calibration; a benchmark or a study changes them. Those of the fit to grey
+        levels, `tuning.photometric`, cannot be changed.
 
     Returns
     -------
@@ -115,6 +116,7 @@ def calibrate(
             raise InputError(f'Camera "{name}": {error}') from error
     grey_levels = {}
     if method == "pixels":
+        tuning.expect_default_photometric()
         grey_levels = {name: grey_image(np.asarray(images[name])).grey for name in detections}
     return calibrate_sheet(
         detections, pattern, lenses, priors, orientation,
