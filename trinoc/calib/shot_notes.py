@@ -40,7 +40,9 @@ def notes_of_fit(
     """
     problem, notes = fit.problem, []
     if outcome.status is Status.RANK_DEFICIENT:
-        notes.append(sentences.shots_do_not_determine(gauge, reason_undetermined(problem)))
+        prefix = f"{cameras[0]}." if len(cameras) == 1 else ""
+        parameters = [name.removeprefix(prefix) for name in gauge]
+        notes.append(sentences.shots_do_not_determine(parameters, reason_undetermined(problem)))
     elif outcome.status is Status.NOT_CONVERGED:
         notes.append(sentences.not_converged(outcome.status.value))
     notes += [*remarks, *correction_sentences(problem, cameras)]
