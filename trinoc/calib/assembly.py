@@ -139,18 +139,23 @@ def _camera_fit(
     observability: Observability,
     pulls: Sequence[PriorPull],
 ) -> tuple[CameraFit, bool]:
-    """The fit of one camera, and whether it is suspect: its residuals are not those of the model,
-    or the images contradict what was stated of lens, aim or sheet."""
+    """The fit of one camera, and whether it is SUSPECT.
+
+    It is if the images contradict what was stated of lens, aim or sheet, if the residuals call for
+    something that the model holds fixed, or if neighbouring circles share errors far above noise.
+    """
     camera = adjustment.cameras[view]
     source = adjustment if camera.method == "pixels" else by_circles
     tests = alternatives(source, view)
     gauge = tuple(PARAMETER_NAMES[k] for k in observability.gauge)
-    refutations = notes_of_priors(pulls, adjustment, view)
-    suspect = bool(refutations) or is_suspect(
+    prior_notes, misfit_notes = notes_of_priors(pulls, adjustment, view), ()
+    suspect = bool(prior_notes) or is_suspect(
         tests, float(source.reduced_chi_square[view]), source.problem.tuning.answer
     )
     if not suspect:
-        refutations = notes_of_misfit(by_circles, view)
+        misfit_notes = notes_of_misfit(by_circles, view)
+        suspect = bool(misfit_notes)
+    camera_notes = notes_of_camera(camera, by_circles, view, tests, gauge)
     of_aim = ()
     if not any(pull.concerns_aim(view) for pull in pulls):
         of_aim = notes_of_aim(adjustment, view)
@@ -161,13 +166,13 @@ def _camera_fit(
         rank=observability.rank,
         reduced_chi_square=float(by_circles.reduced_chi_square[view]),
         gauge=gauge,
-        notes=(*refutations, *of_aim, *notes_of_camera(camera, by_circles, view, tests, gauge)),
+        notes=(*prior_notes, *misfit_notes, *of_aim, *camera_notes),
         used=by_circles.used[view],
         image=camera.picture.quality if camera.picture and camera.shown is not None else None,
         alternatives=tuple(tests),
         method=camera.method,
     )
-    return camera_fit, suspect or bool(refutations)
+    return camera_fit, suspect
 
 
 def failed_fit(

@@ -262,9 +262,9 @@ class HeldLenses(NamedTuple):
 
 
 def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
-    """Of which lens that was given with a covariance the shots ask for another; None of none.
+    """Sentence on the given lens that the shots contradict most; None if they contradict none.
 
-    The strain is the largest step from the prior's mean along a principal axis, in its sigmas.
+    Tested are lenses that were given with a covariance. The strain is the largest step from the prior's mean along a principal axis, in its sigmas.
     """
     worst, sentence, priors = problem.tuning.answer.strain_sigmas, None, problem.priors
     for number in np.flatnonzero(is_given(problem.priors)).tolist():
@@ -288,8 +288,10 @@ def _cameras_of_lens(problem: Problem, cameras: Sequence[str], number: int) -> l
 
 
 def _with_lenses_open(problem: Problem, which: Bool[np.ndarray, "l"]) -> Problem:
-    """The problem with all parameters of some lenses free, those of the widest model that contains
-    theirs. Of others as many are as were."""
+    """The problem with all parameters of some lenses free, in the widest model that contains theirs.
+
+    which : of each lens, whether it is freed. The other lenses keep what is free of them.
+    """
     free, sizes = free_of_lenses(problem), problem.image_sizes_px
     first = [int(np.argmax(problem.parametrization.lens_of_camera == k)) for k in range(len(which))]
     lenses = [skew_lens(lens_number(problem, k)) for k in range(len(which))]

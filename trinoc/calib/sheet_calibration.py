@@ -2,10 +2,11 @@
 
 1. Each camera alone: a first pose from its circles, or a sentence that says why it has none.
 2. All cameras together by circle centres, with sheet, lenses and aims as unknowns (`adjust`).
-3. The grey levels of each image, fitted alone, give more precise positions of the same ink.
+3. The grey levels of each image, fitted alone, give more precise positions of the same ink. Where
+   they show that ink has spread, the circles are adjusted again with their new size.
 4. All cameras together by these positions, from the estimate of step 2.
 5. Each camera uses its grey levels or its circles (`choose_observations`). Where a camera does not
-   use its grey levels, all cameras are adjusted once more.
+   use its grey levels, all cameras are adjusted once more. Two adjustments are usual, four the most.
 6. Tests, notes and covariance (`assembly`).
 """
 

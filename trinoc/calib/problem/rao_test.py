@@ -152,7 +152,10 @@ class HeldScore(NamedTuple):
 
 
 def is_refuted(chance: float, causes: int, limit: float = TUNING.answer.chance) -> bool:
-    """Whether noise hardly makes the strongest of so many causes, by its chance, what it is."""
+    """Whether a score test is significant after the Bonferroni correction for the causes tested.
+
+    chance : p-value of the strongest of `causes` causes. limit : largest p-value of all together.
+    """
     return chance * causes < limit
 
 

@@ -12,9 +12,10 @@ _ROUNDING = 1e-12
 
 
 def drop_wrong_circles(problem: Problem) -> Problem:
-    """The problem, what its pictures show less circles that do not agree with the rig.
+    """The problem without circles whose position by grey levels does not agree with the rig.
 
-    Each camera's are judged by the spread of them all; those that points left out stay out.
+    The gate is a multiple of the scatter of all circles of the camera. Circles that were left out
+    as points stay left out.
     """
     errors, views = errors_px(problem), list(problem.views)
     for camera in range(problem.cameras):
