@@ -34,6 +34,9 @@ from .targets.board_set import (
 from .targets.printing import (
     printed_sheet as printed_sheet,
 )
+from .tuning.every_group import (
+    CalibTuning as CalibTuning,
+)
 from .uncertainty.propagation import (
     epipolar_sigma as epipolar_sigma,
     point_covariance as point_covariance,
