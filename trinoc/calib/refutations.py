@@ -264,7 +264,8 @@ class HeldLenses(NamedTuple):
 def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
     """Sentence on the given lens that the shots contradict most; None if they contradict none.
 
-    Tested are lenses that were given with a covariance. The strain is the largest step from the prior's mean along a principal axis, in its sigmas.
+    Tested are lenses that were given with a covariance. The strain is the largest step from the
+    prior's mean along a principal axis, in its sigmas.
     """
     worst, sentence, priors = problem.tuning.answer.strain_sigmas, None, problem.priors
     for number in np.flatnonzero(is_given(problem.priors)).tolist():
@@ -288,7 +289,7 @@ def _cameras_of_lens(problem: Problem, cameras: Sequence[str], number: int) -> l
 
 
 def _with_lenses_open(problem: Problem, which: Bool[np.ndarray, "l"]) -> Problem:
-    """The problem with all parameters of some lenses free, in the widest model that contains theirs.
+    """The problem with all parameters of some lenses free, in the widest model that has theirs.
 
     which : of each lens, whether it is freed. The other lenses keep what is free of them.
     """

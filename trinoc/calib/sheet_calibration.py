@@ -6,7 +6,7 @@
    they show that ink has spread, the circles are adjusted again with their new size.
 4. All cameras together by these positions, from the estimate of step 2.
 5. Each camera uses its grey levels or its circles (`choose_observations`). Where a camera does not
-   use its grey levels, all cameras are adjusted once more. Two adjustments are usual, four the most.
+   use its grey levels, all cameras are adjusted once more. Usual are two adjustments, at most four.
 6. Tests, notes and covariance (`assembly`).
 """
 

@@ -79,19 +79,20 @@ def fit_corners(
     windows = _cut_windows(image, start_px, radius_px)
     noise = max(image.noise_sigma, 1e-3 * float(np.ptp(windows.grey)), 1e-9)
 
+    # Of the pixels' kind, so that they multiply the derivatives without a conversion.
+    weight = windows.used.astype(np.float32)
+    residual = jacobian = np.zeros(0, np.float32)
+
     def residuals(state: Float[np.ndarray, "n p"]) -> Residuals:
-        model, jacobian = _predict(windows, state)
+        nonlocal residual, jacobian
+        model, by_parameter = _predict(windows, state)
+        residual = (model - windows.grey) / noise
+        jacobian = np.divide(by_parameter, noise, order="C")
         known = np.zeros((len(state), _PARAMETERS))
         known[:, _LOG_BLUR] = state[:, _LOG_BLUR] - _START
         precision = np.zeros_like(known)
         precision[:, _LOG_BLUR] = 1 / _WIDTH**2
-        return Residuals(
-            ((model - windows.grey) / noise)[..., None],
-            (jacobian / noise)[:, :, None],
-            windows.used,
-            known,
-            precision,
-        )
+        return Residuals(residual[..., None], jacobian[:, :, None], weight, known, precision)
 
     state, equations = gauss_newton(
         residuals,
@@ -102,15 +103,15 @@ def fit_corners(
     )
     places_px = windows.origin_px + state[:, _PLACE]
     shown = np.linalg.norm(places_px - start_px, axis=1) < 0.5 * radius_px
-    model, jacobian = _predict(windows, state)
     independent = equations.covariance()
     shown &= np.isfinite(independent).all(axis=(1, 2))
     independent[~shown] = np.eye(_PARAMETERS)
+    # The last residuals are those of the final state.
     covariance_px2 = sandwich_covariance(
         windows.pixels,
         state[:, _PLACE] + windows.side // 2,
-        (model - windows.grey) / noise,
-        jacobian / noise,
+        residual,
+        jacobian,
         independent,
         _ODD,
         tuning,
@@ -173,32 +174,74 @@ def _start_corners(
 def _predict(
     windows: _Windows, state: Float[np.ndarray, "n p"]
 ) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k p"]]:
-    """The grey levels, and their derivatives, in 32 bit."""
+    """The grey levels, and their derivatives, in 32 bit.
+
+    The derivatives by one parameter are contiguous in memory, for time.
+    """
     u, v = (at - _column(of) for at, of in zip((windows.x, windows.y), state[:, _PLACE].T))
     inverse_blur = _column(np.exp(-state[:, _LOG_BLUR]))
     cosine, sine = (f(state[:, _ANGLES]).astype(np.float32).T[..., None] for f in (np.cos, np.sin))
-    z = inverse_blur * (cosine * u + sine * v)
-    along = inverse_blur * (cosine * v - sine * u)
-    side = 2 * normal_cdf(z) - 1
-    density = 2 * _DENSITY * np.exp(-0.5 * z * z)
+    z = _turn(cosine, u, sine, v)
+    z *= inverse_blur
+    along = _turn(cosine, v, -sine, u)
+    along *= inverse_blur
+    side = normal_cdf(z)
+    side *= 2
+    side -= 1
+    density = -0.5 * z
+    density *= z
+    np.exp(density, out=density)
+    density *= 2 * _DENSITY
     # Of the correlation of both errors, the terms of first and second degree.
     shared = cosine[0] * cosine[1] + sine[0] * sine[1]
-    both, bent = shared * density[0] * density[1], 1 + 0.5 * shared * z[0] * z[1]
-    product = side[0] * side[1] + both * bent
-    by_z = density * side[::-1] + both * (0.5 * shared * z[::-1] - z * bent)
+    both = shared * density[0]
+    both *= density[1]
+    bent = 0.5 * shared * z[0]
+    bent *= z[1]
+    bent += 1
+    product = side[0] * side[1]
+    product += both * bent
+    by_z = 0.5 * shared * z[::-1]
+    by_z -= z * bent
+    by_z *= both
+    density *= side[::-1]
+    by_z += density
     mean, contrast, bend = (_column(state[:, k]) for k in (_MEAN, _CONTRAST, _BEND))
     slope = state[:, _SLOPE].astype(np.float32)
-    light = 1 + slope[:, :1] * windows.x + slope[:, 1:] * windows.y
-    level = mean + product * (contrast + product * bend)
-    by_z = by_z * (light * (contrast + 2 * bend * product))
-    jacobian = np.empty((*u.shape, _PARAMETERS), np.float32)
-    jacobian[..., 0] = -inverse_blur * (cosine * by_z).sum(axis=0)
-    jacobian[..., 1] = -inverse_blur * (sine * by_z).sum(axis=0)
-    jacobian[..., _ANGLES] = np.moveaxis(by_z * along, 0, -1)
-    jacobian[..., _LOG_BLUR] = -(by_z * z).sum(axis=0)
-    jacobian[..., _MEAN] = light
-    jacobian[..., _CONTRAST] = light * product
-    jacobian[..., _BEND] = light * product**2
-    jacobian[..., 8] = level * windows.x
-    jacobian[..., 9] = level * windows.y
-    return level * light, jacobian
+    light = slope[:, :1] * windows.x
+    light += 1
+    light += slope[:, 1:] * windows.y
+    level = product * bend
+    level += contrast
+    level *= product
+    level += mean
+    by_product = 2 * bend * product
+    by_product += contrast
+    by_product *= light
+    by_z *= by_product
+    jacobian = np.empty((len(state), _PARAMETERS, u.shape[1]), np.float32)
+    np.multiply(_turn(cosine[0], by_z[0], cosine[1], by_z[1]), -inverse_blur, out=jacobian[:, 0])
+    np.multiply(_turn(sine[0], by_z[0], sine[1], by_z[1]), -inverse_blur, out=jacobian[:, 1])
+    np.multiply(by_z, along, out=np.moveaxis(jacobian[:, _ANGLES], 1, 0))
+    by_z *= z
+    np.negative(by_z[0] + by_z[1], out=jacobian[:, _LOG_BLUR])
+    jacobian[:, _MEAN] = light
+    np.multiply(light, product, out=jacobian[:, _CONTRAST])
+    product *= product
+    np.multiply(light, product, out=jacobian[:, _BEND])
+    np.multiply(level, windows.x, out=jacobian[:, 8])
+    np.multiply(level, windows.y, out=jacobian[:, 9])
+    level *= light
+    return level, jacobian.mT
+
+
+def _turn(
+    cosine: Float[np.ndarray, "*a 1"],
+    u: Float[np.ndarray, "n k"],
+    sine: Float[np.ndarray, "*a 1"],
+    v: Float[np.ndarray, "n k"],
+) -> Float[np.ndarray, "*a k"]:
+    """cosine u + sine v."""
+    total = cosine * u
+    total += sine * v
+    return total

@@ -51,5 +51,8 @@ def levels_of_8_bit(grey: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
     low, high = float(grey.min()), float(grey.max())
     if low >= 0.0 and 127.0 < high <= 255.0:
         low, high = 0.0, 255.0
-    scale = 255.0 / max(high - low, 1e-9)
-    return np.clip(np.rint((grey - low) * scale), 0, 255).astype(np.uint8)
+    levels = grey
+    if (low, high) != (0.0, 255.0):
+        levels = (grey - low) * (255.0 / max(high - low, 1e-9))
+    # To the nearest level, and to 255 beyond: none is negative.
+    return cv2.convertScaleAbs(levels)

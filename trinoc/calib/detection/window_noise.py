@@ -104,13 +104,15 @@ def sandwich_covariance(
     white = (by_pixel.mT @ by_pixel).astype(float)
     by_pixel = has_opposite[..., None] * by_pixel
     opposed = (residual - _take(residual, across)) * np.float32(np.sqrt(0.5))
-    squares, observed = _sum_pairs(pixels, opposed[..., None] * by_pixel)
+    moves = np.empty((*opposed.shape, 1 + len(odd), 2), np.float32)
+    np.multiply(opposed[..., None], by_pixel, out=moves[:, :, 0])
     # The part of the jacobian that changes sign, in standard deviations of its parameters: of such
     # noise the fit follows twice the square of each column.
     root = np.linalg.cholesky(covariance[:, odd][:, :, odd]).astype(np.float32)
     followed = 0.5 * (jacobian[..., odd] - _take(jacobian[..., odd], across)) @ root
-    columns = np.moveaxis(followed, 2, 0)[..., None] * by_pixel
-    lost_squares, lost = 2.0 * np.sum([_sum_pairs(pixels, each) for each in columns], axis=0)
+    np.multiply(followed[..., None], by_pixel[:, :, None], out=moves[:, :, 1:])
+    (squares, observed), *by_column = _sum_pairs(pixels, moves)
+    lost_squares, lost = 2.0 * np.sum(by_column, axis=0)
     influence = np.sum(by_pixel**2, axis=2, dtype=float)
     total = influence.sum(axis=1)
     # A pixel and the one across it have the same noise but for the sign.
@@ -127,14 +129,23 @@ def sandwich_covariance(
     return white * np.maximum(scale, ratio / _LARGEST_RATIO)[:, None, None]
 
 
-def _sum_pairs(pixels: WindowPixels, moved: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "s n"]:
-    """For each window the sum of squares, and the sum of products over pairs of near pixels."""
-    tiles = pixels.lay_out(moved)
+def _sum_pairs(
+    pixels: WindowPixels, moves: Float[np.ndarray, "n k m 2"]
+) -> Float[np.ndarray, "m s n"]:
+    """Sum of squares, and sum of products over pairs of near pixels, of m values of each pixel.
+
+    moves : m changes of the position of each of n windows by each pixel.
+    """
+    count, sets = len(moves), moves.shape[2]
+    # All windows are filtered as one image, with empty rows between them.
+    padded = np.zeros((sets, count, pixels.side + _REACH, pixels.side, 2), moves.dtype)
+    tiles = padded[:, :, : pixels.side]
+    tiles[:] = np.moveaxis(pixels.lay_out(moves), 3, 0)
     kernel = _weight(np.arange(-_REACH, _REACH + 1.0)).astype(np.float32)
-    near = [cv2.sepFilter2D(tile, -1, kernel, kernel, borderType=_EMPTY) for tile in tiles]
-    return np.stack(
-        [np.sum(part, axis=(1, 2, 3), dtype=float) for part in (tiles**2, tiles * np.array(near))]
-    )
+    column = padded.reshape(-1, pixels.side, 2)
+    near = cv2.sepFilter2D(column, -1, kernel, kernel, borderType=_EMPTY).reshape(padded.shape)
+    products = tiles**2, tiles * near[:, :, : pixels.side]
+    return np.stack([np.sum(each, axis=(2, 3, 4), dtype=float) for each in products], axis=1)
 
 
 def _weight(distance_px: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
