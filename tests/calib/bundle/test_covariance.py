@@ -12,6 +12,7 @@ from trinoc.calib.bundle.covariance import (
     segment_factor,
     sheet_factor,
 )
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import PoseModel
 
 segments = jax.jit(jax.vmap(segment_and_errors, (None, 0, 0, 0)))
@@ -76,7 +77,7 @@ def test_the_factor_is_that_by_which_residuals_exceed_what_they_claim(factor: fl
     tracks, views = 400, 4
     squared = factor**2 * np.random.default_rng(2).chisquare(2, (tracks, views))
     # Each track's line takes four of the eight distances.
-    found, inlier = segment_factor(squared / 2, np.ones((tracks, views), dtype=bool), 0.0)
+    found, inlier = segment_factor(squared / 2, np.ones((tracks, views), dtype=bool), 0.0, TUNING)
     assert found == pytest.approx(factor, rel=0.05)
     assert inlier.all()
 
@@ -85,6 +86,6 @@ def test_too_few_residuals_leave_the_claimed_sigmas() -> None:
     nothing, pairs = np.zeros((5, 3)), np.array([[True, True, False]] * 5)
     # What rounding leaves of a trace that is zero must not pass for a degree of freedom.
     for trace in (0.0, -1e-12, 3.0):
-        assert segment_factor(nothing, pairs, trace)[0] == 1.0
-    assert sheet_factor(400.0, 29.0) == 1.0
-    assert sheet_factor(400.0, 100.0) == 2.0
+        assert segment_factor(nothing, pairs, trace, TUNING)[0] == 1.0
+    assert sheet_factor(400.0, 29.0, TUNING) == 1.0
+    assert sheet_factor(400.0, 100.0, TUNING) == 2.0

@@ -15,6 +15,7 @@ from tests.calib.bundle.made_tracks import (
 from trinoc.calib.bundle import estimate
 from trinoc.calib.bundle.refinement import refine
 from trinoc.calib.bundle.result import RefineStatus
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry import (
     LineObservations,
@@ -24,7 +25,7 @@ from trinoc.geometry import (
 )
 from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.rig import Rig
-from trinoc.numerics.tables import take_rows
+from trinoc.numerics.tables import take_rows, with_field
 
 CHI_SQUARE_6_AT_95 = 12.592
 
@@ -109,7 +110,7 @@ def test_a_sheet_that_fitted_worse_than_it_claims_knows_so_much_less(monkeypatch
     vague = LineObservations(
         lines.views, lines.fragments_px, 1e8 * lines.covariance_px2, lines.seen, lines.lines_mm
     )
-    monkeypatch.setattr(estimate, "segment_factor", lambda squared, seen, _: (1.0, seen))
+    monkeypatch.setattr(estimate, "segment_factor", lambda squared, seen, *_: (1.0, seen))
     monkeypatch.setattr(estimate, "sheet_factor", lambda *_: 3.0)
     sheet = sheet_estimate(10)
     answer = refine(sheet, vague)
@@ -228,3 +229,20 @@ def test_what_does_not_belong_together_is_refused():
         LineObservations(
             lines.views, lines.fragments_px, lines.covariance_px2, lost, lines.lines_mm
         )
+
+
+def test_another_tuning_is_used_after_a_call_with_the_default():
+    lines, _, _ = made_tracks(5, 100)
+    sheet = sheet_estimate(6)
+    usual = refine(sheet, lines)
+    # Residuals of two sigmas cost less under a loss that levels out there.
+    narrow = refine(sheet, lines, tuning=with_field(TUNING, "bundle.loss_sigmas", 2.0))
+    assert narrow.chi_square[0] < 0.9 * usual.chi_square[0]
+    # Where the loss never narrows, wrong fragments pull the cameras.
+    wide = refine(sheet, lines, tuning=with_field(TUNING, "bundle.widenings", (16.0,)))
+    assert np.abs(wide.values - usual.values).max() > 0
+    strict = refine(sheet, lines, tuning=with_field(TUNING, "bundle.outlier_chance", 0.5))
+    assert strict.inlier.sum() < usual.inlier.sum()
+    again = refine(sheet, lines)
+    np.testing.assert_array_equal(again.values, usual.values)
+    np.testing.assert_array_equal(again.covariance, usual.covariance)

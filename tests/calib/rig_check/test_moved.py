@@ -5,8 +5,9 @@ import pytest
 
 from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
 from trinoc.calib.rig_check.knocked import check_rig
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import CalibrationError
-from trinoc.numerics.tables import take_rows
+from trinoc.numerics.tables import take_rows, with_field
 
 SIZES_DEG = 0.2
 
@@ -108,3 +109,17 @@ def test_a_scene_is_matched_again_only_where_something_calls_for_it(share, camer
         match_again=match_again,
     )
     assert bool(calls) is asked
+
+
+def test_another_limit_of_suspicion_is_used_after_a_call_with_the_default():
+    lines, _, _ = made_tracks(40, 100)
+    rig = knocked(41, ("right",), SIZES_DEG)
+    usual = check_rig(rig, lines)
+    assert usual.moved == ("right",)
+    patient = with_field(TUNING, "rig_check.suspect_sigmas", 1e6)
+    check = check_rig(rig, lines, tuning=patient)
+    assert check.moved == ()
+    assert [motion.sigmas for motion in check.motions] == [each.sigmas for each in usual.motions]
+    # The summary lists the change of each suspected motion, by the limit of its own check.
+    assert "+-" in usual.summary()
+    assert "+-" not in check.summary()

@@ -6,11 +6,13 @@ from hypothesis import given, strategies as st
 from scipy import stats
 
 from trinoc.calib.rig_check.comparison import compare_rigs, sigmas_of_chi_square
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.propagation import field_places_px
 from trinoc.geometry.camera import POSE_NAMES, Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
+from trinoc.numerics.tables import with_field
 from trinoc.synth import table1_rig
 
 
@@ -49,6 +51,9 @@ def test_a_change_is_measured_by_the_variances_of_both_rigs() -> None:
     )
     assert compare_rigs(now, before).cameras["a"].sigmas == pytest.approx(0.2 / 0.05, rel=1e-6)
     assert compare_rigs(before, now).cameras["a"].sigmas == pytest.approx(0.2 / 0.05, rel=1e-6)
+    assert not compare_rigs(now, before).cameras["a"].moved
+    strict = with_field(TUNING, "rig_check.moved_sigmas", 3.9)
+    assert compare_rigs(now, before, tuning=strict).cameras["a"].moved
 
 
 NAMES = tuple(f"a.{name}" for name in PARAMETER_NAMES)

@@ -4,9 +4,11 @@ import pytest
 from hypothesis import given, strategies as st
 
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.targets.printing import propose_sheet
+from trinoc.calib.targets.printing import printed_sheet, propose_sheet
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError
 from trinoc.io.pattern_page import PAPER_SIZES_MM, drawing_room_mm, lay_out
+from trinoc.numerics.tables import with_field
 
 SIZE_PX = (1280, 960)
 
@@ -50,3 +52,16 @@ def test_more_pixels_allow_more_circles_and_distance_takes_them() -> None:
         propose_sheet(field_mm=(40000.0, 30000.0), size_px=SIZE_PX, room_mm=room)
     with pytest.raises(InputError, match="no room for a sheet"):
         propose_sheet(field_mm=(0.4, 0.3), size_px=SIZE_PX, room_mm=room)
+
+
+def test_a_proposal_and_a_printed_sheet_follow_the_tuning() -> None:
+    room = drawing_room_mm("a4")
+    usual = propose_sheet(field_mm=(400, 300), size_px=SIZE_PX, room_mm=room)
+    wider = with_field(TUNING, "targets.good_px", 2 * usual.circle_px)
+    other = propose_sheet(field_mm=(400, 300), size_px=SIZE_PX, room_mm=room, tuning=wider)
+    assert other.count < usual.count
+    exact = with_field(TUNING, "targets.largest_change", 1e-3)
+    bars = {"nominal_mm": (100.0, 100.0), "measured_mm": (101.0, 101.0)}
+    assert printed_sheet(Pattern.default(), **bars).pattern.radius_mm[0] > 6.0
+    with pytest.raises(InputError, match="check the unit"):
+        printed_sheet(Pattern.default(), **bars, tuning=exact)

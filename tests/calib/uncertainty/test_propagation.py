@@ -10,6 +10,7 @@ from trinoc.calib import (
     point_covariance,
     projection_sigma,
 )
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.propagation import field_places_px, field_sigma_px
 from trinoc.calib.uncertainty.systematics import Systematics, data_sheet_covariance
 from trinoc.geometry import (
@@ -23,6 +24,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.numerics.precision import in_float64
+from trinoc.numerics.tables import with_field
 
 SHEET = reference_sheet()
 NAMES = PARAMETER_NAMES + AFFINE_PARAMETERS
@@ -149,3 +151,13 @@ def test_places_beyond_the_image_circle_of_a_fisheye_have_no_sigma():
     of_lens = np.asarray(field_sigma_px(lens.lens, covariance, field_places_px((848, 800))))
     np.testing.assert_array_equal(np.isnan(of_lens), np.isnan(sigma))
     assert np.nanmax(of_lens) < 10.0
+
+
+def test_typical_errors_follow_the_tuning() -> None:
+    lens = Intrinsics(focal_length_mm=16, pixel_pitch_mm=(0.016, 0.014), image_size_px=(512, 480))
+    usual = Systematics.typical({"a": lens})
+    doubled = with_field(TUNING, "uncertainty.principal_point", 0.04)
+    other = Systematics.typical({"a": lens}, tuning=with_field(doubled, "uncertainty.aim_mm", 7.0))
+    assert (usual.aim_sigma_mm, other.aim_sigma_mm) == (20.0, 7.0)
+    variances = [np.diag(known.lens_covariance["a"]) for known in (usual, other)]
+    np.testing.assert_allclose(variances[1] / variances[0], [1, 1, 4, 4, 1])

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.bundle.camera import CameraState
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.geometry.projection import project_by_matrix
 from trinoc.geometry.triangulation import triangulate_segment
 from trinoc.numerics.precision import ArrayLike
@@ -35,8 +35,6 @@ from trinoc.numerics.tails import chi_square_limit
 FREE_EIGENVALUE = 1e-10
 RIGID_GAUGE = "position, orientation and scale of the whole rig"
 AIMED_GAUGE = "orientation and scale of the whole rig"
-# numerical: of the two ends' distances of a fragment.
-INLIER_SQUARED = chi_square_limit(TUNING.bundle.outlier_chance, 2)
 
 
 class DeterminedPart(NamedTuple):
@@ -126,6 +124,7 @@ def segment_factor(
     squared: Float[np.ndarray, "t v"],
     seen: Bool[np.ndarray, "t v"],
     cameras_trace: float,
+    tuning: CalibTuning,
 ) -> tuple[float, Bool[np.ndarray, "t v"]]:
     """(factor on the sigma of segments, the fragments it is from) by tracks that fit as a whole.
 
@@ -133,9 +132,11 @@ def segment_factor(
     n views leaves 2 n - 4 distances for the noise; two views leave none. With less than one in all
     the claimed sigmas are kept.
     """
+    # Of the two distances of a fragment's ends.
+    inlier_squared = chi_square_limit(tuning.bundle.outlier_chance, 2)
     factor = 1.0
     for _ in range(10):
-        inlier = seen & (squared <= INLIER_SQUARED * max(factor, 1e-3) ** 2)
+        inlier = seen & (squared <= inlier_squared * max(factor, 1e-3) ** 2)
         whole = (inlier == seen).all(axis=1) & (seen.sum(axis=1) >= 3)
         redundancy = (2 * seen[whole].sum(axis=1) - 4).sum() - cameras_trace
         if redundancy < 1:
@@ -147,12 +148,12 @@ def segment_factor(
     return factor, inlier
 
 
-def sheet_factor(chi_square: float, redundancy: float) -> float:
+def sheet_factor(chi_square: float, redundancy: float, tuning: CalibTuning) -> float:
     """Factor on the sheet's sigmas from its own fit and from how far segments pulled it.
 
     With too little redundancy the claimed sigmas are kept: a factor from a handful of numbers
     would be noise itself.
     """
-    if redundancy < TUNING.bundle.fewest_for_sheet:
+    if redundancy < tuning.bundle.fewest_for_sheet:
         return 1.0
     return float(np.sqrt(chi_square / redundancy))

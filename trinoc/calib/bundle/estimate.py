@@ -39,7 +39,7 @@ from trinoc.calib.bundle.joint_problem import (
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.problem.solver import solve
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.errors import InputError
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.pose import Pose, PoseModel
@@ -51,7 +51,6 @@ from trinoc.numerics.precision import ArrayLike, as_numpy
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
-LOSS = GemanMcClure.from_scale(np.asarray(TUNING.bundle.loss_sigmas))
 # numerical: sigma, in mm or px, of what a calibration held in its place, such as an aim or a lens:
 # it stays there in the cameras that did not move. No segment can tell it from zero.
 HELD_SIGMA = 1e-3
@@ -81,6 +80,7 @@ def joint_estimate(
     lines: LineObservations,
     choice: FreeParameters,
     calibrated: CalibrationResult | Rig,
+    tuning: CalibTuning,
 ) -> RefineResult:
     """The estimate from the cameras of `rig`, what the sheet said being in `sheet_rig`.
 
@@ -90,16 +90,18 @@ def joint_estimate(
     start = CamerasAndLines(_cameras(rig, choice), lines_mm)
     sheet_cameras = _cameras(sheet_rig, choice)
     information = prior_information(sheet_rig, sheet_cameras.names, choice)
-    fit = as_numpy(_fit(start, tracks, sheet_cameras, information))
+    loss = GemanMcClure.from_scale(np.asarray(tuning.bundle.loss_sigmas))
+    widenings = np.asarray(tuning.bundle.widenings)
+    fit = as_numpy(_fit(start, tracks, sheet_cameras, information, loss, widenings))
     count = len(lines)
     squared = fit.squared[:count]
     determined = determined_part(fit.information, fit.sheet_information)
     trace_sheet = float(np.trace(fit.sheet_information @ determined.covariance))
-    factor, inlier = segment_factor(squared, lines.seen, determined.rank - trace_sheet)
+    factor, inlier = segment_factor(squared, lines.seen, determined.rank - trace_sheet, tuning)
     sheet_chi_square = float(fit.sheet_chi_square)
     own_chi_square, own_redundancy = _residuals_of_sheet(calibrated)
     redundancy = own_redundancy + np.count_nonzero(np.diag(information)) - trace_sheet
-    sheet = sheet_factor(own_chi_square + sheet_chi_square, redundancy)
+    sheet = sheet_factor(own_chi_square + sheet_chi_square, redundancy, tuning)
 
     segment_information = fit.information - fit.sheet_information
     weighted = factor**-2 * segment_information + sheet**-2 * fit.sheet_information
@@ -115,7 +117,7 @@ def joint_estimate(
     status = RefineStatus.NOT_CONVERGED
     if fit.converged:
         status = RefineStatus.GAUGE_FREE if determined.gauge else RefineStatus.CONVERGED
-    probability = log_posterior(squared, lines.seen, sheet_chi_square, LOSS)
+    probability = log_posterior(squared, lines.seen, sheet_chi_square, loss)
     known = not determined.gauge and choice.pose_model is not PoseModel.RIGID
     own = factor**2 * fit.own_covariance_mm2[:count]
     return RefineResult(
@@ -244,22 +246,25 @@ def _fit(
     tracks: FragmentTable,
     sheet_cameras: CameraState,
     information: Float[ArrayLike, "k k"],
+    loss: GemanMcClure,
+    widenings: Float[ArrayLike, "r"],
 ) -> _Fit:
     """The minimum under a loss that narrows step by step, in one program.
 
+    The loss is `widenings` times as wide from round to round; costs are those of `loss` itself.
     Where it does not converge, everything is that of the start.
     """
     start = jax.tree.map(jnp.asarray, start)
     parameters = jax.vmap(lambda camera, origin: camera.parameters(origin))
     prior = PosePrior(parameters(sheet_cameras, sheet_cameras), information, sheet_cameras)
-    problem = JointProblem(tracks.in_three_views(), prior, LOSS)
+    problem = JointProblem(tracks.in_three_views(), prior, loss)
 
     def narrower(state: CamerasAndLines, widening: Array) -> tuple[CamerasAndLines, tuple]:
-        wide = JointProblem(problem.tracks, prior, LOSS.widen(widening))
+        wide = JointProblem(problem.tracks, prior, loss.widen(widening))
         solution = solve(wide, state)
         return solution.state, (solution.cost, solution.converged)
 
-    end, (costs, converged) = jax.lax.scan(narrower, start, jnp.asarray(TUNING.bundle.widenings))
+    end, (costs, converged) = jax.lax.scan(narrower, start, jnp.asarray(widenings))
     end = with_lines_of_two_views(end, tracks)
     scaled = _restore_scale(start, end)
     without_sheet = ~jnp.any(jnp.asarray(information) != 0)
@@ -272,7 +277,7 @@ def _fit(
         end.cameras,
         converged,
         costs[-1],
-        JointProblem(tracks, prior, LOSS).cost(start),
+        JointProblem(tracks, prior, loss).cost(start),
         squared_distances(end, tracks),
         problem.line_information(end) + of_sheet.information,
         of_sheet.information,

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from trinoc.calib.bundle.estimate import FreeParameters, joint_estimate, squared_distances_with_rig
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import CalibrationError, InputError, check_kind, list_names
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.pose import Pose, PoseModel
@@ -55,6 +55,7 @@ def refine(
     moved: Collection[str] = (),
     match_again: Matcher | Sequence[Matcher] | None = None,
     start: Rig | None = None,
+    tuning: CalibTuning = TUNING,
 ) -> RefineResult:
     """Cameras and 3-D lines of maximum likelihood, given a sheet's calibration and matches.
 
@@ -71,6 +72,7 @@ def refine(
     `sigma_px`): each refines the rig for the next, and the last decides.
 
     `start` is where the cameras start from, where that is not where the sheet placed them.
+    `tuning` holds every tuned constant of calibration; a benchmark or a study changes them.
     Cameras of the rig that the matches are not of are left out of the result.
 
     Raises InputError where matches and rig do not belong together, CalibrationError where no
@@ -95,7 +97,7 @@ def refine(
     lens_is_open = any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
     is_free = lens_is_open if free_lens is None else free_lens
     choice = FreeParameters(model, is_free, trusted, aim_held, lens_held=free_lens is None)
-    refinement = _Refinement(calibrated, rig, choice)
+    refinement = _Refinement(calibrated, rig, choice, tuning)
     first = refinement.refine_matches(start.take(rig.names) if start else rig, matches)
     if match_again is None:
         return first
@@ -103,11 +105,12 @@ def refine(
     best = refinement.repeat_while_better(first, matchers[-1])
     if len(matchers) > 1:
         best = more_probable(best, refinement.refine_from(rig, matchers))
-    turned = start_rigs(rig, moved, aimed=model is PoseModel.AIMED or (aim_held and not moved))
+    aimed = model is PoseModel.AIMED or (aim_held and not moved)
+    turned = start_rigs(rig, moved, tuning, aimed=aimed)
     others = [refinement.refine_from(start, matchers) for start in turned]
     for other in others:
         best = more_probable(best, other)
-    if others and not is_unambiguous(best, others, choice):
+    if others and not is_unambiguous(best, others, choice, tuning):
         return dataclasses.replace(best, status=RefineStatus.AMBIGUOUS, rig=rig)
     return best
 
@@ -118,11 +121,12 @@ class _Refinement(NamedTuple):
     calibrated: CalibrationResult | Rig
     sheet_rig: Rig
     choice: FreeParameters
+    tuning: CalibTuning
 
     def refine_matches(self, rig: Rig, matches: MatchedTracks | LineObservations) -> RefineResult:
         """The refinement of given matches, from the cameras of a rig."""
         lines = _observations_of_rig(matches, rig)
-        return joint_estimate(rig, self.sheet_rig, lines, self.choice, self.calibrated)
+        return joint_estimate(rig, self.sheet_rig, lines, self.choice, self.calibrated, self.tuning)
 
     def match_and_refine(self, rig: Rig, match: Matcher) -> RefineResult | None:
         """The refinement from what is found with a rig; None where that leads nowhere."""
@@ -210,25 +214,25 @@ def _observations_of_rig(matches: MatchedTracks | LineObservations, rig: Rig) ->
     )
 
 
-def start_rigs(rig: Rig, moved: Collection[str], *, aimed: bool) -> list[Rig]:
+def start_rigs(rig: Rig, moved: Collection[str], tuning: CalibTuning, *, aimed: bool) -> list[Rig]:
     """The rig with one camera turned about its x and y axes, to either side.
 
     It is the last of those that moved, or of all where none is named; no start where the sheet
     knows its orientation. One that must stay `aimed` at the origin is taken round it instead.
     """
     name = next(camera for camera in reversed(rig.names) if camera in moved or not moved)
-    known_deg = TUNING.bundle.known_share * TUNING.bundle.turn_deg
+    known_deg = tuning.bundle.known_share * tuning.bundle.turn_deg
     if not moved and (_angle_sigmas_deg(rig, name) < known_deg).all():
         return []
     pose, poses = rig[name].pose, []
     for axis in (*np.eye(3)[:2], *-np.eye(3)[:2]):
         if aimed:
-            turn = np.radians(TUNING.bundle.round_deg) * axis
+            turn = np.radians(tuning.bundle.round_deg) * axis
             rotation = rotation_from_vector(turn) @ pose.rotation
             distance = jnp.linalg.norm(pose.centre_world_mm)
             poses.append(Pose.from_aim(rotation, distance, np.zeros(2)))
         else:
-            turn = np.append(np.radians(TUNING.bundle.turn_deg) * axis, np.zeros(3))
+            turn = np.append(np.radians(tuning.bundle.turn_deg) * axis, np.zeros(3))
             poses.append(pose.retract(turn, PoseModel.RIGID, 1.0))
     return [eqx.tree_at(lambda each: each[name].pose, rig, as_numpy(turned)) for turned in poses]
 
@@ -248,12 +252,15 @@ def _angle_sigmas_deg(rig: Rig, name: str) -> Float[np.ndarray, "3"]:
 
 
 def is_unambiguous(
-    best: RefineResult, others: Sequence[RefineResult | None], choice: FreeParameters
+    best: RefineResult,
+    others: Sequence[RefineResult | None],
+    choice: FreeParameters,
+    tuning: CalibTuning,
 ) -> bool:
     """Whether the best answer is clear of all others that are not the same."""
     return all(
-        other.log_posterior * TUNING.bundle.clear_factor < best.log_posterior
-        or _separation_sigmas(best, other, choice) < TUNING.bundle.same_sigmas
+        other.log_posterior * tuning.bundle.clear_factor < best.log_posterior
+        or _separation_sigmas(best, other, choice) < tuning.bundle.same_sigmas
         for other in others
         if other is not None
     )

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from trinoc.calib.result.calibration import CalibrationResult
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.propagation import field_places_px, projection_sigma
 from trinoc.errors import list_names
 from trinoc.geometry.camera import Camera
@@ -59,18 +59,23 @@ class RigComparison(NamedTuple):
 
 
 def compare_rigs(
-    result: CalibrationResult | Rig, earlier: CalibrationResult | Rig
+    result: CalibrationResult | Rig,
+    earlier: CalibrationResult | Rig,
+    *,
+    tuning: CalibTuning = TUNING,
 ) -> RigComparison:
     """Which cameras moved since an earlier calibration of the same sheet position.
 
     Errors that both rigs have in common, as those of one sheet or of one lens, cancel in the
     change, and are counted in its sigmas: these are the largest that it can have.
+
+    `tuning` holds every tuned constant of calibration; a benchmark or a study changes them.
     """
     now = result.rig if isinstance(result, CalibrationResult) else result
     before = earlier.rig if isinstance(earlier, CalibrationResult) else earlier
     common = [name for name in now if name in before.names]
-    cameras = {name: _change(now, before, name) for name in common}
-    swapped = _find_swaps(now, before, common)
+    cameras = {name: _change(now, before, name, tuning) for name in common}
+    swapped = _find_swaps(now, before, common, tuning)
     sentences = [
         f'The picture of "{name}" shows the place of "{other}": the pictures were swapped.'
         for name, other in swapped
@@ -103,11 +108,12 @@ def _subject(names: Sequence[str]) -> tuple[str, str]:
     return (f'Camera "{names[0]}"', "is") if len(names) == 1 else (list_names(names), "are")
 
 
-def _change(now: Rig, before: Rig, name: str) -> CameraChange:
+def _change(now: Rig, before: Rig, name: str, tuning: CalibTuning) -> CameraChange:
     moved_mm, turned_deg = _apart(now[name], before[name])
     sigmas = _sigmas_of_change(now, before, name)
-    is_large = moved_mm > TUNING.rig_check.quiet_mm or turned_deg > TUNING.rig_check.quiet_deg
-    moved = is_large if np.isnan(sigmas) else sigmas > TUNING.rig_check.moved_sigmas
+    limits = tuning.rig_check
+    is_large = moved_mm > limits.quiet_mm or turned_deg > limits.quiet_deg
+    moved = is_large if np.isnan(sigmas) else sigmas > limits.moved_sigmas
     field_px, field_sigmas = _change_over_field(now, before, name)
     return CameraChange(moved_mm, turned_deg, sigmas, moved, field_px, field_sigmas)
 
@@ -164,13 +170,15 @@ def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
     return abs(float(normal_limit(tail / 2) if tail > _LEAST_TAIL else np.sqrt(chi_square)))
 
 
-def _find_swaps(now: Rig, before: Rig, names: list[str]) -> tuple[tuple[str, str], ...]:
+def _find_swaps(
+    now: Rig, before: Rig, names: list[str], tuning: CalibTuning
+) -> tuple[tuple[str, str], ...]:
     """(name, other) for cameras that stand where another one stood, and not where they did."""
     found = []
     for name in names:
         apart = {other: _gap(now[name], before[other]) for other in names}
         nearest = min(apart, key=lambda other: apart[other])
-        if nearest != name and apart[name] > TUNING.rig_check.swap_ratio * apart[nearest]:
+        if nearest != name and apart[name] > tuning.rig_check.swap_ratio * apart[nearest]:
             found.append((name, nearest))
     return tuple(found)
 

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from trinoc.calib.bundle.refinement import MatchedTracks, Matcher, refine, rig_of_tracks
 from trinoc.calib.bundle.result import RefineResult, RefineStatus
 from trinoc.calib.rig_check.comparison import sigmas_of_chi_square
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import CalibrationError, check_kind
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS
 from trinoc.geometry.rig import A_RIG, Rig
@@ -67,12 +67,14 @@ class RigCheck(Value):
     refined : the rig with the suspect camera corrected by the segments; None where nothing
         moved, or where more moved than segments can correct.
     conclusive : whether the scene decides; where it does not, an empty `moved` proves nothing.
+    suspect_sigmas : significance from which on a motion was suspected.
     """
 
     motions: tuple[CameraMotion, ...]
     moved: tuple[str, ...] = eqx.field(static=True)
     refined: RefineResult | None
     conclusive: bool = eqx.field(static=True, default=True)
+    suspect_sigmas: float = eqx.field(static=True, default=TUNING.rig_check.suspect_sigmas)
 
     def summary(self) -> str:
         """One sentence of verdict, one line per camera, and how a suspected one has moved."""
@@ -95,7 +97,7 @@ class RigCheck(Value):
         rows = [verdict]
         for motion in self.motions:
             rows.append(f"{motion.name}: {motion.sigmas:.1f} sigma if it alone moved")
-            if motion.sigmas >= TUNING.rig_check.suspect_sigmas:
+            if motion.sigmas >= self.suspect_sigmas:
                 rows += [
                     f"  {name:<12} {change:+10.4f} +- {sigma:.4f}"
                     for name, change, sigma in zip(
@@ -110,6 +112,7 @@ def check_rig(
     matches: MatchedTracks | LineObservations,
     *,
     match_again: Matcher | Sequence[Matcher] | None = None,
+    tuning: CalibTuning = TUNING,
 ) -> RigCheck:
     """Test by the segments of a scene whether each camera still stands where `rig` says.
 
@@ -117,6 +120,7 @@ def check_rig(
     `match_again`, as `refine` takes it, a knock that hid most of the scene from the matcher is
     found too: unless most of the scene is on sure tracks of three views that call for no
     motion, it is matched again with each camera freed, and tested where that is most probable.
+    `tuning` holds every tuned constant of calibration; a benchmark or a study changes them.
     Raises CalibrationError where the rig has no covariance or where fewer than three cameras
     see the scene: two views of lines agree with any motion.
     """
@@ -128,66 +132,78 @@ def check_rig(
             "covariance of their calibration: give the rig.json that `trinoc calibrate` wrote."
         )
     best = None
-    motions, freed = _motions(rig, matches)
-    if match_again is not None and not _is_at_rest(matches, motions, freed):
-        found = [refine(rig, matches, moved=(name,), match_again=match_again) for name in rig.names]
-        found = [result for result in found if result.status is RefineStatus.CONVERGED]
-        if not found:
-            return RigCheck(motions, (), None, conclusive=False)
-        best = max(found, key=lambda result: result.log_posterior)
+    suspect_sigmas = tuning.rig_check.suspect_sigmas
+    motions, freed = _motions(rig, matches, tuning)
+    if match_again is not None and not _is_at_rest(matches, motions, freed, tuning):
+        refined = [
+            refine(rig, matches, moved=(name,), match_again=match_again, tuning=tuning)
+            for name in rig.names
+        ]
+        refined = [result for result in refined if result.status is RefineStatus.CONVERGED]
+        if not refined:
+            return RigCheck(motions, (), None, False, suspect_sigmas)
+        best = max(refined, key=lambda result: result.log_posterior)
         matches = best.tracks
-        motions, freed = _motions(rig, matches, best)
+        motions, freed = _motions(rig, matches, tuning, best)
     strongest = max(motions, key=lambda motion: motion.sigmas)
     corrected, name = freed[strongest.name], strongest.name
-    conclusive = _have_enough_lines(corrected) and (best is not None or _is_quiet(corrected))
-    if strongest.sigmas < TUNING.rig_check.suspect_sigmas:
-        return RigCheck(motions, (), None, conclusive)
+    is_clear = best is not None or _is_quiet(corrected, tuning)
+    conclusive = _have_enough_lines(corrected, tuning) and is_clear
+    if strongest.sigmas < suspect_sigmas:
+        return RigCheck(motions, (), None, conclusive, suspect_sigmas)
     others = [other for other in rig.names if other != name]
     noise, further = max(corrected.segment_sigma_factor, 1.0), {}
     for other in others:
-        both = _free_cameras(corrected, rig, matches, (name, other))
+        both = _free_cameras(corrected, rig, matches, (name, other), tuning)
         further[other] = _significance(corrected, both, noise)
-    also = tuple(other for other in others if further[other] >= TUNING.rig_check.suspect_sigmas)
+    also = tuple(other for other in others if further[other] >= suspect_sigmas)
     if also or corrected.status is RefineStatus.NOT_CONVERGED:
-        return RigCheck(motions, (name, *also), None)
+        return RigCheck(motions, (name, *also), None, suspect_sigmas=suspect_sigmas)
     if not conclusive:
-        return RigCheck(motions, (), None, conclusive)
-    return RigCheck(motions, (name,), corrected)
+        return RigCheck(motions, (), None, conclusive, suspect_sigmas)
+    return RigCheck(motions, (name,), corrected, suspect_sigmas=suspect_sigmas)
 
 
 def _is_at_rest(
     matches: MatchedTracks | LineObservations,
     motions: Sequence[CameraMotion],
     freed: Mapping[str, RefineResult],
+    tuning: CalibTuning,
 ) -> bool:
     """Whether the rig as it stands explains most of the scene, and nothing calls for a motion."""
-    tuning = TUNING.rig_check
+    limits = tuning.rig_check
     return (
         isinstance(matches, CountedTracks)
-        and matches.share_in_three_views >= tuning.clear_share
-        and all(motion.sigmas < tuning.suspect_sigmas for motion in motions)
-        and all(_is_quiet(result) and _have_enough_lines(result) for result in freed.values())
+        and matches.share_in_three_views >= limits.clear_share
+        and all(motion.sigmas < limits.suspect_sigmas for motion in motions)
+        and all(
+            _is_quiet(result, tuning) and _have_enough_lines(result, tuning)
+            for result in freed.values()
+        )
     )
 
 
-def _is_quiet(result: RefineResult) -> bool:
-    return result.segment_sigma_factor < TUNING.rig_check.most_noise
+def _is_quiet(result: RefineResult, tuning: CalibTuning) -> bool:
+    return result.segment_sigma_factor < tuning.rig_check.most_noise
 
 
-def _have_enough_lines(result: RefineResult) -> bool:
+def _have_enough_lines(result: RefineResult, tuning: CalibTuning) -> bool:
     agree_in_three = result.inlier.sum(axis=1) > 2
-    return bool(agree_in_three.sum() >= TUNING.rig_check.fewest_lines)
+    return bool(agree_in_three.sum() >= tuning.rig_check.fewest_lines)
 
 
 def _motions(
-    rig: Rig, matches: MatchedTracks | LineObservations, found: RefineResult | None = None
+    rig: Rig,
+    matches: MatchedTracks | LineObservations,
+    tuning: CalibTuning,
+    best: RefineResult | None = None,
 ) -> tuple[tuple[CameraMotion, ...], dict[str, RefineResult]]:
     """The motion of each camera were it the only one, and the rig with it freed.
 
-    `found` is where the scene was matched best: one more start for each camera.
+    `best` is where the scene was matched best: one more start for each camera.
     """
-    at_rest = refine(rig, matches)
-    freed = {name: _free_cameras(found, rig, matches, (name,)) for name in rig.names}
+    at_rest = refine(rig, matches, tuning=tuning)
+    freed = {name: _free_cameras(best, rig, matches, (name,), tuning) for name in rig.names}
     # The best explanation sets the noise; a moved camera would inflate it otherwise.
     noise = min(result.segment_sigma_factor for result in (at_rest, *freed.values()))
     noise = max(noise, 1.0)
@@ -196,16 +212,17 @@ def _motions(
 
 
 def _free_cameras(
-    found: RefineResult | None,
+    best: RefineResult | None,
     rig: Rig,
     matches: MatchedTracks | LineObservations,
     names: tuple[str, ...],
+    tuning: CalibTuning,
 ) -> RefineResult:
-    """The rig with cameras freed, from where it stood or from where it was found, if cheaper."""
-    freed = refine(rig, matches, moved=names)
-    if found is None:
+    """The rig with cameras freed, from where it stood or from the rig of `best`, if cheaper."""
+    freed = refine(rig, matches, moved=names, tuning=tuning)
+    if best is None:
         return freed
-    again = refine(rig, matches, moved=names, start=found.rig)
+    again = refine(rig, matches, moved=names, start=best.rig, tuning=tuning)
     return min(freed, again, key=lambda result: result.chi_square[0])
 
 

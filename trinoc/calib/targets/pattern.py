@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.targets.abstract_target import AbstractBoard, Disc, Marks, Polygon
 from trinoc.calib.targets.ring_code import ring_code
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import InputError, real_number, whole_number
 from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike, real_array
@@ -61,7 +61,7 @@ class Pattern(Displayable, AbstractBoard):
     line_gap_mm: float = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        problem = _problem(self)
+        problem = _problem(self, TUNING)
         if problem is not None:
             raise InputError(f"The pattern {self.name!r} cannot be printed: {problem}.")
 
@@ -270,7 +270,7 @@ def _line_on_circle(pattern: Pattern, circle: int, axis: int) -> Polygon:
     return Polygon(pattern.centres_mm[circle] + turned, False)
 
 
-def _problem(pattern: Pattern) -> str | None:
+def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
     """What makes a layout unprintable, in words; None when nothing does."""
     centres, radius = pattern.centres_mm, pattern.radius_mm
     if len(centres) == 0:
@@ -295,10 +295,10 @@ def _problem(pattern: Pattern) -> str | None:
     if np.any(distance <= radius[:, None] + radius[None]):
         first, second = np.argwhere(distance <= radius[:, None] + radius[None])[0]
         return f"circles {first} and {second} overlap"
-    return _lattice_problem(pattern)
+    return _lattice_problem(pattern, tuning)
 
 
-def _lattice_problem(pattern: Pattern) -> str | None:
+def _lattice_problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
     """Whether the centres are an even, unmirrored image of the lattice."""
     relative = pattern.lattice - pattern.lattice.mean(axis=0)
     steps, _, rank, _ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
@@ -308,6 +308,6 @@ def _lattice_problem(pattern: Pattern) -> str | None:
     if area_mm2 <= 0.0:
         return "its lattice is a mirror image of its centres"
     off_mm = np.abs(relative @ steps + pattern.centres_mm.mean(axis=0) - pattern.centres_mm)
-    if off_mm.max() > TUNING.targets.off_lattice * np.sqrt(area_mm2):
+    if off_mm.max() > tuning.targets.off_lattice * np.sqrt(area_mm2):
         return "its centres do not lie on the lattice that it states"
     return None

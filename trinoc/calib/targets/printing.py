@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import InputError
 
 # numerical: so far, in pitches, the lines of `Pattern.cross_grid` reach beyond the outer centres.
@@ -32,17 +32,22 @@ class SheetProposal(NamedTuple):
 
 
 def propose_sheet(
-    *, field_mm: tuple[float, float], size_px: tuple[int, int], room_mm: tuple[float, float]
+    *,
+    field_mm: tuple[float, float],
+    size_px: tuple[int, int],
+    room_mm: tuple[float, float],
+    tuning: CalibTuning = TUNING,
 ) -> SheetProposal:
     """As many circles as are still 20 px wide, over 60 % of the field or the room on the paper.
 
     field_mm : width and height of what the camera sees at the distance of the sheet.
     size_px : (width, height) of its pictures.
     room_mm : for the drawing on the paper.
+    tuning : every tuned constant of calibration; a benchmark or a study changes them.
 
     Raises InputError where circles would be under 10 px wide.
     """
-    rules = TUNING.targets
+    rules = tuning.targets
     side = min(rules.field_share * min(field_mm), *room_mm)
     px_per_mm = min(size / field for size, field in zip(size_px, field_mm, strict=True))
     for count in (12, 10, 8, 6):
@@ -77,11 +82,13 @@ def printed_sheet(
     nominal_mm: tuple[float, float],
     measured_mm: tuple[float, float],
     sigma_mm: float = 0.1,
+    tuning: CalibTuning = TUNING,
 ) -> PrintedSheet:
     """The pattern rescaled by its scale bars, which need not agree along X and Y.
 
     nominal_mm : lengths of the bars along X and along Y as drawn.
     measured_mm : the same as measured on the print, with a standard deviation of `sigma_mm`.
+    tuning : every tuned constant of calibration; a benchmark or a study changes them.
 
     A circle printed at two scales is an ellipse; it keeps the mean radius, which is right to
     the square of their difference. Raises InputError for lengths that cannot be.
@@ -90,7 +97,7 @@ def printed_sheet(
     if not ((nominal > 0).all() and (measured > 0).all() and sigma_mm >= 0):
         raise InputError("The bars' lengths must be positive, and their sigma not negative.")
     scale = measured / nominal
-    if (np.abs(scale - 1) > TUNING.targets.largest_change).any():
+    if (np.abs(scale - 1) > tuning.targets.largest_change).any():
         raise InputError(
             f"The bars were measured as {measured[0]:g} and {measured[1]:g} mm where the drawing "
             f"has {nominal[0]:g} and {nominal[1]:g} mm: check the unit and the bars' order."

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import InputError, list_names
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
@@ -50,7 +50,9 @@ class Systematics(NamedTuple):
     aim_sigma_mm: float = 0.0
 
     @classmethod
-    def typical(cls, lenses: Mapping[str, Intrinsics]) -> "Systematics":
+    def typical(
+        cls, lenses: Mapping[str, Intrinsics], *, tuning: CalibTuning = TUNING
+    ) -> "Systematics":
         """What a printer, a sheet of paper, a person's aim and a data sheet leave open.
 
         The print is larger or smaller by .2 %, and longer along one side than along the other by
@@ -58,13 +60,15 @@ class Systematics(NamedTuple):
         more than that the camera looks at the sheet. A lens that is given in millimetres and
         without distortion comes from a data sheet: see `data_sheet_covariance`. One given in
         pixels comes from a calibration, and counts as exact unless its covariance is given.
+
+        `tuning` holds every tuned constant of calibration; a benchmark or a study changes them.
         """
-        assumed = TUNING.uncertainty
+        assumed = tuning.uncertainty
         return cls(
             print_scale_sigma=(assumed.print_stretch, assumed.print_stretch),
             flatness_mm=assumed.flatness_mm,
             lens_covariance={
-                name: data_sheet_covariance(lens)
+                name: data_sheet_covariance(lens, tuning=tuning)
                 for name, lens in lenses.items()
                 if lens.pixel_pitch_mm is not None and not lens.has_distortion
             }
@@ -149,14 +153,18 @@ class Systematics(NamedTuple):
         return tuple(terms)
 
 
-def data_sheet_covariance(lens: Intrinsics) -> Float[np.ndarray, "5 5"]:
+def data_sheet_covariance(
+    lens: Intrinsics, *, tuning: CalibTuning = TUNING
+) -> Float[np.ndarray, "5 5"]:
     """Covariance of fx, fy, cx, cy and k1 of a lens that only its data sheet describes.
 
     The focal length is off by 1 %, and by .2 % more along v than along u; the principal point by
     2 % of the picture's width; distortion moves the corners of the picture by one pixel.
+
+    `tuning` holds every tuned constant of calibration; a benchmark or a study changes them.
     """
     (fu, fv), (width, height) = np.asarray(lens.focal_length_px), lens.image_size_px
-    assumed, factor = TUNING.uncertainty, np.zeros((5, 5))
+    assumed, factor = tuning.uncertainty, np.zeros((5, 5))
     factor[:2, 0] = assumed.focal_length * fu, assumed.focal_length * fv
     factor[:2, 1] = 0.5 * assumed.aspect * fu, -0.5 * assumed.aspect * fv
     factor[[2, 3], [2, 3]] = assumed.principal_point * width
