@@ -86,7 +86,8 @@ def calibrate_points(
     problem = fit_without_outliers(problem_of_points(camera, points, seen, names, model, tuning))
     if lens is None and free is None:
         problem, names = extend_lens(problem, names)
-    known = systematics or Systematics.typical({CAMERA: camera.intrinsics} if lens else {})
+    lenses = {CAMERA: camera.intrinsics} if lens else {}
+    known = systematics or Systematics.typical(lenses, tuning=tuning)
     factor = known.lens_factors({CAMERA: camera.intrinsics}).get(CAMERA, np.zeros((0, 0)))
     held = np.zeros((problem.parametrization.lens_shape[1], factor.shape[1]))
     held[: len(factor)] = factor

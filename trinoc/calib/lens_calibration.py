@@ -107,7 +107,7 @@ def calibrate_intrinsics(
     shots = [f"picture {k + 1}" for k in range(len(images_or_detections))]
     images = {CAMERA: dict(zip(shots, images_or_detections, strict=True))}
     expect_method(method, pattern, images)
-    board_errors = Systematics.typical({}) if systematics is None else systematics
+    board_errors = Systematics.typical({}, tuning=tuning) if systematics is None else systematics
     board_errors.check()
     board_errors = board_errors._replace(print_size_sigma=0.0, aim_sigma_mm=0.0)
     boards = find_boards(images, pattern, tuning=tuning)

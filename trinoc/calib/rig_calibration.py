@@ -93,7 +93,7 @@ def calibrate_rig(
     expect_method(method, board, images)
     check_camera_names(images)
     lenses = _given_lenses(lens, tuple(images))
-    systematics = _board_systematics(systematics)
+    systematics = _board_systematics(systematics, tuning)
     factors = _lens_factors(systematics, lenses, tuple(images))
     models, splined = models_to_try(lens_model, distortion, lenses)
     boards = find_boards(images, board, progress, tuning=tuning)
@@ -162,9 +162,9 @@ def _given_lenses(
     return lens
 
 
-def _board_systematics(stated: Systematics | None) -> Systematics:
+def _board_systematics(stated: Systematics | None, tuning: CalibTuning) -> Systematics:
     """Errors of board and lenses, checked; aims are estimated here."""
-    systematics = Systematics.typical({}) if stated is None else stated
+    systematics = Systematics.typical({}, tuning=tuning) if stated is None else stated
     check_kind(systematics, Systematics, "knowledge of the board", "trinoc.Systematics")
     systematics.check()
     return systematics._replace(aim_sigma_mm=0.0)

@@ -105,7 +105,7 @@ def calibrate(
     check_image_sizes(images, lenses)
     encoding = Encoding(bayer, response)
     encoding.check()
-    priors = SheetPriors(model, systematics or Systematics.typical(lenses), tuning)
+    priors = SheetPriors(model, systematics or Systematics.typical(lenses, tuning=tuning), tuning)
     detections, failures = {}, {}
     for name, image in images.items():
         try:
@@ -141,7 +141,7 @@ def calibrate_detections(
     check_camera_names(detections)
     lenses = lens_of_each(lens, detections)
     model = pose_model_over_sheet(pose_model)
-    priors = SheetPriors(model, systematics or Systematics.typical(lenses), tuning)
+    priors = SheetPriors(model, systematics or Systematics.typical(lenses, tuning=tuning), tuning)
     return calibrate_sheet(detections, pattern, lenses, priors, orientation, throw=throw)
 
 
