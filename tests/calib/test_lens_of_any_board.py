@@ -14,11 +14,17 @@ from tests.calib.made_shots import (
 )
 from tests.calib.simulated_lens import fitted_names, lens_sigmas, lens_values, squared_distance
 from trinoc.calib import BoardSet, Status, next_shot
+from trinoc.calib.from_points import calibrate_points
 from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.checkers import Charuco
 from trinoc.calib.uncertainty.systematics import Systematics
+from trinoc.geometry.camera import Camera
+from trinoc.geometry.intrinsics import Intrinsics
+from trinoc.geometry.pose import Pose
+from trinoc.geometry.rig import Rig
+from trinoc.io.saving import load, save
 
 ANY_BOARD = {
     "chessboard": BOARD,
@@ -85,3 +91,34 @@ def test_splines_correct_the_lens_of_any_board_and_the_next_picture_is_advised()
     assert advice is not None
     assert plain_advice is not None
     assert advice.words == plain_advice.words
+
+
+def test_a_lens_is_saved_as_a_lens_and_one_camera_as_a_rig(tmp_path):
+    given = shots(count=8, cameras=("left",))
+    lens = calibrate_intrinsics(given["left"], BOARD, distortion=4)
+    save(lens, tmp_path / "camera.json")
+    assert isinstance(load(tmp_path / "camera.json"), Intrinsics)
+    # Also where the frame of the camera is the world's.
+    rig = calibrate_rig(given, BOARD, distortion=4, world="left")
+    save(rig, tmp_path / "rig.json")
+    back = load(tmp_path / "rig.json")
+    assert isinstance(back, Rig)
+    np.testing.assert_allclose(back.covariance, rig.rig.covariance, rtol=1e-12)
+
+
+def test_a_camera_from_points_is_saved_as_a_rig(tmp_path):
+    random, camera = (
+        np.random.default_rng(1),
+        Camera(
+            Intrinsics(focal_length_px=900.0, image_size_px=(640, 480)),
+            Pose(np.column_stack([np.diag([1.0, -1.0, -1.0]), [0.0, 0.0, 500.0]])),
+        ),
+    )
+    points = random.uniform(-60, 60, (60, 3))
+    exact = np.stack([camera.project(point) for point in points])
+    uv_px = exact + random.normal(0, 0.05, exact.shape)
+    result = calibrate_points(points, uv_px, image_size_px=(640, 480))
+    save(result, tmp_path / "rig.json")
+    back = load(tmp_path / "rig.json")
+    assert back.parameters == result.parameters
+    np.testing.assert_allclose(back.covariance, result.covariance, rtol=1e-12)

@@ -84,10 +84,10 @@ def observed_pixels(views: Sequence[View], camera: int) -> Float[np.ndarray, "n 
 
 
 def hold_folding(fit: RobustFit, cameras: Sequence[str]) -> tuple[RobustFit, tuple[str, ...]]:
-    """The fit with fewer coefficients of each lens that folds its image, and a sentence on each.
+    """Fit again with fewer coefficients of each lens that folds its image, with a sentence on each.
 
-    The coefficients that the lens model calls dispensable are fixed at 0 one after the other, of
-    the lenses that fold alone, until none does. If that does not help, or if the residuals ask for
+    The dispensable coefficients of the lens model are fixed at 0 one after the other, until no lens
+    folds. Only lenses that fold are changed. If that does not help, or if the residuals ask for
     these coefficients, the fit stays as it is.
     Lenses that are given are not changed.
 

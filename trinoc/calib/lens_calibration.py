@@ -142,7 +142,7 @@ def calibrate_intrinsics(
         world=CAMERA,
         method=method,
         pixel_pitch_mm=pixel_pitch_mm,
-        is_validated=False,
+        is_lens=True,
     )
     if throw and not result.has_rig:
         advice = next_shot(result) if result.ended is not None else None

@@ -1,4 +1,4 @@
-"""What points, or shots of a board, refute of what was held of their cameras."""
+"""Tests of what was assumed of cameras: held lenses and aims that points or shots contradict."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -80,13 +80,15 @@ def refutations_of_points(
 
 
 def _groups(lens: AbstractLens) -> Iterator[tuple[str, ...]]:
-    """What is asked for together: of a lens's parameters those that are fitted together."""
+    """Yield the groups of a lens's parameters that are tested together."""
     yield from (AFFINE_PARAMETERS[:2], AFFINE_PARAMETERS[2:])
     if SKEW in lens.parameter_names:
         yield (SKEW,)
     for low, high in pairwise(lens.coefficient_counts):
         group = lens.coefficient_names[low:high]
-        yield tuple(name for name in group if name not in lens.never_fitted)
+        fitted = tuple(name for name in group if name not in lens.never_fitted)
+        if fitted:
+            yield fitted
 
 
 def _sentence_on_points(
@@ -117,7 +119,7 @@ class _Noise(NamedTuple):
 
     @classmethod
     def of(cls, score: HeldScore, scatter: ShotScatter) -> "_Noise":
-        """Of places, or of shots where these disagree more: then they pull at lenses, too."""
+        """Noise of the observations; of the shots if these scatter more, as that biases lenses."""
         variance = score.squared / max(score.freedom, 1)
         of_shots = scatter._replace(factor=scatter.factor / variance).variance_factor
         if of_shots > 1.0:
@@ -128,7 +130,7 @@ class _Noise(NamedTuple):
 def _free_causes(
     score: HeldScore, causes: Mapping[Cause, list[int]], limit: float
 ) -> tuple[tuple[Cause, ...], HeldScore]:
-    """What the places ask for, the strongest first, and the score beside it."""
+    """Causes that are refuted in turn, the strongest first, and the score once they are free."""
     freed: list[Cause] = []
     while cause := score.strongest({key: causes[key] for key in causes if key not in freed}):
         if not is_refuted(score.chance(score.judge(causes[cause])), len(causes), limit):
@@ -200,9 +202,9 @@ class HeldLenses(NamedTuple):
         )
 
     def say_what_is_refuted(self) -> str | None:
-        """Of which lens the shots ask for another, and by how much it is off; None where of none.
+        """Sentence on the lens that the shots contradict, and by how much; None without one.
 
-        What explains most of the residuals is named: it pulls at other lenses, too.
+        Only the strongest cause is named, since its error also shows in other lenses.
         """
         if not self.freed:
             return None
@@ -218,10 +220,9 @@ class HeldLenses(NamedTuple):
         return sentences.shots_refute_lens(owners, group, offsets, sigmas)
 
     def say_what_goes_unseen(self, covariance: Float[np.ndarray, "g g"]) -> str | None:
-        """The error of a lens that the shots may well not show and that moves a camera most; None
-        where none moves one by much.
+        """Sentence on the undetectable lens error that would move a camera most; None if small.
 
-        covariance : of what was fitted, as it is claimed.
+        covariance : that reported for the fitted parameters.
 
         This is Baarda's external reliability, as `adjustment.model_tests` has it of one picture.
         """

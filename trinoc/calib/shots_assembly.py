@@ -1,4 +1,4 @@
-"""Tests of a rig that was fitted to many shots, and its `CalibrationResult`."""
+"""Judge a rig that was fitted to many shots, and build its `CalibrationResult`."""
 
 from collections.abc import Mapping, Sequence
 
@@ -22,7 +22,7 @@ from trinoc.calib.problem.problem import EndedProblem, Problem, lens_number
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.status import Status
 from trinoc.calib.refutations import HeldLenses, say_strained_lens
-from trinoc.calib.result.calibration import CalibrationResult, CameraFit, world_of_camera
+from trinoc.calib.result.calibration import CalibrationResult, CameraFit
 from trinoc.calib.shot_notes import list_refusals, notes_of_fit, notes_of_lens
 from trinoc.calib.shots_fit import ShotObservations, ShotsFit
 from trinoc.calib.starts.pictures import FoundBoards
@@ -34,7 +34,7 @@ from trinoc.geometry.lenses.registry import simplify_lens
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 
-# numerical: of the largest sigma: below, there is none.
+# numerical: a sigma below this share of the largest one is rounding.
 _EXACT = 1e-12
 
 
@@ -47,16 +47,16 @@ def result_of_shots(
     world: str | None,
     method: str = "points",
     pixel_pitch_mm: tuple[float, float] | None = None,
-    is_validated: bool = True,
+    is_lens: bool = False,
 ) -> CalibrationResult:
     """Decide the status of a fit, and assemble its public result.
 
     Parameters
     ----------
     exact_lenses : intrinsics of cameras whose lens was given as exact.
-    world : name of a shot or a camera; None for the first of the shots that most cameras saw.
-    pixel_pitch_mm : of all lenses that were fitted.
-    is_validated : whether halves of the shots are compared, which costs two fits.
+    world : name of a shot or a camera; None for the shot that most cameras saw.
+    pixel_pitch_mm : pixel pitch, the same for every fitted lens.
+    is_lens : whether this is a lens alone, of which halves of the shots are not compared.
 
     Raises
     ------
@@ -137,12 +137,13 @@ def result_of_shots(
         views=problem.views,
         residuals_px=residuals_px,
         halves=compare_halves(problem, cameras, outcome.variance_factor)
-        if is_determined and is_validated
+        if is_determined and not is_lens
         else None,
         cross_validation=cross_validate(problem, cameras)
-        if is_determined and is_validated
+        if is_determined and not is_lens
         else None,
         ended=_ended(problem, outcome),
+        is_lens=is_lens,
     )
 
 
@@ -184,6 +185,7 @@ def _camera_fits(
 ) -> dict[str, CameraFit]:
     """The fit of each camera over all its shots."""
     fits, sigma = {}, np.sqrt(np.diag(named.covariance))
+    least_sigma = _EXACT * np.nanmax(sigma, initial=0.0)
     for number, camera in enumerate(cameras):
         rows = [k for k, view in enumerate(problem.views) if view.camera == number]
         residuals = [np.zeros((0, 2)), *(residuals_px[k] for k in rows)]
@@ -193,7 +195,7 @@ def _camera_fits(
         fits[camera] = CameraFit(
             residuals_px=np.concatenate(residuals),
             used=np.concatenate(used),
-            rank=int(np.sum(is_own & np.isfinite(sigma) & (sigma > 0))),
+            rank=int(np.sum(is_own & np.isfinite(sigma) & (sigma > least_sigma))),
             reduced_chi_square=float("nan"),
             gauge=tuple(name.removeprefix(prefix) for name in gauge if name.startswith(prefix)),
             sigma_factor=float(problem.sigma_factor[number]),
@@ -236,7 +238,7 @@ def _world_in_words(
     place: World, problem: Problem, shots: tuple[str, ...], cameras: tuple[str, ...]
 ) -> str:
     if place.shot is None:
-        return world_of_camera(cameras[int(place.camera or 0)])
+        return f"the camera {cameras[int(place.camera or 0)]}"
     names = board_names(problem.target)
     which = f'"{names[0]}" ' if len(names) > 1 else ""
     return f"the board {which}in {shots[int(place.shot)]}"
@@ -255,12 +257,12 @@ def _fitted_lenses(
 def _rig(
     lenses: Mapping[str, Intrinsics], cam_from_world: Sequence[Pose], named: NamedCovariance
 ) -> Rig:
-    """The cameras, with the covariance of everything of them that was fitted."""
+    """The cameras, with the covariance of all their fitted parameters."""
     members = {
         camera: Camera(lens, pose)
         for (camera, lens), pose in zip(lenses.items(), cam_from_world, strict=True)
     }
-    # What is held, and the pose of a camera that is the world, has the variance of rounding.
+    # Held parameters, and the pose of a camera that is the world, have variances of rounding only.
     sigma = np.sqrt(np.diag(named.covariance))
     kept = [
         k

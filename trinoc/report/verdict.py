@@ -47,7 +47,7 @@ class Verdict(NamedTuple):
 
 
 def find_verdict(subject: Subject) -> Verdict | None:
-    """None where there is neither a calibration nor a matching to judge."""
+    """Verdict of a report; None without a calibration and without matches."""
     calibration = subject.result is not None or subject.shots is not None
     if not calibration and subject.matches is None:
         return None

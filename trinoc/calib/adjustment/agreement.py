@@ -62,14 +62,16 @@ def choose_observations(
 
 
 def _has_open_model(adjustment: Adjustment) -> bool:
-    """Whether lens or sheet are estimated along with the poses."""
+    """Return True if lens or sheet are estimated along with the poses."""
     slices, weights = adjustment.problem.slices, prior_weights(adjustment.problem)
     return bool(weights[slices.lenses].any() or weights[slices.sheets].any())
 
 
 def _are_displaced(by_circles: Adjustment, view: int) -> bool:
-    """Whether neighbouring circles share errors, as under glare: their blocks scatter, or their
-    residuals are correlated."""
+    """Return True if neighbouring circles share errors, as under glare.
+
+    Then their blocks scatter, or their residuals are correlated.
+    """
     tuning = by_circles.problem.tuning.answer
     if scatter_of_blocks(by_circles, view) > tuning.largest_scatter:
         return True

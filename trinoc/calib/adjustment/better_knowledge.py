@@ -78,7 +78,7 @@ class BetterKnowledge(NamedTuple):
 def advise_better_knowledge(
     adjustments: Sequence[Adjustment], systematics: Systematics
 ) -> BetterKnowledge | None:
-    """What counts most of what is assumed; None where the pictures count more than any of it.
+    """Return the assumption that makes up most of the sigmas; None if the images make up more.
 
     adjustments : of cameras that share nothing. systematics : what they were fitted under; bars
     that were measured are not measured again.
@@ -178,7 +178,7 @@ def _covariance(adjustment: Adjustment, what: str) -> Float[np.ndarray, "f f"]:
 def _sigmas(
     adjustment: Adjustment, covariance: Float[np.ndarray, "f f"]
 ) -> Float[np.ndarray, "v 4"]:
-    """Of pan, tilt and swing in degrees and of the distance in mm, of each camera."""
+    """Sigmas of each camera's pan, tilt and swing, degrees, and distance, mm."""
     sigmas = []
     for view in range(len(adjustment.used)):
         rows = adjustment.rows(view)

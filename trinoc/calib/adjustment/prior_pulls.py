@@ -76,7 +76,7 @@ class PriorPull(NamedTuple):
         return frozenset(view for unknown in self.unknowns for view in unknown.views)
 
     def concerns_aim(self, view: int) -> bool:
-        """Whether the aim of a camera may be what is wrong."""
+        """Return True if the aim of a camera may be wrong."""
         return any(one.kind == "aim" and view in one.views for one in self.unknowns)
 
     @property

@@ -67,7 +67,7 @@ def _misfit(fit: Adjustment) -> float:
 
 
 def observe_single_camera(fit: Adjustment | None) -> tuple[Status, Observability]:
-    """How the fit of one camera ended, and which of its parameters its circles determine."""
+    """Status of the fit of one camera, and the parameters that its circles determine."""
     nothing = Observability(0, np.zeros((0, 0)), ())
     if fit is None or not fit.converged:
         return Status.NOT_CONVERGED, nothing

@@ -124,11 +124,6 @@ class CameraFit(Value):
         return float(np.sqrt(np.mean(squared))) if len(squared) else float("nan")
 
 
-def world_of_camera(camera: str) -> str:
-    """Words for a world whose frame is that of a camera."""
-    return f"the camera {camera}"
-
-
 class CalibrationResult(Displayable, Value):
     """A calibrated rig with its parameters, their covariance, and the fit of each camera.
 
@@ -172,6 +167,8 @@ class CalibrationResult(Displayable, Value):
     halves : comparison of two halves of the shots; None where there are too few.
     cross_validation : errors of shots that the rig was not fitted to; None where there are too few.
     ended : the problem at its end, from which `next_shot` goes on; None without one.
+    is_lens : whether this is a lens, of `calibrate_intrinsics`, whose pose has no meaning; it is
+        saved as one.
     """
 
     solution: Rig | None
@@ -202,6 +199,7 @@ class CalibrationResult(Displayable, Value):
     halves: HalvesCheck | None = None
     cross_validation: CrossValidation | None = None
     ended: EndedProblem | None = None
+    is_lens: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
         count = len(self.parameters)
@@ -232,11 +230,6 @@ class CalibrationResult(Displayable, Value):
     def cameras(self) -> tuple[str, ...]:
         """Names of all cameras, failed ones included."""
         return tuple(self.status)
-
-    @property
-    def is_lens(self) -> bool:
-        """Whether this is a lens: one camera whose own frame is the world's."""
-        return len(self.status) == 1 and self.world == world_of_camera(self.cameras[0])
 
     @property
     def camera(self) -> Camera:

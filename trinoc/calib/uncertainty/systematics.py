@@ -53,7 +53,7 @@ class Systematics(NamedTuple):
     def typical(
         cls, lenses: Mapping[str, Intrinsics], *, tuning: CalibTuning = TUNING
     ) -> "Systematics":
-        """What a printer, a sheet of paper, a person's aim and a data sheet leave open.
+        """Typical errors of a print, of paper, of aiming by hand, and of a lens's data sheet.
 
         The print is larger or smaller by .2 %, and longer along one side than along the other by
         .28 %; paper lies flat to .3 mm; the optical axis meets the origin to 20 mm, which is no
