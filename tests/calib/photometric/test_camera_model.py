@@ -12,7 +12,6 @@ from tests.calib.photometric.pictures import RIGHT, pose_of
 from tests.calib.simulated import LENS, reference_sheet
 from trinoc.calib.photometric.edges import Kernel, coverage, straight_edge
 from trinoc.calib.photometric.encoding import Encoding, balance_mosaic
-from trinoc.calib.photometric.equations import eliminate_levels
 from trinoc.calib.photometric.grey_level import Tone, grey_level
 from trinoc.calib.photometric.noise import (
     OnGrid,
@@ -90,30 +89,6 @@ def test_kernel_of_a_disc_is_flat_topped() -> None:
 
     for distance in np.linspace(-2.5, 2.5, 11):
         assert share_of_edge(distance, kernel, 0.3) == pytest.approx(exact(distance), abs=2e-3)
-
-
-def test_eliminated_levels_leave_the_whole_system_s_answer() -> None:
-    random = np.random.default_rng(0)
-    count, n, size = 5, 400, 3
-    rows, residual = random.normal(size=(size, n)), random.normal(size=n)
-    local, levels = random.normal(size=(6, n)), random.normal(size=(6, count))
-    block = np.arange(n) % count
-    own = np.concatenate([local, rows, residual[None]])
-    of_blocks = np.array([local[:, block == b] @ own[:, block == b].T for b in range(count)])
-    less, elimination, cost = eliminate_levels(jnp.asarray(of_blocks), levels)
-    wide = np.zeros((size + 6 * count, n))
-    wide[:size] = rows
-    for k in range(6):
-        wide[size + 6 * block + k, np.arange(n)] = local[k]
-    width = np.array([0.5, 0.1, 0.1, 40.0, 20.0, 20.0])
-    prior = np.r_[np.zeros(size), np.tile(width**-2, count)]
-    gradient = wide @ residual + prior * np.r_[np.zeros(size), levels.T.ravel()]
-    step = -np.linalg.solve(wide @ wide.T + np.diag(prior), gradient)
-    whole = np.concatenate([rows, residual[None]]) @ rows.T - np.asarray(less)[:, :size]
-    assert -np.linalg.solve(whole[:size], whole[size]) == pytest.approx(step[:size], rel=1e-6)
-    after = elimination.levels_after(levels, step[:size]) - levels
-    assert np.asarray(after).T.ravel() == pytest.approx(step[size:], rel=1e-6)
-    assert float(cost) == pytest.approx(np.sum((levels.T / width) ** 2))
 
 
 @settings(max_examples=30, deadline=None)

@@ -1,5 +1,7 @@
 """Laws of the fit: its equations against its cost, priors, noise that neighbours share."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -13,13 +15,20 @@ from trinoc.calib.photometric.covariance import (
     share_of_rest,
 )
 from trinoc.calib.photometric.encoding import AS_DELIVERED
-from trinoc.calib.photometric.equations import LOCAL_TERMS, LOCAL_WIDTH, eliminate_levels
+from trinoc.calib.photometric.fit_state import PictureFitState
 from trinoc.calib.photometric.gate import gate_by_sigma, without_common
 from trinoc.calib.photometric.noise import is_clear
 from trinoc.calib.photometric.pixel_selection import SelectedPixels
-from trinoc.calib.photometric.scene import PixelScene, Point, scene_of_picture
-from trinoc.calib.photometric.unknowns import PictureState, delivered_state
+from trinoc.calib.photometric.scene import PixelScene, blocks_of_pixels, scene_of_picture
+from trinoc.calib.photometric.unknowns import (
+    LOCAL_TERMS,
+    LOCAL_WIDTH,
+    PictureState,
+    delivered_state,
+)
+from trinoc.calib.problem.solver import ArrowEquations
 from trinoc.geometry.pose import PoseModel
+from trinoc.numerics.block_arrow import BlockArrow
 from trinoc.numerics.precision import ArrayLike
 
 STATE = with_look(state_at(RIGHT), spread_mm=0.01)
@@ -44,8 +53,8 @@ def with_prior(
     """With what is said of the ratio of ink to paper beforehand."""
 
     class WithPrior(PixelScene):
-        def picture(self, unknowns, kept, sigma):
-            known = super().picture(unknowns, kept, sigma)
+        def picture(self, unknowns, weight, sigma):
+            known = super().picture(unknowns, weight, sigma)
             middles, weights = (np.array(part) for part in known.prior)
             middles[RATIO], weights[RATIO] = middle, width**-2
             return known._replace(prior=(middles, weights))
@@ -53,16 +62,20 @@ def with_prior(
     return WithPrior(*scene)
 
 
-def at(scene: PixelScene, state: PictureState, kept: bool = True) -> Point:
+def at(scene: PixelScene, state: PictureState, kept: bool = True) -> PictureFitState:
+    return looked_at(scene, fit._start(scene, state, FREE), kept=kept)
+
+
+def looked_at(scene: PixelScene, point: PictureFitState, kept: bool = True) -> PictureFitState:
     everything, sigma = np.full(len(scene.grey), kept), np.full(len(scene.grey), SIGMA)
-    schedule = fit._schedule(FREE, 0, np.inf)
-    return fit._fit(scene, state, FREE, everything, sigma, schedule)
+    return fit._look(scene, point.with_pixels(sigma=sigma, kept=everything))
 
 
-def cost(scene: PixelScene, point: Point, *, kept: bool = True) -> float:
-    """Chi-square by the predicted levels, and of the priors as the fit counts them."""
-    chi_square = np.sum(((point.level - scene.grey) / SIGMA) ** 2) if kept else 0.0
-    return float(chi_square + point.equations.prior_cost)
+def cost(scene: PixelScene, point: PictureFitState) -> float:
+    """Chi-square by the predicted levels, and of the priors."""
+    middle, weight = scene.picture(point.state.unknowns, point.sigma, point.sigma).prior
+    priors = np.sum(weight * (point.state.values - middle) ** 2)
+    return float(np.sum(((point.level - scene.grey) / SIGMA) ** 2) + priors)
 
 
 def after(state: PictureState, step: np.ndarray) -> PictureState:
@@ -75,7 +88,10 @@ def test_the_gradient_is_half_the_cost_s_and_the_matrix_half_its_curvature(
 ) -> None:
     scene = with_prior(scene, STATE["ratio"] + 0.02, 1e-3)
     here = at(scene, STATE)
-    spread = np.sqrt(np.diag(np.linalg.inv(here.equations.matrix)))
+    matrix, gradient, _ = here.normal_equations()
+    assert here.equations is not None
+    assert here.equations.cost == pytest.approx(cost(scene, here), rel=1e-6)
+    spread = np.sqrt(np.diag(np.linalg.inv(matrix)))
     for k in range(len(FREE)):
         step = np.zeros(len(FREE))
         # So long that a percent of the row, which the model leaves out, hardly counts.
@@ -83,34 +99,37 @@ def test_the_gradient_is_half_the_cost_s_and_the_matrix_half_its_curvature(
         up, down = (cost(scene, at(scene, after(STATE, sign * step))) for sign in (1, -1))
         slope = (up - down) / (2 * step[k])
         curvature = (up + down - 2 * cost(scene, here)) / step[k] ** 2
-        claimed = 2 * here.equations.gradient[k]
+        claimed = 2 * gradient[k]
         assert claimed == pytest.approx(slope, rel=0.03, abs=0.3 / spread[k]), k
-        assert 2 * here.equations.matrix[k, k] == pytest.approx(curvature, rel=0.06), k
+        assert 2 * matrix[k, k] == pytest.approx(curvature, rel=0.06), k
 
 
 def test_priors_alone_are_a_quadratic(scene: PixelScene) -> None:
     scene = with_prior(scene, -0.5, 0.1)
-    alone = at(scene, STATE, kept=False).equations
+    alone = at(scene, STATE, kept=False)
+    matrix, gradient, _ = alone.normal_equations()
     off = float(STATE["ratio"]) + 0.5
     expected = np.zeros(len(FREE))
     expected[4 + RATIO] = 1 / 0.1**2
-    np.testing.assert_allclose(np.diag(alone.matrix), expected)
-    np.testing.assert_allclose(alone.gradient, expected * off)
-    np.testing.assert_allclose(alone.prior_cost, (off / 0.1) ** 2)
+    np.testing.assert_allclose(np.diag(matrix), expected)
+    np.testing.assert_allclose(gradient, expected * off)
+    assert alone.equations is not None
+    np.testing.assert_allclose(alone.equations.cost, (off / 0.1) ** 2)
 
 
 def test_steps_end_where_the_pixels_and_the_prior_balance(scene: PixelScene) -> None:
     """A step that pixels alone would refuse is taken where the prior gains more."""
     free = fit._take_steps(scene, at(scene, STATE), 8)
-    width = 0.2 / np.sqrt(free.equations.matrix[4 + RATIO, 4 + RATIO])
+    width = 0.2 / np.sqrt(free.normal_equations()[0][4 + RATIO, 4 + RATIO])
     known = with_prior(scene, float(free.state["ratio"]) + 0.05, width)
-    pulled = fit._take_steps(known, at(known, free.state), 8, 1e-4)
+    pulled = fit._take_steps(known, at(known, free.state), 8, 1e-8)
     assert cost(known, pulled) < cost(known, at(known, free.state)) - 100
     # Pixels alone have become worse.
-    assert cost(scene, pulled._replace(equations=free.equations)) > cost(scene, free) + 100
-    spread = np.sqrt(np.diag(np.linalg.inv(pulled.equations.matrix)))
+    assert cost(scene, pulled) > cost(scene, free) + 100
+    matrix, gradient, _ = pulled.normal_equations()
+    spread = np.sqrt(np.diag(np.linalg.inv(matrix)))
     # Without the prior it would be fifty.
-    assert np.abs(pulled.equations.gradient * spread).max() < 0.3
+    assert np.abs(gradient * spread).max() < 0.3
 
 
 def test_covariance_is_that_of_draws_of_noise_that_neighbours_share(scene: PixelScene) -> None:
@@ -122,8 +141,8 @@ def test_covariance_is_that_of_draws_of_noise_that_neighbours_share(scene: Pixel
         scale = SIGMA * 2 * kernel_px * np.sqrt(np.pi)
         return scale * noise[scene.chosen.places]
 
-    rows = np.asarray(exact.equations.by_motion).T @ stacked(scene, exact)[:9]
-    rows = np.concatenate([rows, stacked(scene, exact)[9:]]) / SIGMA
+    rows = exact.rows(scene).astype(float)
+    rows = np.concatenate([np.asarray(exact.prediction.by_motion).T @ rows[:9], rows[9:]]) / SIGMA
     solve = np.linalg.solve(rows @ rows.T, rows)[:4] / SIGMA
     errors = np.array([solve @ drawn() for _ in range(300)])
     truth = errors.T @ errors / len(errors)
@@ -142,16 +161,11 @@ def test_covariance_of_independent_noise_is_the_inverse_of_the_information(
     exact = at(scene, STATE)
     noise = np.random.default_rng(2).normal(0.0, 2 * SIGMA, len(scene.grey))
     noisy = scene._replace(grey=exact.level - noise)
-    whole = np.linalg.inv(exact.equations.matrix)[:4, :4]
+    whole = np.linalg.inv(exact.normal_equations()[0])[:4, :4]
     for correlated in (False, True):
         claimed = pose_covariance(noisy, exact, correlated=correlated)
         assert claimed.chi_square == pytest.approx(4.0, rel=0.05)
         assert np.diag(claimed.matrix) == pytest.approx(4 * np.diag(whole), rel=0.2)
-
-
-def stacked(scene: PixelScene, point: Point) -> np.ndarray:
-    near_circles, near_lines = point.equations.pixels
-    return scene.join((near_circles.rows, near_lines.rows)).astype(float)
 
 
 def test_derivatives_are_those_of_levels_that_saturation_cuts(scene: PixelScene) -> None:
@@ -160,16 +174,15 @@ def test_derivatives_are_those_of_levels_that_saturation_cuts(scene: PixelScene)
     cut = scene._replace(top=float(state.light[0]))
     light = state.unknowns.light[0]
     free = np.ones(4 + state.unknowns.size, dtype=bool)
-    sigma, kept = np.full(len(scene.grey), SIGMA), np.ones(len(scene.grey), dtype=bool)
 
-    def seen(change: float) -> Point:
+    def seen(change: float) -> PictureFitState:
         values = np.array(state.values)
         values[light] += change
         there = PictureState(state.pose, values, state.levels, state.unknowns)
-        return fit._fit(cut, there, free, kept, sigma, fit._schedule(free, 0, np.inf))
+        return looked_at(cut, fit._start(cut, there, free))
 
     up, down = (seen(sign * 0.5).residual(cut)[0] for sign in (1, -1))
-    claimed = stacked(cut, seen(0.0))[9 + light]
+    claimed = seen(0.0).rows(cut)[9 + light]
     assert claimed.min() < 0.7 < claimed.max()
     np.testing.assert_allclose(claimed, up - down, atol=0.01)
 
@@ -213,16 +226,50 @@ def test_crowds_of_outliers_go_with_their_whole_neighbourhood() -> None:
     assert kept[chosen.column > 40].all()
 
 
-def test_levels_are_eliminated_with_their_prior() -> None:
-    """Against dense rows, those of the prior among them."""
-    random, terms = np.random.default_rng(4), LOCAL_TERMS
-    by_levels, others = random.normal(size=(30, terms)), random.normal(size=(30, 4))
-    levels, width = 0.1 * random.normal(size=(terms, 1)), np.asarray(LOCAL_WIDTH)
-    of_blocks = by_levels.T @ np.hstack([by_levels, others])
-    first = np.vstack([by_levels, np.diag(1 / width)])
-    prior = np.zeros((terms, 4))
-    prior[:, -1] = levels[:, 0] / width
-    explained = np.linalg.qr(first)[0].T @ np.vstack([others, prior])
-    less, _, cost = eliminate_levels(of_blocks[None], levels)
-    np.testing.assert_allclose(less, explained.T @ explained[:, :-1], rtol=1e-4, atol=1e-4)
-    assert float(cost) == pytest.approx(float(np.sum(prior**2)), rel=1e-5)
+@pytest.mark.parametrize("level", range(LOCAL_TERMS))
+def test_levels_of_a_block_have_their_slope_and_their_prior(scene: PixelScene, level: int) -> None:
+    state, pose = delivered_state(STATE), STATE.pose
+    blocks = blocks_of_pixels(scene.chosen, pose, LENS.lens, reference_sheet())
+    scene = scene._replace(blocks=blocks, local=True)
+    free = np.ones(4 + state.unknowns.size, dtype=bool)
+    sizes, block = 0.1 * np.asarray(LOCAL_WIDTH), blocks.count // 2
+
+    def with_level(change: float) -> PictureFitState:
+        levels = np.zeros((LOCAL_TERMS, blocks.count))
+        levels[level, block] = (1 + change) * sizes[level]
+        there = PictureState(pose, np.asarray(state.values), levels, state.unknowns)
+        return looked_at(scene, fit._start(scene, there, free))
+
+    up, here, down = (with_level(change).equations for change in (0.1, 0.0, -0.1))
+    assert up is not None
+    assert here is not None
+    assert down is not None
+    slope = float(up.cost - down.cost) / (0.2 * sizes[level])
+    assert 2 * here.gradient[1][block, level] == pytest.approx(slope, rel=0.02)
+    curvature = float(up.cost + down.cost - 2 * here.cost) / (0.1 * sizes[level]) ** 2
+    inner = 2 * here.information.blocks[block, level, level]
+    assert inner == pytest.approx(curvature, rel=0.1)
+
+
+def test_levels_are_eliminated_from_the_equations(scene: PixelScene) -> None:
+    random, size, blocks = np.random.default_rng(4), len(FREE), 3
+    rows = random.normal(size=(60, size + blocks * LOCAL_TERMS))
+    for b in range(blocks):  # no pixel is of two blocks
+        columns = slice(size + LOCAL_TERMS * b, size + LOCAL_TERMS * (b + 1))
+        rows[np.arange(60) % blocks != b, columns] = 0.0
+    whole, slope = rows.T @ rows, rows.T @ random.normal(size=60)
+    places = np.arange(blocks * LOCAL_TERMS).reshape(blocks, LOCAL_TERMS) + size
+    arrow = BlockArrow(
+        whole[:size, :size],
+        np.stack([whole[:size, own] for own in places]),
+        np.stack([whole[np.ix_(own, own)] for own in places]),
+    )
+    equations = ArrowEquations(np.asarray(0.0), arrow, (slope[:size], slope[places]))
+    point = dataclasses.replace(at(scene, STATE), equations=equations)
+    matrix, gradient, follow = point.normal_equations()
+    step = np.linalg.solve(whole, slope)
+    np.testing.assert_allclose(np.linalg.solve(matrix, gradient), step[:size], rtol=1e-6)
+    alone = np.stack(
+        [np.linalg.solve(part, slope[own]) for part, own in zip(arrow.blocks, places, strict=True)]
+    )
+    np.testing.assert_allclose(alone + follow @ step[:size], step[places], rtol=1e-6)

@@ -21,7 +21,9 @@ def test_rounding_of_the_unknowns_moves_no_large_picture() -> None:
     def seen(dtype: type) -> tuple[np.ndarray, np.ndarray]:
         group = pad_group(chosen, grey, lens, pattern, len(chosen.row), dtype)
         rows = rows_of(state, group, drawing=drawing_of(pattern))
-        return np.asarray(rows.residual, float), np.asarray(rows.rows, float)
+        return np.asarray(rows.level, float) - np.asarray(group.pixels.grey, float), np.asarray(
+            rows.rows, float
+        )
 
     exact, rows = seen(np.float64)
     grey[chosen.row, chosen.column] = exact

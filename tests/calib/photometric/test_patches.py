@@ -7,14 +7,15 @@ import pytest
 import scipy.sparse
 
 from tests.calib.photometric.pictures import RIGHT, state_at
-from trinoc.calib.photometric.equations import Equations, PixelRows
+from trinoc.calib.photometric.equations import PixelRows, Prediction
+from trinoc.calib.photometric.fit_state import PictureFitState
 from trinoc.calib.photometric.patches import (
     _displacements,
     _number_patches,
     _shared_unknowns,
     _SharedUnknowns,
 )
-from trinoc.calib.photometric.scene import Blocks, PixelScene, Point
+from trinoc.calib.photometric.scene import Blocks, PixelScene
 from trinoc.calib.photometric.unknowns import (
     LOCAL_TERMS,
     LOCAL_WIDTH,
@@ -30,10 +31,12 @@ def test_shifts_and_their_information_are_those_of_all_unknowns_together() -> No
     patch = np.arange(pixels) % patches
     by_px, residual = random.normal(size=(2, pixels)), random.normal(size=pixels)
     weight = random.uniform(0.5, 2.0, pixels)
-    by_levels = scipy.sparse.random_array((pixels, 2), density=0.5, rng=random, format="csr")
+    by_levels = scipy.sparse.csr_matrix(
+        scipy.sparse.random_array((pixels, 2), density=0.5, rng=random)
+    )
     shared = _SharedUnknowns(
         random.normal(size=(pixels, 3)),
-        by_levels,  # pyright: ignore[reportArgumentType]
+        by_levels,
         np.array([0.0, 4.0, 20.0, 3.0, 5.0]),
         random.normal(size=5),
     )
@@ -59,7 +62,7 @@ def test_what_is_known_beforehand_counts_less_as_pixels_that_share_noise_do(
 ) -> None:
     scene, point = lit_scene(local)
     count = point.state.unknowns.size
-    found = _shared_unknowns(scene, point, np.eye(count, 12), inflation)
+    found = _shared_unknowns(scene, point, np.eye(count, 15), inflation)
     middle, weight = point.state.unknowns.prior(local=local)
     assert np.asarray(weight).any()
     np.testing.assert_allclose(inflation * found.prior[:count], weight)
@@ -75,17 +78,14 @@ def test_what_is_known_beforehand_counts_less_as_pixels_that_share_noise_do(
 def test_light_of_a_block_moves_its_own_pixels_as_its_slope_says() -> None:
     scene, point = lit_scene(True)
     assert scene.blocks is not None
-    by_levels = _shared_unknowns(scene, point, np.eye(point.state.unknowns.size, 12), 1.0).by_levels
+    by_levels = _shared_unknowns(scene, point, np.eye(point.state.unknowns.size, 15), 1.0).by_levels
     step = np.random.default_rng(5).normal(size=(LOCAL_TERMS, scene.blocks.count))
     own = np.sum(step[:, scene.blocks.of_pixel].reshape(2, 3, -1) * scene.blocks.basis.T, axis=1)
-    near_circles, near_lines = point.equations.pixels
-    by_local = scene.join((near_circles.by_local, near_lines.by_local))
-    np.testing.assert_allclose(
-        by_levels @ step.T.ravel(), np.sum(by_local * own, axis=0)[point.kept]
-    )
+    by_local = point.rows_by_local(scene)
+    np.testing.assert_allclose(by_levels @ step.T.ravel(), np.sum(by_local * own, axis=0))
 
 
-def lit_scene(local: bool) -> tuple[PixelScene, Point]:
+def lit_scene(local: bool) -> tuple[PixelScene, PictureFitState]:
     """Fifteen pixels of three blocks, three of which are cut, and any derivatives."""
     random = np.random.default_rng(4)
     state = delivered_state(state_at(RIGHT))
@@ -93,22 +93,20 @@ def lit_scene(local: bool) -> tuple[PixelScene, Point]:
     state = PictureState(state.pose, state.values, levels, state.unknowns)
     basis = np.column_stack([np.ones(15), random.normal(size=(15, 2))])
     nothing: Any = None
-    rows = [
-        PixelRows(nothing, nothing, nothing, nothing, random.normal(size=(1, 2, count)))
-        for count in (10, 5)
-    ]
-    point = Point(
+    rows = [PixelRows(nothing, nothing, random.normal(size=(1, 2, count))) for count in (10, 5)]
+    point = PictureFitState(
         state,
         np.ones(4 + state.unknowns.size, dtype=bool),
-        Equations(nothing, nothing, nothing, nothing, nothing, (rows[0], rows[1])),
-        *(nothing, nothing, nothing),
+        Prediction(rows[0], rows[1], nothing),
+        *(np.ones(15), np.ones(15)),
         kept=np.arange(15) > 2,
     )
     blocks = Blocks(np.arange(15) % 3, basis, 3)
     scene = PixelScene(
         *(nothing, (10, 5), nothing, nothing, nothing, nothing, nothing, nothing),
         PoseModel.AIMED,
-        *(nothing, nothing),
+        nothing,
+        np.inf,
         blocks=blocks,
         local=local,
     )

@@ -27,7 +27,7 @@ def model_residuals(pattern: Pattern, values: tuple[float, ...]) -> list[np.ndar
     for near_line in (False, True):
         group, count = pixels_of(picture, pattern, near_line=near_line)
         seen = rows_of(state_at(values), group, drawing=drawing_of(pattern), near_line=near_line)
-        residuals.append(np.asarray(seen.residual)[:count])
+        residuals.append((np.asarray(seen.level) - group.pixels.grey)[:count])
     return residuals
 
 

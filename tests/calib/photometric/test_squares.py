@@ -83,7 +83,9 @@ def model(picture, board):
     def seen(spread_mm):
         state = with_look(state_at(RIGHT), spread_mm=spread_mm)
         rows = rows_of(state, group, drawing=drawing_of(sheet))
-        return np.asarray(rows.residual)[:count], np.asarray(rows.rows)[:, :count]
+        return (np.asarray(rows.level) - group.pixels.grey)[:count], np.asarray(rows.rows)[
+            :, :count
+        ]
 
     return seen
 

@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.photometric.equations import local_rows
+from trinoc.calib.photometric.fit_state import PictureFitState
 from trinoc.calib.photometric.noise import autocorrelation, sum_correlated
-from trinoc.calib.photometric.scene import PixelScene, Point
+from trinoc.calib.photometric.scene import PixelScene
 from trinoc.calib.tuning.every_group import TUNING
 
 
@@ -29,16 +30,18 @@ class PoseCovariance(NamedTuple):
     inflation: float
 
 
-def pose_covariance(scene: PixelScene, point: Point, *, correlated: bool) -> PoseCovariance:
+def pose_covariance(
+    scene: PixelScene, point: PictureFitState, *, correlated: bool
+) -> PoseCovariance:
     """At the end of a fit: a sandwich over residuals that are correlated, or the inverse of the
     information where they are known not to be."""
     size, free = scene.model.size, point.free
     residual, sigma = point.residual(scene)
     # Saturated pixels are certain, and say nothing of the noise.
-    clear = point.clear(scene)
+    clear = point.is_clear(scene)
     standard = residual / sigma
     chi_square = float(np.sum(standard[clear] ** 2) / max(clear.sum() - free.sum(), 1))
-    matrix = np.asarray(point.equations.matrix)
+    matrix, _, follow_of_levels = point.normal_equations()
     follow = share_of_rest(matrix, free, size)
     information = pose_information(matrix, follow)
     if not np.isfinite(information).all():
@@ -46,9 +49,10 @@ def pose_covariance(scene: PixelScene, point: Point, *, correlated: bool) -> Pos
     inverse = np.linalg.pinv(information, hermitian=True)
     if not correlated:
         return PoseCovariance(inverse * chi_square, chi_square, None, chi_square)
-    correlation = autocorrelation(scene.grid, standard, clear)
-    rows = _rows_of_pose(scene, point, follow) * (point.kept / sigma)
-    middle = sum_correlated(scene.grid, rows, correlation)
+    grid = scene.grid
+    correlation = autocorrelation(grid, standard, clear)
+    rows = _rows_of_pose(scene, point, follow, follow_of_levels) * (point.kept / sigma)
+    middle = sum_correlated(grid, rows, correlation)
     matrix = _sandwich(inverse, middle) * chi_square
     inflation = float(np.trace(np.linalg.pinv(inverse, hermitian=True) @ matrix)) / size
     if not inflation > 0:
@@ -56,10 +60,10 @@ def pose_covariance(scene: PixelScene, point: Point, *, correlated: bool) -> Pos
     return PoseCovariance(matrix, chi_square, correlation, inflation)
 
 
-def spread_of_values(scene: PixelScene, point: Point) -> Float[np.ndarray, "k"]:
+def spread_of_values(scene: PixelScene, point: PictureFitState) -> Float[np.ndarray, "k"]:
     """Standard deviations of the unknowns beside the pose, 0 for those that were held."""
     spread, free = np.zeros(len(point.free)), point.free
-    inverse = np.linalg.pinv(point.equations.matrix[np.ix_(free, free)])
+    inverse = np.linalg.pinv(point.normal_equations()[0][np.ix_(free, free)])
     spread[free] = np.sqrt(np.abs(np.diag(inverse)))
     return spread[scene.model.size :]
 
@@ -88,20 +92,22 @@ def pose_information(
 
 
 def _rows_of_pose(
-    scene: PixelScene, point: Point, follow: Float[np.ndarray, "k p"]
+    scene: PixelScene,
+    point: PictureFitState,
+    follow: Float[np.ndarray, "k p"],
+    follow_of_levels: Float[np.ndarray, "b 6 k"],
 ) -> Float[np.ndarray, "p n"]:
     """Derivatives of each pixel by the pose, all other unknowns following it."""
-    size, equations = scene.model.size, point.equations
+    size = scene.model.size
     motion = -follow
     motion[:size] = np.eye(size)
-    by_homography = np.concatenate([equations.by_motion @ motion[:size], motion[size:]])
-    near_circles, near_lines = equations.pixels
-    rows = by_homography.T @ scene.join((near_circles.rows, near_lines.rows))
-    if equations.elimination is not None and scene.blocks is not None:
-        by_local = scene.join((near_circles.by_local, near_lines.by_local))
-        own = local_rows(by_local, scene.blocks.basis)
-        levels = equations.elimination.by_rest @ motion
-        rows = rows - np.einsum("kn,nkp->pn", own, levels[scene.blocks.of_pixel])
+    by_motion = np.asarray(point.prediction.by_motion)
+    by_homography = np.concatenate([by_motion @ motion[:size], motion[size:]])
+    rows = by_homography.T @ point.rows(scene)
+    if scene.local and scene.blocks is not None:
+        by_levels = local_rows(point.rows_by_local(scene), scene.blocks.basis)
+        levels = follow_of_levels @ motion
+        rows = rows + np.einsum("kn,nkp->pn", by_levels, levels[scene.blocks.of_pixel])
     return rows
 
 

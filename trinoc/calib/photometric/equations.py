@@ -1,13 +1,17 @@
-"""Normal equations of a picture's unknowns, priors included, light of blocks eliminated.
+"""Normal equations of a picture's unknowns: a head of pose and look, and the light of each block.
 
-Pixels are handled in chunks that stay in the cache, in the precision of their arrays (single is
-enough, and twice as fast), sums in that of the homography. The number of chunks is data: one
-compiled program serves any number of pixels up to the length of the padded arrays.
+A picture is predicted first (`predict_picture`), then weighed (`weigh_picture`): another noise, or
+pixels that are cut, need no new prediction. Pixels are handled in chunks that stay in the cache, in
+the precision of their arrays (single is enough, and twice as fast), sums in that of the homography.
+The number of chunks is data: one compiled program serves any number of pixels up to the length of
+the padded arrays.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
@@ -22,7 +26,9 @@ from trinoc.calib.photometric.unknowns import (
     PictureState,
     step_unit_mm,
 )
+from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations
 from trinoc.geometry.pose import PoseModel
+from trinoc.numerics.block_arrow import BlockArrow
 from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.robust_loss import GemanMcClure
 
@@ -71,127 +77,199 @@ class Picture(NamedTuple):
 
 
 class PixelRows(NamedTuple):
-    """What a state says of pixels; of a group's, chunk after chunk, padding included.
+    """Predicted pixels before saturation; of a group, chunk after chunk, padding included.
 
     Fields
     ------
-    level : (n,) predicted grey level before saturation.
-    residual, sigma : (n,) predicted minus observed after saturation, and its standard deviation.
-    rows : (9 + k, n) derivatives by the homography and by the unknowns beside the pose, through
-        saturation.
+    level : (n,) grey level.
+    rows : (9 + k, n) its derivatives by the homography and by the unknowns beside the pose.
     by_local : (2, n) by the light's and the veil's level of the pixel's block; none without.
     """
 
     level: Float[ArrayLike, "*c n"]
-    residual: Float[ArrayLike, "*c n"]
-    sigma: Float[ArrayLike, "*c n"]
     rows: Float[ArrayLike, "*c k n"]
     by_local: Float[ArrayLike, "*c l n"]
 
 
-class LevelElimination(NamedTuple):
-    """How the levels of each block follow the other unknowns.
+class Prediction(NamedTuple):
+    """Predicted pixels of both groups, and (9, p) derivative of the homography by the pose."""
 
-    Fields
-    ------
-    constant : (b, 6) step of the levels where the rest stays.
-    by_rest : (b, 6, k) its change by a step of the rest, both to be subtracted.
-    """
-
-    constant: Float[ArrayLike, "b 6"]
-    by_rest: Float[ArrayLike, "b 6 k"]
-
-    def levels_after(
-        self, levels: Float[ArrayLike, "6 b"], step: Float[ArrayLike, "k"]
-    ) -> Float[ArrayLike, "6 b"]:
-        """The levels that go with a step of the rest."""
-        return levels - (self.constant + self.by_rest @ step).T
-
-
-class Equations(NamedTuple):
-    """Normal equations at a state, by a step of (pose, values).
-
-    Fields
-    ------
-    matrix, gradient : (k, k) and (k,), priors included, levels eliminated.
-    prior_cost : chi-square of the priors.
-    by_motion : (9, p) derivative of the homography by a step of the pose.
-    elimination : of local levels; None without.
-    pixels : of both groups.
-    """
-
-    matrix: Float[ArrayLike, "k k"]
-    gradient: Float[ArrayLike, "k"]
-    prior_cost: Float[ArrayLike, ""]
+    near_circles: PixelRows
+    near_lines: PixelRows
     by_motion: Float[ArrayLike, "9 p"]
-    elimination: LevelElimination | None
-    pixels: tuple[PixelRows, PixelRows]
+
+
+class PictureProblem(AbstractArrowProblem[PictureState]):
+    """One picture as a problem whose head is (pose, values), with the levels of a block as a block.
+
+    Fields
+    ------
+    picture : pixels with their noise, and priors.
+    loss : what a residual can cost, in sigmas squared; infinite for plain least squares.
+    free : (k,) 1 for each unknown of the head that is estimated, else 0.
+    stride : the first of so many parts of each group's chunks take part.
+    drawing, model : the sheet, and what a step may change of the pose.
+    """
+
+    picture: Picture
+    loss: GemanMcClure
+    free: Float[ArrayLike, "k"]
+    stride: Int[ArrayLike, ""]
+    drawing: InkDrawing = eqx.field(static=True)
+    model: PoseModel = eqx.field(static=True)
+
+    def equations(self, state: PictureState) -> ArrowEquations:
+        """Equations of the free unknowns; their details are those of all, with the prediction."""
+        everything = predict_picture(self, state)
+        return self.hold(everything)._replace(details=everything)
+
+    def hold(self, equations: ArrowEquations) -> ArrowEquations:
+        """The equations without the unknowns that are fixed."""
+        arrow, (of_head, of_blocks), free = equations.information, equations.gradient, self.free
+        head = arrow.head * free[:, None] * free[None]
+        arrow = BlockArrow(head, arrow.coupling * free[None, :, None], arrow.blocks)
+        return ArrowEquations(equations.cost, arrow, (of_head * free, of_blocks))
+
+    def retract(
+        self, state: PictureState, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "b 6"]
+    ) -> PictureState:
+        """The state after a step, within the bounds of its unknowns."""
+        return state.move(head, state.levels + blocks.T, self.model)
+
+
+def predict_picture(problem: PictureProblem, state: PictureState) -> ArrowEquations:
+    """Equations of all unknowns at a state; their details are the prediction."""
+    homography, by_motion = homography_and_slope(state, problem.model)
+    sums, rows = [], []
+    for group, near_line in _groups(problem.picture):
+
+        def predict(part: Group, near_line: bool = near_line) -> PixelRows:
+            picture, drawing = problem.picture, problem.drawing
+            return pixel_rows(homography, state, part, picture, drawing, near_line)
+
+        one, predicted = _sum_pixels(problem, state, group, predict)
+        sums.append(one)
+        rows.append(predicted)
+    prediction = Prediction(rows[0], rows[1], by_motion)
+    return _equations(problem, state, sums, by_motion)._replace(details=prediction)
+
+
+def weigh_picture(
+    problem: PictureProblem, state: PictureState, prediction: Prediction
+) -> ArrowEquations:
+    """Equations of all unknowns at a state whose pixels are predicted already."""
+    predicted = prediction.near_circles, prediction.near_lines
+    sums = [
+        _sum_pixels(problem, state, group, rows)[0]
+        for (group, _), rows in zip(_groups(problem.picture), predicted, strict=True)
+    ]
+    return _equations(problem, state, sums, prediction.by_motion)
+
+
+def _groups(picture: Picture) -> tuple[tuple[Group, bool], tuple[Group, bool]]:
+    """Both groups, and whether they are near lines."""
+    return (picture.near_circles, False), (picture.near_lines, True)
 
 
 class _Sums(NamedTuple):
-    """Sums over pixels: of w J^T J with J = (rows, residual), and that of each block."""
+    """Sums over pixels: of w J^T J with J = (rows, residual), that of each block, and the cost."""
 
     products: Float[ArrayLike, "k k"]
     of_blocks: Float[ArrayLike, "b 6 l"]
-    rows: PixelRows
+    cost: Float[ArrayLike, ""]
 
 
-def build_equations(
+def _sum_pixels(
+    problem: PictureProblem,
     state: PictureState,
-    picture: Picture,
-    loss: GemanMcClure,
-    stride: Int[ArrayLike, ""],
-    drawing: InkDrawing,
-    model: PoseModel,
-) -> Equations:
-    """Normal equations over the first of `stride` parts of each group's chunks.
+    group: Group,
+    rows: PixelRows | Callable[[Group], PixelRows],
+) -> tuple[_Sums, PixelRows]:
+    """Sums over a group's pixels, and their rows, which are given or predicted."""
+    dtype, single = state.values.dtype, group.pixels.grey.dtype
+    count, size = len(group.pixels.grey) // CHUNK, 9 + state.unknowns.size
+    chunks = -(-group.chunks // problem.stride)
+    # Polynomials hardly differ from local levels: single precision loses the difference.
+    precise = dtype if state.levels.size else single
+    loss = jax.tree.map(lambda leaf: leaf.astype(single), problem.loss)
+    top = problem.picture.top.astype(single)
 
-    loss : bounds what a residual can cost, in sigmas squared; an infinite one, nothing.
-    """
-    homography, by_motion = homography_and_slope(state, model)
-    sums = [
-        _sum_pixels(
-            homography, state, group, -(-group.chunks // stride), picture, loss, drawing, near_line
+    def add(part: Group, one: PixelRows, sums: _Sums) -> _Sums:
+        level, slope = one.level, jnp.ones_like(one.level)
+        if not state.unknowns.is_ideal:
+            cut = clipped_moments(level, part.pixels.sigma, top)
+            level, slope = cut.mean, cut.slope
+        residual, weight = level - part.pixels.grey, part.pixels.weight
+        squared = (weight * residual) ** 2
+        # The square root of the weight: rows and residual then share one product.
+        root = weight * loss.root_weight(squared)
+        weighted = jnp.concatenate([one.rows * (slope * root)[None], (residual * root)[None]])
+        weighted, of_blocks = weighted.astype(precise), sums.of_blocks
+        if part.local is not None:
+            local = local_rows(one.by_local, part.local.basis) * (slope * root)[None]
+            local = local.astype(precise)
+            products = jnp.einsum("in,jn->nij", local, jnp.concatenate([local, weighted]))
+            of_blocks = jnp.asarray(of_blocks).at[part.local.block].add(products)
+        return _Sums(
+            sums.products + (weighted @ weighted.T).astype(dtype),
+            of_blocks,
+            sums.cost + jnp.sum(loss.rho(squared)).astype(dtype),
         )
-        for group, near_line in ((picture.near_circles, False), (picture.near_lines, True))
-    ]
-    chain = _chain(by_motion, state.unknowns.size)
-    products = chain.T @ (sums[0].products + sums[1].products) @ chain
-    size = len(products) - 1
-    middle, weight = (jnp.concatenate([jnp.zeros(model.size), part]) for part in picture.prior)
-    offset = jnp.concatenate([jnp.zeros(model.size), state.values]) - middle
-    matrix = products[:size, :size] + jnp.diag(weight)
-    gradient = products[:size, size] + weight * offset
-    prior_cost = weight @ offset**2
-    elimination = None
-    if state.levels.size:
-        of_blocks = sums[0].of_blocks + sums[1].of_blocks
-        across = of_blocks[:, :, LOCAL_TERMS:] @ chain
-        of_blocks = jnp.concatenate([of_blocks[:, :, :LOCAL_TERMS], across], axis=2)
-        less, elimination, of_levels = eliminate_levels(of_blocks, state.levels)
-        matrix, gradient = matrix - less[:size, :size], gradient - less[size]
-        prior_cost = prior_cost + of_levels
-    return Equations(
-        matrix, gradient, prior_cost, by_motion, elimination, (sums[0].rows, sums[1].rows)
+
+    def part_of(k: Int[ArrayLike, ""]) -> Group:
+        return jax.tree.map(partial(_chunk, k), group._replace(chunks=None))
+
+    start = _Sums(
+        jnp.zeros((size + 1, size + 1), dtype),
+        jnp.zeros((state.levels.shape[1], LOCAL_TERMS, LOCAL_TERMS + size + 1), dtype),
+        jnp.zeros((), dtype),
     )
+    if isinstance(rows, PixelRows):
+
+        def look_up(k: Int[ArrayLike, ""], sums: _Sums) -> _Sums:
+            return add(part_of(k), jax.tree.map(lambda whole: whole[k], rows), sums)
+
+        return jax.lax.fori_loop(0, chunks, look_up, start), rows
+
+    def predict(k: Int[ArrayLike, ""], carry: tuple[_Sums, PixelRows]) -> tuple[_Sums, PixelRows]:
+        part = part_of(k)
+        one = rows(part)
+        stored = jax.tree.map(lambda whole, piece: whole.at[k].set(piece), carry[1], one)
+        return add(part, one, carry[0]), stored
+
+    stored = PixelRows(
+        level=jnp.zeros((count, CHUNK), single),
+        rows=jax.lax.empty((count, size, CHUNK), single),
+        by_local=jax.lax.empty((count, 2 if state.levels.size else 0, CHUNK), single),
+    )
+    return jax.lax.fori_loop(0, chunks, predict, (start, stored))
 
 
-def eliminate_levels(
-    of_blocks: Float[ArrayLike, "b 6 l"], levels: Float[ArrayLike, "6 b"]
-) -> tuple[Float[ArrayLike, "m k"], LevelElimination, Float[ArrayLike, ""]]:
-    """The Schur complement of every block's levels: what it takes from matrix and gradient (the
-    last row), how the levels follow, and chi-square of their priors.
-
-    of_blocks : sums over each block of w l (l, j, r), for rows l of the levels and j of all else,
-        and the residual r.
-    """
-    inner = of_blocks[:, :, :LOCAL_TERMS] + jnp.diag(LOCAL_WIDTH**-2)[None]
-    pull = levels.T / LOCAL_WIDTH[None] ** 2
-    side = jnp.asarray(of_blocks[:, :, LOCAL_TERMS:]).at[:, :, -1].add(pull)
-    solved = jnp.linalg.solve(inner, side)
-    elimination = LevelElimination(solved[:, :, -1], solved[:, :, :-1])
-    less = jnp.einsum("bil,bik->lk", side, elimination.by_rest)
-    return less, elimination, jnp.sum((levels.T / LOCAL_WIDTH[None]) ** 2)
+def _equations(
+    problem: PictureProblem,
+    state: PictureState,
+    sums: list[_Sums],
+    by_motion: Float[ArrayLike, "9 p"],
+) -> ArrowEquations:
+    """Sums of both groups by steps of (pose, values) and of the levels, priors included."""
+    # From (homography, values, residual) to (pose, values, residual).
+    kept = jnp.eye(state.unknowns.size + 1, dtype=by_motion.dtype)
+    chain = jax.scipy.linalg.block_diag(by_motion, kept)
+    products = chain.T @ (sums[0].products + sums[1].products) @ chain
+    pose = jnp.zeros(problem.model.size)
+    middle, weight = (jnp.concatenate([pose, part]) for part in problem.picture.prior)
+    offset = jnp.concatenate([pose, state.values]) - middle
+    of_blocks = sums[0].of_blocks + sums[1].of_blocks
+    across = of_blocks[:, :, LOCAL_TERMS:] @ chain
+    level_weight, levels = LOCAL_WIDTH**-2, jnp.asarray(state.levels).T
+    arrow = BlockArrow(
+        products[:-1, :-1] + jnp.diag(weight),
+        jnp.swapaxes(across[:, :, :-1], 1, 2),
+        of_blocks[:, :, :LOCAL_TERMS] + jnp.diag(level_weight)[None],
+    )
+    gradient = products[:-1, -1] + weight * offset, across[:, :, -1] + level_weight[None] * levels
+    prior_cost = weight @ offset**2 + jnp.sum(level_weight[None] * levels**2)
+    return ArrowEquations(sums[0].cost + sums[1].cost + prior_cost, arrow, gradient)
 
 
 def homography_and_slope(
@@ -206,60 +284,6 @@ def homography_and_slope(
 
     zero = jnp.zeros(model.size, jnp.asarray(pose.rotation).dtype)
     return after(zero).reshape(3, 3), jax.jacfwd(after)(zero)
-
-
-def _chain(by_motion: Float[ArrayLike, "9 p"], size: int) -> Float[ArrayLike, "m k"]:
-    """From (homography, values, residual) to (pose, values, residual)."""
-    return jax.scipy.linalg.block_diag(by_motion, jnp.eye(size + 1, dtype=by_motion.dtype))
-
-
-def _sum_pixels(
-    homography: Float[ArrayLike, "3 3"],
-    state: PictureState,
-    group: Group,
-    chunks: Int[ArrayLike, ""],
-    picture: Picture,
-    loss: GemanMcClure,
-    drawing: InkDrawing,
-    near_line: bool,
-) -> _Sums:
-    dtype, single = homography.dtype, group.pixels.grey.dtype
-    count, size = len(group.pixels.grey) // CHUNK, 9 + state.unknowns.size
-    # Polynomials hardly differ from local levels: single precision loses the difference.
-    precise = dtype if state.levels.size else single
-
-    loss = jax.tree.map(lambda leaf: leaf.astype(single), loss)
-
-    def add(k: Int[ArrayLike, ""], sums: _Sums) -> _Sums:
-        part = jax.tree.map(partial(_chunk, k), group._replace(chunks=None))
-        seen = pixel_rows(homography, state, part, picture, drawing, near_line)
-        # While outliers are among them, saturated pixels are no surer than others.
-        sigma = jnp.where(jnp.isfinite(loss.ceiling), part.pixels.sigma, seen.sigma)
-        # The square root of the weight: rows and residual then share one product.
-        root = part.pixels.weight / sigma * loss.root_weight((seen.residual / sigma) ** 2)
-        rows = (jnp.concatenate([seen.rows, seen.residual[None]]) * root[None]).astype(precise)
-        of_blocks = sums.of_blocks
-        if part.local is not None:
-            local = local_rows(seen.by_local, part.local.basis) * root[None]
-            local = local.astype(precise)
-            both = jnp.concatenate([local, rows])
-            products = jnp.einsum("in,jn->nij", local, both)
-            of_blocks = jnp.asarray(of_blocks).at[part.local.block].add(products)
-        stored = jax.tree.map(lambda whole, piece: whole.at[k].set(piece), sums.rows, seen)
-        return _Sums(sums.products + (rows @ rows.T).astype(dtype), of_blocks, stored)
-
-    start = _Sums(
-        jnp.zeros((size + 1, size + 1), dtype),
-        jnp.zeros((state.levels.shape[1], LOCAL_TERMS, LOCAL_TERMS + size + 1), dtype),
-        PixelRows(
-            level=jnp.zeros((count, CHUNK), single),
-            residual=jnp.zeros((count, CHUNK), single),
-            sigma=jnp.zeros((count, CHUNK), single),
-            rows=jax.lax.empty((count, size, CHUNK), single),
-            by_local=jax.lax.empty((count, 2 if state.levels.size else 0, CHUNK), single),
-        ),
-    )
-    return jax.lax.fori_loop(0, chunks, add, start)
 
 
 def local_rows(
@@ -277,7 +301,7 @@ def pixel_rows(
     drawing: InkDrawing,
     near_line: bool,
 ) -> PixelRows:
-    """Residuals and derivatives of pixels, in their precision."""
+    """Grey levels before saturation and their derivatives, in the precision of the pixels."""
     pixels, unknowns = group.pixels, state.unknowns
     single = pixels.grey.dtype
     shared = homography, state, picture.cross, picture.white
@@ -306,12 +330,7 @@ def pixel_rows(
     # Divisions by one: see `SheetPoint.unit`.
     rows, by_local = rows / pixels.unit[None], by_local / pixels.unit[None]
     level = seen.level + lost @ rows[: len(lost)]
-    sigma, residual = pixels.sigma, level - pixels.grey
-    if not unknowns.is_ideal:
-        cut = clipped_moments(level, sigma, picture.top.astype(single))
-        residual, sigma, rows = cut.mean - pixels.grey, cut.sigma, rows * cut.slope[None]
-        by_local = by_local * cut.slope[None]
-    return PixelRows(level, residual, sigma, rows, by_local)
+    return PixelRows(level, rows, by_local)
 
 
 def light_terms(place: Float[ArrayLike, "2 n"], count: int) -> Float[ArrayLike, "m n"]:

@@ -11,8 +11,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from trinoc.calib.photometric.noise import autocorrelation, inflation, saturation_level
-from trinoc.calib.photometric.scene import PixelScene, Point
+from trinoc.calib.photometric.fit_state import PictureFitState
+from trinoc.calib.photometric.noise import OnGrid, autocorrelation, inflation, saturation_level
+from trinoc.calib.photometric.scene import PixelScene
 from trinoc.calib.photometric.unknowns import DELIVERED
 from trinoc.calib.tuning.every_group import TUNING
 
@@ -41,7 +42,9 @@ FIRST = ("bend", "kurtosis", "along_u", "diagonal", "lobe")
 OF_RESPONSE = ("bend", "contrast", "lift")
 
 
-def find_refuted_part(scene: PixelScene, point: Point) -> Literal["nothing", "noise", "model"]:
+def find_refuted_part(
+    scene: PixelScene, point: PictureFitState
+) -> Literal["nothing", "noise", "model"]:
     """Whether the picture needs more than an ideal camera, or noise that depends on the level.
 
     point : where the fit of an ideal camera ended.
@@ -57,7 +60,8 @@ def find_refuted_part(scene: PixelScene, point: Point) -> Literal["nothing", "no
     variance = float(np.mean(r**2))
     if 0 < TUNING.photometric.largest_variance_ratio * scene.noise_floor**2 < variance:
         return "model"
-    if _neighbours_agree(scene, residual * kept, kept):
+    grid = scene.grid
+    if _neighbours_agree(grid, residual * kept, kept):
         return "model"
     bins = np.clip((share * _SHARE_BINS).astype(int), 0, _SHARE_BINS - 1)
     near_line = (np.arange(len(kept)) >= scene.counts[0])[kept]
@@ -70,7 +74,7 @@ def find_refuted_part(scene: PixelScene, point: Point) -> Literal["nothing", "no
     by_place = (column * _PLACE_BINS + row) * 3 + flat
     if _have_means(r[flat < 2], by_place[flat < 2]):
         return "model"
-    if _have_direction(scene, share, kept, r):
+    if _have_direction(scene.grey, grid, share, kept, r):
         return "model"
     return "nothing" if _have_one_variance(r, bins) else "noise"
 
@@ -82,7 +86,7 @@ class PictureEvidence(NamedTuple):
     uneven_light: bool
 
 
-def find_evidence(scene: PixelScene, point: Point) -> PictureEvidence:
+def find_evidence(scene: PixelScene, point: PictureFitState) -> PictureEvidence:
     """Score tests of each group that is held.
 
     The scores' variance is that of correlated residuals.
@@ -92,28 +96,35 @@ def find_evidence(scene: PixelScene, point: Point) -> PictureEvidence:
     standard = residual / sigma
     spread = inflation(autocorrelation(scene.grid, standard, point.kept))
     more = np.zeros(len(point.free), dtype=bool)
+    matrix, gradient, _ = point.normal_equations()
     for name, members in GROUPS.items():
         if scene.bend is not None and name in OF_RESPONSE:
             continue
         places = size + np.array(DELIVERED.places(*members))
         needed = size + np.array(DELIVERED.places(*_NEEDS.get(name, ())), dtype=int)
         if point.free[needed].all() and not point.free[places].any():
-            more[places] = _has_score(point, places, spread)
+            more[places] = _has_score(matrix, gradient, point.free, places, spread)
     spread = min(spread, TUNING.photometric.largest_inflation)
     uneven = not scene.local and (
-        _has_score(point, size + np.array(DELIVERED.of_uneven_light), spread)
+        _has_score(matrix, gradient, point.free, size + np.array(DELIVERED.of_uneven_light), spread)
         or _has_block_means(scene, standard * point.kept, point.kept, spread)
     )
     return PictureEvidence(more, uneven)
 
 
-def _has_score(point: Point, places: Int[np.ndarray, "m"], spread: float) -> bool:
-    matrix, gradient = point.equations.matrix, point.equations.gradient
+def _has_score(
+    matrix: Float[np.ndarray, "k k"],
+    gradient: Float[np.ndarray, "k"],
+    free: Bool[np.ndarray, "k"],
+    places: Int[np.ndarray, "m"],
+    spread: float,
+) -> bool:
+    """Whether the score of fixed unknowns is larger than chance."""
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     matrix, gradient = matrix * scale[:, None] * scale, gradient * scale
-    across = matrix[np.ix_(point.free, places)]
-    side = np.column_stack([across, gradient[point.free]])
-    solved = np.linalg.lstsq(matrix[np.ix_(point.free, point.free)], side)[0]
+    across = matrix[np.ix_(free, places)]
+    side = np.column_stack([across, gradient[free]])
+    solved = np.linalg.lstsq(matrix[np.ix_(free, free)], side)[0]
     inner = matrix[np.ix_(places, places)] - across.T @ solved[:, :-1]
     score = gradient[places] - across.T @ solved[:, -1]
     inner = inner + 1e-7 * np.eye(len(places))
@@ -152,10 +163,7 @@ def _have_one_variance(r: Float[np.ndarray, "n"], bins: np.ndarray) -> bool:
     )
 
 
-def _neighbours_agree(
-    scene: PixelScene, r: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]
-) -> bool:
-    grid = scene.grid
+def _neighbours_agree(grid: OnGrid, r: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]) -> bool:
     variance = np.sum(r**2) / max(kept.sum(), 1)
     for down, right in [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0)]:
         here, there = grid.pairs(down, right)
@@ -167,7 +175,8 @@ def _neighbours_agree(
 
 
 def _have_direction(
-    scene: PixelScene,
+    grey: Float[np.ndarray, "n"],
+    grid: OnGrid,
     share: Float[np.ndarray, "m"],
     kept: Bool[np.ndarray, "n"],
     r: Float[np.ndarray, "m"],
@@ -177,10 +186,9 @@ def _have_direction(
     What a wider edge adds on its one side it takes from the other: the sign of share - 1/2
     times cos and sin of twice the angle of the light's gradient.
     """
-    around = [
-        scene.grid.neighbours(down, right) for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0))
-    ]
-    right, left, below, above = (scene.grey[there][kept] for there in around)
+    sides = (0, 1), (0, -1), (1, 0), (-1, 0)
+    around = [grid.neighbours(down, right) for down, right in sides]
+    right, left, below, above = (grey[there[kept]] for there in around)
     usable = np.all([there[kept] >= 0 for there in around], axis=0)
     u, v = 0.5 * (right - left), 0.5 * (below - above)
     usable &= (share > _PAPER) & (share < _INK)

@@ -40,7 +40,8 @@ class Pixels(NamedTuple):
     ray : where it looks.
     place : (n, 2) (u, v) about the picture's middle in units of half its width.
     grey : observed.
-    weight : 1, or 0 for padding and for pixels that were cut.
+    weight : one over the standard deviation of its residual, or 0 for padding and for pixels that
+        are cut.
     sigma : standard deviation of its noise, before saturation.
     unit : 1 (see `SheetPoint`).
     figure : the nearest circle, or the ink about it on a board of squares.

@@ -13,11 +13,11 @@ from trinoc.calib.photometric.fit import (
     fit_ideal_camera,
     refit_ideal_camera,
 )
+from trinoc.calib.photometric.fit_state import PictureFitState
 from trinoc.calib.photometric.noise import inflation, noise_by_level
 from trinoc.calib.photometric.patches import patch_points
 from trinoc.calib.photometric.scene import (
     PixelScene,
-    Point,
     ShiftOfPlaces,
     blocks_of_pixels,
     scene_of_picture,
@@ -30,9 +30,9 @@ from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.image.response import PowerResponse
 
-# numerical: tolerance of the fit of an ideal camera: of the step that would come next, in its own
-# standard deviations.
-_CONVERGED_SIGMAS = 0.3
+# numerical: tolerance of the fit of an ideal camera: the gain of chi-square that the step promises
+# which would come next, the square of its length in standard deviations.
+_CONVERGED_GAIN = 0.3**2
 # numerical: for words only: said from so many standard deviations on, and from these amounts on.
 _SIGMAS, _LEAST_BEND, _LEAST_LOBE, _LEAST_MOTION_PX = 4.0, 0.03, 0.03, 0.5
 # numerical: for words only.
@@ -96,7 +96,10 @@ def refine_image(
     scene, (robust, point) = posed[0], ideal
 
     def refinement(
-        scene: PixelScene, point: Point, covariance: PoseCovariance, found: tuple[str, ...]
+        scene: PixelScene,
+        point: PictureFitState,
+        covariance: PoseCovariance,
+        found: tuple[str, ...],
     ) -> ImageRefinement:
         points = patch_points(lens, pattern, scene, point, covariance.inflation)
         if shift is not None:
@@ -109,7 +112,7 @@ def refine_image(
             scene.noise_floor if point.state.unknowns.is_ideal else noise,
             int(point.kept.sum()),
             int(np.sum(~point.kept)),
-            not point.state.unknowns.is_ideal or point.length < _CONVERGED_SIGMAS,
+            not point.state.unknowns.is_ideal or point.promised < _CONVERGED_GAIN,
             points,
             found,
             _overshoot(scene, point),
@@ -120,7 +123,7 @@ def refine_image(
     refuted = "model" if is_said else find_refuted_part(scene, point)
     if refuted == "noise":
         sigma = noise_by_level(point.level, residual, point.kept, point.level)
-        point = refit_ideal_camera(scene, point._replace(sigma=sigma))
+        point = refit_ideal_camera(scene, point.with_pixels(sigma=sigma))
     if refuted == "model":
         blocks = blocks_of_pixels(scene.chosen, start, lens, pattern)
         wider = scene._replace(blocks=blocks)
@@ -134,7 +137,7 @@ def refine_image(
     return refinement(scene, point, pose_covariance(scene, point, correlated=False), ())
 
 
-def _overshoot(scene: PixelScene, point: Point) -> float:
+def _overshoot(scene: PixelScene, point: PictureFitState) -> float:
     """The lobe beside edges that sharpening makes, where it is surely there; else 0."""
     look = point.state.unknowns.look
     if "lobe" not in look:
@@ -144,7 +147,7 @@ def _overshoot(scene: PixelScene, point: Point) -> float:
     return value if value > _SIGMAS * sigma > 0 else 0.0
 
 
-def _noise_in_the_middle(point: Point) -> float:
+def _noise_in_the_middle(point: PictureFitState) -> float:
     half = float(point.state.light[0] * (1 + 0.5 * point.state["ratio"]))
     near = np.argsort(np.abs(point.level - half))[: max(len(point.level) // 50, 1)]
     return float(np.median(point.sigma[near]))
@@ -157,7 +160,7 @@ def _inverse(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
 
 
 def describe_processing(
-    scene: PixelScene, point: Point, covariance: PoseCovariance
+    scene: PixelScene, point: PictureFitState, covariance: PoseCovariance
 ) -> tuple[str, ...]:
     """Sentences' halves such as "sharpened" or "saturated paper", the surest only."""
     look = point.state.unknowns.look

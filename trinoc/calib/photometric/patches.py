@@ -14,7 +14,8 @@ import scipy.sparse
 from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.equations import local_rows
-from trinoc.calib.photometric.scene import PixelScene, Point
+from trinoc.calib.photometric.fit_state import PictureFitState
+from trinoc.calib.photometric.scene import PixelScene
 from trinoc.calib.photometric.sheet_places import homography_of_pose
 from trinoc.calib.photometric.unknowns import LOCAL_TERMS, LOCAL_WIDTH
 from trinoc.calib.problem.views import LINE_PIECES, SheetPoints
@@ -37,7 +38,7 @@ class _SharedUnknowns(NamedTuple):
 
     Fields
     ------
-    rows : (n, q) derivatives of the pixels that stayed by what all patches share.
+    rows : (n, q) derivatives of all pixels by what all patches share.
     by_levels : (n, l) by the levels of every block, most of them zero; no columns without.
     prior, pull : (q + l,) information of the priors, and its gradient.
     """
@@ -52,35 +53,31 @@ def patch_points(
     lens: AbstractLens,
     pattern: Pattern | SquareSheet,
     scene: PixelScene,
-    point: Point,
+    point: PictureFitState,
     inflation: float,
 ) -> SheetPoints:
     """The patches that a picture shows; none where the fit has left all that is finite.
 
     inflation : of variances over those of independent noise as large as was assumed.
     """
-    kept = np.flatnonzero(point.kept)
-    groups = [
-        jax.tree.map(lambda leaf, count=count: np.asarray(leaf)[:count], group.pixels.ray)
-        for group, count in zip(scene.groups, scene.counts, strict=True)
-    ]
-    ray = jax.tree.map(lambda *parts: np.concatenate(parts)[kept].astype(float), *groups)
+    rays = [group.pixels.ray for group in scene.groups]
+    direction = scene.join_pixels([ray.direction for ray in rays]).astype(float)
+    by_pixel = scene.join_pixels([ray.by_pixel for ray in rays])
     homography = np.asarray(homography_of_pose(point.state.pose))
-    on_sheet = homography @ ray.direction.T
+    on_sheet = homography @ direction.T
     place = (on_sheet[:2] / on_sheet[2]).T
-    near_circles, near_lines = point.equations.pixels
-    all_rows = scene.join((near_circles.rows, near_lines.rows))[:, kept]
+    all_rows = point.rows(scene)
     # A picture that is shifted by d shows at x what it showed at x - d. The third column of the
     # homography acts by the third coordinate of the ray.
-    by_direction = -homography.T @ (all_rows[2:9:3] / ray.direction[:, 2])
-    by_px = np.einsum("jn,njk->kn", by_direction, ray.by_pixel)
-    residual, sigma = (part[kept] for part in point.residual(scene))
+    by_direction = -homography.T @ (all_rows[2:9:3] / direction[:, 2])
+    by_px = np.einsum("jn,njk->kn", by_direction, by_pixel)
+    residual, sigma = point.residual(scene)
     # Neighbours share noise, and it is not all that the levels say: as the pose knows of it.
-    weight = sigma**-2 / inflation
+    weight = point.kept * sigma**-2 / inflation
     if not all(np.isfinite(part).all() for part in (place, weight, all_rows)):
         return _NOTHING
     near_line = np.arange(len(scene.grey)) >= scene.counts[0]
-    label = np.where(near_line, -1, scene.chosen.circle)[kept]
+    label = np.where(near_line, -1, scene.chosen.circle)
     if isinstance(pattern, Pattern):
         piece = len(pattern) + _piece_of_line(place, pattern)
         label = np.where(label >= 0, label, piece)
@@ -126,14 +123,13 @@ def _number_patches(
     """Patches of which something is known numbered from 0; pixels of others, which show nothing,
     count to the first."""
     total = np.bincount(label, known)
-    useful = np.flatnonzero(total > _LEAST_SHARE * total.max())
-    number = np.zeros(label.max() + 1, dtype=int)
-    number[useful] = np.arange(len(useful))
-    return number[label], np.where(np.isin(label, useful), known, 0.0)
+    is_useful = total > _LEAST_SHARE * total.max()
+    number = np.where(is_useful, np.cumsum(is_useful) - 1, 0)
+    return number[label], known * is_useful[label]
 
 
 def _shared_unknowns(
-    scene: PixelScene, point: Point, by_values: Float[np.ndarray, "k n"], inflation: float
+    scene: PixelScene, point: PictureFitState, by_values: Float[np.ndarray, "k n"], inflation: float
 ) -> _SharedUnknowns:
     """Light about a patch, where it has its own, can do what a displacement does."""
     state, free = point.state, point.free[scene.model.size :]
@@ -150,18 +146,16 @@ def _shared_unknowns(
 
 
 def _local_light(
-    scene: PixelScene, point: Point
+    scene: PixelScene, point: PictureFitState
 ) -> tuple[scipy.sparse.csr_matrix, Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
     """Derivatives by every block's levels, and the information and gradient of their priors."""
-    kept = np.flatnonzero(point.kept)
-    if not scene.local or scene.blocks is None:
-        return scipy.sparse.csr_matrix((len(kept), 0)), np.zeros(0), np.zeros(0)
-    blocks, (near_circles, near_lines) = scene.blocks.part(kept), point.equations.pixels
-    by_local = scene.join((near_circles.by_local, near_lines.by_local))[:, kept]
-    rows = local_rows(by_local, blocks.basis).astype(float)
+    count, blocks = len(point.kept), scene.blocks
+    if not scene.local or blocks is None:
+        return scipy.sparse.csr_matrix((count, 0)), np.zeros(0), np.zeros(0)
+    rows = local_rows(point.rows_by_local(scene), blocks.basis).astype(float)
     column = LOCAL_TERMS * blocks.of_pixel + np.arange(LOCAL_TERMS)[:, None]
-    row = np.tile(np.arange(len(kept)), LOCAL_TERMS)
-    size = (len(kept), LOCAL_TERMS * blocks.count)
+    row = np.tile(np.arange(count), LOCAL_TERMS)
+    size = (count, LOCAL_TERMS * blocks.count)
     weight = np.tile(LOCAL_WIDTH**-2, blocks.count)
     levels = np.asarray(point.state.levels).T.ravel()
     return (
@@ -180,14 +174,16 @@ def _displacements(
     shared: _SharedUnknowns,
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "q q"]]:
     """Shift of each patch in px, and R of all their errors, what they share being eliminated."""
-    number = np.arange(len(patch))
-    shifts = scipy.sparse.csr_matrix(
-        (by_px.ravel(), (np.tile(number, 2), np.concatenate([2 * patch, 2 * patch + 1]))),
-        (len(patch), 2 * count),
+    rows, by_levels, weighted = shared.rows, shared.by_levels, by_px * weight
+
+    def of_patches(values: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m k"]:
+        """Weighted sums over the pixels of each patch of by_u and by_v times values."""
+        sums = [[np.bincount(patch, axis * row, count) for row in values] for axis in weighted]
+        return np.array(sums).transpose(2, 0, 1).reshape(2 * count, len(values))
+
+    across = np.concatenate(
+        [of_patches(rows.T), _sums_with_levels(weighted, patch, count, by_levels)], axis=1
     )
-    weighted = shifts.multiply(weight[:, None]).tocsr()
-    rows, by_levels = shared.rows, shared.by_levels
-    across = np.concatenate([weighted.T @ rows, (weighted.T @ by_levels).toarray()], axis=1)
     by_weight, levels_by_weight = (rows * weight[:, None]).T, by_levels.multiply(weight[:, None]).T
     corner = levels_by_weight @ rows
     inner = np.block(
@@ -196,10 +192,12 @@ def _displacements(
     pull = np.concatenate([by_weight @ residual, levels_by_weight @ residual]) + shared.pull
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     eliminated = (across / scale) @ np.linalg.pinv(inner / np.outer(scale, scale), hermitian=True)
-    alone = (weighted.T @ shifts).toarray()
-    information = alone - eliminated @ (across / scale).T
-    slope = weighted.T @ residual - eliminated @ (pull / scale)
-    known = _known_directions(alone, count)
+    each = of_patches(by_px).reshape(count, 2, 2)
+    alone = np.zeros((count, 2, count, 2))
+    alone[np.arange(count), :, np.arange(count)] = each
+    information = alone.reshape(2 * count, 2 * count) - eliminated @ (across / scale).T
+    slope = of_patches(residual[None])[:, 0] - eliminated @ (pull / scale)
+    known = _known_directions(each)
     factor = np.linalg.cholesky(known.T @ information @ known)
     step = np.linalg.solve(factor.T, np.linalg.solve(factor, known.T @ slope))
     whitening = np.zeros((2 * count, 2 * count))
@@ -207,14 +205,25 @@ def _displacements(
     return -(known @ step).reshape(count, 2), whitening
 
 
-def _known_directions(alone: Float[np.ndarray, "k k"], count: int) -> Float[np.ndarray, "k q"]:
+def _sums_with_levels(
+    weighted: Float[np.ndarray, "2 n"],
+    patch: Int[np.ndarray, "n"],
+    count: int,
+    by_levels: scipy.sparse.csr_matrix,
+) -> Float[np.ndarray, "m l"]:
+    """Sums over the pixels of each patch of `weighted` times the derivatives by levels."""
+    if not by_levels.shape[1]:  # pyright: ignore[reportOptionalSubscript]
+        return np.zeros((2 * count, 0))
+    pixel, column = np.tile(np.arange(len(patch)), 2), np.concatenate([2 * patch, 2 * patch + 1])
+    by_patch = scipy.sparse.csr_matrix((weighted.ravel(), (column, pixel)), (2 * count, len(patch)))
+    return scipy.sparse.csr_matrix(by_patch @ by_levels).toarray()
+
+
+def _known_directions(information: Float[np.ndarray, "c 2 2"]) -> Float[np.ndarray, "k q"]:
     """Unit vectors along which patches are known by themselves."""
-    basis = []
-    for k in range(count):
-        rows = slice(2 * k, 2 * k + 2)
-        values, vectors = np.linalg.eigh(alone[rows, rows])
-        for value, vector in zip(values, vectors.T, strict=True):
-            if value > _LEAST_SHARE * values[-1]:
-                basis.append(np.zeros(2 * count))
-                basis[-1][rows] = vector
-    return np.stack(basis, axis=1)
+    count = len(information)
+    values, vectors = np.linalg.eigh(information)
+    basis = np.zeros((count, 2, count, 2))
+    basis[np.arange(count), :, np.arange(count)] = vectors
+    is_known = values > _LEAST_SHARE * values[:, 1:]
+    return basis.reshape(2 * count, 2 * count)[:, is_known.ravel()]

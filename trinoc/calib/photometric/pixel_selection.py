@@ -220,12 +220,13 @@ def _draw(canvas: np.ndarray, outline: Int[np.ndarray, "k 2"], value: int, thick
     cv2.polylines(canvas, [outline], True, value, thickness, cv2.LINE_8, _SHIFT)
 
 
-def padded_capacity(count: int) -> int:
-    """The padded length for `count` pixels; few lengths, because each compiles anew."""
+def padded_capacities(near_circles: SelectedPixels, near_lines: SelectedPixels) -> tuple[int, int]:
+    """Padded lengths of both groups; few pairs, because each compiles anew."""
+    many, few = len(near_circles.row), len(near_lines.row)
     capacity = SMALLEST_CAPACITY
-    while capacity < count:
+    while capacity < max(many, few):
         capacity *= 4
-    return capacity
+    return capacity, capacity // 4 if few <= capacity // 4 else capacity
 
 
 def pad_group(

@@ -1,16 +1,15 @@
 """The pixels of one picture that its fit looks at, chosen at its start, and their surroundings."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.encoding import Encoding, balance_mosaic
 from trinoc.calib.photometric.equations import (
     CHUNK,
-    Equations,
     Group,
     LocalPixels,
     Picture,
@@ -19,8 +18,6 @@ from trinoc.calib.photometric.equations import (
 from trinoc.calib.photometric.ink import SQUARES, Cross, InkDrawing
 from trinoc.calib.photometric.noise import (
     OnGrid,
-    clipped_moments,
-    is_clear,
     saturation_level,
     white_level,
 )
@@ -28,7 +25,7 @@ from trinoc.calib.photometric.pixel_selection import (
     PixelSelection,
     SelectedPixels,
     pad_group,
-    padded_capacity,
+    padded_capacities,
     select_pixels,
 )
 from trinoc.calib.photometric.sheet_places import (
@@ -130,6 +127,11 @@ class PixelScene(NamedTuple):
             blocks=None if self.blocks is None else self.blocks.part(part),
         )
 
+    def join_pixels(self, parts: Sequence[ArrayLike]) -> np.ndarray:
+        """Values of both groups' pixels, along the first axis, as one array without padding."""
+        both = zip(parts, self.counts, strict=True)
+        return np.concatenate([np.asarray(part)[:count] for part, count in both])
+
     def join(self, parts: tuple[ArrayLike, ArrayLike]) -> np.ndarray:
         """Values of both groups' pixels, chunk after chunk, as one array without padding."""
         whole = [
@@ -141,19 +143,21 @@ class PixelScene(NamedTuple):
     def picture(
         self,
         unknowns: Unknowns,
-        kept: Bool[np.ndarray, "n"],
+        weight: Float[np.ndarray, "n"],
         sigma: Float[np.ndarray, "n"],
     ) -> Picture:
-        """The pixels that are kept, of given noise, as the compiled program takes them."""
+        """The pixels with given weights and noise, as the compiled programs take them."""
         groups = []
         for k, group in enumerate(self.groups):
-            own = slice(0, self.counts[0]) if k == 0 else slice(self.counts[0], None)
+            part = slice(0, self.counts[0]) if k == 0 else slice(self.counts[0], None)
             places = None
             if self.local and self.blocks is not None:
-                block = _pad_values(self.blocks.of_pixel[own], 0, group).astype(np.int32)
-                places = LocalPixels(block, _pad_values(self.blocks.basis[own], 0.0, group))
-            weight, noise = _pad_values(kept[own], 0.0, group), _pad_values(sigma[own], 1.0, group)
-            pixels = group.pixels._replace(weight=weight, sigma=noise)
+                block = _pad_values(self.blocks.of_pixel[part], 0, group).astype(np.int32)
+                places = LocalPixels(block, _pad_values(self.blocks.basis[part], 0.0, group))
+            pixels = group.pixels._replace(
+                weight=_pad_values(weight[part], 0.0, group),
+                sigma=_pad_values(sigma[part], 1.0, group),
+            )
             groups.append(Group(pixels, group.chunks, places))
         white, top = np.asarray(self.white), np.asarray(self.top)
         known = unknowns.prior(local=self.local)
@@ -161,8 +165,7 @@ class PixelScene(NamedTuple):
 
     def polynomial_light(self, state: PictureState) -> Float[np.ndarray, "n"]:
         """The paper's grey level by the polynomial alone."""
-        both = zip(self.groups, self.counts, strict=True)
-        place = np.concatenate([group.pixels.place[:count] for group, count in both]).T
+        place = self.join_pixels([group.pixels.place for group in self.groups]).T
         return np.asarray(state.light) @ np.asarray(light_terms(place, len(state.light)))
 
 
@@ -193,13 +196,14 @@ def scene_of_picture(
     size = (image.shape[1], image.shape[0])
     choice = select_pixels(start, lens, pattern, size, float(state["sigma_px"]))
     parts = (choice.near_circles, choice.near_lines)
-    capacity = padded_capacity(max(len(part.row) for part in parts))
     groups = [
         pad_group(
             part, image, lens, pattern, capacity, np.float32, _shifts(part, start, lens, shift)
         )
-        for part in parts
+        for part, capacity in zip(parts, padded_capacities(*parts), strict=True)
     ]
+    # Every program of this picture takes them: they are handed over once.
+    groups = jax.device_put(groups)
     chosen = jax.tree.map(lambda *pair: np.concatenate(pair), *parts)
     grey = image[chosen.places]
     scene = PixelScene(
@@ -294,35 +298,3 @@ def _shifts(
 def _cut_out(image: Float[np.ndarray, "h w"], choice: PixelSelection) -> Float[np.ndarray, "k l"]:
     (row, column), (height, width) = choice.corner, choice.flat.shape
     return image[row : row + height, column : column + width]
-
-
-class Point(NamedTuple):
-    """A state with what it says of the pixels, and the noise that weighs them.
-
-    Fields
-    ------
-    state : of all unknowns.
-    free : (p + k,) which of (pose, values) are fitted.
-    equations : at the state, as NumPy arrays.
-    length : of the step that would come next, of the pose in its own standard deviations.
-    level : (n,) predicted before saturation.
-    sigma : (n,) noise of each pixel before saturation.
-    kept : (n,) pixels that show the sheet.
-    """
-
-    state: PictureState
-    free: Bool[np.ndarray, "k"]
-    equations: Equations
-    length: float
-    level: Float[np.ndarray, "n"]
-    sigma: Float[np.ndarray, "n"]
-    kept: Bool[np.ndarray, "n"]
-
-    def residual(self, scene: PixelScene) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Predicted minus observed after saturation, and its standard deviation."""
-        cut = clipped_moments(self.level, self.sigma, scene.top)
-        return np.asarray(cut.mean) - scene.grey, np.asarray(cut.sigma)
-
-    def clear(self, scene: PixelScene) -> Bool[np.ndarray, "n"]:
-        """Pixels that stayed and whose noise saturation leaves as it is."""
-        return self.kept & is_clear(self.level, self.sigma, scene.top)

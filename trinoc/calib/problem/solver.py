@@ -1,8 +1,10 @@
 """Levenberg and Marquardt's method for everything whose normal equations are a block arrow.
 
 Lenses, cameras and boards share few unknowns (the head), and every shot or line has a few of its
-own (a block). The state is a point on a manifold: charts are laid anew at every point, and the
-Jacobian is never formed. Source: Triggs et al., "Bundle adjustment: a modern synthesis" (2000).
+own (a block); a picture's pose and look are a head, the light about each circle a block. The state
+is a point on a manifold: charts are laid anew at every point, and the Jacobian is never formed.
+`ArrowDescent` proposes steps, `WatchdogSearch` accepts or refuses them, and `ArrowMinimiser` runs
+both. Source: Triggs et al., "Bundle adjustment: a modern synthesis" (2000).
 """
 
 from abc import abstractmethod
@@ -40,15 +42,21 @@ BLOCKS_THAT_CREEP = 100
 
 
 class ArrowEquations(NamedTuple):
-    """Gauss and Newton's equations: `information` times the step is minus `gradient`.
+    """Gauss-Newton equations at a state: `information` times the step is minus `gradient`.
 
-    `information` is J^T W J, and `gradient` J^T W r, half the gradient of the cost, over the steps
-    of the head (h,) and of the blocks (b, w). `cost` is that of the state.
+    Fields
+    ------
+    cost : of the state.
+    information, gradient : J^T W J, and J^T W r, half the gradient of the cost, over the steps of
+        the head (h,) and of the blocks (b, w).
+    details : whatever else the problem computes on the way; a descent returns that of the last
+        state that it evaluated.
     """
 
     cost: Float[ArrayLike, ""]
     information: BlockArrow
-    gradient: tuple[Float[Array, "h"], Float[Array, "b w"]]
+    gradient: tuple[Float[ArrayLike, "h"], Float[ArrayLike, "b w"]]
+    details: Any = None
 
 
 class AbstractArrowProblem(eqx.Module, Generic[State]):
@@ -93,24 +101,41 @@ class AbstractSeparableProblem(AbstractArrowProblem[State]):
     def costs(self, state: State) -> Costs:
         """The parts of the cost."""
 
+    def block_costs(self, state: State) -> Float[ArrayLike, "b"]:
+        """What of the cost depends on each block."""
+        return self.costs(state).blocks
+
     def cost(self, state: State) -> Float[ArrayLike, ""]:
         """Their sum."""
         return self.costs(state).total
 
 
 class Solution(eqx.Module, Generic[State]):
-    """Where the descent ended, after how many steps, and whether it converged."""
+    """End of a descent.
+
+    Fields
+    ------
+    state, cost : the best state and its cost.
+    steps : number of steps that were tried.
+    converged : whether the descent ended by itself.
+    promised : gain that the next step promises.
+    details : those of the equations at `state`, where `has_details`: where the state that was
+        evaluated last is the best one.
+    """
 
     state: State
     cost: Float[Array, ""]
     steps: Int[Array, ""]
     converged: Bool[Array, ""]
+    promised: Float[Array, ""]
+    details: Any
+    has_details: Bool[Array, ""]
 
 
 def solve(
     problem: AbstractArrowProblem[State], state: State, first_damping: ScalarLike | None = None
 ) -> Solution[State]:
-    """The state of least cost near a start.
+    """Return the state of least cost near a start.
 
     first_damping : of the first step, over the diagonal of the equations; that of the problem
         unless given. With `LEAST_DAMPING` it is Gauss and Newton's, for a start so near that it
@@ -120,37 +145,72 @@ def solve(
     more numbers than freedoms.
     """
     damping = problem.first_damping if first_damping is None else first_damping
-    descend = _descend_many if count_numbers(state) >= problem.optimized_from else _descend_few
-    return descend(problem, state, array_namespace(damping).asarray(damping, dtype=float))
+    run = _solve_many if count_numbers(state) >= problem.optimized_from else _solve_few
+    return run(problem, state, array_namespace(damping).asarray(damping, dtype=float))
 
 
-def _descend(
-    problem: AbstractArrowProblem[State], state: State, first_damping: Float[Array, ""]
+def descend(
+    problem: AbstractArrowProblem[State],
+    state: State,
+    first_damping: Float[ArrayLike, ""],
+    start: ArrowEquations | None = None,
+    *,
+    atol: ScalarLike = CONVERGED_GAIN,
+    most_steps: Int[ArrayLike, ""] | int = MOST_STEPS,
 ) -> Solution[State]:
+    """Return the best state after steps from a start, as a part of a compiled program.
+
+    Parameters
+    ----------
+    start : equations at the state where they are known; with an infinite cost the first step is
+        accepted whatever it gains. Then no step is tried that promises less than `atol`; else the
+        last one is tried before the descent ends.
+    atol : gain that ends the descent.
+    most_steps : how many are tried at most.
+    """
+
     def cost_and_equations(state: Any, problem: Any) -> tuple[Any, ArrowEquations]:
         equations = _equations(problem, state)
         return equations.cost, equations
 
+    # Without equations the first step is of nothing, and gains: it divides the damping by ten.
+    damping = jnp.asarray(first_damping) * (10 if start is None else 1)
+    block_costs = problem.block_costs if isinstance(problem, AbstractSeparableProblem) else None
     solution = optx.minimise(
         cost_and_equations,
-        ArrowDescent(problem=problem, first_damping=first_damping),
+        ArrowMinimiser(
+            ArrowDescent(problem.retract, block_costs),
+            WatchdogSearch(damping, atol, is_separable=block_costs is not None),
+            jnp.asarray(most_steps),
+            start,
+        ),
         jax.tree.map(jnp.asarray, state),
         problem,
         has_aux=True,
         max_steps=MOST_STEPS,
         throw=False,
     )
+    progress: _Progress = solution.state
     return Solution(
         solution.value,
-        jnp.asarray(solution.aux.cost),
-        solution.stats["num_steps"] - 1,  # the first is of nothing
+        jnp.asarray(progress.at_best.cost),
+        progress.steps - int(start is None),  # the first is of nothing
         solution.result == optx.RESULTS.successful,
+        jnp.asarray(progress.step.promised),
+        solution.aux.details,
+        progress.is_best,
     )
 
 
+def _solve(
+    problem: AbstractArrowProblem[State], state: State, first_damping: Float[Array, ""]
+) -> Solution[State]:
+    return descend(problem, state, first_damping)
+
+
 # numerical: a descent of few numbers is not optimized, one of many always.
-_descend_few = kept_jit(_descend, optimized_from=1 << 20)
-_descend_many = kept_jit(_descend, optimized_from=0)  # numerical: see above
+_solve_few = kept_jit(_solve, optimized_from=1 << 20)
+_solve_many = kept_jit(_solve, optimized_from=0)  # numerical: see above
 
 
 @jax.jit
@@ -159,102 +219,215 @@ def _equations(problem: AbstractArrowProblem[State], state: State) -> ArrowEquat
     return problem.equations(state)
 
 
-class _Progress(eqx.Module):
-    """The best state so far, the equations there and where the descent stands, whether it stands
-    above the best, how it is damped, and whether it may stop."""
+class Damping(NamedTuple):
+    """Damping of the head, and of each block."""
 
-    best: Any
-    at_best: ArrowEquations
-    here: ArrowEquations
-    risen: Bool[Array, ""]
-    damping: Float[Array, ""]
-    block_damping: Float[Array, "b"]
-    done: Bool[Array, ""]
+    head: Float[ArrayLike, ""]
+    blocks: Float[ArrayLike, "b"]
 
 
-class _Step(NamedTuple):
-    """A step of the head and of the blocks, what it promises, which blocks take part, and a gain
-    that is as good as none."""
+class ArrowStep(NamedTuple):
+    """A proposed step.
+
+    Fields
+    ------
+    head, blocks : step of the head and of the blocks.
+    promised : gain that the equations promise.
+    follows : whether each block takes part.
+    """
 
     head: Float[Array, "h"]
     blocks: Float[Array, "b w"]
     promised: Float[ArrayLike, ""]
     follows: Bool[ArrayLike, "b"]
-    negligible: ScalarLike
 
 
-class ArrowDescent(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
-    """Levenberg and Marquardt's descent: a damped step from where it stands, taken where it gains.
+class ArrowDescent(optx.AbstractDescent):
+    """Damped Gauss-Newton step of a block arrow.
 
-    The function to minimise returns the cost and, as its auxiliary output, the equations there,
-    which say the next step. Of it there is one copy in the program, after a step: the equations at
-    the start are found by a first step of nothing.
+    Its state is the point that it steps from, with the equations there.
 
-    Source of steps that may rise: Chamberlain et al., "The watchdog technique for forcing
-    convergence in algorithms for constrained optimization" (1982).
+    Fields
+    ------
+    retract : the state after a step, of (state, head, blocks).
+    block_costs : the cost of each block, of a state, where blocks step by themselves; else None.
     """
 
-    problem: AbstractArrowProblem
-    first_damping: Float[Array, ""]
-    atol: float = CONVERGED_GAIN
-    # optimistix wants these: a chi-square has a scale of its own, and `atol` alone ends the steps.
+    retract: Callable[..., Any]
+    block_costs: Callable[..., Any] | None
+
+    def init(self, y: Any, f_info_struct: Any) -> Any:
+        """Equations of an infinite cost, without information."""
+        zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), f_info_struct)
+        return y, zeros._replace(cost=jnp.full_like(zeros.cost, jnp.inf), details=None)
+
+    def query(self, y: Any, f_info: ArrowEquations, state: Any) -> Any:
+        """Step from here."""
+        return y, f_info
+
+    def step(self, step_size: Any, state: Any) -> tuple[ArrowStep, optx.RESULTS]:
+        """The step with the damping `step_size`; blocks that it would not serve stay."""
+        y, equations = state
+        solver = BlockArrowSolver(step_size.head + FLOOR_DAMPING, step_size.blocks)
+        factored, gradient = solver.init(equations.information, {}), equations.gradient
+        solution = lx.linear_solve(
+            equations.information, gradient, solver, state=factored, throw=False
+        )
+        head, blocks = jax.tree.map(jnp.negative, solution.value)
+        if self.block_costs is None:
+            promised = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
+            step = ArrowStep(head, blocks, promised, jnp.ones(len(blocks), bool))
+            return step, optx.RESULTS.successful
+        block_costs, both = self.block_costs, jnp.stack([blocks, jnp.zeros_like(blocks)])
+        moved, stayed = jax.vmap(lambda own: block_costs(self.retract(y, head, own)))(both)
+        follows = moved <= stayed
+        promised = -factored.elimination.reduced_side(gradient) @ head
+        step = ArrowStep(head, jnp.where(follows[:, None], blocks, 0.0), promised, follows)
+        return step, optx.RESULTS.successful
+
+
+class _SearchState(NamedTuple):
+    """Damping of the next step, the step that is tried, whether the descent stands above the best
+    state, and whether it may end."""
+
+    damping: Damping
+    tried: ArrowStep
+    risen: Bool[ArrayLike, ""]
+    done: Bool[ArrayLike, ""]
+
+
+class WatchdogSearch(optx.AbstractSearch):
+    """Accepts a step that gains, and near the minimum one that rises, if the next makes up for it.
+
+    A step that gains divides the damping by ten, one that does not multiplies it. Source:
+    Chamberlain et al., "The watchdog technique for forcing convergence in algorithms for
+    constrained optimization" (1982).
+
+    Fields
+    ------
+    first_damping : of the first step.
+    atol : gain that ends the descent.
+    is_separable : whether blocks step by themselves.
+    """
+
+    first_damping: Float[ArrayLike, ""]
+    atol: ScalarLike
+    is_separable: bool = eqx.field(static=True)
+
+    def init(self, y: Any, f_info_struct: Any) -> _SearchState:
+        """Nothing tried yet: a step of nothing, which promises nothing."""
+        head, blocks = (jnp.zeros(part.shape, part.dtype) for part in f_info_struct.gradient)
+        step = ArrowStep(head, blocks, jnp.zeros(()), jnp.ones(len(blocks), bool))
+        damping, no = jnp.asarray(self.first_damping), jnp.asarray(False)
+        return _SearchState(Damping(damping, jnp.full(len(blocks), damping)), step, no, no)
+
+    def step(
+        self,
+        first_step: Bool[Array, ""],
+        y: Any,
+        y_eval: Any,
+        f_info: ArrowEquations,
+        f_eval_info: ArrowEquations,
+        state: _SearchState,
+    ) -> tuple[Any, Bool[Array, ""], optx.RESULTS, _SearchState]:
+        """(the next damping, whether to go on from the tried state, success, the state).
+
+        f_info, f_eval_info : at the best state, and at the one that was tried.
+        """
+        damping, step, risen, _ = state
+        gain = f_info.cost - f_eval_info.cost
+        better = f_eval_info.cost <= f_info.cost
+        rises = ~better & ~risen & (step.promised < _NEAR) & jnp.isfinite(f_eval_info.cost)
+        stuck = (damping.head * 10 > MOST_DAMPING) | (step.promised < 1e-3 * self.atol)
+        creeping = len(step.blocks) / BLOCKS_THAT_CREEP if self.is_separable else 0.0
+        still = (step.promised < self.atol) & (gain < self.atol * (1 + creeping))
+        factor = jnp.where(better, 0.1, jnp.where(rises, 1.0, 10.0))
+        of_blocks = jnp.where(step.follows, factor, 10.0)
+        damping = Damping(
+            jnp.maximum(damping.head * factor, LEAST_DAMPING),
+            jnp.clip(damping.blocks * of_blocks, LEAST_DAMPING, MOST_DAMPING),
+        )
+        done = jnp.where(better, still, stuck)
+        accepted = jnp.asarray(better | (rises & ~stuck))
+        return damping, accepted, optx.RESULTS.successful, _SearchState(damping, step, rises, done)
+
+
+class _Progress(eqx.Module):
+    """State of the minimiser.
+
+    Fields
+    ------
+    best, at_best : the best state so far, and the equations there.
+    here : point of the descent.
+    search : state of the search.
+    step : what is tried next.
+    steps : how many were tried.
+    is_best : whether the state that was tried last is the best one.
+    done : whether the descent has ended.
+    """
+
+    best: Any
+    at_best: ArrowEquations
+    here: Any
+    search: _SearchState
+    step: ArrowStep
+    steps: Int[Array, ""]
+    is_best: Bool[Array, ""]
+    done: Bool[Array, ""]
+
+
+class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
+    """Runs a descent and a search, from equations that the function returns beside its cost.
+
+    Of the function there is one copy in the program, after a step: without equations at the start,
+    a first step of nothing finds them.
+
+    Fields
+    ------
+    most_steps : how many are tried at most.
+    start : equations at the start, and the sign that steps of little promise are not tried.
+    """
+
+    descent: ArrowDescent
+    search: WatchdogSearch
+    most_steps: Int[ArrayLike, ""]
+    start: ArrowEquations | None
+    # optimistix wants these; the search's `atol` alone ends the steps: a chi-square has a scale of
+    # its own.
     rtol: ClassVar[float] = 0.0
+    atol: ClassVar[float] = CONVERGED_GAIN
     norm: ClassVar[Callable[[PyTree], Float[Array, ""]]] = staticmethod(optx.max_norm)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Progress:
-        """Nothing known yet: no information, and any cost gains."""
-        zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct)
-        nothing = zeros._replace(cost=jnp.full_like(zeros.cost, jnp.inf))
-        # A step that gains divides it by ten.
-        damping, no = 10 * self.first_damping, jnp.asarray(False)
-        blocks = jnp.full(zeros.gradient[1].shape[0], damping)
-        return _Progress(y, nothing, nothing, no, damping, blocks, no)
+        """At the start, with the first step from the equations there."""
+        here, search = self.descent.init(y, aux_struct), self.search.init(y, aux_struct)
+        step, done = search.tried, jnp.asarray(False)
+        if self.start is not None:
+            here = self.descent.query(y, self.start._replace(details=None), here)
+            step, _ = self.descent.step(search.damping, here)
+            done = jnp.isfinite(self.start.cost) & (step.promised < self.search.atol)
+        search = search._replace(tried=step)
+        return _Progress(y, here[1], here, search, step, jnp.asarray(0), done, done)
 
     def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, ArrowEquations]:
-        """Try one step; one that rises near the minimum may be followed by another."""
-        least = state.at_best.cost
-        step = self._find_step(y, state)
-        tried = self.problem.retract(y, step.head, step.blocks)
-        _, there = fn(tried, args)
-        better = there.cost <= least
-        rises = ~better & ~state.risen & (step.promised < _NEAR) & jnp.isfinite(there.cost)
-        enough = step.promised < self.atol
-        still = enough & (least - there.cost < step.negligible)
-        stuck = (state.damping * 10 > MOST_DAMPING) | (step.promised < 1e-3 * self.atol)
-        factor = jnp.where(better, 0.1, jnp.where(rises, 1.0, 10.0))
-        of_blocks = jnp.where(step.follows, factor, 10.0)
+        """Try a step, and propose the next one."""
+        tried = self.descent.retract(y, state.step.head, state.step.blocks)
+        _, evaluated = fn(tried, args)
+        there = evaluated._replace(details=None)
+        damping, accepted, _, search = self.search.step(
+            state.steps == 0, state.best, tried, state.at_best, there, state.search
+        )
+        better = jnp.asarray(there.cost <= state.at_best.cost)
         best, at_best = _where(better, (tried, there), (state.best, state.at_best))
-        y, here = _where(rises & ~stuck, (tried, there), (best, at_best))
-        progress = _Progress(
-            best,
-            at_best,
-            here,
-            jnp.asarray(rises),
-            jnp.maximum(state.damping * factor, LEAST_DAMPING),
-            jnp.clip(state.block_damping * of_blocks, LEAST_DAMPING, MOST_DAMPING),
-            jnp.where(better, still, stuck),
-        )
-        return y, progress, at_best
-
-    def _find_step(self, y: Any, state: _Progress) -> _Step:
-        problem, gradient = self.problem, state.here.gradient
-        solver = BlockArrowSolver(state.damping + FLOOR_DAMPING, state.block_damping)
-        factored = solver.init(state.here.information, {})
-        solution = lx.linear_solve(
-            state.here.information, gradient, solver, state=factored, throw=False
-        )
-        head, blocks = jax.tree.map(jnp.negative, solution.value)
-        if not isinstance(problem, AbstractSeparableProblem):
-            promised = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
-            return _Step(head, blocks, promised, jnp.ones(len(blocks), bool), self.atol)
-        both = jnp.stack([blocks, jnp.zeros_like(blocks)])
-        moved, stayed = jax.vmap(lambda own: problem.costs(problem.retract(y, head, own)).blocks)(
-            both
-        )
-        follows = moved <= stayed
-        promised = -factored.elimination.reduced_side(gradient) @ head
-        negligible = self.atol * (1 + len(blocks) / BLOCKS_THAT_CREEP)
-        return _Step(head, jnp.where(follows[:, None], blocks, 0.0), promised, follows, negligible)
+        here = _where(accepted, (tried, there), (best, at_best))
+        step, _ = self.descent.step(damping, self.descent.query(here[0], here[1], state.here))
+        steps = state.steps + 1
+        done = search.done | (steps >= self.most_steps)
+        if self.start is not None:
+            done |= better & (step.promised < self.search.atol)
+        search = search._replace(tried=step)
+        progress = _Progress(best, at_best, here, search, step, steps, better, jnp.asarray(done))
+        return here[0], progress, evaluated
 
     def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
         """Converged, or nowhere to go; it has failed where no cost was a number."""
@@ -265,8 +438,8 @@ class ArrowDescent(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
     def postprocess(
         self, fn, y, aux, args, options, state, tags, result
     ) -> tuple[Any, ArrowEquations, dict[str, Any]]:
-        """The best state, and the equations there."""
-        return state.best, state.at_best, {}
+        """The best state, and the equations of the last one."""
+        return state.best, aux, {}
 
 
 def _where(condition: Bool[ArrayLike, ""], yes: Any, no: Any) -> Any:
