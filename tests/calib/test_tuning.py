@@ -3,8 +3,8 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
+from simulation.camera_picture.render import render_sheet
 from tests.calib.made_shots import BOARD, shots
 from tests.calib.simulated import EXACT, TABLE_1, camera_of, reference_sheet, simulated_detection
 from trinoc.calib import CalibrationResult, calibrate_detections
@@ -12,7 +12,6 @@ from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.sheet_calibration import calibrate
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
-from trinoc.errors import InputError
 
 
 def with_gate(gate: float) -> CalibTuning:
@@ -54,10 +53,13 @@ def test_a_tighter_gate_leaves_out_more_circles_of_a_sheet() -> None:
     assert left_out(strict) > left_out(default) == 0
 
 
-def test_changed_constants_of_the_grey_levels_are_refused_where_they_would_be_ignored() -> None:
-    changed = dataclasses.replace(TUNING.photometric, fewest_pixels=5)
+def test_an_image_of_too_little_contrast_is_not_fitted() -> None:
+    sheet, camera = reference_sheet(), camera_of(TABLE_1["left"])
+    image = render_sheet(sheet, camera, blur_px=0.6)
+    changed = dataclasses.replace(TUNING.photometric, least_contrast=1e4)
     tuning = dataclasses.replace(TUNING, photometric=changed)
-    images = {"left": np.full((480, 512), 200, np.uint8)}
-    lens = camera_of(TABLE_1["left"]).intrinsics
-    with pytest.raises(InputError, match='give method="points"'):
-        calibrate(images, reference_sheet(), lens, tuning=tuning)
+    result = calibrate(
+        {"left": image}, sheet, camera.intrinsics, orientation="upright", tuning=tuning
+    )
+    assert result.fits["left"].method == "points"
+    assert any("shows too little" in note for note in result.fits["left"].notes)

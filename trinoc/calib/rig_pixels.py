@@ -160,7 +160,8 @@ def _look(
     for part in blocks(len(names), _PICTURES_AT_ONCE):
         pictures = {name: read_grey(used[name]) for name in names[part]}
         own = {name: poses[name] for name in names[part]}
-        fits |= refine_views(pictures, own, ink, lenses, PoseModel.RIGID, shifts)
+        tuning = problem.tuning.photometric
+        fits |= refine_views(pictures, own, ink, lenses, PoseModel.RIGID, shifts, tuning=tuning)
     views, silent = list(problem.views), []
     for name, view in used.items():
         views[int(name)] = view._replace(shown=fits[name].points)

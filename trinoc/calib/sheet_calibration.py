@@ -117,7 +117,6 @@ def calibrate(
             raise InputError(f'Camera "{name}": {error}') from error
     grey_levels = {}
     if method == "pixels":
-        tuning.expect_default_photometric()
         grey_levels = {name: grey_image(np.asarray(images[name])).grey for name in detections}
     return calibrate_sheet(
         detections, pattern, lenses, priors, orientation,
@@ -235,7 +234,7 @@ def fit_grey_levels(
 ) -> list[SheetCamera]:
     """The cameras with the fits of their images, around the bend and the lens that circles show."""
     images, poses, lenses = {}, {}, {}
-    tuning = by_circles.problem.tuning.answer
+    tuning = by_circles.problem.tuning
     shifts: dict[str, ShiftOfPlaces] = {}
     for view, camera in zip(by_circles.problem.views, by_circles.cameras, strict=True):
         if camera.image is None:
@@ -244,15 +243,17 @@ def fit_grey_levels(
         images[name], poses[name], lenses[name] = camera.image, camera.pose, lens
         shift = apparent_shift(by_circles.problem, view, camera.pose, lens)
         centres_mm = pattern.centres_mm[camera.detection.circle_index]
-        if np.abs(shift(centres_mm)).max() > tuning.least_shift_px:
+        if np.abs(shift(centres_mm)).max() > tuning.answer.least_shift_px:
             shifts[name] = shift
     model = by_circles.priors.fitted_model
-    pictures = refine_views(images, poses, pattern, lenses, model, shifts, encoding)
+    pictures = refine_views(
+        images, poses, pattern, lenses, model, shifts, encoding, tuning.photometric
+    )
     cameras = [replace(one, picture=pictures.get(one.name)) for one in by_circles.cameras]
     spreads_mm = [
         one.picture.quality.ink_spread_mm if one.picture and one.picture.quality else 0.0
         for one in cameras
     ]
-    if max(map(abs, spreads_mm)) <= tuning.least_spread_mm:
+    if max(map(abs, spreads_mm)) <= tuning.answer.least_spread_mm:
         return cameras
     return [replace(one, ink_spread_mm=spread) for one, spread in zip(cameras, spreads_mm)]

@@ -210,7 +210,6 @@ def fit_shots(
         check(corners.fit)
     fit, silent = with_board_shape(corners.fit), corners.silent
     if images is not None:
-        observations.tuning.expect_default_photometric()
         read_grey = grey_levels(images, observations.cameras, corners.placed.shots)
         fit, silent = fit_pixels(fit, read_grey)
         fit = with_own_correction_sigmas(with_board_shape(fit))

@@ -9,18 +9,21 @@ from simulation.camera_picture.render import render_sheet
 from tests.calib.simulated import LENS, TABLE_1, camera_of
 from trinoc.calib.photometric.equations import Group, Picture, PixelRows, pixel_rows
 from trinoc.calib.photometric.ink import SQUARES, Cross, InkDrawing
+from trinoc.calib.photometric.noise import Saturation
 from trinoc.calib.photometric.pixel_selection import pad_group, select_pixels
 from trinoc.calib.photometric.sheet_places import sheet_from_camera
 from trinoc.calib.photometric.unknowns import PictureState, ideal_state
 from trinoc.calib.result.degrees import pose_of_values
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry import Pose
 
 RIGHT = (*TABLE_1["right"], 0.0, 0.0)
 CROSS = Cross(np.array(0.5), np.array([55.0, 55.0]), np.array(1.5))
 BLUR_PX, PAPER, INK = 0.7, 230.0, 25.0
 SIGMA_PX = float(np.hypot(BLUR_PX, np.sqrt(1 / 12)))
+REACH_PX = 3 * SIGMA_PX + 0.4
 
 
 def pose_of(values: tuple[float, ...]) -> Pose:
@@ -53,7 +56,7 @@ def pixels_of(
     picture: np.ndarray, pattern: Pattern | SquareSheet, *, near_line: bool = False
 ) -> tuple[Group, int]:
     """Pixels near edges of a sheet at RIGHT in double precision, and how many there are."""
-    choice = select_pixels(pose_of(RIGHT), LENS.lens, pattern, LENS.image_size_px, SIGMA_PX)
+    choice = select_pixels(pose_of(RIGHT), LENS.lens, pattern, LENS.image_size_px, REACH_PX)
     chosen = choice.near_lines if near_line else choice.near_circles
     capacity = max(len(chosen.row), 1)
     return pad_group(chosen, picture, LENS.lens, pattern, capacity, np.float64), len(chosen.row)
@@ -62,8 +65,9 @@ def pixels_of(
 def picture_of(
     near_circles: Group, near_lines: Group, *, state: PictureState, top: float = np.inf
 ) -> Picture:
-    prior = state.unknowns.prior(local=False)
-    return Picture(near_circles, near_lines, CROSS, np.array(255.0), np.array(top), prior)
+    prior = state.unknowns.prior(TUNING.photometric, local=False)
+    saturation = Saturation(np.array(top), np.array(TUNING.photometric.cut_off_levels))
+    return Picture(near_circles, near_lines, CROSS, np.array(255.0), saturation, prior)
 
 
 @partial(jax.jit, static_argnames=("drawing", "near_line"))

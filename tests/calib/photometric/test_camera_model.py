@@ -15,6 +15,7 @@ from trinoc.calib.photometric.encoding import Encoding, balance_mosaic
 from trinoc.calib.photometric.grey_level import Tone, grey_level
 from trinoc.calib.photometric.noise import (
     OnGrid,
+    Saturation,
     autocorrelation,
     clipped_moments,
     noise_by_level,
@@ -94,22 +95,22 @@ def test_kernel_of_a_disc_is_flat_topped() -> None:
 @settings(max_examples=30, deadline=None)
 @given(st.floats(230.0, 275.0), st.floats(0.5, 5.0))
 def test_moments_of_a_clipped_level(level: float, sigma: float) -> None:
-    top = 255.0
-    got = clipped_moments(np.array([level]), np.array([sigma]), top)
+    top, clipped_sigma = 255.0, 0.2
+    got = clipped_moments(np.array([level]), np.array([sigma]), Saturation(top, clipped_sigma))
     at = level + sigma * np.linspace(-9, 9, 40001)
     weight = norm.pdf(at, level, sigma) * (at[1] - at[0])
     cut = np.minimum(at, top)
     mean = weight @ cut
     assert got.mean[0] == pytest.approx(mean, abs=1e-3)
     assert got.slope[0] == pytest.approx(norm.cdf((top - level) / sigma), abs=1e-9)
-    least = 0.2**2 * norm.sf((top - level) / sigma)
+    least = clipped_sigma**2 * norm.sf((top - level) / sigma)
     assert got.sigma[0] ** 2 == pytest.approx(weight @ (cut - mean) ** 2 + least, abs=2e-3)
 
 
 def test_saturation_is_where_levels_pile_up() -> None:
     grey = np.random.default_rng(0).normal(200.0, 30.0, 20000)
-    assert saturation_level(np.minimum(grey, 230.0)) == 230.0
-    assert saturation_level(grey) == np.inf
+    assert saturation_level(np.minimum(grey, 230.0), 0.002) == 230.0
+    assert saturation_level(grey, 0.002) == np.inf
 
 
 def test_noise_grows_with_the_level_as_it_was_made() -> None:
@@ -120,18 +121,19 @@ def test_noise_grows_with_the_level_as_it_was_made() -> None:
     everything = np.ones(len(level), dtype=bool)
     at = np.linspace(40, 210, 9)
     for robust in (False, True):
-        found = noise_by_level(level, residual, everything, at, robust=robust)
+        found = noise_by_level(level, residual, everything, at, 30, robust=robust)
         assert found == pytest.approx(np.sqrt(1 + at / 20), rel=0.05)
 
 
 def test_correlation_and_the_variance_of_a_sum() -> None:
     random = np.random.default_rng(2)
     row, column = (part.ravel() for part in np.mgrid[:120, :140])
-    grid, everything = OnGrid(column, row), np.ones(120 * 140, dtype=bool)
+    grid, everything = OnGrid(column, row, 4), np.ones(120 * 140, dtype=bool)
     white = random.normal(size=(120, 140))
-    assert autocorrelation(grid, white.ravel(), everything).sum() == pytest.approx(1.0, abs=0.2)
+    total = autocorrelation(grid, white.ravel(), everything, 3.0).sum()
+    assert total == pytest.approx(1.0, abs=0.2)
     smooth = gaussian_filter(white, 0.8)
-    shared = autocorrelation(grid, smooth.ravel() / smooth.std(), everything)
+    shared = autocorrelation(grid, smooth.ravel() / smooth.std(), everything, 3.0)
     lags = np.arange(-4, 5)
     squares = lags[:, None] ** 2 + lags**2
     assert shared == pytest.approx(np.exp(-squares / (4 * 0.8**2)), abs=0.05)
@@ -155,7 +157,9 @@ def test_a_mosaic_is_brought_to_the_levels_of_green() -> None:
         [np.hypot(*(np.indices(flat.shape)[::-1] - uv[:, None, None])) < 9 for uv in centres]
     ).any(axis=0)
     picture = np.where(inked, 30.0, flat)
-    balanced = balance_mosaic((picture * gain).astype(np.float32), "RGGB", pose, LENS.lens, pattern)
+    balanced = balance_mosaic(
+        (picture * gain).astype(np.float32), "RGGB", pose, LENS.lens, pattern, 30
+    )
     assert np.allclose(balanced.image, picture, atol=1.0)
     assert np.allclose(balanced.noise_scale * gain, 1.0, atol=0.01)
 

@@ -22,11 +22,11 @@ from trinoc.calib.photometric.pixel_selection import SelectedPixels
 from trinoc.calib.photometric.scene import PixelScene, blocks_of_pixels, scene_of_picture
 from trinoc.calib.photometric.unknowns import (
     LOCAL_TERMS,
-    LOCAL_WIDTH,
     PictureState,
     delivered_state,
 )
 from trinoc.calib.problem.solver import ArrowEquations
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.block_arrow import BlockArrow
 from trinoc.numerics.precision import ArrayLike
@@ -42,7 +42,9 @@ def scene() -> PixelScene:
     picture = image_of(reference_sheet(), RIGHT)
     picture = picture + np.random.default_rng(0).normal(0.0, SIGMA, picture.shape)
     pose, model = state_at(RIGHT).pose, PoseModel.AIMED
-    posed = scene_of_picture(picture, reference_sheet(), LENS.lens, pose, model, None, AS_DELIVERED)
+    posed = scene_of_picture(
+        picture, reference_sheet(), LENS.lens, pose, model, None, AS_DELIVERED, TUNING.photometric
+    )
     assert posed is not None
     return posed[0]
 
@@ -54,10 +56,10 @@ def with_prior(
 
     class WithPrior(PixelScene):
         def picture(self, unknowns, weight, sigma):
-            known = super().picture(unknowns, weight, sigma)
-            middles, weights = (np.array(part) for part in known.prior)
-            middles[RATIO], weights[RATIO] = middle, width**-2
-            return known._replace(prior=(middles, weights))
+            picture = super().picture(unknowns, weight, sigma)
+            mean, precision = np.array(picture.prior.mean), np.array(picture.prior.weight)
+            mean[RATIO], precision[RATIO] = middle, width**-2
+            return picture._replace(prior=picture.prior._replace(mean=mean, weight=precision))
 
     return WithPrior(*scene)
 
@@ -73,8 +75,8 @@ def looked_at(scene: PixelScene, point: PictureFitState, kept: bool = True) -> P
 
 def cost(scene: PixelScene, point: PictureFitState) -> float:
     """Chi-square by the predicted levels, and of the priors."""
-    middle, weight = scene.picture(point.state.unknowns, point.sigma, point.sigma).prior
-    priors = np.sum(weight * (point.state.values - middle) ** 2)
+    prior = scene.picture(point.state.unknowns, point.sigma, point.sigma).prior
+    priors = np.sum(prior.weight * (point.state.values - prior.mean) ** 2)
     return float(np.sum(((point.level - scene.grey) / SIGMA) ** 2) + priors)
 
 
@@ -170,7 +172,7 @@ def test_covariance_of_independent_noise_is_the_inverse_of_the_information(
 
 def test_derivatives_are_those_of_levels_that_saturation_cuts(scene: PixelScene) -> None:
     """By the light of the paper, where half of the paper is above what the camera can tell."""
-    state = delivered_state(STATE)
+    state = delivered_state(STATE, TUNING.photometric)
     cut = scene._replace(top=float(state.light[0]))
     light = state.unknowns.light[0]
     free = np.ones(4 + state.unknowns.size, dtype=bool)
@@ -197,7 +199,9 @@ def test_the_information_of_a_pose_is_what_is_left_when_the_rest_is_free() -> No
 
 
 def test_only_levels_far_below_saturation_are_clear() -> None:
-    assert is_clear(np.array([254.0, 235.0]), np.full(2, 2.0), 255.0).tolist() == [False, True]
+    levels, sigma = np.array([254.0, 249.0, 235.0]), np.full(3, 2.0)
+    assert is_clear(levels, sigma, 255.0, 2.0).tolist() == [False, True, True]
+    assert is_clear(levels, sigma, 255.0, 4.0).tolist() == [False, False, True]
 
 
 def whole_field(side: int) -> SelectedPixels:
@@ -208,9 +212,9 @@ def whole_field(side: int) -> SelectedPixels:
 def test_neighbours_whose_residuals_have_a_mean_go_and_white_noise_stays() -> None:
     chosen, noise = whole_field(60), np.random.default_rng(2).normal(size=3600)
     everything = np.ones(3600, dtype=bool)
-    assert without_common(chosen, noise, everything).mean() > 0.99
+    assert without_common(chosen, noise, everything, TUNING.photometric).mean() > 0.99
     shadow = (chosen.column < 20) & (chosen.row < 20)
-    kept = without_common(chosen, noise + 3.0 * shadow, everything)
+    kept = without_common(chosen, noise + 3.0 * shadow, everything, TUNING.photometric)
     assert kept[shadow].mean() < 0.3
     assert kept[chosen.column > 40].all()
 
@@ -220,7 +224,7 @@ def test_crowds_of_outliers_go_with_their_whole_neighbourhood() -> None:
     thumb = (chosen.column < 20) & (chosen.row < 20)
     # Every second pixel under a thumb happens to have the right grey level.
     residual[thumb & ((chosen.column + chosen.row) % 2 == 0)] = 50.0
-    kept = gate_by_sigma(chosen, residual, np.ones(3600))
+    kept = gate_by_sigma(chosen, residual, np.ones(3600), TUNING.photometric)
     inside = (chosen.column < 15) & (chosen.row < 15)
     assert not kept[inside].any()
     assert kept[chosen.column > 40].all()
@@ -228,11 +232,14 @@ def test_crowds_of_outliers_go_with_their_whole_neighbourhood() -> None:
 
 @pytest.mark.parametrize("level", range(LOCAL_TERMS))
 def test_levels_of_a_block_have_their_slope_and_their_prior(scene: PixelScene, level: int) -> None:
-    state, pose = delivered_state(STATE), STATE.pose
+    state, pose = delivered_state(STATE, TUNING.photometric), STATE.pose
     blocks = blocks_of_pixels(scene.chosen, pose, LENS.lens, reference_sheet())
-    scene = scene._replace(blocks=blocks, local=True)
+    blocks = blocks._replace(count=blocks.count + 1)  # the last one has no pixels
+    wider = tuple(2 * width for width in TUNING.photometric.local_widths)
+    tuning = dataclasses.replace(TUNING.photometric, local_widths=wider)
+    scene = scene._replace(blocks=blocks, local=True, tuning=tuning)
     free = np.ones(4 + state.unknowns.size, dtype=bool)
-    sizes, block = 0.1 * np.asarray(LOCAL_WIDTH), blocks.count // 2
+    sizes, block = 0.1 * np.asarray(wider), blocks.count // 2
 
     def with_level(change: float) -> PictureFitState:
         levels = np.zeros((LOCAL_TERMS, blocks.count))
@@ -249,6 +256,8 @@ def test_levels_of_a_block_have_their_slope_and_their_prior(scene: PixelScene, l
     curvature = float(up.cost + down.cost - 2 * here.cost) / (0.1 * sizes[level]) ** 2
     inner = 2 * here.information.blocks[block, level, level]
     assert inner == pytest.approx(curvature, rel=0.1)
+    expected = np.diag(np.array(wider) ** -2.0)
+    np.testing.assert_allclose(here.information.blocks[-1], expected, rtol=1e-12)
 
 
 def test_levels_are_eliminated_from_the_equations(scene: PixelScene) -> None:

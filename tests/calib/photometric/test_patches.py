@@ -18,10 +18,10 @@ from trinoc.calib.photometric.patches import (
 from trinoc.calib.photometric.scene import Blocks, PixelScene
 from trinoc.calib.photometric.unknowns import (
     LOCAL_TERMS,
-    LOCAL_WIDTH,
     PictureState,
     delivered_state,
 )
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import PoseModel
 
 
@@ -63,14 +63,15 @@ def test_what_is_known_beforehand_counts_less_as_pixels_that_share_noise_do(
     scene, point = lit_scene(local)
     count = point.state.unknowns.size
     found = _shared_unknowns(scene, point, np.eye(count, 15), inflation)
-    middle, weight = point.state.unknowns.prior(local=local)
-    assert np.asarray(weight).any()
+    prior = point.state.unknowns.prior(TUNING.photometric, local=local)
+    weight = np.asarray(prior.weight)
+    assert weight.any()
     np.testing.assert_allclose(inflation * found.prior[:count], weight)
     np.testing.assert_allclose(
-        inflation * found.pull[:count], weight * (point.state.values - middle)
+        inflation * found.pull[:count], weight * (point.state.values - prior.mean)
     )
     of_levels = np.asarray(point.state.levels).T.ravel() if local else np.zeros(0)
-    width = np.tile(LOCAL_WIDTH, len(of_levels) // LOCAL_TERMS)
+    width = np.tile(TUNING.photometric.local_widths, len(of_levels) // LOCAL_TERMS)
     np.testing.assert_allclose(inflation * found.prior[count:], width**-2)
     np.testing.assert_allclose(inflation * found.pull[count:], of_levels / width**2)
 
@@ -88,7 +89,7 @@ def test_light_of_a_block_moves_its_own_pixels_as_its_slope_says() -> None:
 def lit_scene(local: bool) -> tuple[PixelScene, PictureFitState]:
     """Fifteen pixels of three blocks, three of which are cut, and any derivatives."""
     random = np.random.default_rng(4)
-    state = delivered_state(state_at(RIGHT))
+    state = delivered_state(state_at(RIGHT), TUNING.photometric)
     levels = random.normal(size=(LOCAL_TERMS, 3)) if local else np.zeros((LOCAL_TERMS, 0))
     state = PictureState(state.pose, state.values, levels, state.unknowns)
     basis = np.column_stack([np.ones(15), random.normal(size=(15, 2))])
@@ -107,6 +108,7 @@ def lit_scene(local: bool) -> tuple[PixelScene, PictureFitState]:
         PoseModel.AIMED,
         nothing,
         np.inf,
+        TUNING.photometric,
         blocks=blocks,
         local=local,
     )

@@ -18,6 +18,7 @@ from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
 from trinoc.calib.photometric.sheet_places import sheet_from_camera
 from trinoc.calib.photometric.unknowns import PictureState, delivered_state
 from trinoc.calib.targets.pattern import Pattern
+from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import PoseModel
 
 
@@ -67,7 +68,7 @@ def test_model_is_the_picture(rings: str, style: str) -> None:
 STATES = {
     "ideal": with_look(state_at(RIGHT), spread_mm=0.02),
     "delivered": with_look(
-        delivered_state(state_at(RIGHT)),
+        delivered_state(state_at(RIGHT), TUNING.photometric),
         kurtosis=0.1,
         along_u=0.1,
         diagonal=-0.05,
@@ -127,7 +128,7 @@ def test_an_ideal_camera_is_the_delivered_one_with_unknowns_held(near_line: bool
     pattern, ideal = reference_sheet(), STATES["ideal"]
     group, _ = pixels_of(np.zeros(LENS.image_size_px[::-1]), pattern, near_line=near_line)
     still = {"drawing": drawing_of(pattern), "near_line": near_line}
-    general = delivered_state(ideal)
+    general = delivered_state(ideal, TUNING.photometric)
     one, other = (rows_of(state, group, **still) for state in (ideal, general))
     same = [*range(9), *(9 + k for k in general.unknowns.of_ideal_camera)]
     np.testing.assert_allclose(other.level, one.level, atol=1e-6)

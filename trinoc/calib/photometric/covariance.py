@@ -9,7 +9,6 @@ from trinoc.calib.photometric.equations import local_rows
 from trinoc.calib.photometric.fit_state import PictureFitState
 from trinoc.calib.photometric.noise import autocorrelation, sum_correlated
 from trinoc.calib.photometric.scene import PixelScene
-from trinoc.calib.tuning.every_group import TUNING
 
 
 class PoseCovariance(NamedTuple):
@@ -50,10 +49,10 @@ def pose_covariance(
     if not correlated:
         return PoseCovariance(inverse * chi_square, chi_square, None, chi_square)
     grid = scene.grid
-    correlation = autocorrelation(grid, standard, clear)
+    correlation = autocorrelation(grid, standard, clear, scene.tuning.significant_sigmas)
     rows = _rows_of_pose(scene, point, follow, follow_of_levels) * (point.kept / sigma)
     middle = sum_correlated(grid, rows, correlation)
-    matrix = _sandwich(inverse, middle) * chi_square
+    matrix = _sandwich(inverse, middle, scene.tuning.least_spread) * chi_square
     inflation = float(np.trace(np.linalg.pinv(inverse, hermitian=True) @ matrix)) / size
     if not inflation > 0:
         matrix = np.full_like(matrix, np.nan)
@@ -112,14 +111,14 @@ def _rows_of_pose(
 
 
 def _sandwich(
-    inverse: Float[np.ndarray, "p p"], middle: Float[np.ndarray, "p p"]
+    inverse: Float[np.ndarray, "p p"], middle: Float[np.ndarray, "p p"], least_spread: float
 ) -> Float[np.ndarray, "p p"]:
-    """inverse middle inverse, in no direction far below `inverse`.
+    """inverse middle inverse, in no direction below `least_spread` times `inverse`.
 
     Correlations that are estimated one lag at a time need not be those of any noise.
     """
     values, vectors = np.linalg.eigh(inverse)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     values, vectors = np.linalg.eigh(root.T @ middle @ root)
-    spread = root @ vectors * np.sqrt(np.maximum(values, TUNING.photometric.least_spread))
+    spread = root @ vectors * np.sqrt(np.maximum(values, least_spread))
     return spread @ spread.T

@@ -13,7 +13,6 @@ from jaxtyping import Float, Int, Shaped
 
 from trinoc.calib.photometric.sheet_places import circle_points_mm, project_to_image
 from trinoc.calib.targets.pattern import Pattern
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import InputError
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
@@ -76,10 +75,12 @@ def balance_mosaic(
     pose: Pose,
     lens: AbstractLens,
     pattern: Pattern,
+    fewest_pixels: int,
 ) -> BalancedMosaic:
     """The mosaic with each colour's paper and ink at the levels of green.
 
     bayer : colours of the first two pixels of the first two rows, such as "RGGB".
+    fewest_pixels : how many pixels of a colour a mean level needs.
 
     Raises InputError where too little of the sheet is seen.
     """
@@ -88,7 +89,9 @@ def balance_mosaic(
     colour = np.array([bayer.index(letter) for letter in bayer])[phase]
     full = pattern.inner_radius_mm == 0
     ink, paper = (
-        _levels(image, colour, _samples(pattern, full, radii, pose, lens, image.shape))
+        _levels(
+            image, colour, _samples(pattern, full, radii, pose, lens, image.shape), fewest_pixels
+        )
         for radii in (_INK_RADII, _PAPER_RADII)
     )
     green = bayer.index("G")
@@ -136,14 +139,17 @@ def _samples(
 
 
 def _levels(
-    image: Float[np.ndarray, "h w"], colour: Int[np.ndarray, "h w"], place: Int[np.ndarray, "n 2"]
+    image: Float[np.ndarray, "h w"],
+    colour: Int[np.ndarray, "h w"],
+    place: Int[np.ndarray, "n 2"],
+    fewest_pixels: int,
 ) -> Float[np.ndarray, "4"]:
     """Mean level of each colour at the samples, outliers apart."""
     levels, seen = np.zeros(4), image[tuple(place.T)]
     of_pixel = colour[tuple(place.T)]
     for one in set(colour.ravel().tolist()):
         values = seen[of_pixel == one].astype(np.float64)
-        if len(values) < TUNING.photometric.fewest_pixels:
+        if len(values) < fewest_pixels:
             raise InputError(
                 "Too little of the sheet is seen to balance the colours of a mosaic: "
                 "interpolate it first."

@@ -18,11 +18,11 @@ from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.grey_level import Pixels, predict_levels
 from trinoc.calib.photometric.ink import Cross, InkDrawing
-from trinoc.calib.photometric.noise import clipped_moments
+from trinoc.calib.photometric.noise import Saturation, clipped_moments
 from trinoc.calib.photometric.sheet_places import sheet_from_camera
 from trinoc.calib.photometric.unknowns import (
     LOCAL_TERMS,
-    LOCAL_WIDTH,
+    PicturePrior,
     PictureState,
     step_unit_mm,
 )
@@ -64,16 +64,17 @@ class Picture(NamedTuple):
     ------
     near_circles, near_lines : pixels.
     cross : of the sheet.
-    white, top : grey level of a full signal, and where saturation cuts (infinity: nowhere).
-    prior : middle and weight of each unknown beside the pose.
+    white : grey level of a full signal.
+    saturation : where saturation cuts.
+    prior : of each unknown beside the pose.
     """
 
     near_circles: Group
     near_lines: Group
     cross: Cross
     white: Float[ArrayLike, ""]
-    top: Float[ArrayLike, ""]
-    prior: tuple[Float[ArrayLike, "k"], Float[ArrayLike, "k"]]
+    saturation: Saturation
+    prior: PicturePrior
 
 
 class PixelRows(NamedTuple):
@@ -192,12 +193,12 @@ def _sum_pixels(
     # Polynomials hardly differ from local levels: single precision loses the difference.
     precise = dtype if state.levels.size else single
     loss = jax.tree.map(lambda leaf: leaf.astype(single), problem.loss)
-    top = problem.picture.top.astype(single)
+    saturation = jax.tree.map(lambda leaf: leaf.astype(single), problem.picture.saturation)
 
     def add(part: Group, one: PixelRows, sums: _Sums) -> _Sums:
         level, slope = one.level, jnp.ones_like(one.level)
         if not state.unknowns.is_ideal:
-            cut = clipped_moments(level, part.pixels.sigma, top)
+            cut = clipped_moments(level, part.pixels.sigma, saturation)
             level, slope = cut.mean, cut.slope
         residual, weight = level - part.pixels.grey, part.pixels.weight
         squared = (weight * residual) ** 2
@@ -257,11 +258,12 @@ def _equations(
     chain = jax.scipy.linalg.block_diag(by_motion, kept)
     products = chain.T @ (sums[0].products + sums[1].products) @ chain
     pose = jnp.zeros(problem.model.size)
-    middle, weight = (jnp.concatenate([pose, part]) for part in problem.picture.prior)
-    offset = jnp.concatenate([pose, state.values]) - middle
+    prior = problem.picture.prior
+    mean, weight = (jnp.concatenate([pose, part]) for part in (prior.mean, prior.weight))
+    offset = jnp.concatenate([pose, state.values]) - mean
     of_blocks = sums[0].of_blocks + sums[1].of_blocks
     across = of_blocks[:, :, LOCAL_TERMS:] @ chain
-    level_weight, levels = LOCAL_WIDTH**-2, jnp.asarray(state.levels).T
+    level_weight, levels = prior.local_weight, jnp.asarray(state.levels).T
     arrow = BlockArrow(
         products[:-1, :-1] + jnp.diag(weight),
         jnp.swapaxes(across[:, :, :-1], 1, 2),

@@ -28,7 +28,6 @@ from trinoc.calib.photometric.unknowns import (
     delivered_state,
 )
 from trinoc.calib.problem.solver import ArrowEquations, Solution
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import Pose
 from trinoc.numerics.block_arrow import BlockArrow
 from trinoc.numerics.precision import as_numpy
@@ -37,8 +36,6 @@ from trinoc.numerics.robust_loss import GemanMcClure
 
 # numerical: a start: noise before anything is known of it, as a share of the contrast.
 _FIRST_NOISE = 0.01
-_IDEAL_SCALES, _SCALES = TUNING.photometric.ideal_scales, TUNING.photometric.scales
-_BLINDED_SCALES = (*TUNING.photometric.blinded_scales, *_SCALES)
 # numerical: damping of steps that must not pay, and of the first of least squares.
 _ROBUST_DAMPING, _FIRST_DAMPING = 1e-4, 1e-6
 # numerical: a fit ends where the next step promises less of the chi-square: the square of a step in
@@ -63,15 +60,16 @@ def fit_ideal_camera(
     everything = np.ones(size + IDEAL.size, dtype=bool)
     # Ink spread and the slopes of the light wait for the pose: they would bend to swallow what
     # covers the sheet.
-    free = np.tile(everything, (len(_IDEAL_SCALES), 1))
+    scales = scene.tuning.ideal_scales
+    free = np.tile(everything, (len(scales), 1))
     spread, light = size + IDEAL.places("spread_mm")[0], size + IDEAL.light[0]
     free[:2, spread] = free[0, light + 1 :] = free[1, light + 3 :] = False
-    robust = _take_robust_steps(scene, guess, _IDEAL_SCALES, free, stride=PARTS)
+    robust = _take_robust_steps(scene, guess, scales, free, stride=PARTS)
     residual = robust.level - scene.grey
     # One grey level of an eight-bit picture stands for the noise of a picture without any.
     noise = max(robust_sigma(residual, 0.1 * guess.contrast), guess.contrast / 1000)
     sigma = np.full(len(residual), noise)
-    kept = gate_by_sigma(scene.chosen, residual, sigma)
+    kept = gate_by_sigma(scene.chosen, residual, sigma, scene.tuning)
     if kept.sum() <= len(everything):
         return None
     return robust, refit_ideal_camera(scene, robust.with_pixels(sigma=sigma, kept=kept))
@@ -116,7 +114,7 @@ def _finish(scene: PixelScene, point: PictureFitState) -> PictureFitState:
     point = _gate(scene, _start(scene, point.state, point.free), gates=1)
     point = _take_steps(scene, point, 1)
     residual, sigma = point.residual(scene)
-    kept = without_common(scene.chosen, residual / sigma, point.kept)
+    kept = without_common(scene.chosen, residual / sigma, point.kept, scene.tuning)
     point = point.with_pixels(sigma=point.sigma, kept=kept)
     for _ in range(_ROUNDS):
         point = _look(scene, _with_noise(scene, _take_steps(scene, point, _LAST_STEPS)))
@@ -133,7 +131,7 @@ def _of_ideal_camera(pose_size: int) -> list[int]:
 
 def _start_delivered(scene: PixelScene, ideal: PictureState, circles: Pose) -> PictureState:
     paper, ratio = float(ideal.light[0]), float(ideal["ratio"])
-    state = delivered_state(ideal)
+    state = delivered_state(ideal, scene.tuning)
     values = np.array(state.values)
     values[DELIVERED.places("bend")] = scene.bend or 0.0
     pose = state.pose
@@ -171,11 +169,14 @@ def _find_sheet(
     scene: PixelScene, state: PictureState, free: Bool[np.ndarray, "k"]
 ) -> PictureFitState:
     """Robust steps, the pixels that show the sheet, and first steps of least squares."""
-    scales = _BLINDED_SCALES if _is_blinded(scene, float(state.light[0])) else _SCALES
+    tuning = scene.tuning
+    scales = tuning.scales
+    if _is_blinded(scene, float(state.light[0])):
+        scales = (*tuning.blinded_scales, *scales)
     alone = np.zeros(len(free), dtype=bool)
     alone[_of_ideal_camera(scene.model.size)] = True
     # At first the unknowns of an ideal camera find their way alone.
-    stages = np.array([alone if scale >= _SCALES[0] else free for scale in scales])
+    stages = np.array([alone if scale >= tuning.scales[0] else free for scale in scales])
     point = _take_robust_steps(scene, state, scales, stages).with_free(free)
     return _take_steps(scene, _gate(scene, point), _FIRST_STEPS)
 
@@ -184,7 +185,7 @@ def _gate(scene: PixelScene, point: PictureFitState, gates: int = _GATES) -> Pic
     """Noise and pixels that show the sheet, a step between each look at them."""
     point = _with_noise(scene, point, robust=True)
     for k in range(gates):
-        kept = gate_by_sigma(scene.chosen, *point.residual(scene))
+        kept = gate_by_sigma(scene.chosen, *point.residual(scene), scene.tuning)
         point = point.with_pixels(sigma=point.sigma, kept=kept)
         point = _with_noise(scene, point, robust=True)
         if k + 1 < gates:
@@ -198,7 +199,12 @@ def _with_noise(
     """The same state with the noise that the residuals of its kept pixels have."""
     residual, scale = point.residual(scene)[0], scene.noise_scale
     sigma = noise_by_level(
-        point.level, residual / scale, point.is_clear(scene), point.level, robust=robust
+        point.level,
+        residual / scale,
+        point.is_clear(scene),
+        point.level,
+        scene.tuning.fewest_pixels,
+        robust=robust,
     )
     return point.with_pixels(sigma=sigma * scale)
 

@@ -53,12 +53,13 @@ class PictureFitState(eqx.Module):
         """Predicted minus observed grey levels after saturation, and their standard deviation."""
         if np.isinf(scene.top):
             return self.level - scene.grey, self.sigma
-        cut = clipped_moments(self.level, self.sigma, scene.top)
+        cut = clipped_moments(self.level, self.sigma, scene.saturation)
         return np.asarray(cut.mean) - scene.grey, np.asarray(cut.sigma)
 
     def is_clear(self, scene: PixelScene) -> Bool[np.ndarray, "n"]:
         """Kept pixels whose noise saturation leaves as it is."""
-        return self.kept & is_clear(self.level, self.sigma, scene.top)
+        clear_sigmas = scene.tuning.clear_sigmas
+        return self.kept & is_clear(self.level, self.sigma, scene.top, clear_sigmas)
 
     def rows(self, scene: PixelScene) -> Float[np.ndarray, "k n"]:
         """Derivatives of every pixel after saturation by the homography and by the values."""
@@ -74,7 +75,9 @@ class PictureFitState(eqx.Module):
     def _slope(self, scene: PixelScene) -> Float[np.ndarray, "n"] | np.float32:
         if self.state.unknowns.is_ideal or np.isinf(scene.top):
             return np.float32(1.0)
-        return np.asarray(clipped_moments(self.level, self.sigma, scene.top).slope, np.float32)
+        return np.asarray(
+            clipped_moments(self.level, self.sigma, scene.saturation).slope, np.float32
+        )
 
     def normal_equations(
         self,

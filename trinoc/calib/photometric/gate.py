@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.photometric.pixel_selection import SelectedPixels
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.photometric import PhotometricTuning
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
 
@@ -17,43 +17,54 @@ def robust_sigma(residual: Float[np.ndarray, "n"], bound: float) -> float:
 
 
 def gate_by_sigma(
-    chosen: SelectedPixels, residual: Float[np.ndarray, "n"], sigma: Float[np.ndarray, "n"]
+    chosen: SelectedPixels,
+    residual: Float[np.ndarray, "n"],
+    sigma: Float[np.ndarray, "n"],
+    tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
     """The pixels that stay where each has a noise of its own.
 
     Whole neighbourhoods go, whatever the signs of their pixels' residuals.
     """
     size = np.abs(residual) / sigma
-    outlier, lone = TUNING.photometric.outlier_sigmas, TUNING.photometric.lone_sigmas
-    return _apart_from_crowds(chosen, size > outlier, size <= lone)
+    outlier, lone = size > tuning.outlier_sigmas, size > tuning.lone_sigmas
+    return _apart_from_crowds(chosen, outlier, ~lone, tuning)
 
 
 def without_common(
-    chosen: SelectedPixels, standard: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]
+    chosen: SelectedPixels,
+    standard: Float[np.ndarray, "n"],
+    kept: Bool[np.ndarray, "n"],
+    tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
     """The kept pixels, less neighbourhoods whose residuals, in sigmas, have a mean."""
-    total, count = _sum_neighbourhoods(chosen, standard * kept, kept)
-    return kept & (total**2 <= TUNING.photometric.largest_common * np.maximum(count, 1))
+    total, count = _sum_neighbourhoods(chosen, tuning.neighbourhood_px, standard * kept, kept)
+    return kept & (total**2 <= tuning.largest_common * np.maximum(count, 1))
 
 
 def _apart_from_crowds(
-    chosen: SelectedPixels, wrong: Bool[np.ndarray, "n"], kept: Bool[np.ndarray, "n"]
+    chosen: SelectedPixels,
+    wrong: Bool[np.ndarray, "n"],
+    kept: Bool[np.ndarray, "n"],
+    tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
     """`kept`, less whole neighbourhoods of wrong pixels."""
     if not wrong.any():
         return kept
-    off, seen = _sum_neighbourhoods(chosen, wrong, np.ones(len(wrong)))
-    return kept & (off <= TUNING.photometric.outlier_share * seen)
+    outliers, pixels = _sum_neighbourhoods(
+        chosen, tuning.neighbourhood_px, wrong, np.ones(len(wrong))
+    )
+    return kept & (outliers <= tuning.outlier_share * pixels)
 
 
 def _sum_neighbourhoods(
-    chosen: SelectedPixels, *fields: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"]
+    chosen: SelectedPixels, side_px: int, *fields: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"]
 ) -> Float[np.ndarray, "fields n"]:
     """Sums of each field over the neighbourhood of each pixel."""
     left, top = chosen.column.min(), chosen.row.min()
     shape = (chosen.row.max() - top + 1, chosen.column.max() - left + 1)
     place = (chosen.row - top, chosen.column - left)
-    side_px, sums = TUNING.photometric.neighbourhood_px, []
+    sums = []
     for field in fields:
         picture = np.zeros(shape, np.float32)
         picture[place] = field

@@ -26,6 +26,8 @@ from trinoc.calib.photometric.unknowns import PictureState
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
+from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.photometric import PhotometricTuning
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.image.response import PowerResponse
@@ -80,6 +82,7 @@ def refine_image(
     *,
     shift: ShiftOfPlaces | None = None,
     encoding: Encoding = AS_DELIVERED,
+    tuning: PhotometricTuning = TUNING.photometric,
 ) -> ImageRefinement | None:
     """Fit the sheet's model to the pixels near its edges; None where none can be seen.
 
@@ -88,8 +91,9 @@ def refine_image(
     shift : how far aside of where the lens and a flat sheet would have them, in px, the picture
         shows places of the sheet.
     encoding : how grey levels stand for light; where it is said, the camera is not ideal.
+    tuning : constants of the fit.
     """
-    posed = scene_of_picture(image, pattern, lens, start, model, shift, encoding)
+    posed = scene_of_picture(image, pattern, lens, start, model, shift, encoding, tuning)
     ideal = None if posed is None else fit_ideal_camera(*posed)
     if posed is None or ideal is None:
         return None
@@ -122,7 +126,7 @@ def refine_image(
     is_said = encoding.bayer is not None or bool(encoding.bend)
     refuted = "model" if is_said else find_refuted_part(scene, point)
     if refuted == "noise":
-        sigma = noise_by_level(point.level, residual, point.kept, point.level)
+        sigma = noise_by_level(point.level, residual, point.kept, point.level, tuning.fewest_pixels)
         point = refit_ideal_camera(scene, point.with_pixels(sigma=sigma))
     if refuted == "model":
         blocks = blocks_of_pixels(scene.chosen, start, lens, pattern)

@@ -17,7 +17,7 @@ from trinoc.calib.photometric.equations import local_rows
 from trinoc.calib.photometric.fit_state import PictureFitState
 from trinoc.calib.photometric.scene import PixelScene
 from trinoc.calib.photometric.sheet_places import homography_of_pose
-from trinoc.calib.photometric.unknowns import LOCAL_TERMS, LOCAL_WIDTH
+from trinoc.calib.photometric.unknowns import LOCAL_TERMS, PicturePrior
 from trinoc.calib.problem.views import LINE_PIECES, SheetPoints
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
@@ -133,9 +133,10 @@ def _shared_unknowns(
 ) -> _SharedUnknowns:
     """Light about a patch, where it has its own, can do what a displacement does."""
     state, free = point.state, point.free[scene.model.size :]
-    middle, weight = state.unknowns.prior(local=scene.local)
-    pull = weight * (state.values - middle)
-    by_levels, level_weight, level_pull = _local_light(scene, point)
+    prior = state.unknowns.prior(scene.tuning, local=scene.local)
+    weight = np.asarray(prior.weight)
+    pull = weight * (state.values - prior.mean)
+    by_levels, level_weight, level_pull = _local_light(scene, point, prior)
     # Priors count as the pixels do: together they balance where the fit has ended.
     return _SharedUnknowns(
         by_values[free].astype(float).T,
@@ -146,7 +147,7 @@ def _shared_unknowns(
 
 
 def _local_light(
-    scene: PixelScene, point: PictureFitState
+    scene: PixelScene, point: PictureFitState, prior: PicturePrior
 ) -> tuple[scipy.sparse.csr_matrix, Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
     """Derivatives by every block's levels, and the information and gradient of their priors."""
     count, blocks = len(point.kept), scene.blocks
@@ -156,7 +157,7 @@ def _local_light(
     column = LOCAL_TERMS * blocks.of_pixel + np.arange(LOCAL_TERMS)[:, None]
     row = np.tile(np.arange(count), LOCAL_TERMS)
     size = (count, LOCAL_TERMS * blocks.count)
-    weight = np.tile(LOCAL_WIDTH**-2, blocks.count)
+    weight = np.tile(prior.local_weight, blocks.count)
     levels = np.asarray(point.state.levels).T.ravel()
     return (
         scipy.sparse.csr_matrix((rows.ravel(), (row, column.ravel())), size),

@@ -20,7 +20,6 @@ from trinoc.calib.photometric.sheet_places import (
 from trinoc.calib.photometric.square_pixels import square_pixels
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
-from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 
@@ -79,13 +78,12 @@ def select_pixels(
     lens: AbstractLens,
     pattern: Pattern | SquareSheet,
     image_size_px: tuple[int, int],
-    sigma_px: float,
+    reach_px: float,
 ) -> PixelSelection:
-    """The pixels within reach of the sheet's edges.
+    """The pixels within `reach_px` of the sheet's edges.
 
     Pixels within reach of two circles are left out: the model knows one.
     """
-    reach_px = TUNING.photometric.reach_sigmas * sigma_px + TUNING.photometric.reach_px
     if isinstance(pattern, SquareSheet):
         seen = square_pixels(pose, lens, pattern, image_size_px, reach_px)
         near = _spread(SelectedPixels(seen.column, seen.row, seen.node, seen.squares))

@@ -18,6 +18,7 @@ from trinoc.calib.photometric.equations import (
 from trinoc.calib.photometric.ink import SQUARES, Cross, InkDrawing
 from trinoc.calib.photometric.noise import (
     OnGrid,
+    Saturation,
     saturation_level,
     white_level,
 )
@@ -37,7 +38,7 @@ from trinoc.calib.photometric.square_pixels import list_control_places
 from trinoc.calib.photometric.unknowns import PictureState, Unknowns, ideal_state
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.photometric import PhotometricTuning
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.image.noise import noise_sigma
@@ -85,6 +86,7 @@ class PixelScene(NamedTuple):
     noise_floor : noise of the picture's flat parts.
     cross, drawing, model : of the sheet, and what is free of the pose.
     white, top : grey level of a full signal, and where saturation cuts (infinity: nowhere).
+    tuning : constants of the fit.
     bend : of the response where it is known (0 linear, 1 sRGB), None where it is fitted.
     blocks : of the (n) pixels, once a fit needs them.
     local : whether each has light of its own.
@@ -101,14 +103,20 @@ class PixelScene(NamedTuple):
     model: PoseModel
     white: float
     top: float
+    tuning: PhotometricTuning
     bend: float | None = None
     blocks: Blocks | None = None
     local: bool = False
 
     @property
     def grid(self) -> OnGrid:
-        """The pixels' places in the picture."""
-        return OnGrid(self.chosen.column, self.chosen.row)
+        """The pixels' positions in the image."""
+        return OnGrid(self.chosen.column, self.chosen.row, self.tuning.shared_reach_px)
+
+    @property
+    def saturation(self) -> Saturation:
+        """Saturation of the image, with the noise that clipped pixels are given."""
+        return Saturation(np.asarray(self.top), np.asarray(self.tuning.cut_off_levels))
 
     def first(self, share: int) -> "PixelScene":
         """The first of `share` parts of the pixels, which cover the sheet as all do."""
@@ -159,9 +167,9 @@ class PixelScene(NamedTuple):
                 sigma=_pad_values(sigma[part], 1.0, group),
             )
             groups.append(Group(pixels, group.chunks, places))
-        white, top = np.asarray(self.white), np.asarray(self.top)
-        known = unknowns.prior(local=self.local)
-        return Picture(groups[0], groups[1], self.cross, white, top, known)
+        prior = unknowns.prior(self.tuning, local=self.local)
+        white = np.asarray(self.white)
+        return Picture(groups[0], groups[1], self.cross, white, self.saturation, prior)
 
     def polynomial_light(self, state: PictureState) -> Float[np.ndarray, "n"]:
         """The paper's grey level by the polynomial alone."""
@@ -184,17 +192,20 @@ def scene_of_picture(
     model: PoseModel,
     shift: ShiftOfPlaces | None,
     encoding: Encoding,
+    tuning: PhotometricTuning,
 ) -> tuple[PixelScene, PictureState] | None:
     """The pixels, and a first guess of an ideal camera; None where no ink shows."""
     noise_scale = np.broadcast_to(np.float32(1.0), image.shape)
     if encoding.bayer is not None:
         assert isinstance(pattern, Pattern)
-        image, noise_scale = balance_mosaic(image, encoding.bayer, start, lens, pattern)
+        image, noise_scale = balance_mosaic(
+            image, encoding.bayer, start, lens, pattern, tuning.fewest_pixels
+        )
     state = first_guess(image, start, lens, pattern)
-    if not state.contrast > TUNING.photometric.least_contrast:
+    if not state.contrast > tuning.least_contrast:
         return None
     size = (image.shape[1], image.shape[0])
-    choice = select_pixels(start, lens, pattern, size, float(state["sigma_px"]))
+    choice = select_pixels(start, lens, pattern, size, _reach_px(state, tuning))
     parts = (choice.near_circles, choice.near_lines)
     groups = [
         pad_group(
@@ -217,10 +228,16 @@ def scene_of_picture(
         _drawing(pattern),
         model,
         white_level(image),
-        saturation_level(grey),
+        saturation_level(grey, tuning.piled_share),
+        tuning,
         encoding.bend,
     )
     return scene, state
+
+
+def _reach_px(state: PictureState, tuning: PhotometricTuning) -> float:
+    """Largest distance of a selected pixel from an edge."""
+    return tuning.reach_sigmas * float(state["sigma_px"]) + tuning.reach_px
 
 
 def first_guess(

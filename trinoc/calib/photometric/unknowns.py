@@ -13,49 +13,63 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.photometric import PhotometricTuning
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.image.response import PowerResponse
 from trinoc.numerics.precision import ArrayLike, ScalarLike
 
 # numerical: terms of polynomials of degree 4 and 2.
 LIGHT_TERMS, QUADRATIC_TERMS = 15, 6
-# Weak priors on each block of the sheet: light and veil with their slopes, (1, x, y) each, in
-# shares of the light and in grey levels.
-LOCAL_WIDTH = np.array(TUNING.photometric.local_widths)
-LOCAL_TERMS = len(LOCAL_WIDTH)
+# numerical: light and veil about each block of the sheet, with their slopes: (1, x, y) each.
+LOCAL_TERMS = 6
 # numerical: light that is left in the darkest shade: only this keeps the model from failing.
 _LEAST_LIGHT = 0.05
-# Per unknown of the look: bounds, the middle of its prior and its width (infinite: none).
+_BEND = PowerResponse.PARAMETERS["bend"]
+# Per unknown of the look: its bounds, and its value for an ideal camera.
 # numerical: bounds keep steps where the model means something.
 _LOOK = {
     # Blur of lens, motion and pixel: rms width along one axis, the mean over all directions, and
     # cumulants over powers of it, 0 for a Gaussian.
-    "sigma_px": (0.1, 8.0, 0.0, np.inf),
-    "kurtosis": (-1.5, 3.0, 0.0, TUNING.photometric.kurtosis_width),
-    "sixth": (-6.0, 15.0, 0.0, TUNING.photometric.sixth_width),
+    "sigma_px": (0.1, 8.0, 0.0),
+    "kurtosis": (-1.5, 3.0, 0.0),
+    "sixth": (-6.0, 15.0, 0.0),
     # (variance along u - along v) / 2, covariance of u and v, and the variance across edges along
     # the picture's axes less that across diagonal ones, halved, px^2.
-    "along_u": (-20.0, 20.0, 0.0, TUNING.photometric.motion_width_px2),
-    "diagonal": (-20.0, 20.0, 0.0, TUNING.photometric.motion_width_px2),
-    "along_axes": (-2.0, 2.0, 0.0, TUNING.photometric.axes_width_px2),
+    "along_u": (-20.0, 20.0, 0.0),
+    "diagonal": (-20.0, 20.0, 0.0),
+    "along_axes": (-2.0, 2.0, 0.0),
     # 1 where the anisotropy is that of a straight motion, 0 where it is a Gaussian's.
-    "line": (-0.5, 1.6, 0.0, TUNING.photometric.line_width),
+    "line": (-0.5, 1.6, 0.0),
     # Sharpening: weight of a Gaussian that is taken away, by how much it is wider than the blur,
     # and how much further its ink reaches.
-    "lobe": (-0.9, 4.0, 0.0, TUNING.photometric.lobe_width),
-    "lobe_px": (0.4, 3.0, *TUNING.photometric.lobe_px),
-    "lobe_mm": (-0.5, 0.5, 0.0, TUNING.photometric.lobe_width_mm),
+    "lobe": (-0.9, 4.0, 0.0),
+    "lobe_px": (0.4, 3.0, 1.0),  # of a lobe of no weight it has no effect
+    "lobe_mm": (-0.5, 0.5, 0.0),
     # By which ink reaches beyond the drawing.
-    "spread_mm": (-2.0, 2.0, 0.0, np.inf),
+    "spread_mm": (-2.0, 2.0, 0.0),
     # Grey level of ink over that of paper less one, in the middle of the picture.
-    "ratio": (-0.999, -0.02, 0.0, np.inf),
+    "ratio": (-0.999, -0.02, 0.0),
     # Response: its bend (0 linear, 1 sRGB), and further terms between ink and paper, c (1 - c) and
     # c (1 - c) (1 - 2 c) of the share c of ink.
-    **PowerResponse.PARAMETERS,
-    "lift": (-1.0, 1.0, 0.0, TUNING.photometric.lift_width),
-    "contrast": (-1.0, 1.0, 0.0, TUNING.photometric.contrast_width),
+    "bend": _BEND[:3],
+    "lift": (-1.0, 1.0, 0.0),
+    "contrast": (-1.0, 1.0, 0.0),
 }
+
+
+class PicturePrior(NamedTuple):
+    """Independent Gaussian priors on the unknowns beside the pose.
+
+    Fields
+    ------
+    mean : (k,) of each unknown.
+    weight : (k,) one over the variance; 0 for an unknown without a prior.
+    local_weight : (6,) the same of a block's levels, whose mean is 0.
+    """
+
+    mean: Float[ArrayLike, "k"]
+    weight: Float[ArrayLike, "k"]
+    local_weight: Float[ArrayLike, "6"]
 
 
 class Unknowns(NamedTuple):
@@ -112,19 +126,38 @@ class Unknowns(NamedTuple):
             least[place], most[place] = _LOOK[name][:2]
         return least, most
 
-    def prior(self, *, local: bool) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-        """Middle and weight (1 / variance) of every unknown's prior.
+    def prior(self, tuning: PhotometricTuning, *, local: bool) -> PicturePrior:
+        """Prior of every unknown beside the pose.
 
-        local : where blocks have light of their own, polynomials have a prior too, because
-            little else tells the two apart.
+        local : if blocks have their own light, the polynomials have a prior too, because the images
+            hardly separate the two.
         """
-        middle, weight = np.zeros((2, self.size))
-        for place, name in enumerate(self.look):
-            middle[place], weight[place] = _LOOK[name][2], _LOOK[name][3] ** -2.0
+        priors = _look_priors(tuning)
+        mean, sigma = np.zeros(self.size), np.full(self.size, np.inf)
+        for index, name in enumerate(self.look):
+            mean[index], sigma[index] = priors.get(name, (_LOOK[name][2], np.inf))
         if local:
-            # A term of a polynomial reaches as far at the picture's edge as a block's veil.
-            weight[self.light[1:]] = weight[self.veil] = LOCAL_WIDTH[3] ** -2.0
-        return middle, weight
+            # A term of a polynomial is as large at the image's edge as a block's veil.
+            sigma[self.light[1:]] = sigma[self.veil] = tuning.local_widths[3]
+        return PicturePrior(mean, sigma**-2.0, np.array(tuning.local_widths) ** -2.0)
+
+
+def _look_priors(tuning: PhotometricTuning) -> dict[str, tuple[float, float]]:
+    """Mean and standard deviation of the unknowns of the look that have a prior."""
+    return {
+        "kurtosis": (0.0, tuning.kurtosis_width),
+        "sixth": (0.0, tuning.sixth_width),
+        "along_u": (0.0, tuning.motion_width_px2),
+        "diagonal": (0.0, tuning.motion_width_px2),
+        "along_axes": (0.0, tuning.axes_width_px2),
+        "line": (0.0, tuning.line_width),
+        "lobe": (0.0, tuning.lobe_width),
+        "lobe_px": tuning.lobe_px,
+        "lobe_mm": (0.0, tuning.lobe_width_mm),
+        "bend": _BEND[2:],
+        "lift": (0.0, tuning.lift_width),
+        "contrast": (0.0, tuning.contrast_width),
+    }
 
 
 # numerical: an ideal camera has no veil.
@@ -195,9 +228,9 @@ def ideal_state(
     return PictureState(pose, values, np.zeros((LOCAL_TERMS, 0)), IDEAL)
 
 
-def delivered_state(ideal: PictureState) -> PictureState:
-    """The same picture, with the unknowns that an ideal camera does not have at their priors."""
-    values = DELIVERED.prior(local=False)[0].copy()
+def delivered_state(ideal: PictureState, tuning: PhotometricTuning) -> PictureState:
+    """The same image, with the unknowns that an ideal camera lacks at the means of their priors."""
+    values = np.array(DELIVERED.prior(tuning, local=False).mean)
     values[DELIVERED.of_ideal_camera] = ideal.values
     return PictureState(ideal.pose, values, ideal.levels, DELIVERED)
 

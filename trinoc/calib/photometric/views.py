@@ -19,6 +19,7 @@ from trinoc.calib.problem.sheet_problem import PictureFit
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
 from trinoc.calib.tuning.every_group import TUNING
+from trinoc.calib.tuning.photometric import PhotometricTuning
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 
@@ -36,16 +37,17 @@ def refine_views(
     model: PoseModel,
     shifts: Mapping[str, ShiftOfPlaces],
     encoding: Encoding = AS_DELIVERED,
+    tuning: PhotometricTuning = TUNING.photometric,
 ) -> dict[str, PictureFit]:
     """Fit each picture from a first pose; in threads, since they share nothing.
 
-    shifts : of the pictures that show the sheet elsewhere; encoding: see
+    shifts : of the pictures that show the sheet elsewhere; encoding, tuning : see
         `refine_image`.
     """
 
     def refine(name: str) -> PictureFit:
         start, shift = starts[name], shifts.get(name)
-        return _refine(images[name], start, pattern, lenses[name], model, shift, encoding)
+        return _refine(images[name], start, pattern, lenses[name], model, shift, encoding, tuning)
 
     return in_threads(refine, list(starts))
 
@@ -80,6 +82,7 @@ def _refine(
     model: PoseModel,
     shift: ShiftOfPlaces | None,
     encoding: Encoding,
+    tuning: PhotometricTuning,
 ) -> PictureFit:
     def silent(note: str) -> PictureFit:
         return PictureFit(None, None, note)
@@ -87,7 +90,9 @@ def _refine(
     # A threshold moves each edge as it likes; the model would take that for light.
     if len(np.unique(image[:: len(image) // 8 + 1])) <= 2:
         return silent("the picture has two grey levels alone, and so cannot be fitted itself.")
-    refined = refine_image(image, pattern, lens, start, model, shift=shift, encoding=encoding)
+    refined = refine_image(
+        image, pattern, lens, start, model, shift=shift, encoding=encoding, tuning=tuning
+    )
     if refined is None:
         return silent(
             "the picture shows too little of the sheet's edges, and so cannot be fitted itself."
@@ -100,10 +105,10 @@ def _refine(
         for pose in (start, refined.state.pose)
     )
     moved = float(np.abs(after - before).max())
-    if not moved < TUNING.photometric.largest_move_px:
+    if not moved < tuning.largest_move_px:
         return silent(f"the picture itself disagrees with its circles by {moved:.2f} px.")
     quality = _quality(refined)
-    is_processed = refined.overshoot > TUNING.photometric.processed_overshoot
+    is_processed = refined.overshoot > tuning.processed_overshoot
     return PictureFit(refined.points, quality, None, is_processed)
 
 

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 
 from trinoc.calib.tuning.detection import DetectionTuning
 from trinoc.calib.tuning.photometric import PhotometricTuning
-from trinoc.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -295,17 +294,6 @@ class CalibTuning:
     bundle: BundleTuning = field(default_factory=BundleTuning)
     rig_check: RigCheckTuning = field(default_factory=RigCheckTuning)
     answer: AnswerTuning = field(default_factory=AnswerTuning)
-
-    def expect_default_photometric(self) -> None:
-        """Raise InputError if constants of the fit to grey levels are changed.
-
-        Its compiled programs contain the defaults.
-        """
-        if self.photometric != PhotometricTuning():
-            raise InputError(
-                "tuning.photometric is changed, but the fit to grey levels has the defaults only: "
-                'leave it as it is, or give method="points".'
-            )
 
 
 TUNING = CalibTuning()
