@@ -37,7 +37,7 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
     (lambda result: trinoc.next_shot(result), RIG, "result is of type Rig"),
     (lambda rig: trinoc.match_segments(SEGMENTS, rig), "rig.json", "The rig is of type str"),
     (lambda given: trinoc.match_segments(given, RIG), RIG, "set of segments is of type Rig"),
-    (lambda given: trinoc.match_segments(given, RIG), GREY, "find_segments finds"),
+    (lambda given: trinoc.match_segments(given, RIG), GREY, "the result of find_segments"),
     (
         lambda depths: trinoc.match_segments(SEGMENTS, RIG, depth_range_mm=depths),
         (5.0, 1.0),
@@ -58,7 +58,7 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
     (lambda lens: trinoc.find_segments(GREY["left"], intrinsics=lens), RIG, "lens is of type Rig"),
     (trinoc.undistort, "camera.json", "lens or rig is of type str"),
     (trinoc.rectify, LENS, "The rig is of type Intrinsics"),
-    (trinoc.Segments.from_endpoints, "a.csv", "Segments of type str hold no numbers"),
+    (trinoc.Segments.from_endpoints, "a.csv", "Segments of type str contain no numbers"),
     (
         lambda sigma: trinoc.Segments.from_endpoints(ENDS, sigma_px=sigma),
         0.0,
@@ -79,7 +79,7 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
             focal_length_px=900, image_size_px=(640, 480), distortion=given
         ),
         [0.1, 0.2, 0.3],
-        "end with p1 and lack p2",
+        "p2 is missing",
     ),
     (
         lambda given: trinoc.Intrinsics(

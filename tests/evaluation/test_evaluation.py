@@ -68,7 +68,7 @@ def test_a_motion_of_both_changes_nothing(seed):
     rotation, shift = moved(generator)
     both = np.kron(np.eye(2), rotation)
     elsewhere = certain_lines(
-        lines.ends_mm @ rotation.T + shift, both @ lines.own_covariance_mm2 @ both.T
+        lines.ends_mm @ rotation.T + shift, both @ lines.fragment_covariance_mm2 @ both.T
     )
     there = evaluate(elsewhere, EDGES @ rotation.T + shift)
     assert_same(evaluate(lines, EDGES).record(), there.record())
@@ -81,7 +81,7 @@ def test_order_of_lines_and_of_their_ends_changes_nothing(seed):
     lines = noisy(generator)
     order = generator.permutation(len(lines))
     turned = generator.random(len(lines)) < 0.5
-    ends, covariance = lines.ends_mm.copy(), lines.own_covariance_mm2.copy()
+    ends, covariance = lines.ends_mm.copy(), lines.fragment_covariance_mm2.copy()
     ends[turned] = ends[turned, ::-1]
     swap = np.roll(np.arange(6), 3)
     covariance[turned] = covariance[turned][:, swap][:, :, swap]
@@ -296,6 +296,6 @@ def test_a_motion_carries_covariance_and_derivatives_as_it_carries_points() -> N
     steps = np.concatenate([np.zeros((1, 2, 3)), np.eye(6).reshape(6, 2, 3)])
     images = motion.of_points(steps).reshape(7, 6)
     linear = (images[1:] - images[0]).T
-    expected = np.array([linear @ own @ linear.T for own in lines.own_covariance_mm2])
-    np.testing.assert_allclose(carried.own_covariance_mm2, expected)
+    expected = np.array([linear @ own @ linear.T for own in lines.fragment_covariance_mm2])
+    np.testing.assert_allclose(carried.fragment_covariance_mm2, expected)
     np.testing.assert_allclose(carried.by_parameters, np.array([linear @ each for each in by]))

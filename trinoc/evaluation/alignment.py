@@ -48,7 +48,7 @@ class RigidMotion(NamedTuple):
         both = np.kron(np.eye(2), self.rotation)
         return UncertainLines(
             self.of_points(lines.ends_mm),
-            both @ lines.own_covariance_mm2 @ both.T,
+            both @ lines.fragment_covariance_mm2 @ both.T,
             both @ lines.by_parameters,
             lines.parameter_covariance,
         )

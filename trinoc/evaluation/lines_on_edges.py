@@ -37,7 +37,7 @@ def select_lines(
     """Some of the lines, by index or mask."""
     return UncertainLines(
         lines.ends_mm[rows],
-        lines.own_covariance_mm2[rows],
+        lines.fragment_covariance_mm2[rows],
         lines.by_parameters[rows],
         lines.parameter_covariance,
     )
@@ -92,6 +92,6 @@ def offsets_across(lines: UncertainLines, edges_mm: Float[np.ndarray, "n 2 3"]) 
     both[:, :2, :3] = both[:, 2:, 3:] = across
     return OffsetsAcross(
         np.einsum("nai,nei->nea", across, offset).reshape(-1, 4),
-        both @ lines.own_covariance_mm2 @ both.mT,
+        both @ lines.fragment_covariance_mm2 @ both.mT,
         both @ lines.by_parameters,
     )

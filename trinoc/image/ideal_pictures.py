@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float32, Shaped
 from trinoc.errors import InputError, check_kind, list_names
 from trinoc.geometry.ideal_cameras import undistort_lens, undistort_rig
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.pose import Pose
+from trinoc.geometry.picture_window import CAMERA_FRAME
 from trinoc.geometry.projection import project_points
 from trinoc.geometry.rectification import (
     NOTED_SHARE,
@@ -30,7 +30,6 @@ from trinoc.numerics.precision import in_float64
 # Where a ray is imaged that the lens does not see.
 _NOWHERE_PX = -1e4
 _BLOCK = 1 << 16
-_OWN_FRAME = Pose(np.eye(3, 4))
 # Which OpenCV resamples.
 _DEPTHS = (np.uint8, np.uint16, np.float32, np.float64)
 
@@ -111,7 +110,7 @@ class IdealRig(NamedTuple):
         for name, picture in pictures.items():
             if name not in self.maps:
                 raise InputError(
-                    f'There is no camera "{name}"; this rig has {list_names(self.maps)}.'
+                    f'There is no camera "{name}". This rig has {list_names(self.maps)}.'
                 )
             made[name] = self.maps[name].resample(picture)
         return made
@@ -215,7 +214,7 @@ def picture_maps(
 
 def _image_rays(lens: Intrinsics, rays_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
     """Pixels that a lens makes of rays, far from the picture for those that it does not see."""
-    uv_px = project_points(_OWN_FRAME, lens.lens, rays_cam)
+    uv_px = project_points(CAMERA_FRAME, lens.lens, rays_cam)
     # Beyond its fold a polynomial shows what lies before it a second time.
     fold = np.cos(lens.lens.fold_angle_rad())
     seen = rays_cam[:, 2] > fold * np.linalg.norm(rays_cam, axis=1)
