@@ -105,8 +105,8 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
     ),
     (trinoc.find_segments, "x.png", 'The picture is the name "x.png", but must be an array'),
     (trinoc.find_segments, None, "The picture is None, but must be an array"),
-    (trinoc.find_segments, np.ones((480, 512), bool), "of truth values"),
-    (lambda grey: trinoc.calibrate({"a": grey}, SHEET, LENS), GREY["left"] > 3, "of truth values"),
+    (trinoc.find_segments, np.ones((480, 512), bool), "has truth values"),
+    (lambda grey: trinoc.calibrate({"a": grey}, SHEET, LENS), GREY["left"] > 3, "has truth values"),
     (RIG["left"].project, (1.0, 2.0), r"The point has shape \(2,\)"),
 ]
 

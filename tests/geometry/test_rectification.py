@@ -260,9 +260,7 @@ def test_what_is_lost_of_the_common_field_is_said_or_refused(angle_deg, alpha):
 
     common = are_shown(rig.matrices_px)
     if alpha == 0.0 and angle_deg > 70:
-        with pytest.raises(
-            InputError, match=r"would show \d % of the common field"
-        ) as caught:
+        with pytest.raises(InputError, match=r"would show \d % of the common field") as caught:
             rectify(rig, alpha=alpha)
         assert "Give alpha 1" in str(caught.value)
         return
