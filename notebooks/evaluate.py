@@ -17,7 +17,7 @@ from trinoc import Rig
 from trinoc.io import demo_images
 from trinoc.io import demo_truth
 from trinoc.report import plot
-from trinoc.evaluation.lines_of_rig import certain_lines
+from trinoc.evaluation.lines_of_rig import independent_lines
 from trinoc.evaluation.lines_of_rig import lines_of_rig
 from trinoc.evaluation.distances import distance_to_segments_mm
 from trinoc.evaluation.known_shape import KnownShape
@@ -92,7 +92,7 @@ def sigmas_of(lines, edges_mm):
 
 def own(matches):
     """The lines of matches as those of cameras that are exact."""
-    return certain_lines(matches.lines_mm, matches.covariance_mm2)
+    return independent_lines(matches.lines_mm, matches.covariance_mm2)
 
 
 loose = loose_segments(3, count=90, reach_mm=60.0)

@@ -13,8 +13,8 @@ import trinoc
 from trinoc.io import demo_images
 from trinoc.segments import find_segments_lsd
 from trinoc.segments.nevatia_babu.chains import order_chains, split_chains, successors
-from trinoc.segments.nevatia_babu.thinning import correlate_gradient
-from trinoc.segments.nevatia_babu.thinning import combined_kernel
+from trinoc.segments.nevatia_babu.masks import correlate_gradient
+from trinoc.segments.nevatia_babu.masks import combined_kernel
 from trinoc.segments import nevatia_babu_masks
 from trinoc.image.noise import level_noise
 from trinoc.segments.nevatia_babu.thinning import thin_pixels

@@ -37,7 +37,7 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
     (lambda result: trinoc.next_shot(result), RIG, "result is of type Rig"),
     (lambda rig: trinoc.match_segments(SEGMENTS, rig), "rig.json", "The rig is of type str"),
     (lambda given: trinoc.match_segments(given, RIG), RIG, "set of segments is of type Rig"),
-    (lambda given: trinoc.match_segments(given, RIG), GREY, "find_segments finds"),
+    (lambda given: trinoc.match_segments(given, RIG), GREY, "the result of find_segments"),
     (
         lambda depths: trinoc.match_segments(SEGMENTS, RIG, depth_range_mm=depths),
         (5.0, 1.0),
@@ -53,12 +53,16 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
     (lambda rig: trinoc.refine(rig, MATCHES), MATCHES, "The rig is of type Matches"),
     (lambda matches: trinoc.refine(RIG, matches), GREY, "set of matches is of type dict"),
     (lambda rig: trinoc.check_rig(rig, MATCHES), "rig.json", "The rig is of type str"),
-    (lambda lines: trinoc.evaluate(lines, np.zeros((1, 2, 3))), "m.npz", "The lines hold no ends"),
-    (lambda edges: trinoc.evaluate(MATCHES, edges), None, "The known edges hold no ends"),
+    (
+        lambda lines: trinoc.evaluate(lines, np.zeros((1, 2, 3))),
+        "m.npz",
+        "The lines contain no ends",
+    ),
+    (lambda edges: trinoc.evaluate(MATCHES, edges), None, "The known edges contain no ends"),
     (lambda lens: trinoc.find_segments(GREY["left"], intrinsics=lens), RIG, "lens is of type Rig"),
     (trinoc.undistort, "camera.json", "lens or rig is of type str"),
     (trinoc.rectify, LENS, "The rig is of type Intrinsics"),
-    (trinoc.Segments.from_endpoints, "a.csv", "Segments of type str hold no numbers"),
+    (trinoc.Segments.from_endpoints, "a.csv", "Segments of type str contain no numbers"),
     (
         lambda sigma: trinoc.Segments.from_endpoints(ENDS, sigma_px=sigma),
         0.0,
@@ -79,7 +83,7 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
             focal_length_px=900, image_size_px=(640, 480), distortion=given
         ),
         [0.1, 0.2, 0.3],
-        "end with p1 and lack p2",
+        "p2 is missing",
     ),
     (
         lambda given: trinoc.Intrinsics(
@@ -105,8 +109,8 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
     ),
     (trinoc.find_segments, "x.png", 'The picture is the name "x.png", but must be an array'),
     (trinoc.find_segments, None, "The picture is None, but must be an array"),
-    (trinoc.find_segments, np.ones((480, 512), bool), "of truth values"),
-    (lambda grey: trinoc.calibrate({"a": grey}, SHEET, LENS), GREY["left"] > 3, "of truth values"),
+    (trinoc.find_segments, np.ones((480, 512), bool), "has truth values"),
+    (lambda grey: trinoc.calibrate({"a": grey}, SHEET, LENS), GREY["left"] > 3, "has truth values"),
     (RIG["left"].project, (1.0, 2.0), r"The point has shape \(2,\)"),
 ]
 

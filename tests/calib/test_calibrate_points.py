@@ -199,7 +199,7 @@ def test_the_parameters_over_a_sheet_scatter_as_their_covariance_says(model: Pos
             points,
             seen(points, random),
             LENS,
-            pose_model=model.word,
+            pose_model=model.option_name,
             systematics=Systematics(),
         )
         assert found.parameters == tuple(f"camera.{name}" for name in model.parameter_names)

@@ -78,7 +78,7 @@ def test_nothing_found_is_said_with_its_reason(tmp_path, capsys):
     picture, out = tmp_path / "dark.png", tmp_path / "segments.npz"
     cv2.imwrite(str(picture), np.zeros((40, 50), np.uint8))
     assert main(["segments", str(picture), "-o", str(out)]) == 0
-    assert "All pixels have one grey level" in capsys.readouterr().out
+    assert "All pixels have the same grey level" in capsys.readouterr().out
 
 
 def trinoc_process(*arguments, **options):

@@ -15,7 +15,7 @@ from trinoc.errors import InputError
 from trinoc.evaluation.alignment import RigidMotion, align
 from trinoc.evaluation.evaluation import EvaluationStatus, evaluate
 from trinoc.evaluation.known_shape import KnownShape
-from trinoc.evaluation.lines_of_rig import certain_lines
+from trinoc.evaluation.lines_of_rig import independent_lines
 from trinoc.evaluation.lines_on_edges import offsets_across
 from trinoc.evaluation.normalised_errors import normalised_errors
 from trinoc.geometry import UncertainLines
@@ -36,7 +36,7 @@ def noisy(generator, edges_mm=EDGES, *, sigma_mm=0.05):
     stray = generator.uniform(-60, 60, (4, 2, 3))
     lines = np.concatenate([lines, stray])
     root = generator.normal(size=(len(lines), 6, 6)) * sigma_mm
-    return certain_lines(lines, root @ root.mT)
+    return independent_lines(lines, root @ root.mT)
 
 
 def moved(generator):
@@ -67,8 +67,8 @@ def test_a_motion_of_both_changes_nothing(seed):
     lines = noisy(generator)
     rotation, shift = moved(generator)
     both = np.kron(np.eye(2), rotation)
-    elsewhere = certain_lines(
-        lines.ends_mm @ rotation.T + shift, both @ lines.own_covariance_mm2 @ both.T
+    elsewhere = independent_lines(
+        lines.ends_mm @ rotation.T + shift, both @ lines.fragment_covariance_mm2 @ both.T
     )
     there = evaluate(elsewhere, EDGES @ rotation.T + shift)
     assert_same(evaluate(lines, EDGES).record(), there.record())
@@ -81,11 +81,11 @@ def test_order_of_lines_and_of_their_ends_changes_nothing(seed):
     lines = noisy(generator)
     order = generator.permutation(len(lines))
     turned = generator.random(len(lines)) < 0.5
-    ends, covariance = lines.ends_mm.copy(), lines.own_covariance_mm2.copy()
+    ends, covariance = lines.ends_mm.copy(), lines.fragment_covariance_mm2.copy()
     ends[turned] = ends[turned, ::-1]
     swap = np.roll(np.arange(6), 3)
     covariance[turned] = covariance[turned][:, swap][:, :, swap]
-    again = evaluate(certain_lines(ends[order], covariance[order]), EDGES)
+    again = evaluate(independent_lines(ends[order], covariance[order]), EDGES)
     assert_same(evaluate(lines, EDGES).record(), again.record())
 
 
@@ -131,7 +131,7 @@ def test_the_error_of_the_cameras_by_hand():
     line = np.array([[[2.0, 0.1, 0.0], [38.0, 0.1, 0.0]]])
     own, by = 0.01 * np.eye(6)[None], np.array([0.0, 1, 0, 0, 1, 0]).reshape(1, 6, 1)
     # Both ends are off by one sigma of their own: two of four squares are 1.
-    alone = evaluate(certain_lines(line, own), edge).normalised
+    alone = evaluate(independent_lines(line, own), edge).normalised
     assert alone.variance == pytest.approx(0.5)
     # Their mean has the variance 0.005 + 0.03, and is off by 0.1.
     both = evaluate(UncertainLines(line, own, by, np.array([[0.03]])), edge).normalised
@@ -169,7 +169,7 @@ def test_a_covariance_four_times_too_small_shows():
     generator = np.random.default_rng(6)
     lines = EDGES + 0.05 * generator.normal(size=(100, *EDGES.shape))
     claimed = np.tile(0.025**2 * np.eye(6), (100 * len(EDGES), 1, 1))
-    found = evaluate(certain_lines(lines.reshape(-1, 2, 3), claimed), EDGES)
+    found = evaluate(independent_lines(lines.reshape(-1, 2, 3), claimed), EDGES)
     assert found.normalised.variance == pytest.approx(4.0, rel=0.1)
     assert found.normalised.spread == pytest.approx(2.0, rel=0.05)
 
@@ -178,7 +178,7 @@ def test_ends_unknown_along_the_line_do_not_enter():
     line = np.array([[[0.0, 0.1, 0.0], [30.0, 0.1, 0.0]]])
     edge = np.array([[[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]]])
     errors = [
-        evaluate(certain_lines(line, np.diag([along, 0.01, 0.01] * 2)[None]), edge).normalised
+        evaluate(independent_lines(line, np.diag([along, 0.01, 0.01] * 2)[None]), edge).normalised
         for along in (0.01, 1e6)
     ]
     assert errors[0] == errors[1]
@@ -280,7 +280,7 @@ def test_faces_hide_edges_from_the_cameras(monkeypatch):
     assert behind
     assert behind <= hidden
     # However many edges are looked at in one go.
-    monkeypatch.setattr("trinoc.evaluation.known_shape._AT_ONCE", 40)
+    monkeypatch.setattr("trinoc.evaluation.known_shape._PAIRS_PER_BLOCK", 40)
     again = KnownShape.of_edges(EDGES, BOX.triangles_mm).seen_by(rig)
     np.testing.assert_array_equal(again.wanted_edge, solid.wanted_edge)
     np.testing.assert_array_equal(again.wanted_extent, solid.wanted_extent)
@@ -291,11 +291,11 @@ def test_a_motion_carries_covariance_and_derivatives_as_it_carries_points() -> N
     motion = RigidMotion(*moved(generator), 6)
     root, by = generator.normal(size=(2, 6, 6)), generator.normal(size=(2, 6, 3))
     lines = UncertainLines(generator.normal(size=(2, 2, 3)), root @ root.mT, by, np.eye(3))
-    carried = motion.of_lines(lines)
+    carried = motion.move_lines(lines)
     # The motion of both ends is affine: its columns are what unit steps become.
     steps = np.concatenate([np.zeros((1, 2, 3)), np.eye(6).reshape(6, 2, 3)])
-    images = motion.of_points(steps).reshape(7, 6)
+    images = motion.move_points(steps).reshape(7, 6)
     linear = (images[1:] - images[0]).T
-    expected = np.array([linear @ own @ linear.T for own in lines.own_covariance_mm2])
-    np.testing.assert_allclose(carried.own_covariance_mm2, expected)
+    expected = np.array([linear @ own @ linear.T for own in lines.fragment_covariance_mm2])
+    np.testing.assert_allclose(carried.fragment_covariance_mm2, expected)
     np.testing.assert_allclose(carried.by_parameters, np.array([linear @ each for each in by]))

@@ -85,7 +85,7 @@ def test_an_aimed_pose_looks_at_the_origin_from_the_same_place_of_the_sheet(came
 
 def test_a_model_is_said_by_itself_or_by_its_word():
     for model in PoseModel:
-        assert PoseModel.of(model) is PoseModel.of(model.word) is model
+        assert PoseModel.of(model) is PoseModel.of(model.option_name) is model
         assert len(model.parameter_names) == model.size
     assert pose_model_over_sheet("aim-free") is PoseModel.AIM_FREE
 

@@ -46,7 +46,7 @@ def test_some_cameras_keep_their_part_of_the_covariance():
     )
     np.testing.assert_array_equal(some.covariance, rig.covariance_of(some.parameters))
     assert jax.tree.all(jax.tree.map(np.array_equal, rig.take(names), rig))
-    with pytest.raises(InputError, match='no camera "right"; this rig has cam, '):
+    with pytest.raises(InputError, match='no camera "right"'):
         rig.take(("cam", "right"))
 
 
@@ -58,11 +58,11 @@ def test_a_sentence_lists_few_names():
 def test_what_a_rig_refuses():
     camera = Camera.from_degrees(LENS, pan_deg=0, tilt_deg=50, swing_deg=0, distance_mm=400)
     rig = Rig({"upper": camera})
-    with pytest.raises(InputError, match='no camera "left"; this rig has upper'):
+    with pytest.raises(InputError, match='no camera "left"'):
         rig["left"]
     with pytest.raises(InputError, match="at least one"):
         Rig({})
-    with pytest.raises(InputError, match="2 parameters are named"):
+    with pytest.raises(InputError, match="2 parameter names"):
         Rig({"upper": camera}, parameters=("a", "b"), covariance=np.zeros((1, 1)))
     with pytest.raises(InputError, match='Camera "left"'):
         Rig.from_matrices({"left": np.zeros((3, 4))}, (512, 480))

@@ -22,8 +22,8 @@ def test_the_covariance_together_is_own_parts_and_one_of_the_cameras(lines) -> N
     chosen = [2, 0]
     by = np.concatenate([lines.by_parameters[k] for k in chosen])
     expected = by @ lines.parameter_covariance @ by.T
-    expected[:6, :6] += lines.own_covariance_mm2[2]
-    expected[6:, 6:] += lines.own_covariance_mm2[0]
+    expected[:6, :6] += lines.fragment_covariance_mm2[2]
+    expected[6:, 6:] += lines.fragment_covariance_mm2[0]
     np.testing.assert_allclose(lines.joint_covariance_mm2(chosen), expected)
     np.testing.assert_allclose(lines.covariance_mm2[2], expected[:6, :6])
 
@@ -32,7 +32,10 @@ def test_a_motion_that_all_lines_share_leaves_their_distance_as_it_is(lines) -> 
     """The cameras' only error shifts all ends alike."""
     shift = np.tile(np.eye(3), (2, 1))
     moved = UncertainLines(
-        lines.ends_mm, 1e-6 * lines.own_covariance_mm2, np.stack([shift] * 3), 100.0 * np.eye(3)
+        lines.ends_mm,
+        1e-6 * lines.fragment_covariance_mm2,
+        np.stack([shift] * 3),
+        100.0 * np.eye(3),
     )
     assert moved.measure(distance_mm, 0, 1).sigma < 0.1
     assert moved.measure(lambda first: first[0, 0], 0).sigma == pytest.approx(10.0, rel=1e-3)

@@ -7,7 +7,12 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 import trinoc
-from trinoc.image.grey import grey_image, why_interlaced, why_mixed, why_mosaic
+from trinoc.image.grey import (
+    describe_interlacing,
+    describe_mixed_pixels,
+    describe_mosaic,
+    grey_image,
+)
 from trinoc.io.demo import demo_images
 
 SHAPE = (16, 17, 3)
@@ -64,7 +69,7 @@ def with_fields(picture, moved_px):
 def test_an_interlaced_picture_is_named_whatever_its_levels(kind, moved_px):
     picture = with_fields(demo_images(kind)["left"], moved_px)
     for seen in (picture, picture // 2, picture.astype(np.uint16) * 16, picture / 255.0):
-        said = why_interlaced(grey_image(seen))
+        said = describe_interlacing(grey_image(seen))
         assert said is not None
         assert "interlaced" in said
 
@@ -73,13 +78,15 @@ def test_a_picture_of_one_moment_is_not_called_interlaced():
     noise = np.random.default_rng(3)
     for kind in ("scene", "sheet"):
         for picture in demo_images(kind).values():
-            assert why_interlaced(grey_image(picture)) is None
-            assert why_interlaced(grey_image(with_fields(picture, 8).T)) is None
-            assert why_interlaced(grey_image(with_fields(picture, 0))) is None
+            assert describe_interlacing(grey_image(picture)) is None
+            assert describe_interlacing(grey_image(with_fields(picture, 8).T)) is None
+            assert describe_interlacing(grey_image(with_fields(picture, 0))) is None
             noisy = np.clip(picture + noise.normal(0, 20, picture.shape), 0, 255)
-            assert why_interlaced(grey_image(noisy.astype(np.uint8))) is None
-    assert why_interlaced(grey_image(noise.integers(0, 256, (90, 120), dtype=np.uint8))) is None
-    assert why_interlaced(grey_image(np.zeros((16, 16), np.uint8))) is None
+            assert describe_interlacing(grey_image(noisy.astype(np.uint8))) is None
+    assert (
+        describe_interlacing(grey_image(noise.integers(0, 256, (90, 120), dtype=np.uint8))) is None
+    )
+    assert describe_interlacing(grey_image(np.zeros((16, 16), np.uint8))) is None
 
 
 def as_mosaic(picture, red, blue):
@@ -101,26 +108,29 @@ def test_a_raw_mosaic_is_named_whatever_its_levels_and_first_colour(kind, red, b
         picture.astype(np.uint16) * 16,
         picture / 255,
     ):
-        assert "bayer=" in (why_mosaic(grey_image(seen)) or "")
-        assert why_mixed(grey_image(seen)) is not None
+        assert "bayer=" in (describe_mosaic(grey_image(seen)) or "")
+        assert describe_mixed_pixels(grey_image(seen)) is not None
     colours = cv2.cvtColor(picture, cv2.COLOR_BayerRGGB2RGB)
-    assert why_mosaic(grey_image(colours)) is None
+    assert describe_mosaic(grey_image(colours)) is None
 
 
 def test_grey_pictures_are_no_mosaics():
     noise = np.random.default_rng(4)
     for kind in ("scene", "sheet"):
         for picture in demo_images(kind).values():
-            assert why_mixed(grey_image(picture)) is None
-            assert why_mosaic(grey_image(as_mosaic(picture, 0.98, 1.0))) is None
+            assert describe_mixed_pixels(grey_image(picture)) is None
+            assert describe_mosaic(grey_image(as_mosaic(picture, 0.98, 1.0))) is None
     for size in (16, 33, 90):
-        assert why_mosaic(grey_image(noise.integers(0, 256, (size, size), dtype=np.uint8))) is None
-    assert why_mosaic(grey_image(np.zeros((16, 16), np.uint8))) is None
+        assert (
+            describe_mosaic(grey_image(noise.integers(0, 256, (size, size), dtype=np.uint8)))
+            is None
+        )
+    assert describe_mosaic(grey_image(np.zeros((16, 16), np.uint8))) is None
 
 
 def test_fine_texture_that_alternates_both_ways_is_of_one_moment():
     texture = np.zeros((90, 120), np.uint8)
     texture[::2, :60] = 200
-    assert why_interlaced(grey_image(texture)) is not None
+    assert describe_interlacing(grey_image(texture)) is not None
     texture[:, 60::2] = 200
-    assert why_interlaced(grey_image(texture)) is None
+    assert describe_interlacing(grey_image(texture)) is None

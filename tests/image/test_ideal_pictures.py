@@ -124,9 +124,9 @@ def test_depth_and_colours_are_kept(dtype, channels):
 @pytest.mark.parametrize(
     ("picture", "says"),
     [
-        (np.zeros((48, 51), np.uint8), "51 x 48 px, but the lens is of pictures of 512 x 480"),
-        (np.zeros(7, np.uint8), "give one of that size"),
-        (np.zeros((480, 512), bool), "The picture is of bool"),
+        (np.zeros((48, 51), np.uint8), "51 x 48 px, but the lens belongs to pictures of 512 x 480"),
+        (np.zeros(7, np.uint8), "Give one of that size"),
+        (np.zeros((480, 512), bool), "The picture has type bool"),
     ],
 )
 def test_what_is_no_picture_of_the_lens_is_refused(picture, says):

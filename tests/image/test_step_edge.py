@@ -71,7 +71,7 @@ def fitted(level: np.ndarray, noise: float, precision: np.ndarray, prior: np.nda
 def test_profiles_scatter_as_their_variance_says(known_blur: bool) -> None:
     precision = np.array([0.0, 0.0, 0.0, 1e8 if known_blur else 0.0])
     found = fitted(profiles(600, 4.0), 4.0, precision)
-    z = (found.place_px - TRUE[0]) / np.sqrt(found.variance_px2)
+    z = (found.position_px - TRUE[0]) / np.sqrt(found.variance_px2)
     assert abs(z.mean()) < 0.15
     assert np.square(z).mean() == pytest.approx(1.0, abs=0.17)
     # Levels less the unknowns that no prior holds.
@@ -88,7 +88,7 @@ def test_what_is_known_beforehand_is_weighed_against_the_profile() -> None:
     own = 1 / fitted(level, 2.0, held).variance_px2[0]
     prior = TRUE + 0.01 * PLACE
     both = fitted(level, 2.0, held + own * PLACE, prior)
-    assert both.place_px[0] - TRUE[0] == pytest.approx(0.005, rel=0.02)
+    assert both.position_px[0] - TRUE[0] == pytest.approx(0.005, rel=0.02)
     assert both.variance_px2[0] == pytest.approx(0.5 / own, rel=1e-3)
     assert alone.variance_px2[0] > 1 / own
 

@@ -108,7 +108,7 @@ ERRORS = {
         lambda: trinoc.match_segments(
             {n: np.r_[e, [[5, 5, 5, 5]]] for n, e in seen(RIG, along([1, 0, 0])).items()}, RIG
         ),
-        "has two equal ends (1 such segments in all): remove them before matching.",
+        "has two equal ends (1 such segments in all). Remove them before matching.",
     ),
     "mirrored rig": (
         lambda: trinoc.match_segments(

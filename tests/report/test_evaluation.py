@@ -126,7 +126,7 @@ def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
     moved = lines.ends_mm[alone] - tracks.ends_mm[of]
     way = tracks.ends_mm[of, 1] - tracks.ends_mm[of, 0]
     np.testing.assert_allclose((moved @ way[:, :, None])[..., 0], 0.0, atol=1e-6)
-    sigma = np.sqrt(np.trace(lines.own_covariance_mm2[alone], axis1=1, axis2=2))
+    sigma = np.sqrt(np.trace(lines.fragment_covariance_mm2[alone], axis1=1, axis2=2))
     assert (np.linalg.norm(moved, axis=(1, 2)) < sigma).all()
     np.testing.assert_allclose(lines.by_parameters[alone], tracks.by_parameters[of], atol=1e-9)
     assert 0 < len(lines_of_form(matches, rig, "corners")) <= len(matches)

@@ -10,10 +10,10 @@ from trinoc.geometry.segments import Segments
 from trinoc.image.light import Light
 from trinoc.segments import find_segments
 from trinoc.segments.nevatia_babu.chains import order_chains
-from trinoc.segments.nevatia_babu.errors import find_overlaps, without_neighbours
 from trinoc.segments.nevatia_babu.line_fit import fit_lines, merge_collinear, refit_lines
+from trinoc.segments.nevatia_babu.masks import combined_kernel
+from trinoc.segments.nevatia_babu.neighbours import find_overlaps, without_neighbours
 from trinoc.segments.nevatia_babu.runs import find_runs, full_level
-from trinoc.segments.nevatia_babu.thinning import combined_kernel
 
 HEIGHT, WIDTH = 120, 150
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from trinoc.segments import nevatia_babu_masks
-from trinoc.segments.nevatia_babu.thinning import (
+from trinoc.segments.nevatia_babu.masks import (
     combined_kernel,
     correlate_gradient,
     mask_gradient_directions,

@@ -5,12 +5,12 @@ import pytest
 from scipy.special import erf
 
 from trinoc.segments import find_segments
-from trinoc.segments.nevatia_babu.accept import Shifts
 from trinoc.segments.nevatia_babu.errors import (
     ErrorModel,
     inflate_variance,
     noise_variance,
 )
+from trinoc.segments.nevatia_babu.side_slopes import Shifts
 from trinoc.segments.tuning import DEFAULT
 
 SEEDS = 60

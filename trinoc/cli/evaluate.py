@@ -101,7 +101,7 @@ class EvaluateCommand(Command):
         """The compared lines, with the cameras' errors where the rig states them."""
         import numpy as np
 
-        from trinoc.evaluation.lines_of_rig import certain_lines, lines_of_form
+        from trinoc.evaluation.lines_of_rig import independent_lines, lines_of_form
         from trinoc.match.tracks.matches import TRINOCULAR
 
         kept = matches.posterior >= self.least_posterior
@@ -109,7 +109,7 @@ class EvaluateCommand(Command):
             kept &= matches.stage == TRINOCULAR
         tracks = matches.take(np.flatnonzero(kept))
         if rig is None:
-            return certain_lines(tracks.lines_mm, tracks.covariance_mm2)
+            return independent_lines(tracks.lines_mm, tracks.covariance_mm2)
         return lines_of_form(tracks, rig, self.form)
 
 

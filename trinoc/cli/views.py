@@ -205,7 +205,7 @@ def read_segments(
     quiet: bool,
 ) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
     """(the pictures among the files, the segments of all): read, or found in the pictures."""
-    from trinoc.image.grey import grey_image, why_mixed
+    from trinoc.image.grey import describe_mixed_pixels, grey_image
     from trinoc.io.images import expect_inside, expect_size, read_views
     from trinoc.io.segment_table import load_segments
 
@@ -218,7 +218,7 @@ def read_segments(
         for name in each(tuple(files), "segments", quiet=quiet)
     }
     for name, image in images.items():
-        mixed = why_mixed(grey_image(image))
+        mixed = describe_mixed_pixels(grey_image(image))
         if mixed is not None:
             LOGGER.warning('%s, the picture of "%s": %s', files[name], name, mixed)
     for name, found in segments.items():

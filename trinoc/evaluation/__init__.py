@@ -1,1 +1,1 @@
-"""How accurate lines in space are: against known shapes, made scenes and published matches."""
+"""Accuracy of 3-D lines: comparison with known shapes, synthetic scenes and published matches."""

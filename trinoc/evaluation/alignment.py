@@ -1,8 +1,8 @@
-"""The rigid motion that lays lines on known edges, where the two stand in different frames.
+"""Rigid alignment of 3-D lines to known edges, if they are in different frames.
 
-Points along the lines are drawn to the nearest edges, across them only (point to line), under
-the loss of Geman and McClure, whose scale narrows from a share of the shape's size to the errors
-that are left: wrong lines lose their say. Scale is not free: it is what is measured.
+Points along the lines move toward the nearest edges, only across them (point to line), under the
+Geman-McClure loss. Its scale shrinks from a share of the shape's size to the remaining errors, so
+that wrong lines lose their weight. Scale is not estimated: it is part of the measured error.
 """
 
 from typing import NamedTuple
@@ -19,16 +19,27 @@ from trinoc.numerics.tails import MAD_TO_SIGMA
 STEP_MM_PER_SIZE = 0.01
 FIRST_SCALE_PER_SIZE, SCALE_RATIO = 0.1, 2.0
 MOST_STEPS = 30
-# Steps below this share of the scale change no point's nearest edge that matters.
+# Convergence: steps below this share of the scale.
 _SMALL_STEP = 1e-3
-# The loss is quadratic well within this many robust sigmas of what is left.
+# Final scale of the loss, in robust sigmas of the remaining distances.
 _LAST_SCALE_SIGMAS = 3.0
-# Singular values below this share of the largest leave a motion free: edges along one direction.
+# Directions with singular values below this share of the largest are free, for example along
+# parallel edges.
 _RANK_TOLERANCE = 1e-6
 
 
 class RigidMotion(NamedTuple):
-    """x -> rotation x + shift_mm, and how many of its six numbers the edges determined."""
+    """Rigid motion x -> rotation x + shift_mm.
+
+    Attributes
+    ----------
+    rotation : (3, 3)
+        Rotation matrix.
+    shift_mm : (3,)
+        Translation.
+    rank : int
+        Number of the six parameters that the edges determine.
+    """
 
     rotation: Float[np.ndarray, "3 3"]
     shift_mm: Float[np.ndarray, "3"]
@@ -36,19 +47,19 @@ class RigidMotion(NamedTuple):
 
     @property
     def turn_deg(self) -> float:
-        """Angle of the rotation."""
+        """Angle of the rotation, degrees."""
         return float(np.degrees(Rotation.from_matrix(self.rotation).magnitude()))
 
-    def of_points(self, points_mm: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Points after the motion."""
+    def move_points(self, points_mm: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Apply the motion to points, (..., 3) mm."""
         return points_mm @ self.rotation.T + self.shift_mm
 
-    def of_lines(self, lines: UncertainLines) -> UncertainLines:
-        """Lines and their covariance after the motion, which itself counts as exact."""
+    def move_lines(self, lines: UncertainLines) -> UncertainLines:
+        """Apply the motion to lines and their covariance; the motion itself is assumed exact."""
         both = np.kron(np.eye(2), self.rotation)
         return UncertainLines(
-            self.of_points(lines.ends_mm),
-            both @ lines.own_covariance_mm2 @ both.T,
+            self.move_points(lines.ends_mm),
+            both @ lines.fragment_covariance_mm2 @ both.T,
             both @ lines.by_parameters,
             lines.parameter_covariance,
         )
@@ -57,11 +68,21 @@ class RigidMotion(NamedTuple):
 def align(
     lines_mm: Float[np.ndarray, "t 2 3"], edges_mm: Float[np.ndarray, "m 2 3"]
 ) -> RigidMotion:
-    """The motion of lines that lays them on the edges, from where they stand.
+    """Estimate the rigid motion that aligns lines with edges.
 
-    They must stand near: the search starts from the identity and reaches about a tenth of the
-    shape's size. What the edges leave free (a slide along edges that are all parallel) does not
-    move, and `rank` is then below 6.
+    Parameters
+    ----------
+    lines_mm : (t, 2, 3)
+        Lines, already close to the edges: the search starts at the identity and converges from
+        about a tenth of the shape's size.
+    edges_mm : (m, 2, 3)
+        Known edges.
+
+    Returns
+    -------
+    RigidMotion
+        If the edges leave a motion free, such as a shift along parallel edges, that component is
+        zero and `rank` is below 6.
     """
     size = float(np.linalg.norm(np.ptp(edges_mm.reshape(-1, 3), axis=0)))
     centre = edges_mm.mean(axis=(0, 1))
@@ -92,18 +113,17 @@ def _step(
     edges: Float[np.ndarray, "m 2 3"],
     scale: float,
 ) -> tuple[Float[np.ndarray, "6"], int, float]:
-    """One Gauss-Newton step: (turn and shift, rank), and the robust sigma of the distances that
-    were left before it."""
-    near = nearest_segments(points, edges)
-    first, along = edges[near.segment, 0], edges[near.segment, 1] - edges[near.segment, 0]
+    """(turn and shift, rank, robust sigma of the distances before the step), by Gauss-Newton."""
+    nearest = nearest_segments(points, edges)
+    first, along = edges[nearest.segment, 0], edges[nearest.segment, 1] - edges[nearest.segment, 0]
     along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
     across = np.eye(3) - along[:, :, None] * along[:, None, :]
     residual = np.einsum("nij,nj->ni", across, points - first)
-    trust = weight * GemanMcClure.from_scale(scale).weight(near.distance_mm**2)
-    # A small turn about an axis moves a point by the product of the axis and the point.
+    trust = weight * GemanMcClure.from_scale(scale).weight(nearest.distance_mm**2)
+    # A small rotation about an axis moves a point by the cross product of axis and point.
     by_turn = np.cross(np.eye(3), points[:, None]).mT
     jacobian = across @ np.concatenate([by_turn, np.broadcast_to(np.eye(3), by_turn.shape)], axis=2)
     normal = np.einsum("n,nij,nik->jk", trust, jacobian, jacobian)
     gradient = np.einsum("n,nij,ni->j", trust, jacobian, residual)
     change, _, rank, _ = np.linalg.lstsq(normal, -gradient, rcond=_RANK_TOLERANCE)
-    return change, int(rank), MAD_TO_SIGMA * float(np.median(near.distance_mm))
+    return change, int(rank), MAD_TO_SIGMA * float(np.median(nearest.distance_mm))

@@ -1,4 +1,7 @@
-"""How accurate is a shape that segments give? Lines in space against known edges."""
+"""Evaluation of 3-D lines against known edges.
+
+Reports distances, precision, completeness and normalised errors.
+"""
 
 import enum
 from collections.abc import Sequence
@@ -12,7 +15,7 @@ from trinoc.errors import InputError
 from trinoc.evaluation.alignment import RigidMotion, align
 from trinoc.evaluation.distances import measure_near_lengths
 from trinoc.evaluation.known_shape import KnownShape
-from trinoc.evaluation.lines_of_rig import certain_lines
+from trinoc.evaluation.lines_of_rig import independent_lines
 from trinoc.evaluation.lines_on_edges import angles_deg, edge_of_lines, offsets_across, select_lines
 from trinoc.evaluation.normalised_errors import NormalisedErrors, normalised_errors
 from trinoc.geometry.uncertain_lines import UncertainLines
@@ -23,25 +26,25 @@ from trinoc.synth.truth import SceneTruth
 
 TOLERANCES_MM = (0.1, 0.25, 0.5, 1.0)
 SAMPLE_STEP_MM = 0.25
-# Longer shapes are sampled at this many places, so that a house takes no longer than a block.
+# Largest number of samples: larger shapes get a larger step.
 MOST_SAMPLES = 50_000
-# Fewer lines than this do not hold a rigid motion down.
+# Fewest lines that determine a rigid motion.
 LEAST_LINES_TO_ALIGN = 3
 
 
 class EvaluationStatus(enum.Enum):
-    """Whether there was something to compare, in a sentence."""
+    """Result of the comparison, as a sentence; all but COMPARED have a remedy."""
 
     COMPARED = "Lines were compared with the known edges."
-    NO_LINES = "There is no line to compare: match segments first, or ask for a lower posterior."
-    NO_EDGES = "The known shape has no edge: give a file that has some."
+    NO_LINES = "There is no line to compare. Match segments first, or accept a lower posterior."
+    NO_EDGES = "The known shape has no edge. Give a file with edges."
     NOTHING_NEAR = (
-        "No line lies on a known edge: check that both are in millimetres and in the same frame."
+        "No line lies on a known edge. Check that both are in millimetres and in the same frame."
     )
 
 
 class ErrorQuantiles(NamedTuple):
-    """Half, 90 % and 95 % of all errors are at most this."""
+    """Median, 90 % and 95 % quantiles of errors."""
 
     median: float
     at_90: float
@@ -50,36 +53,48 @@ class ErrorQuantiles(NamedTuple):
 
 @runtime_checkable
 class LinesInSpace(Protocol):
-    """Anything that holds 3-D segments with covariance, as the matcher's answer does."""
+    """Any value with 3-D segments and their covariance, such as `Matches`."""
 
     @property
     def lines_mm(self) -> Float[np.ndarray, "t 2 3"]:
-        """Their ends."""
+        """Ends of the segments, (t, 2, 3)."""
         ...
 
     @property
     def covariance_mm2(self) -> Float[np.ndarray, "t 6 6"]:
-        """Of the ends of each."""
+        """Covariance of the ends of each segment, (t, 6, 6)."""
         ...
 
 
 class Evaluation(Displayable, Value):
-    """Lines in space beside known edges.
+    """Comparison of 3-D lines with known edges.
 
-    Fields
-    ------
-    status : whether there was something to compare. Where not, numbers are 0 or NaN.
-    wanted : in words, what completeness asks for.
-    lines : (t,) the edge on which each line lies, -1 where on none.
-    length_put_out_mm : of all lines together.
-    length_wanted_mm : of all that ought to be found.
-    tolerances_mm : distances at which the next two are given.
-    precision : share of the length put out that lies within each distance of an edge.
-    completeness : share of the wanted length within each distance of a line.
-    distance_mm : of the length put out from the nearest edge.
-    angle_deg : of the lines that lie on an edge, with it.
-    normalised : errors across of the lines that lie on an edge, in units of what they claim.
-    motion : what laid the lines on the shape, where that was asked for; figures are those after.
+    Attributes
+    ----------
+    status : EvaluationStatus
+        COMPARED, or the reason why nothing was compared. Numbers are then 0 or NaN.
+    wanted : str
+        Description of the edges that completeness refers to.
+    lines : (t,)
+        Edge that each line lies on; -1 for none.
+    length_put_out_mm : float
+        Total length of the lines.
+    length_wanted_mm : float
+        Total length of the edges that should be detected.
+    tolerances_mm : tuple of float
+        Distances of `precision` and `completeness`.
+    precision : tuple of float
+        Share of the lines' length within each distance of an edge.
+    completeness : tuple of float
+        Share of the wanted length within each distance of a line.
+    distance_mm : ErrorQuantiles
+        Distance of the lines' length from the nearest edge.
+    angle_deg : ErrorQuantiles
+        Angle between lines and their edges.
+    normalised : NormalisedErrors
+        Errors across the lines that lie on an edge, in sigmas.
+    motion : RigidMotion or None
+        Motion of the alignment, if requested. All figures apply after it.
     """
 
     status: EvaluationStatus = eqx.field(static=True)
@@ -96,11 +111,11 @@ class Evaluation(Displayable, Value):
     motion: RigidMotion | None
 
     def record(self) -> dict[str, Any]:
-        """All numbers by name, as a row of a table; NaN where there is none."""
+        """All numbers by name, as a row of a table; NaN if undefined."""
         shares = {
-            f"{name}_{at:g}mm": share
+            f"{name}_{tolerance:g}mm": share
             for name in ("precision", "completeness")
-            for at, share in zip(self.tolerances_mm, getattr(self, name), strict=True)
+            for tolerance, share in zip(self.tolerances_mm, getattr(self, name), strict=True)
         }
         return {
             "lines": len(self.lines),
@@ -124,49 +139,61 @@ def evaluate(
     tolerances_mm: Sequence[float] = TOLERANCES_MM,
     aligned: bool = False,
 ) -> Evaluation:
-    """Distances, precision, completeness and normalised errors of lines against known edges.
+    """Compare 3-D lines with known edges.
 
     Parameters
     ----------
-    lines : Matches, a Wireframe, or a refinement's `lines` (then with the errors that the cameras
-        share), or bare ends, of which nothing is claimed.
-    shape : known edges in the same frame, of `trinoc.io.load_shape` or as ends in mm; of a made
-        scene those parts are wanted that two pictures show.
-    tolerances_mm : distances at which precision and completeness are given; within the largest, a
-        line lies on an edge.
-    aligned : lay the lines on the shape by a rigid motion first. It takes up six numbers of the
-        error, and `motion` says which.
+    lines : Matches, Wireframe, UncertainLines or (t, 2, 3)
+        Lines with covariance, or their ends only. The `lines` of a refinement include the errors of
+        the cameras.
+    shape : KnownShape, SceneTruth or (m, 2, 3)
+        Known edges in the same frame, for example from `trinoc.io.load_shape`, or ends in mm. Of a
+        synthetic scene, the parts visible in two images are wanted.
+    tolerances_mm : sequence of float
+        Distances of precision and completeness. A line lies on an edge within the largest.
+    aligned : bool
+        Align the lines with the shape by a rigid motion first. This removes six parameters from the
+        error; `motion` reports them.
 
-    Lengths are sampled every quarter of a millimetre, or at 50,000 places where those are fewer.
-    Raises InputError for tolerances that are not positive and for coordinates that are not finite.
+    Returns
+    -------
+    Evaluation
+        Lengths are sampled every 0.25 mm, or at 50,000 points if that is less.
+
+    Raises
+    ------
+    InputError
+        If a tolerance is not positive or a coordinate is not finite.
     """
-    claimed, known = _as_lines(lines), _as_shape(shape)
+    lines_with_errors, known_shape = _as_lines(lines), _as_shape(shape)
     tolerances = tuple(sorted(float(tolerance) for tolerance in tolerances_mm))
     if not tolerances or not tolerances[0] > 0:
         raise InputError("The tolerances must be one or more positive distances in millimetres.")
     motion = None
-    if aligned and len(claimed) >= LEAST_LINES_TO_ALIGN and len(known.edges_mm):
-        motion = align(claimed.ends_mm, known.edges_mm)
-        claimed = motion.of_lines(claimed)
-    ends, edges, reach = claimed.ends_mm, known.edges_mm, tolerances[-1]
-    put_out = measure_near_lengths(ends, edges, _step_mm(ends))
-    wanted = measure_near_lengths(known.wanted_mm, ends, _step_mm(known.wanted_mm))
+    if aligned and len(lines_with_errors) >= LEAST_LINES_TO_ALIGN and len(known_shape.edges_mm):
+        motion = align(lines_with_errors.ends_mm, known_shape.edges_mm)
+        lines_with_errors = motion.move_lines(lines_with_errors)
+    ends, edges, reach = lines_with_errors.ends_mm, known_shape.edges_mm, tolerances[-1]
+    line_lengths = measure_near_lengths(ends, edges, _step_mm(ends))
+    wanted_lengths = measure_near_lengths(
+        known_shape.wanted_mm, ends, _step_mm(known_shape.wanted_mm)
+    )
     edge_of = edge_of_lines(ends, edges, reach)
     on = np.flatnonzero(edge_of >= 0)
-    offsets = offsets_across(select_lines(claimed, on), edges[edge_of[on]])
+    offsets = offsets_across(select_lines(lines_with_errors, on), edges[edge_of[on]])
     angles = angles_deg(ends[on], edges[edge_of[on]])
     return Evaluation(
-        _status(claimed, known, put_out.share_within(reach)),
-        known.wanted,
+        _status(lines_with_errors, known_shape, line_lengths.share_within(reach)),
+        known_shape.wanted,
         edge_of,
-        float(put_out.length_mm.sum()),
-        float(wanted.length_mm.sum()),
+        float(line_lengths.length_mm.sum()),
+        float(wanted_lengths.length_mm.sum()),
         tolerances,
-        tuple(put_out.share_within(at) for at in tolerances),
-        tuple(wanted.share_within(at) for at in tolerances),
-        _quantiles(*put_out),
+        tuple(line_lengths.share_within(tolerance) for tolerance in tolerances),
+        tuple(wanted_lengths.share_within(tolerance) for tolerance in tolerances),
+        _quantiles(*line_lengths),
         _quantiles(angles, np.ones(len(angles))),
-        normalised_errors(offsets, claimed.parameter_covariance),
+        normalised_errors(offsets, lines_with_errors.parameter_covariance),
         motion,
     )
 
@@ -180,23 +207,23 @@ def _as_lines(lines: LinesInSpace | UncertainLines | ArrayLike) -> UncertainLine
             covariance = np.zeros((len(ends), 6, 6))
         if covariance.shape != (len(ends), 6, 6):
             raise InputError(
-                f"The covariance has shape {covariance.shape}, but that of the ends of {len(ends)} "
-                "lines is needed, (t, 6, 6): give `certain_lines(lines_mm, covariance_mm2)`."
+                f"The covariance has shape {covariance.shape}, but {len(ends)} lines need "
+                "(t, 6, 6). Give `independent_lines(lines_mm, covariance_mm2)`."
             )
-        lines = certain_lines(ends, covariance)
+        lines = independent_lines(ends, covariance)
     if not np.isfinite(lines.ends_mm).all():
-        raise InputError("The lines have ends that are not finite: leave such lines out.")
-    # A line without length has no direction, and nothing lies on it.
+        raise InputError("The lines have ends that are not finite. Remove such lines.")
+    # A line of length 0 has no direction.
     length = np.linalg.norm(lines.ends_mm[:, 1] - lines.ends_mm[:, 0], axis=1)
     return select_lines(lines, np.flatnonzero(length > 0))
 
 
-def _as_ends(given: object, name: str, wanted: str) -> Float[np.ndarray, "n 2 3"]:
+def _as_ends(value: object, name: str, expected: str) -> Float[np.ndarray, "n 2 3"]:
     try:
-        return np.asarray(given, dtype=np.float64).reshape(-1, 2, 3)
+        return np.asarray(value, dtype=np.float64).reshape(-1, 2, 3)
     except (TypeError, ValueError) as error:
         raise InputError(
-            f"The {name} hold no ends of lines in space: give {wanted}, or (n, 2, 3) numbers in mm."
+            f"The {name} contain no ends of 3-D lines. Give {expected}, or (n, 2, 3) numbers in mm."
         ) from error
 
 
@@ -207,16 +234,16 @@ def _as_shape(shape: KnownShape | SceneTruth | ArrayLike) -> KnownShape:
         return shape
     edges = _as_ends(shape, "known edges", "what load_shape reads from a file")
     if not np.isfinite(edges).all():
-        raise InputError("The known edges have ends that are not finite: leave such edges out.")
+        raise InputError("The known edges have ends that are not finite. Remove such edges.")
     return KnownShape.of_edges(edges)
 
 
-def _status(lines: UncertainLines, shape: KnownShape, near: float) -> EvaluationStatus:
+def _status(lines: UncertainLines, shape: KnownShape, share_near: float) -> EvaluationStatus:
     if len(shape.edges_mm) == 0:
         return EvaluationStatus.NO_EDGES
     if len(lines) == 0:
         return EvaluationStatus.NO_LINES
-    return EvaluationStatus.COMPARED if near > 0 else EvaluationStatus.NOTHING_NEAR
+    return EvaluationStatus.COMPARED if share_near > 0 else EvaluationStatus.NOTHING_NEAR
 
 
 def _step_mm(segments_mm: Float[np.ndarray, "n 2 3"]) -> float:
@@ -225,12 +252,14 @@ def _step_mm(segments_mm: Float[np.ndarray, "n 2 3"]) -> float:
 
 
 def _quantiles(errors: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]) -> ErrorQuantiles:
-    """Of errors that stand for lengths, or count one each; NaN where there is none."""
+    """Weighted quantiles of errors; NaN if there are none."""
     if weight.sum() == 0 or not np.isfinite(errors).all():
         return ErrorQuantiles(*[float("nan")] * 3)
-    at = np.quantile(errors, [0.5, 0.9, 0.95], weights=weight, method="inverted_cdf")
-    return ErrorQuantiles(*at.tolist())
+    quantiles = np.quantile(errors, [0.5, 0.9, 0.95], weights=weight, method="inverted_cdf")
+    return ErrorQuantiles(*quantiles.tolist())
 
 
 def _name_quantiles(name: str, unit: str, quantiles: ErrorQuantiles) -> dict[str, float]:
-    return {f"{name}_{at}_{unit}": q for at, q in zip(("median", 90, 95), quantiles, strict=True)}
+    return {
+        f"{name}_{level}_{unit}": q for level, q in zip(("median", 90, 95), quantiles, strict=True)
+    }

@@ -1,4 +1,4 @@
-"""A shape whose edges are known: what lines in space are compared with."""
+"""Known shapes: edges that 3-D lines are compared with."""
 
 import equinox as eqx
 import numpy as np
@@ -11,23 +11,28 @@ from trinoc.numerics.values import Value
 from trinoc.synth.truth import SceneTruth, parts_in_views_mm, points_along, shown_parts_mm
 from trinoc.synth.visibility import visible_parts
 
-# Grey levels that differ by less across an edge do not show it.
+# Smallest difference of grey levels across a visible edge.
 GREY_STEP = 8.0
 EVERY_EDGE = "every edge"
-# Triangles times edges whose hiding is computed at once, which bounds the memory.
-_AT_ONCE = 1_000_000
+# Largest number of triangle-edge pairs per block, to bound memory.
+_PAIRS_PER_BLOCK = 1_000_000
 
 
 class KnownShape(Value):
-    """Edges in space, and which parts of them ought to be found.
+    """Edges in space, and the parts of them that should be detected.
 
-    Fields
-    ------
-    edges_mm : (m, 2, 3) ends of every edge. What lies on one of them is right.
-    wanted_edge : (k,) edge of each part that ought to be found.
-    wanted_extent : (k, 2) from where to where along it, 0 at its first end and 1 at its second.
-    triangles_mm : (f, 3, 3) faces that hide what is behind them; none where not known.
-    wanted : in words, what ought to be found.
+    Attributes
+    ----------
+    edges_mm : (m, 2, 3)
+        Ends of every edge. A line on any of them is right.
+    wanted_edge : (k,)
+        Edge of each part that should be detected.
+    wanted_extent : (k, 2)
+        Start and stop of the part along the edge: 0 at its first end, 1 at its second.
+    triangles_mm : (f, 3, 3)
+        Faces that hide edges behind them; empty if unknown.
+    wanted : str
+        Description of the wanted parts.
     """
 
     edges_mm: Float[np.ndarray, "m 2 3"]
@@ -42,18 +47,18 @@ class KnownShape(Value):
         edges_mm: Float[np.ndarray, "m 2 3"],
         triangles_mm: Float[np.ndarray, "f 3 3"] | None = None,
     ) -> "KnownShape":
-        """A shape of which every edge ought to be found."""
+        """Shape whose edges should all be detected."""
         count = len(edges_mm)
         faces = np.zeros((0, 3, 3)) if triangles_mm is None else triangles_mm
-        whole = np.tile([0.0, 1.0], (count, 1))
-        return cls(edges_mm, np.arange(count), whole, faces, EVERY_EDGE)
+        full_extent = np.tile([0.0, 1.0], (count, 1))
+        return cls(edges_mm, np.arange(count), full_extent, faces, EVERY_EDGE)
 
     @classmethod
     def of_scene(cls, truth: SceneTruth, *, grey_step: float = GREY_STEP) -> "KnownShape":
-        """A made scene, of which the straight parts ought to be found that two pictures show.
+        """Shape of a synthetic scene: straight edges visible in two images should be detected.
 
-        Grey levels differ by `grey_step` or more across them; what lies on another edge, a chord
-        of a rim too, is right all the same.
+        Visible means a difference of at least `grey_step` grey levels across the edge. Lines on
+        other edges, such as chords of a rim, are also right.
         """
         labelled = SceneTruth(_labels(len(truth.edges_mm)), truth.edge_kinds, truth.seen)
         parts = shown_parts_mm(labelled, views=2, grey_step=grey_step, kinds=("edge",))
@@ -61,41 +66,40 @@ class KnownShape(Value):
         return cls(truth.edges_mm, *_read_labels(parts), np.zeros((0, 3, 3)), wanted)
 
     def seen_by(self, rig: Rig) -> "KnownShape":
-        """The same edges, of which those parts are wanted that two cameras have before them.
+        """The same edges; the parts visible to two cameras should be detected.
 
-        Where faces are known they hide what is behind them; the frames of the pictures always
-        cut.
+        Known faces hide edges behind them. Parts outside the images are never wanted.
         """
-        parts = {name: self._before(camera) for name, camera in rig.items()}
+        visible = {name: self._before(camera) for name, camera in rig.items()}
         labels = _labels(len(self.edges_mm))
-        found = parts_in_views_mm(labels, parts, views=min(2, len(rig)))
-        hidden = "" if len(self.triangles_mm) else ", faces not known"
-        wanted = f"edges that two cameras have before them{hidden}"
-        return type(self)(self.edges_mm, *_read_labels(found), self.triangles_mm, wanted)
+        shared_parts = parts_in_views_mm(labels, visible, views=min(2, len(rig)))
+        remark = "" if len(self.triangles_mm) else ", faces unknown"
+        wanted = f"edges visible to two cameras{remark}"
+        return type(self)(self.edges_mm, *_read_labels(shared_parts), self.triangles_mm, wanted)
 
     def _before(self, camera: Camera) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k 2"]]:
-        """What a camera sees: edge, and from where to where along it."""
+        """(edge, start and stop along it) of the parts that are visible to a camera."""
         edges, extents = [], []
-        step = max(1, _AT_ONCE // max(1, len(self.triangles_mm)))
+        step = max(1, _PAIRS_PER_BLOCK // max(1, len(self.triangles_mm)))
         for part in blocks(len(self.edges_mm), step):
-            seen = visible_parts(camera, self.edges_mm[part], self.triangles_mm)
-            edges.append(part.start + seen.segment)
-            extents.append(seen.extent)
+            visible = visible_parts(camera, self.edges_mm[part], self.triangles_mm)
+            edges.append(part.start + visible.segment)
+            extents.append(visible.extent)
         return np.concatenate(edges), np.concatenate(extents)
 
     @property
     def wants_every_edge(self) -> bool:
-        """Whether nothing is known of what pictures show."""
+        """True if the visibility in images is unknown."""
         return self.wanted == EVERY_EDGE
 
     @property
     def wanted_mm(self) -> Float[np.ndarray, "k 2 3"]:
-        """Ends in space of the parts that ought to be found."""
+        """Ends of the wanted parts, (k, 2, 3)."""
         return points_along(self.edges_mm[self.wanted_edge], self.wanted_extent)
 
 
 def _labels(count: int) -> Float[np.ndarray, "m 2 3"]:
-    """Stand-ins for edges: a point of one says which edge it is on, and where along it."""
+    """Pseudo-edges whose points have the edge's index as x and the position along it as y."""
     labels = np.zeros((count, 2, 3))
     labels[:, :, 0] = np.arange(count)[:, None]
     labels[:, 1, 1] = 1.0

@@ -1,7 +1,7 @@
-"""Matched 3-D segments with the errors that the cameras of their rig pass on to all of them.
+"""Matched 3-D segments with the errors that all of them share through the cameras.
 
-It stands here because it takes the matcher's answer to the calibration's covariance, and these
-two rooms do not know each other.
+This file combines the result of matching with the covariance of the calibration; these two rooms do
+not import each other.
 """
 
 import itertools
@@ -30,49 +30,73 @@ from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.precision import ArrayLike, as_numpy, in_float64
 from trinoc.numerics.programs import kept_jit
 
-# Tracks go through the kernel so many at a time, so that one size compiles.
+# Tracks per call of the kernel, so that one size compiles.
 BLOCK = 128
 TRACKS, JOINED, CORNERS, WIREFRAME = "tracks", "joined", "corners", "wireframe"
 
 
 def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
-    """The matches' lines, whose own covariance is joined by that of the rig's parameters.
+    """Return the matches' lines with the covariance of the rig's parameters.
 
-    A rig without a covariance counts as exact; so do matches that do not hold the covariance of
-    their fragments. Raises InputError where the rig lacks a camera of the matches.
+    Parameters
+    ----------
+    matches : Matches
+        Result of `match_segments`.
+    rig : Rig
+        Rig that the segments were matched with. Without a covariance it is assumed exact; so it is
+        if `matches` lack the covariance of their fragments.
+
+    Returns
+    -------
+    UncertainLines
+
+    Raises
+    ------
+    InputError
+        If the rig lacks a camera of the matches, or its covariance lacks parameters of a pose.
     """
     missing = [name for name in matches.views if name not in rig.names]
     if missing:
         raise InputError(
-            f'The rig has no camera "{missing[0]}", but {list_names(rig)}: give the rig that '
-            "these matches were made with."
+            f'The rig has no camera "{missing[0]}"; it has {list_names(rig)}. Give the rig that '
+            "these segments were matched with."
         )
     rig = rig.take(matches.views)
-    ends, own = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
+    ends, fragment_covariance = np.asarray(matches.lines_mm), np.asarray(matches.covariance_mm2)
     pose_model = _pose_model(rig)
     if pose_model is None or matches.fragments_covariance_px2 is None or len(matches) == 0:
-        return certain_lines(ends, own)
+        return independent_lines(ends, fragment_covariance)
     lines, cameras = matches.line_observations(), [rig[name] for name in matches.views]
     open_lens = any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
-    states = [camera_state(each, pose_model, with_intrinsics=open_lens) for each in cameras]
+    states = [camera_state(camera, pose_model, with_intrinsics=open_lens) for camera in cameras]
     common, by_steps, by_step = _of_fragments(lines, states)
     names = [f"{view}.{parameter}" for view in matches.views for parameter in states[0].names]
     by_parameters = _carry_derivative(by_steps, common, ends) @ np.linalg.inv(by_step)
-    # A lens of which the covariance says nothing is exact.
-    return UncertainLines(ends, own, by_parameters, rig.covariance_of(names))
+    # A lens without parameters in the covariance is assumed exact.
+    return UncertainLines(ends, fragment_covariance, by_parameters, rig.covariance_of(names))
 
 
 @in_float64
 def with_rig_covariance(matches: Matches, rig: Rig) -> Matches:
-    """Matches with `rig_covariance_mm2`: what errors of the rig add to the covariance of each line.
+    """Return matches with `rig_covariance_mm2`, the covariance of each line by errors of the rig.
 
     Parameters
     ----------
-    matches : of `match_segments`; `covariance_mm2` stays that of the segments' errors alone.
-    rig : the rig that they were matched with. The field stays None where its covariance is not
-        known, or not of the poses of all its cameras.
+    matches : Matches
+        Result of `match_segments`. `covariance_mm2` remains that of the segments' errors.
+    rig : Rig
+        Rig that the segments were matched with.
 
-    Raises InputError where the rig lacks a camera of the matches.
+    Returns
+    -------
+    Matches
+        `rig_covariance_mm2` is None if the covariance of the rig is unknown, or lacks the pose of a
+        camera.
+
+    Raises
+    ------
+    InputError
+        If the rig lacks a camera of the matches.
     """
     if set(matches.views) <= set(rig.names):
         rig_of_views = rig.take(matches.views)
@@ -87,36 +111,36 @@ def with_rig_covariance(matches: Matches, rig: Rig) -> Matches:
 
 
 def lines_of_form(matches: Matches, rig: Rig, form: str) -> UncertainLines:
-    """As `lines_of_rig`, of what the tracks are put together to: `JOINED` straight lines, these
-    carried to their `CORNERS`, or the edges of a `WIREFRAME`.
+    """`lines_of_rig` for lines derived from tracks, such as joined lines or a wire frame.
 
-    Such a line follows the cameras as the longest of its tracks does. Raises InputError where the
-    matches do not hold the covariance of their fragments.
+    `form` is TRACKS; JOINED for joined collinear lines; CORNERS for these moved to their corners;
+    WIREFRAME for the edges of the wire frame. A derived line has the camera errors of its longest
+    track. Raises InputError if the matches lack the covariance of their fragments.
     """
     tracks = lines_of_rig(matches, rig)
     if form == TRACKS:
         return tracks
     if form == WIREFRAME:
         answer = wireframe(matches, rig)
-        ends, own = answer.lines_mm, answer.covariance_mm2
+        ends, fragment_covariance = answer.lines_mm, answer.covariance_mm2
     else:
         answer = join_collinear(matches, rig)
-        ends, own = answer.lines_mm, answer.covariance_mm2
+        ends, fragment_covariance = answer.lines_mm, answer.covariance_mm2
         if form == CORNERS:
             snapped = snap_corners(answer)
-            ends, own = snapped.lines_mm, snapped.lines_covariance_mm2
+            ends, fragment_covariance = snapped.lines_mm, snapped.lines_covariance_mm2
     length = np.linalg.norm(tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0], axis=1)
     longest = np.array(
         [t[length[t].argmax()] for t in map(answer.tracks_of, range(len(answer)))], dtype=np.int64
     )
     by_parameters = _carry_derivative(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
-    return UncertainLines(ends, own, by_parameters, tracks.parameter_covariance)
+    return UncertainLines(ends, fragment_covariance, by_parameters, tracks.parameter_covariance)
 
 
-def certain_lines(
+def independent_lines(
     lines_mm: Float[np.ndarray, "t 2 3"], covariance_mm2: Float[np.ndarray, "t 6 6"]
 ) -> UncertainLines:
-    """Lines whose errors are all their own: those of cameras that count as exact."""
+    """Lines with independent errors, for cameras that are assumed exact."""
     count = len(lines_mm)
     return UncertainLines(lines_mm, covariance_mm2, np.zeros((count, 6, 0)), np.zeros((0, 0)))
 
@@ -126,29 +150,32 @@ def _carry_derivative(
     of_ends_mm: Float[np.ndarray, "t 2 3"],
     to_ends_mm: Float[np.ndarray, "t 2 3"],
 ) -> Float[np.ndarray, "t 6 k"]:
-    """The derivative of other ends on the same lines: they are means of those ends."""
+    """Derivative of other ends on the same lines, as linear combinations of the known ends."""
     count = len(of_ends_mm)
     step = of_ends_mm[:, 1] - of_ends_mm[:, 0]
-    place = np.einsum("tei,ti->te", to_ends_mm - of_ends_mm[:, :1], step)
-    place = place / np.sum(step**2, axis=1)[:, None]
-    weight = np.stack([1 - place, place], axis=2)
+    position = np.einsum("tei,ti->te", to_ends_mm - of_ends_mm[:, :1], step)
+    position = position / np.sum(step**2, axis=1)[:, None]
+    weight = np.stack([1 - position, position], axis=2)
     parts = derivative.reshape(count, 2, 3, derivative.shape[2])
     return np.einsum("tef,tfik->teik", weight, parts).reshape(derivative.shape)
 
 
 def _pose_model(rig: Rig) -> PoseModel | None:
-    """What the rig's covariance is of; None where it holds none."""
+    """Pose model of the rig's covariance; None without a covariance.
+
+    Raises InputError if incomplete.
+    """
     pose_model = _known_pose_model(rig)
     if pose_model is None and rig.parameters:
         raise InputError(
-            "The covariance of the rig is not of pan, tilt, swing and distance of every camera: "
-            "calibrate all of them together, or give the rig without a covariance."
+            "The covariance of the rig lacks pan, tilt, swing or distance of a camera. Calibrate "
+            "all cameras together, or give the rig without a covariance."
         )
     return pose_model
 
 
 def _known_pose_model(rig: Rig) -> PoseModel | None:
-    """The parametrization whose parameters of all cameras the rig's covariance holds."""
+    """Pose model with parameters of all cameras in the covariance; None if there is none."""
     for pose_model in (PoseModel.AIM_FREE, PoseModel.AIMED):
         names = itertools.product(rig.names, pose_model.parameter_names)
         if {f"{name}.{parameter}" for name, parameter in names} <= set(rig.parameters):
@@ -160,7 +187,7 @@ def _known_pose_model(rig: Rig) -> PoseModel | None:
 def _of_fragments(
     lines: LineObservations, states: Sequence[CameraState]
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 k"], Float[np.ndarray, "k k"]]:
-    """(ends of the common parts, their Jacobian by the cameras' steps, parameters by steps)."""
+    """(ends of the common parts, Jacobian by the cameras' steps, parameters by steps)."""
     cameras = stack_states(states)
     columns = (lines.fragments_px, lines.covariance_px2, lines.seen)
     of_tracks = in_blocks(partial(_derivatives, cameras), BLOCK, *columns)
@@ -169,10 +196,10 @@ def _of_fragments(
 
 @kept_jit
 def _derivatives(
-    cameras: CameraState, fragments_px: ArrayLike, covariance_px2: ArrayLike, seen: ArrayLike
+    cameras: CameraState, fragments_px: ArrayLike, covariance_px2: ArrayLike, visible: ArrayLike
 ) -> tuple[ArrayLike, ArrayLike]:
     ends, _, by_steps = jax.vmap(segment_and_errors, (None, 0, 0, 0))(
-        cameras, fragments_px, covariance_px2, seen
+        cameras, fragments_px, covariance_px2, visible
     )
     return ends, by_steps
 

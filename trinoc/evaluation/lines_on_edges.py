@@ -1,4 +1,4 @@
-"""Which line in space lies on which edge, how far off, and how far off its covariance lets it."""
+"""Assignment of 3-D lines to known edges, and their offsets with covariance."""
 
 from typing import NamedTuple
 
@@ -10,34 +10,37 @@ from trinoc.geometry.uncertain_lines import UncertainLines
 from trinoc.numerics.vectors import complete_axes
 from trinoc.synth.truth import points_along
 
-# Places along a line at which its nearest edge is asked for; odd, so that one is the middle.
-_PLACES = 9
-# Lines at a larger angle to an edge cross it rather than lie on it.
+# Samples along a line for the nearest edge; odd, so that a median exists.
+_SAMPLES = 9
+# Lines at a larger angle to an edge cross it.
 _CROSSES_DEG = 60.0
 
 
 class OffsetsAcross(NamedTuple):
-    """Of lines that lie on an edge: offsets of the edge across the line at the line's two ends.
+    """Offsets of edges from the two ends of their lines, perpendicular to the lines.
 
-    Fields
-    ------
-    offset_mm : (n, 4) across in two directions at the first end, then at the second.
-    own_mm2 : (n, 4, 4) covariance of the line's ends in these directions, the line's own part.
-    by_parameters : (n, 4, k) how these numbers follow the cameras' parameters.
+    Attributes
+    ----------
+    offset_mm : (n, 4)
+        Offsets in two perpendicular directions at the first end, then at the second.
+    fragment_covariance_mm2 : (n, 4, 4)
+        Covariance of these offsets by the line's own fragments.
+    by_parameters : (n, 4, k)
+        Derivative of the offsets by the camera parameters.
     """
 
     offset_mm: Float[np.ndarray, "n 4"]
-    own_mm2: Float[np.ndarray, "n 4 4"]
+    fragment_covariance_mm2: Float[np.ndarray, "n 4 4"]
     by_parameters: Float[np.ndarray, "n 4 k"]
 
 
 def select_lines(
     lines: UncertainLines, rows: Int[np.ndarray, "n"] | Bool[np.ndarray, "t"]
 ) -> UncertainLines:
-    """Some of the lines, by index or mask."""
+    """Select lines by index or mask."""
     return UncertainLines(
         lines.ends_mm[rows],
-        lines.own_covariance_mm2[rows],
+        lines.fragment_covariance_mm2[rows],
         lines.by_parameters[rows],
         lines.parameter_covariance,
     )
@@ -46,19 +49,21 @@ def select_lines(
 def edge_of_lines(
     lines_mm: Float[np.ndarray, "t 2 3"], edges_mm: Float[np.ndarray, "m 2 3"], reach_mm: float
 ) -> Int[np.ndarray, "t"]:
-    """The edge on which each line lies; -1 where on none.
+    """Edge that each line lies on, (t,); -1 for none.
 
-    A line lies on the edge that is the nearest to most of its length within `reach_mm`, if that
-    is half of its length or more, and it does not cross it.
+    It is the edge nearest to at least half of the line's length, within `reach_mm`, and not at a
+    large angle to the line.
     """
-    place = (np.arange(_PLACES) + 0.5) / _PLACES
-    points = points_along(lines_mm, np.tile(place, (len(lines_mm), 1)))
-    near = nearest_segments(points.reshape(-1, 3), edges_mm)
-    nearest = np.where(near.distance_mm <= reach_mm, near.segment, -1).reshape(-1, _PLACES)
-    # What more than half of them name is in the middle of the names in order.
-    middle = np.sort(nearest, axis=1)[:, _PLACES // 2]
-    most = (nearest == middle[:, None]).sum(axis=1) * 2 > _PLACES
-    edge = np.where(most, middle, -1)
+    position = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    points = points_along(lines_mm, np.tile(position, (len(lines_mm), 1)))
+    nearest_edges = nearest_segments(points.reshape(-1, 3), edges_mm)
+    edge_index = np.where(nearest_edges.distance_mm <= reach_mm, nearest_edges.segment, -1).reshape(
+        -1, _SAMPLES
+    )
+    # A majority value is the median of the sorted indices.
+    middle = np.sort(edge_index, axis=1)[:, _SAMPLES // 2]
+    has_majority = (edge_index == middle[:, None]).sum(axis=1) * 2 > _SAMPLES
+    edge = np.where(has_majority, middle, -1)
     on = np.flatnonzero(edge >= 0)
     crosses = angles_deg(lines_mm[on], edges_mm[edge[on]]) >= _CROSSES_DEG
     edge[on[crosses]] = -1
@@ -68,17 +73,17 @@ def edge_of_lines(
 def angles_deg(
     lines_mm: Float[np.ndarray, "n 2 3"], edges_mm: Float[np.ndarray, "n 2 3"]
 ) -> Float[np.ndarray, "n"]:
-    """Angle of each line with its edge, from 0 to 90 degrees."""
+    """Angle between each line and its edge, 0 to 90 degrees, (n,)."""
     a, b = lines_mm[:, 1] - lines_mm[:, 0], edges_mm[:, 1] - edges_mm[:, 0]
     sine = np.linalg.norm(np.cross(a, b), axis=1)
     return np.degrees(np.arctan2(sine, np.abs(np.sum(a * b, axis=1))))
 
 
 def offsets_across(lines: UncertainLines, edges_mm: Float[np.ndarray, "n 2 3"]) -> OffsetsAcross:
-    """Offsets of the (infinite) line of each edge in the planes normal to a line at its ends.
+    """Offsets of each edge's (infinite) line in the planes normal to a line at its two ends.
 
-    The planes are those of the line, not of the edge, so that what is not known of an end's
-    place along the line does not enter.
+    The planes belong to the line, not to the edge. So the uncertain position of an end along its
+    line has no effect.
     """
     ends = lines.ends_mm
     along = ends[:, 1] - ends[:, 0]
@@ -92,6 +97,6 @@ def offsets_across(lines: UncertainLines, edges_mm: Float[np.ndarray, "n 2 3"]) 
     both[:, :2, :3] = both[:, 2:, 3:] = across
     return OffsetsAcross(
         np.einsum("nai,nei->nea", across, offset).reshape(-1, 4),
-        both @ lines.own_covariance_mm2 @ both.mT,
+        both @ lines.fragment_covariance_mm2 @ both.mT,
         both @ lines.by_parameters,
     )

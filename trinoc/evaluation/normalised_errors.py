@@ -1,4 +1,4 @@
-"""Do the errors have the size that their covariance claims?"""
+"""Normalised errors: errors across lines divided by their reported sigma."""
 
 from typing import NamedTuple
 
@@ -15,19 +15,24 @@ _LARGEST_95 = float(chi_square_quantile(0.95, NUMBERS_PER_LINE))
 
 
 class NormalisedErrors(NamedTuple):
-    """Errors across in units of what the covariance claims; NaN where nothing is claimed.
+    """Statistics of normalised errors; NaN without a covariance.
 
-    Each line has four: its offset across the edge in two directions at two ends, along the
-    principal axes of their covariance. True claims make them numbers of a normal distribution.
+    Each line has four errors: its offset across the edge in two directions at two ends, along the
+    principal axes of their covariance. If the covariance is right, they are standard normal.
 
-    Fields
-    ------
-    lines : how many lines are in.
-    variance : mean square; 1 where the claims are true. A few wrong matches raise it.
-    spread : by how much the claims are too small, from the median line, which a few wrong ones do
-        not move: 1 where the claims are true.
-    share_within : of the four numbers of all lines within 1.96 sigma; 0.95 where they are true.
-    share_of_lines : of lines whose chi-square is below its 95 % quantile.
+    Attributes
+    ----------
+    lines : int
+        Number of lines.
+    variance : float
+        Mean square; 1 if the covariance is right. A few wrong matches raise it.
+    spread : float
+        Ratio of true to reported sigma, from the median chi-square; 1 if the covariance is right. A
+        few wrong matches do not change it.
+    share_within : float
+        Share of the errors within 1.96 sigma; 0.95 if the covariance is right.
+    share_of_lines : float
+        Share of lines with a chi-square below its 95 % quantile.
     """
 
     lines: int
@@ -40,12 +45,12 @@ class NormalisedErrors(NamedTuple):
 def normalised_errors(
     offsets: OffsetsAcross, parameter_covariance: Float[np.ndarray, "k k"]
 ) -> NormalisedErrors:
-    """Offsets against the covariance that is each line's own and the one that the cameras share."""
+    """Normalised errors of offsets, with the covariance of the fragments and of the cameras."""
     errors = errors_in_sigmas(offsets, parameter_covariance)
-    claimed = np.isfinite(errors).all(axis=1)
-    if not claimed.any():
+    has_covariance = np.isfinite(errors).all(axis=1)
+    if not has_covariance.any():
         return NormalisedErrors(0, *[float("nan")] * 4)
-    errors = errors[claimed]
+    errors = errors[has_covariance]
     chi_square = np.sum(errors**2, axis=1)
     return NormalisedErrors(
         lines=len(errors),
@@ -59,10 +64,16 @@ def normalised_errors(
 def errors_in_sigmas(
     offsets: OffsetsAcross, parameter_covariance: Float[np.ndarray, "k k"]
 ) -> Float[np.ndarray, "n 4"]:
-    """The four numbers of each line, in sigmas along the principal axes of its covariance; NaN
-    where none is claimed."""
+    """Errors of each line in sigmas along the principal axes of its covariance, (n, 4).
+
+    NaN for lines without a covariance.
+    """
     by = offsets.by_parameters
-    variances, axes = np.linalg.eigh(offsets.own_mm2 + by @ parameter_covariance @ by.mT)
-    claimed = variances[:, :1] > 0
+    variances, axes = np.linalg.eigh(
+        offsets.fragment_covariance_mm2 + by @ parameter_covariance @ by.mT
+    )
+    has_covariance = variances[:, :1] > 0
     along_axes = np.einsum("nia,ni->na", axes, offsets.offset_mm)
-    return np.where(claimed, along_axes / np.sqrt(np.where(claimed, variances, 1.0)), np.nan)
+    return np.where(
+        has_covariance, along_axes / np.sqrt(np.where(has_covariance, variances, 1.0)), np.nan
+    )

@@ -1,4 +1,4 @@
-"""Lines in space against the truth of a made scene, by length."""
+"""Precision and recall by length of 3-D lines, against the truth of a synthetic scene."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,17 @@ SAMPLE_STEP_MM = 0.5
 
 
 class LengthScore(NamedTuple):
-    """Share of the length put out that is right, share of the true length that was found."""
+    """Precision and recall by length.
+
+    Attributes
+    ----------
+    precision : float
+        Share of the lines' length that is right.
+    recall : float
+        Share of the true length that was detected.
+    length_put_out_mm, length_true_mm : float
+        Total length of the lines, and of the truth.
+    """
 
     precision: float
     recall: float
@@ -29,24 +39,40 @@ def score_lengths(
     grey_step: float = 0.0,
     kinds: tuple[str, ...] | None = None,
 ) -> LengthScore:
-    """Precision and recall by length, at a distance.
+    """Precision and recall by length, within a distance.
 
-    Precision: the share of the length of `lines_mm` within `tolerance_mm` of a true edge.
-    Recall: the share, within `tolerance_mm` of a line put out, of what could be found: the
-    parts of edges that at least `views` pictures show, with grey levels that differ by
-    `grey_step` across them where pictures are known; of edges of `kinds`, None being all.
-    Both are 0 where there is nothing. Samples are at most half a millimetre apart.
+    Parameters
+    ----------
+    lines_mm : (t, 2, 3)
+        Lines to score.
+    truth : SceneTruth or SegmentTruth
+        Edges, with the parts that each view shows.
+    tolerance_mm : float
+        Largest distance of right points.
+    views : int
+        Smallest number of views that show a part which counts for recall.
+    grey_step : float
+        Smallest difference of grey levels across such a part, if images are known.
+    kinds : tuple of str, optional
+        Kinds of edges that count for recall. Default: all.
+
+    Returns
+    -------
+    LengthScore
+        Precision is the share of the lines' length within `tolerance_mm` of a true edge. Recall is
+        the share of the visible true length within `tolerance_mm` of a line. Both are 0 without
+        lengths. Samples are at most 0.5 mm apart.
     """
     if isinstance(truth, SegmentTruth):
         shown = shown_parts_of_segments_mm(truth, views=views)
     else:
         shown = shown_parts_mm(truth, views=views, grey_step=grey_step, kinds=kinds)
     lines = np.asarray(lines_mm, dtype=np.float64).reshape(-1, 2, 3)
-    put_out = measure_near_lengths(lines, truth.edges_mm, SAMPLE_STEP_MM)
-    true = measure_near_lengths(shown, lines, SAMPLE_STEP_MM)
+    line_lengths = measure_near_lengths(lines, truth.edges_mm, SAMPLE_STEP_MM)
+    true_lengths = measure_near_lengths(shown, lines, SAMPLE_STEP_MM)
     return LengthScore(
-        put_out.share_within(tolerance_mm),
-        true.share_within(tolerance_mm),
-        float(put_out.length_mm.sum()),
-        float(true.length_mm.sum()),
+        line_lengths.share_within(tolerance_mm),
+        true_lengths.share_within(tolerance_mm),
+        float(line_lengths.length_mm.sum()),
+        float(true_lengths.length_mm.sum()),
     )

@@ -1,8 +1,9 @@
 """Cameras, rigs, images of circles, epipolar geometry, lines and triangulation.
 
-Pure JAX for one item; `vmap` stands outside. The values that calibration and matching share
-(`Camera`, `Rig`, `Segments`, `Junctions`, `LineObservations`) live here. Source: Hartley and
-Zisserman, "Multiple View Geometry" (2003)."""
+Functions are pure JAX for one item; use `vmap` for many. The values that calibration and matching
+share (`Camera`, `Rig`, `Segments`, `Junctions`, `LineObservations`) are defined here. Source:
+Hartley and Zisserman, "Multiple View Geometry" (2003).
+"""
 
 from trinoc.geometry.camera import (
     project as project,

@@ -1,4 +1,4 @@
-"""Two views: the fundamental matrix, epipoles, and the pencil of epipolar planes.
+"""Two-view geometry: fundamental matrix, epipoles and epipolar lines.
 
 Points are undistorted pixels. Source: Hartley and Zisserman, chapter 9.
 """
@@ -12,7 +12,7 @@ from trinoc.numerics.small_matrices import inverse_3x3
 
 
 def centre_of_matrix(matrix_px: Float[ArrayLike, "3 4"]) -> Float[ArrayLike, "3"]:
-    """Centre of projection: P (C, 1) = 0, by Cramer's rule."""
+    """Centre of projection C (3,) of a projection matrix: P (C, 1) = 0, by Cramer's rule."""
     a, b, c, d = (matrix_px[:, i] for i in range(4))
     volume = a @ jnp.cross(b, c)
     return -jnp.stack([d @ jnp.cross(b, c), a @ jnp.cross(d, c), a @ jnp.cross(b, d)]) / volume
@@ -21,14 +21,25 @@ def centre_of_matrix(matrix_px: Float[ArrayLike, "3 4"]) -> Float[ArrayLike, "3"
 def epipole(
     matrix_b_px: Float[ArrayLike, "3 4"], matrix_a_px: Float[ArrayLike, "3 4"]
 ) -> Float[ArrayLike, "3"]:
-    """Homogeneous image, in view b, of the centre of view a."""
+    """Homogeneous image (3,), in view b, of the centre of view a."""
     return matrix_b_px @ jnp.append(centre_of_matrix(matrix_a_px), 1.0)
 
 
 def fundamental_matrix(
     matrix_b_px: Float[ArrayLike, "3 4"], matrix_a_px: Float[ArrayLike, "3 4"]
 ) -> Float[ArrayLike, "3 3"]:
-    """F_ba with x_b^T F_ba x_a = 0: [e_b]x M_b M_a^-1, not scaled."""
+    """Fundamental matrix F_ba (3, 3) with x_b^T F_ba x_a = 0.
+
+    Parameters
+    ----------
+    matrix_b_px, matrix_a_px : (3, 4)
+        Projection matrices of the two views.
+
+    Returns
+    -------
+    (3, 3)
+        [e_b]x M_b M_a^-1 in undistorted pixels, not normalised.
+    """
     transfer = matrix_b_px[:, :3] @ inverse_3x3(matrix_a_px[:, :3])
     return skew(epipole(matrix_b_px, matrix_a_px)) @ transfer
 
@@ -36,7 +47,20 @@ def fundamental_matrix(
 def epipolar_line(
     fundamental_ba: Float[ArrayLike, "3 3"], uv_a_px: Float[ArrayLike, "2"]
 ) -> Float[ArrayLike, "3"]:
-    """The line of view b on which the match of a point of view a lies, with unit normal."""
+    """Return the epipolar line, in view b, of a point of view a.
+
+    Parameters
+    ----------
+    fundamental_ba : (3, 3)
+        F_ba of `fundamental_matrix`.
+    uv_a_px : (2,)
+        Undistorted pixel of view a.
+
+    Returns
+    -------
+    (3,)
+        Line (a, b, c) with unit normal. The image of the same scene point in view b lies on it.
+    """
     line = fundamental_ba @ jnp.append(uv_a_px, 1.0)
     return line / jnp.hypot(line[0], line[1])
 
@@ -46,5 +70,18 @@ def epipolar_distance_px(
     uv_b_px: Float[ArrayLike, "2"],
     uv_a_px: Float[ArrayLike, "2"],
 ) -> Float[ArrayLike, ""]:
-    """Signed distance, in view b, of a point from the epipolar line of its partner in view a."""
+    """Return the signed distance, in view b, of a point from the epipolar line of its partner.
+
+    Parameters
+    ----------
+    fundamental_ba : (3, 3)
+        F_ba of `fundamental_matrix`.
+    uv_b_px, uv_a_px : (2,)
+        Undistorted pixels of the two views.
+
+    Returns
+    -------
+    ()
+        Distance in px of view b; 0 for a perfect correspondence.
+    """
     return epipolar_line(fundamental_ba, uv_a_px) @ jnp.append(uv_b_px, 1.0)

@@ -1,4 +1,4 @@
-"""Features in space: tables of things that are found there, and how they are drawn as lines."""
+"""Features in space: tables of corners, rims and the like, and their drawings as lines."""
 
 import abc
 from collections.abc import Sequence
@@ -12,50 +12,59 @@ from trinoc.numerics.tables import Table
 
 
 class Wires(NamedTuple):
-    """Drawing of features: points, straight lines between pairs of points, and faces.
+    """Line drawing of features: points, straight lines between pairs of points, and faces.
 
-    places_mm : (n, 3), in the world frame. pairs : (e, 2). indices of the two ends of each
-    line. owner : (e,) index of the feature to which each line belongs. loops : for each face the
-    indices of the points around it.
+    Attributes
+    ----------
+    points_mm : (n, 3)
+        Points in the world frame.
+    pairs : (e, 2)
+        Indices of the two ends of each line.
+    owner : (e,)
+        Index of the feature that each line belongs to.
+    loops : sequence of (k,)
+        For each face, the indices of the points around it.
     """
 
-    places_mm: Float[np.ndarray, "n 3"]
+    points_mm: Float[np.ndarray, "n 3"]
     pairs: Int[np.ndarray, "e 2"]
     owner: Int[np.ndarray, "e"]
     loops: Sequence[Int[np.ndarray, "_"]] = ()
 
     def lines(self) -> list[tuple[int, Float[np.ndarray, "_ 3"]]]:
-        """(owner, points) of each line from point to point, as long as pairs go on."""
+        """(owner, points) of each polyline: consecutive pairs that share an end are joined."""
         ends = (self.pairs[1:, 0] != self.pairs[:-1, 1]) | (self.owner[1:] != self.owner[:-1])
         runs = np.split(np.arange(len(self.pairs)), np.flatnonzero(ends) + 1)
         return [
-            (int(self.owner[run[0]]), self.places_mm[[*self.pairs[run, 0], self.pairs[run[-1], 1]]])
+            (int(self.owner[run[0]]), self.points_mm[[*self.pairs[run, 0], self.pairs[run[-1], 1]]])
             for run in runs
             if len(run)
         ]
 
 
 class Feature(Displayable, Table):
-    """A kind of feature. It is found by a step of matching, has a file of its own, and is drawn.
+    """Base of all tables of features. A step of matching computes it; it has a file format and a
+    drawing.
 
-    `READ_FIRST` are the columns, a number for each, that people read first.
+    `READ_FIRST` names the scalar columns that a short table shows.
     """
 
     READ_FIRST: ClassVar[tuple[str, ...]] = ()
 
     def summary(self) -> str:
-        """What was found, in a sentence."""
+        """One sentence with the number of features."""
         return f"{len(self)} {self.IN_WORDS}."
 
     def record(self) -> dict[str, Any]:
-        """Numbers of the whole, as JSON holds them."""
+        """Numbers that describe the whole table, ready for JSON."""
         return {}
 
     def segments_of(self, row: int | np.integer) -> dict[str, Int[np.ndarray, "_"]]:
-        """The segments of each view that show a feature; empty where that is not known.
+        """Indices of the segments that show one feature, per view; empty if unknown.
 
-        A kind knows it that has `views`, and a row for each segment of `view`, `segment` and the
-        number of the feature, which is named as one of the kind: `rim`.
+        A table has this information if it has `views` and one row per segment: the columns `view`,
+        `segment`, and the feature's index. That last column is named like the kind in singular, for
+        example `rim`.
         """
         table: Any = self
         numbers = getattr(table, self.KIND.removesuffix("s"), None)
@@ -68,17 +77,17 @@ class Feature(Displayable, Table):
 
     @abc.abstractmethod
     def wires(self) -> Wires:
-        """How each feature is drawn."""
+        """Line drawing of all features."""
 
 
 def wires_of_lines(lines: Sequence[Sequence[Float[np.ndarray, "_ 3"]]]) -> Wires:
-    """The wires of features that are drawn as some lines each, from point to point."""
-    owners = [row for row, own in enumerate(lines) for _ in own]
-    every = [line for own in lines for line in own]
-    places = np.concatenate([np.zeros((0, 3)), *every])
-    count = np.array([len(line) for line in every], dtype=np.int64)
-    first = np.ones(len(places), dtype=bool)
+    """Line drawing of features that consist of several polylines each."""
+    owners = [row for row, polylines in enumerate(lines) for _ in polylines]
+    all_lines = [line for polylines in lines for line in polylines]
+    points = np.concatenate([np.zeros((0, 3)), *all_lines])
+    count = np.array([len(line) for line in all_lines], dtype=np.int64)
+    first = np.ones(len(points), dtype=bool)
     first[np.cumsum(count) - 1] = False
     start = np.flatnonzero(first)
     owner = np.repeat(np.array(owners, dtype=np.int64), count)
-    return Wires(places, np.stack([start, start + 1], axis=1), owner[start])
+    return Wires(points, np.stack([start, start + 1], axis=1), owner[start])

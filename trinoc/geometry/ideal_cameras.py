@@ -1,4 +1,8 @@
-"""Cameras without distortion in the place of real ones: their lenses, and what is known of them."""
+"""Distortion-free cameras in place of real ones: lenses, poses and covariance.
+
+Stereo rectification (`rectification.py`) and undistorted images (`image/ideal_pictures.py`) use
+these cameras.
+"""
 
 import contextlib
 from collections.abc import Iterator, Mapping
@@ -24,14 +28,27 @@ from trinoc.numerics.programs import kept_jit
 def undistort_lens(
     lens: Intrinsics, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> Intrinsics:
-    """A lens without distortion, whose pixels have the shape of those of another.
+    """Return a lens without distortion whose pixels have the shape of those of `lens`.
 
-    alpha : 0 keeps the largest part of the field in which all pixels are valid; 1 keeps all of it,
-        up to WIDEST_DEG from the axis; between, a part between.
-    image_size_px : (width, height) of its pictures, by default those of `lens`.
+    Parameters
+    ----------
+    lens : Intrinsics
+        A lens with or without distortion.
+    alpha : float
+        Part of the field that the new image shows. 0: the largest window in which all pixels are
+        valid. 1: the whole field, up to WIDEST_DEG from the axis. Values between interpolate.
+    image_size_px : (width, height), optional
+        Size of the new images. Default: the size of the images of `lens`.
 
-    An ideal lens stays as it is, unless its pictures change. Raises InputError for a distortion
-    that folds the picture.
+    Returns
+    -------
+    Intrinsics
+        A pinhole lens. A lens without distortion is returned unchanged, unless the size changes.
+
+    Raises
+    ------
+    InputError
+        If the distortion folds the image, or if no pixel can be valid.
     """
     expect_alpha(alpha)
     size_px = lens.image_size_px if image_size_px is None else whole_size_px(image_size_px)
@@ -42,17 +59,18 @@ def undistort_lens(
     windows = fit_windows([border], size_px, alpha)
     if windows is None:
         raise InputError(
-            "No part of the picture can be shown without distortion: check the coefficients."
+            "No part of the image can be shown without distortion. Check the coefficients of the "
+            "lens."
         )
     return ideal_lens(shape, windows.scale_px, windows.origins_px[0], size_px)
 
 
 def expect_alpha(alpha: float) -> None:
-    """Raise InputError for a share of the field that is none."""
+    """Raise InputError if `alpha` is not between 0 and 1."""
     if not 0 <= real_number(alpha, "alpha") <= 1:
         raise InputError(
-            f"alpha is {alpha:g}: give 0 for valid pixels alone, 1 for the whole field, or a "
-            "number between."
+            f"alpha is {alpha:g}, but must be between 0 and 1. Give 0 for valid pixels only, 1 for "
+            "the whole field."
         )
 
 
@@ -62,7 +80,10 @@ def ideal_lens(
     origin_px: Float[np.ndarray, "2"],
     size_px: tuple[int, int],
 ) -> Intrinsics:
-    """A lens of K = scale [shape | 0] with its principal point, whose shape has a 1 first."""
+    """Pinhole lens with K = [scale_px * shape | origin_px], where `shape[0, 0]` is 1.
+
+    `origin_px` is the principal point.
+    """
     matrix = np.eye(3)
     matrix[:2] = np.column_stack([scale_px * shape, origin_px])
     return Intrinsics.from_matrix(matrix, size_px)
@@ -72,21 +93,37 @@ def ideal_lens(
 def undistort_rig(
     rig: Rig, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> Rig:
-    """The cameras with lenses of `undistort_lens`, which look as they did.
+    """Return the rig with distortion-free lenses; poses stay the same.
 
-    The covariance is that of the rig, or none where it holds lenses that change. Raises InputError.
+    Parameters
+    ----------
+    rig : Rig
+        Cameras with or without distortion.
+    alpha, image_size_px :
+        As in `undistort_lens`, for every camera.
+
+    Returns
+    -------
+    Rig
+        Cameras with pinhole lenses. The covariance is that of `rig`. It is empty if it contains
+        errors of a lens that changes, which a pinhole lens cannot represent.
+
+    Raises
+    ------
+    InputError
+        If the lens of a camera folds the image. The message names the camera.
     """
     cameras = {}
     for name, camera in rig.items():
-        with say_which_camera(name):
+        with camera_name_in_errors(name):
             lens = undistort_lens(camera.intrinsics, alpha=alpha, image_size_px=image_size_px)
         cameras[name] = Camera(lens, camera.pose)
     return with_covariance(cameras, rig)
 
 
 @contextlib.contextmanager
-def say_which_camera(name: str) -> Iterator[None]:
-    """An InputError of the block says of which camera it is."""
+def camera_name_in_errors(name: str) -> Iterator[None]:
+    """Prefix an InputError of the block with the name of the camera."""
     try:
         yield
     except InputError as error:
@@ -94,27 +131,27 @@ def say_which_camera(name: str) -> Iterator[None]:
 
 
 def with_covariance(cameras: Mapping[str, Camera], rig: Rig) -> Rig:
-    """A rig of ideal cameras, with the covariance of the rig they are made from, to first order.
+    """Build a rig of ideal cameras and propagate the covariance of the original rig to first order.
 
-    Without one where that has errors of lenses that are not kept, which bend the rays of a picture
-    as no ideal camera does, and where a turned axis does not meet the sheet, which leaves no
-    distance and aim.
+    The result has no covariance in two cases. First, the covariance contains lens errors and the
+    lens changes: these errors bend rays as no pinhole can. Second, a turned axis does not meet the
+    sheet: distance and aim do not exist.
     """
     before: list[str] = []
     after: list[str] = []
     blocks: list[np.ndarray] = []
     for name, camera in cameras.items():
-        known = [p for p in rig.parameters if p.rpartition(".")[0] == name]
-        poses = [p for p in known if p.rpartition(".")[2] in PARAMETER_NAMES]
+        camera_parameters = [p for p in rig.parameters if p.rpartition(".")[0] == name]
+        poses = [p for p in camera_parameters if p.rpartition(".")[2] in PARAMETER_NAMES]
         is_kept = bool(eqx.tree_equal(camera.intrinsics, rig[name].intrinsics))
-        if len(poses) < len(known) and not is_kept:
+        if len(poses) < len(camera_parameters) and not is_kept:
             return Rig(cameras)
         rotation, old = (np.asarray(each.pose.rotation) for each in (camera, rig[name]))
         if not poses or np.array_equal(rotation, old):
-            before, after = before + known, after + known
-            blocks.append(np.eye(len(known)))
+            before, after = before + camera_parameters, after + camera_parameters
+            blocks.append(np.eye(len(camera_parameters)))
             continue
-        names = [f"{name}.{own}" for own in PARAMETER_NAMES]
+        names = [f"{name}.{parameter}" for parameter in PARAMETER_NAMES]
         before, after = before + names, after + names
         blocks.append(np.asarray(_change_of_turned(rig[name].pose.parameters, rotation @ old.T)))
     jacobian = np.asarray(block_diag(*blocks))
@@ -128,12 +165,15 @@ def with_covariance(cameras: Mapping[str, Camera], rig: Rig) -> Rig:
 def _change_of_turned(
     parameters: Float[ArrayLike, "6"], turn: Float[ArrayLike, "3 3"]
 ) -> Float[ArrayLike, "6 6"]:
-    """Derivative of pan, tilt, swing, distance and aim of a turned camera by those before, in
-    degrees and mm; `parameters` are in rad."""
+    """Jacobian of the pose parameters of a turned camera by those before the turn, (6, 6).
+
+    Both sets are pan, tilt, swing, distance and aim. The Jacobian is in degrees and mm; the input
+    `parameters` are in rad and mm.
+    """
     unit = jnp.array([jnp.pi / 180] * 3 + [1.0] * 3)
 
-    def of_turned(given: Float[ArrayLike, "6"]) -> Float[ArrayLike, "6"]:
-        old = Pose.from_parameters(given * unit)
+    def of_turned(scaled_parameters: Float[ArrayLike, "6"]) -> Float[ArrayLike, "6"]:
+        old = Pose.from_parameters(scaled_parameters * unit)
         new = Pose.from_translation(turn @ old.rotation, turn @ old.translation_mm)
         return new.parameters / unit
 

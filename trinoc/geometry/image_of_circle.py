@@ -1,7 +1,7 @@
-"""The image of a circle: its centre is not the image of the circle's centre.
+"""Image of a circle: the centre of the ellipse is not the image of the circle's centre.
 
-One formula for any smooth mapping from the plane of a circle to a picture: a homography, a lens
-with distortion, a board that is bent.
+One formula serves every smooth mapping from the plane of a circle to the image: a homography, a
+lens with distortion, a bent board.
 """
 
 from collections.abc import Callable
@@ -26,10 +26,10 @@ _CENTRE_AND_EDGE = np.r_[
 def image_of_circle_centre(
     camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: ScalarLike
 ) -> Float[ArrayLike, "2"]:
-    """Centre, in pixels of the picture, of the image of a circle of the sheet Z = 0."""
+    """Centre of the ellipse that images a circle on the sheet Z = 0, (2,) px."""
 
-    def image(place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        return project(camera, jnp.append(place_mm, 0.0))
+    def image(point_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        return project(camera, jnp.append(point_mm, 0.0))
 
     return image(centre_sheet_mm) + circle_centre_offset(image, centre_sheet_mm, radius_mm)
 
@@ -39,11 +39,27 @@ def circle_centre_offset(
     centre: Float[ArrayLike, "2"],
     radius: ScalarLike,
 ) -> Float[ArrayLike, "2"]:
-    """Centroid of the image of a disc less the image of its centre; 0 for a radius of 0.
+    """Centroid of the image of a disc minus the image of its centre; 0 for a radius of 0.
 
-    The mapping takes points of the circle's plane to the picture, whose unit is that of the
-    answer. An ellipse fitted to the edge of the image has its centre at the centroid, to 1e-4 px
-    for common lenses. Perspective moves it by 0.09 px for the reference rig.
+    Parameters
+    ----------
+    mapping : callable
+        Maps a point (2,) of the circle's plane to the image. The result has the unit of its output.
+    centre : (2,)
+        Centre of the circle in its plane.
+    radius : scalar
+        Radius in the unit of `centre`.
+
+    Returns
+    -------
+    (2,)
+        Offset in the unit of the image, usually px. Perspective causes 0.09 px for the reference
+        rig.
+
+    Notes
+    -----
+    An ellipse fitted to the edge of the image has its centre at the centroid, to 1e-4 px for common
+    lenses.
     """
     is_circle = jnp.asarray(radius) > 0
     offset = _CENTRE_AND_EDGE.astype(jnp.result_type(centre))
@@ -53,9 +69,10 @@ def circle_centre_offset(
 
 
 def centroid_of_region(edge: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "2"]:
-    """Centroid of the region within a smooth closed curve, from points at even parameters.
+    """Centroid of the region inside a smooth closed curve, from points at equidistant parameters.
 
-    The mean of the points lies elsewhere, since a mapping moves points along the edge, too.
+    Green's theorem gives area and first moment from the points and their tangents. The mean of the
+    points is not the centroid, because a mapping also moves points along the edge.
     """
     mean = jnp.mean(edge, axis=0, keepdims=True)
     offset = edge - mean
@@ -66,7 +83,9 @@ def centroid_of_region(edge: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "2"]:
 
 
 def _trigonometric_derivative(count: int) -> Float[np.ndarray, "n n"]:
-    """Derivative at equidistant angles of the trigonometric polynomial through values there."""
+    """Matrix that differentiates a trigonometric polynomial, given by its values at equidistant
+    angles.
+    """
     step = np.arange(count)[:, None] - np.arange(count)[None]
     cotangent = 1.0 / np.tan(np.pi * np.where(step == 0, 0.5, step) / count)
     return np.where(step == 0, 0.0, 0.5 * (-1.0) ** step * cotangent)

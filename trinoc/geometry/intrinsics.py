@@ -1,4 +1,4 @@
-"""What a camera and its lens do to a ray, independent of where the camera stands."""
+"""Intrinsics: the mapping from a ray in the camera frame to a pixel, and back."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -28,15 +28,15 @@ from trinoc.numerics.precision import (
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.values import Value
 
-# What to give where a lens is wanted.
+# Remedy for an argument that must be a lens.
 A_LENS = "trinoc.Intrinsics, such as load reads from a camera.json"
-# What to do about a given lens that folds the image.
+# Remedy for a user's lens that folds the image.
 FOLD_REMEDY = (
     "check the distortion's coefficients, their order, signs and unit, or fit fewer of them."
 )
-# A lens is of no use where its fold takes more than this share of the image, or where it lies
-# nearer to the principal point than half the shorter side: wrong coefficients do that, and not a
-# distortion that is undetermined in the corners. Published lenses lose up to 0.32.
+# A fold makes a lens unusable if more than this share of the image lies beyond it, or if its
+# radius is less than half the shorter side. Wrong coefficients do that; coefficients that are
+# undetermined in the corners do not. Published lenses lose up to 0.32.
 _MOST_LOST = 1 / 3
 # numerical: points along each side of an image, of which the share beyond a fold is counted.
 _SHARE_POINTS = 257
@@ -45,15 +45,17 @@ _SHARE_POINTS = 257
 class Intrinsics(Value):
     """A lens in front of a sensor: pinhole with optional skew and distortion.
 
-    Pixel (u, v) = (column, row), with (0, 0) the centre of the top-left pixel. Numbers that are
-    traced by `jit`, `grad` or `vmap` stay so, in the constructor and in every property; others
-    are NumPy, in double precision.
+    Pixel (u, v) = (column, row), with (0, 0) the centre of the top-left pixel. The constructor and
+    the properties keep numbers that `jit`, `grad` or `vmap` trace. All others are NumPy, float64.
 
-    Fields
-    ------
-    lens : what it does to rays; its parameters are the numbers of the camera.
-    image_size_px : (width, height).
-    pixel_pitch_mm : size of a pixel along u and v, or None where it is not known.
+    Attributes
+    ----------
+    lens : AbstractLens
+        Lens model with its parameters.
+    image_size_px : (width, height)
+        Size of the images.
+    pixel_pitch_mm : (2,) or None
+        Size of a pixel along u and v, mm; None if unknown.
     """
 
     lens: AbstractLens
@@ -72,14 +74,33 @@ class Intrinsics(Value):
         distortion: Sequence[ScalarLike] | ArrayLike | None = None,
         distortion_model: str | None = None,
     ) -> None:
-        """Intrinsics from a data sheet (millimetres) or from an earlier calibration (pixels).
+        """Intrinsics from a data sheet (mm) or from an earlier calibration (px).
 
-        Give `focal_length_mm` and `pixel_pitch_mm`, or `focal_length_px` (one number, or one
-        along u and one along v). `principal_point_px` defaults to ((W-1)/2, (H-1)/2), the
-        centre of the picture. `distortion` is the coefficients of `distortion_model`, a name in
-        `lenses.registry.LENS_MODELS`: by default up to five of Brown-Conrady, k1, k2, p1, p2, k3,
-        those left out being zero; not p1 without p2. None is a lens without distortion. Raises
-        InputError for what cannot be a camera, as far as the numbers are not traced.
+        Parameters
+        ----------
+        image_size_px : (width, height)
+            Size of the images.
+        focal_length_mm : float, optional
+            Focal length; needs `pixel_pitch_mm`.
+        pixel_pitch_mm : float or (2,), optional
+            Size of a pixel along u and v, mm.
+        focal_length_px : float or (2,), optional
+            Focal length in place of `focal_length_mm`: one number, or one along u and one along v.
+        principal_point_px : (2,), optional
+            Default: the image centre, ((W-1)/2, (H-1)/2).
+        skew_px : float
+            Entry K[0, 1].
+        distortion : sequence, optional
+            Coefficients of `distortion_model`; missing ones are 0. Give p1 and p2 together. None:
+            no distortion.
+        distortion_model : str, optional
+            A name in `lenses.registry.LENS_MODELS`. Default: Brown-Conrady with up to five
+            coefficients k1, k2, p1, p2, k3.
+
+        Raises
+        ------
+        InputError
+            If the numbers cannot describe a camera. Traced numbers are not checked.
         """
         pitch = None if pixel_pitch_mm is None else _positive_pair("pixel_pitch_mm", pixel_pitch_mm)
         if focal_length_px is not None and focal_length_mm is None:
@@ -88,7 +109,7 @@ class Intrinsics(Value):
             focal = _positive_pair("focal_length_mm", focal_length_mm) / pitch
         else:
             raise InputError(
-                "The focal length is not determined: give focal_length_mm with pixel_pitch_mm, "
+                "The focal length is not determined. Give focal_length_mm with pixel_pitch_mm, "
                 "or focal_length_px alone."
             )
         width, height = whole_size_px(image_size_px)
@@ -118,7 +139,7 @@ class Intrinsics(Value):
         image_size_px: Sequence[int],
         pixel_pitch_mm: Sequence[float] | None = None,
     ) -> "Intrinsics":
-        """Intrinsics around a lens."""
+        """Intrinsics with a lens that exists already."""
         return cls(
             image_size_px=image_size_px,
             focal_length_px=lens.focal_length_px,
@@ -133,7 +154,9 @@ class Intrinsics(Value):
     def from_matrix(
         cls, calibration_matrix: Float[ArrayLike, "3 3"], image_size_px: Sequence[int]
     ) -> "Intrinsics":
-        """Intrinsics from an upper-triangular K, scaled to K[2, 2] = 1."""
+        """Return intrinsics without distortion from an upper-triangular K (3, 3), scaled to K[2, 2]
+        = 1.
+        """
         matrix = _array(calibration_matrix)
         matrix = matrix / matrix[2, 2]
         return cls(
@@ -145,12 +168,12 @@ class Intrinsics(Value):
 
     @property
     def focal_length_px(self) -> Float[ArrayLike, "2"]:
-        """(2,) focal length over pixel pitch, along u and v."""
+        """Focal length over pixel pitch, along u and v, (2,) px."""
         return self.lens.focal_length_px
 
     @property
     def principal_point_px(self) -> Float[ArrayLike, "2"]:
-        """(2,) pixel at which the optical axis meets the sensor."""
+        """Pixel at which the optical axis meets the sensor, (2,)."""
         return self.lens.principal_point_px
 
     @property
@@ -160,7 +183,7 @@ class Intrinsics(Value):
 
     @property
     def distortion(self) -> Float[ArrayLike, "c"]:
-        """Coefficients of `distortion_model`; five zeros, as Brown-Conrady has them, for "none"."""
+        """Coefficients of `distortion_model`, (c,); five zeros for the model "none"."""
         if self.has_distortion:
             return self.lens.coefficients
         return np.zeros(len(DEFAULT_DISTORTION.coefficient_names))
@@ -172,21 +195,21 @@ class Intrinsics(Value):
 
     @property
     def has_distortion(self) -> bool:
-        """Whether the lens is of a model that bends rays."""
+        """True if the lens model has coefficients of distortion."""
         return self.lens.has_distortion
 
     @property
     def valid_radius_px(self) -> float:
-        """Distance from the principal point, in pixels, up to which rays and pixels are one to one;
-        infinite where the distortion never folds back. It follows from the coefficients.
+        """Distance from the principal point, px, up to which rays and pixels are one to one.
 
-        Beyond, projections and rays are NaN, unless the lens is traced.
+        Infinite if the distortion never folds. Projections and rays beyond this radius are NaN,
+        unless the lens is traced.
         """
         return self.lens.valid_radius_px()
 
     @property
     def focal_length_mm(self) -> FloatOrTraced | None:
-        """Focal length along u in millimetres, or None where the pixel pitch is not known."""
+        """Focal length along u, mm; None if the pixel pitch is unknown."""
         if self.pixel_pitch_mm is None:
             return None
         return as_float(self.focal_length_px[0] * self.pixel_pitch_mm[0])
@@ -194,20 +217,20 @@ class Intrinsics(Value):
     @property
     @in_float64
     def matrix(self) -> Float[ArrayLike, "3 3"]:
-        """Calibration matrix K: normalised coordinates to pixels, distortion apart."""
+        """Calibration matrix K (3, 3): normalised coordinates to pixels, without distortion."""
         return self.lens.matrix
 
     def pixel_from_normalised(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """(x/z, y/z) in the camera frame to the pixel where the lens images it."""
+        """Pixel (2,) that images the ray (x/z, y/z) of the camera frame; NaN beyond the fold."""
         uv_px = self.lens.pixel_from_normalised(normalised)
         return self.lens.mask_ray(ray_of_normalised(normalised), uv_px)
 
     def normalised_from_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Inverse of `pixel_from_normalised`: (x/z, y/z) of the viewing ray of a pixel."""
+        """Inverse of `pixel_from_normalised`: (x/z, y/z) of the ray of a pixel."""
         return self.lens.mask_pixel(uv_px, self.lens.normalised_from_pixel(uv_px))
 
     def undistort_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """The pixel at which the same ray would be imaged if the lens had no distortion."""
+        """Pixel that would image the same ray if the lens had no distortion, (2,)."""
         return self.lens.mask_pixel(uv_px, jnp.asarray(self.lens.undistort_pixel(uv_px)))
 
     def distort_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
@@ -217,7 +240,9 @@ class Intrinsics(Value):
 
 
 def whole_size_px(size: object) -> tuple[int, int]:
-    """(width, height) of pictures as a caller gave it. Raises InputError for what is none."""
+    """Check an image size (width, height). Raises InputError unless it is two whole positive
+    numbers.
+    """
     try:
         sides = np.array(size if np.ndim(size) == 1 else ())  # pyright: ignore
     except ValueError:  # lists of several lengths
@@ -231,15 +256,15 @@ def whole_size_px(size: object) -> tuple[int, int]:
 
 
 def _distortion(
-    given: Sequence[ScalarLike] | ArrayLike | None, model_name: str | None
+    values: Sequence[ScalarLike] | ArrayLike | None, model_name: str | None
 ) -> tuple[type[AbstractLens], Float[ArrayLike, "c"]]:
-    """The lens model, and its coefficients, those that are left out being zero."""
+    """(lens model, coefficients); missing coefficients are 0."""
     if model_name is not None:
         model = lens_model(model_name)
     else:
-        model = Pinhole if given is None else DEFAULT_DISTORTION
+        model = Pinhole if values is None else DEFAULT_DISTORTION
     names = model.coefficient_names
-    coefficients = _array(()) if given is None else _array(given, "distortion").reshape(-1)
+    coefficients = _array(()) if values is None else _array(values, "distortion").reshape(-1)
     if len(coefficients) > len(names):
         raise InputError(
             f"distortion has {len(coefficients)} coefficients, but {model.model} takes at most "
@@ -247,23 +272,23 @@ def _distortion(
         )
     if names[len(coefficients) - 1 : len(coefficients) + 1] == ("p1", "p2"):
         raise InputError(
-            f"distortion has {len(coefficients)} coefficients, which end with p1 and lack p2: the "
-            f"order is {', '.join(names[:5])}, so give 0 for those that are not known."
+            f"distortion has {len(coefficients)} coefficients: the last is p1, and p2 is missing. "
+            f"The order is {', '.join(names[:5])}; give 0 for unknown ones."
         )
     xp, missing = array_namespace(coefficients), len(names) - len(coefficients)
     return model, xp.concatenate([coefficients, xp.zeros(missing, coefficients.dtype)])
 
 
 def _array(value: object, name: str = "A lens") -> Float[ArrayLike, "*n"]:
-    """A traced value as a JAX array, any other as a NumPy array of float64.
+    """Convert to a JAX array if traced, else to a NumPy array of float64.
 
-    Raises InputError, with the `name`, for what are no numbers.
+    Raises InputError, with `name`, if the value is not numeric or not finite.
     """
     if is_traced(value):
         return jnp.asarray(value)
     array = real_array(value, name).copy()
     if not np.isfinite(array).all():
-        raise InputError(f"{name} has {value!r}, but must be finite: check its numbers.")
+        raise InputError(f"{name} has {value!r}, but must be finite. Check its numbers.")
     return array
 
 
@@ -275,17 +300,18 @@ def _positive_pair(
         raise InputError(f"{name} is {value}, but must be one number, or two for u and v.")
     pair = array_namespace(pair).broadcast_to(pair, (2,))
     if not is_traced(pair) and not (pair > 0).all():
-        raise InputError(f"{name} is {value}, but must be positive: check the number and its unit.")
+        raise InputError(f"{name} is {value}, but must be positive. Check the number and its unit.")
     return pair
 
 
 def describe_fold(lens: Intrinsics) -> str | None:
-    """Return what a distortion does that folds the image, as the end of a sentence without a stop;
-    None if it folds beyond all corners, or nowhere.
+    """Describe the fold of a distortion inside the image, as the end of a sentence without a full
+    stop.
 
-    Beyond the fold two rays meet one pixel, and none meets the pixels farther out. A fold beyond 90
-    degrees is none of these: the image of such a fisheye ends in a circle, and its corners are
-    black. `FOLD_REMEDY` says what the owner of a given lens can do.
+    None if the distortion folds beyond all corners or nowhere. Beyond the fold, two rays have one
+    pixel, and pixels farther out have no ray. A fold beyond 90 degrees is not reported: the image
+    of such a fisheye is a circle with black corners. `FOLD_REMEDY` is the advice for a lens that
+    the user gave.
     """
     if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:
         return (
@@ -296,16 +322,16 @@ def describe_fold(lens: Intrinsics) -> str | None:
     if lens.lens.fold_angle_rad() >= np.pi / 2 or not radius_px < away_px:
         return None
     return (
-        f"folds the picture {radius_px:.0f} px from the principal point, where corners lie "
-        f"{away_px:.0f} px away"
+        f"folds the picture {radius_px:.0f} px from the principal point, while the farthest corner "
+        f"is {away_px:.0f} px away"
     )
 
 
 def describe_unusable_fold(lens: Intrinsics) -> str | None:
-    """As `describe_fold`; None also for a fold that leaves most of the image.
+    """Same text as `describe_fold`, but None if most of the image remains usable.
 
-    That is a fold which lies no nearer to the principal point than half the shorter side, and
-    beyond which lies no more than a third of the image.
+    A fold is usable if its radius is at least half the shorter side and at most a third of the
+    image lies beyond it.
     """
     fold = describe_fold(lens)
     is_near = lens.valid_radius_px < min(lens.image_size_px) / 2
@@ -313,23 +339,26 @@ def describe_unusable_fold(lens: Intrinsics) -> str | None:
 
 
 def describe_usable_fold(lens: Intrinsics) -> str | None:
-    """Return what a fold costs that leaves most of the image, as the end of a sentence without a
-    stop; None without a fold, and for one that leaves less."""
+    """Describe the part of the image that a usable fold excludes, without a full stop.
+
+    None if the lens does not fold, or if the fold is unusable.
+    """
     fold = describe_fold(lens)
     if fold is None or describe_unusable_fold(lens) is not None:
         return None
-    return f"{fold}: lines and points farther out, in {_lost_percent(lens)} of it, are not used"
+    share = _lost_percent(lens)
+    return f"{fold}: lines and points beyond the fold, in {share} of the image, are not used"
 
 
 def share_beyond_fold(lens: Intrinsics) -> float:
-    """Share of the image that lies beyond `Intrinsics.valid_radius_px`."""
+    """Share of the image area beyond `Intrinsics.valid_radius_px`."""
     u, v = (np.linspace(0.0, side - 1.0, _SHARE_POINTS) for side in lens.image_size_px)
     cu, cv = np.asarray(lens.principal_point_px)
     return float(np.mean(np.hypot(u - cu, (v - cv)[:, None]) > lens.valid_radius_px))
 
 
 def farthest_corner_px(lens: Intrinsics) -> float:
-    """Distance from the principal point to the farthest corner of the image."""
+    """Distance from the principal point to the farthest image corner, px."""
     corners = np.array([[0.0, 0.0], np.array(lens.image_size_px) - 1.0])
     return float(np.linalg.norm(np.abs(corners - np.asarray(lens.principal_point_px)).max(axis=0)))
 
@@ -343,9 +372,19 @@ def _lost_percent(lens: Intrinsics) -> str:
 def undistort_pixels(
     lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]
 ) -> Float[np.ndarray, "*n 2"]:
-    """Points of the picture to where a lens without distortion would show them.
+    """Map image points to their positions in an image without distortion.
 
-    NaN for pixels beyond `Intrinsics.valid_radius_px`.
+    Parameters
+    ----------
+    lens : Intrinsics
+        The lens of the image.
+    uv_px : (..., 2)
+        Points of the image.
+
+    Returns
+    -------
+    (..., 2)
+        Undistorted points, px. NaN beyond `Intrinsics.valid_radius_px`.
     """
     points = np.asarray(uv_px, dtype=np.float64)
     return np.asarray(lens.lens.mask_pixel(points, _map_pixels(lens, points, _undistort)))
@@ -353,7 +392,21 @@ def undistort_pixels(
 
 @in_float64
 def distort_pixels(lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-    """Inverse of `undistort_pixels`; NaN where the lens folds before it images the ray."""
+    """Map points of an image without distortion to the real image: the inverse of
+    `undistort_pixels`.
+
+    Parameters
+    ----------
+    lens : Intrinsics
+        The lens of the image.
+    uv_px : (..., 2)
+        Undistorted points, px.
+
+    Returns
+    -------
+    (..., 2)
+        Points of the image, px. NaN if the lens folds before it images the ray.
+    """
     points = np.asarray(uv_px, dtype=np.float64)
     distorted_px = _map_pixels(lens, points, _distort)
     if lens.valid_radius_px == np.inf:
@@ -363,12 +416,12 @@ def distort_pixels(lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]) -> Float[n
     return np.asarray(lens.lens.mask_ray(rays, distorted_px))
 
 
-def _map_pixels(lens: Intrinsics, uv_px: ArrayLike, through: Callable) -> np.ndarray:
-    """Padded, so that few numbers of points compile."""
+def _map_pixels(lens: Intrinsics, uv_px: ArrayLike, mapping: Callable) -> np.ndarray:
+    """Apply `mapping` to pixels padded to a bucket size, so that few array lengths compile."""
     points = np.asarray(uv_px, dtype=np.float64)
     if not lens.has_distortion or points.size == 0:
         return points
-    return in_bucket(partial(through, lens), points.reshape(-1, 2)).reshape(points.shape)
+    return in_bucket(partial(mapping, lens), points.reshape(-1, 2)).reshape(points.shape)
 
 
 @kept_jit

@@ -1,4 +1,4 @@
-"""What the covariance of segments in space says about what people ask for."""
+"""Length and standard deviations of 3-D segments, from the covariance of their ends."""
 
 from typing import NamedTuple
 
@@ -9,10 +9,18 @@ from trinoc.numerics.precision import ArrayLike
 
 
 class LineSigmas(NamedTuple):
-    """Lengths of segments and standard deviations, in mm.
+    """Lengths of 3-D segments and standard deviations, in mm.
 
-    `across_sigma_mm` is that of the segment's midpoint in the worst direction across it;
-    `ends_sigma_mm` (t, 2, 3) that of each end along X, Y and Z.
+    Attributes
+    ----------
+    length_mm : (t,)
+        Distance between the two ends.
+    length_sigma_mm : (t,)
+        Standard deviation of the length.
+    across_sigma_mm : (t,)
+        Standard deviation of the midpoint in the worst direction perpendicular to the segment.
+    ends_sigma_mm : (t, 2, 3)
+        Standard deviation of each end along X, Y and Z.
     """
 
     length_mm: Float[np.ndarray, "t"]
@@ -24,7 +32,20 @@ class LineSigmas(NamedTuple):
 def line_sigmas(
     lines_mm: Float[ArrayLike, "t 2 3"], covariance_mm2: Float[ArrayLike, "t 6 6"]
 ) -> LineSigmas:
-    """First-order propagation of the covariance of both ends to length and midpoint."""
+    """Propagate the covariance of both ends to length and midpoint, to first order.
+
+    Parameters
+    ----------
+    lines_mm : (t, 2, 3)
+        Ends of the segments in the world frame.
+    covariance_mm2 : (t, 6, 6)
+        Covariance of the ends; NaN if unknown.
+
+    Returns
+    -------
+    LineSigmas
+        NaN where the covariance is NaN or the length is 0.
+    """
     ends, covariance = np.asarray(lines_mm), np.asarray(covariance_mm2)
     along = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(along, axis=1)

@@ -1,7 +1,7 @@
-"""Lines of a picture and lines in space.
+"""Lines of an image and lines in space.
 
-A picture line is l = (a, b, c) with a u + b v + c = 0, scaled to a^2 + b^2 = 1 where a
-distance is meant. Distances are in pixels, points in undistorted pixels.
+An image line is l = (a, b, c) with a u + b v + c = 0. It has a unit normal, a^2 + b^2 = 1, where a
+distance is computed. Distances are in pixels, points in undistorted pixels.
 """
 
 import jax.numpy as jnp
@@ -13,8 +13,19 @@ from trinoc.numerics.precision import ArrayLike
 def line_through(
     first: Float[ArrayLike, "2"], second: Float[ArrayLike, "2"]
 ) -> Float[ArrayLike, "3"]:
-    """Line through two points, with unit normal; positive distance is to the right of the
-    direction from first to second as seen on the picture (v down)."""
+    """Line through two image points, with unit normal, (3,).
+
+    Parameters
+    ----------
+    first, second : (2,)
+        Two different points, px.
+
+    Returns
+    -------
+    (3,)
+        Line (a, b, c). Distances are positive on the right of the direction from `first` to
+        `second`, as displayed (v down).
+    """
     direction = second - first
     direction = direction / jnp.sqrt(direction @ direction)
     normal = jnp.stack([-direction[1], direction[0]])
@@ -24,23 +35,40 @@ def line_through(
 def signed_distance(
     line: Float[ArrayLike, "3"], point: Float[ArrayLike, "2"]
 ) -> Float[ArrayLike, ""]:
-    """Distance of a point from a line with unit normal, signed by the side."""
+    """Distance of a point from a line with unit normal, px; the sign gives the side."""
     return line[:2] @ point + line[2]
 
 
 def plane_of_line(
     matrix_px: Float[ArrayLike, "3 4"], line: Float[ArrayLike, "3"]
 ) -> Float[ArrayLike, "4"]:
-    """Plane through the camera's centre and a picture line, P^T l (Hartley and Zisserman, 8.2)."""
+    """Plane through the camera centre and an image line, P^T l, (4,).
+
+    Parameters
+    ----------
+    matrix_px : (3, 4)
+        Projection matrix of the camera.
+    line : (3,)
+        Line in undistorted pixels.
+
+    Returns
+    -------
+    (4,)
+        Plane (n, d) with n . X + d = 0, not normalised.
+
+    References
+    ----------
+    Hartley and Zisserman, "Multiple View Geometry" (2003), section 8.2.
+    """
     return matrix_px.T @ line
 
 
 def line_of_planes(
     first: Float[ArrayLike, "4"], second: Float[ArrayLike, "4"]
 ) -> tuple[Float[ArrayLike, "3"], Float[ArrayLike, "3"]]:
-    """(point, unit direction) of the line in which two planes meet.
+    """(point, unit direction) of the intersection of two planes; NaN for parallel planes.
 
-    The point is the one nearest the origin. NaN for parallel planes.
+    The point is the point of the line nearest to the origin.
     """
     direction = jnp.cross(first[:3], second[:3])
     squared = direction @ direction

@@ -1,10 +1,10 @@
-"""Window of a picture without distortion: its scale, and its position in the ideal image plane.
+"""Window of an undistorted image: its scale, and its position in the ideal image plane.
 
-A window lies in the region that a camera sees if no point of the region's border lies in it. So the
-largest window about a given middle reaches to the nearest point of the border, in the norm whose
-unit ball is the window. `cv2.getOptimalNewCameraMatrix` and `cv2.stereoRectify` take extremes of
-the border instead: for cameras that converge or are turned about their axes, the second shows a
-small part of the field, or pixels that no camera saw.
+A window lies inside the field of a camera if it contains no point of the field's border. The
+largest window about a given middle therefore extends to the nearest border point, in the norm whose
+unit ball is the window. `cv2.getOptimalNewCameraMatrix` and `cv2.stereoRectify` use extremes of the
+border instead. For convergent or rolled cameras they show a small part of the field, or invalid
+pixels.
 """
 
 from collections.abc import Sequence
@@ -18,29 +18,31 @@ from trinoc.geometry.intrinsics import FOLD_REMEDY, Intrinsics, describe_unusabl
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_points, unproject_pixels
 
-# Largest angle from the axis of an ideal picture: fisheye lenses see farther, where the image plane
-# grows beyond all bounds.
+# Largest angle from the axis of an ideal image. Fisheye lenses have wider fields, for which the
+# image plane would become too large.
 WIDEST_DEG = 75.0
 _WIDEST = float(np.tan(np.radians(WIDEST_DEG)))
 # Points along each side of a picture.
 _STEPS = 32
-# What a distortion that does not fold loses of a pixel on the way there and back.
+# Largest error of a round trip pixel - ray - pixel for a distortion that does not fold.
 _CLOSES_PX = 1e-3
-# Grids about the best middle so far, each so much narrower than the one before.
+# The search for the middle repeats a grid about the best point, narrower each time.
 _GRID, _ROUNDS, _NARROWER = 11, 14, 0.35
 # Between two points a border bends by less than this share of the window.
 _BEND = 1e-4
-# A camera in its own frame.
-_OWN_FRAME = Pose(np.eye(3, 4))
+# The camera frame as world frame.
+CAMERA_FRAME = Pose(np.eye(3, 4))
 
 
 class Windows(NamedTuple):
-    """Windows of pictures in one image plane.
+    """Windows of several images in one image plane.
 
-    Fields
-    ------
-    scale_px : pixels per unit of the plane, the same in all pictures.
-    origins_px : (v, 2) pixel coordinates of the plane's origin.
+    Attributes
+    ----------
+    scale_px : float
+        Pixels per unit of the plane, equal for all images.
+    origins_px : (v, 2)
+        Pixel coordinates of the plane's origin in each image.
     """
 
     scale_px: float
@@ -50,23 +52,27 @@ class Windows(NamedTuple):
 def border_in_plane(
     lens: Intrinsics, ideal_from_cam: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "m 2"]:
-    """Ideal coordinates (x/z, y/z) of the picture's border, once around.
+    """Ideal coordinates (x/z, y/z) of the border of an image, once around, (m, 2).
 
-    Where the distortion folds in the corners, the border of what lies before the fold. Points
-    farther than WIDEST_DEG from the ideal camera's axis are moved to that angle. Raises InputError
-    for a fold that leaves too little of the picture.
+    If the distortion folds in the corners, the result is the border of the part inside the fold.
+    Points farther than WIDEST_DEG from the ideal axis are moved to that angle.
+
+    Raises
+    ------
+    InputError
+        If the fold leaves too little of the image, or rays and pixels are not one to one.
     """
     fold = describe_unusable_fold(lens)
     if fold is not None:
         raise InputError(f"The distortion of the lens {fold}: {FOLD_REMEDY}")
     border_px = _cut_at_fold(lens, _list_border(lens.image_size_px))
     rays = unproject_pixels(lens.lens, border_px)
-    off_px = np.abs(project_points(_OWN_FRAME, lens.lens, rays) - border_px).max(axis=1)
+    off_px = np.abs(project_points(CAMERA_FRAME, lens.lens, rays) - border_px).max(axis=1)
     shown = rays[:, 2] > np.cos(np.radians(WIDEST_DEG)) * np.linalg.norm(rays, axis=1)
     if not (np.isfinite(rays).all() and (off_px[shown] < _CLOSES_PX).all()):
         raise InputError(
-            "The distortion of the lens folds the picture before its border: check the "
-            "coefficients, their order and signs, or fit fewer of them."
+            "The distortion of the lens folds the picture inside its border. Check the order and "
+            "signs of its coefficients, or fit fewer of them."
         )
     x, y, z = (rays @ ideal_from_cam.T).T
     across = np.maximum(np.hypot(x, y), np.finfo(float).tiny)
@@ -75,7 +81,7 @@ def border_in_plane(
 
 
 def _cut_at_fold(lens: Intrinsics, uv_px: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2"]:
-    """Points moved toward the principal point where they lie beyond the lens's valid radius."""
+    """Move points beyond the valid radius of the lens radially onto that radius, (m, 2) px."""
     centre_px = np.asarray(lens.principal_point_px)
     offset = uv_px - centre_px
     away_px = np.maximum(np.linalg.norm(offset, axis=1), np.finfo(float).tiny)
@@ -83,7 +89,7 @@ def _cut_at_fold(lens: Intrinsics, uv_px: Float[np.ndarray, "m 2"]) -> Float[np.
 
 
 def _list_border(size_px: tuple[int, int]) -> Float[np.ndarray, "m 2"]:
-    """The centres of the outermost pixels, once around."""
+    """Centres of the outermost pixels, once around, (m, 2) px."""
     width, height = size_px
     along = np.linspace(0.0, 1.0, _STEPS, endpoint=False)
     there, back = along, 1 - along
@@ -96,11 +102,17 @@ def _list_border(size_px: tuple[int, int]) -> Float[np.ndarray, "m 2"]:
 def fit_windows(
     borders: Sequence[Float[np.ndarray, "_ 2"]], size_px: tuple[int, int], alpha: float
 ) -> Windows | None:
-    """Windows of one size and scale with equal rows; None where no valid pixel is possible.
+    """Windows of equal size and scale with common rows; None if no pixel can be valid.
 
-    borders : of the region that each camera sees, once around.
-    alpha : 0 for the largest windows inside the regions, so that all pixels are valid; 1 for the
-        smallest windows around them. Scale and position are interpolated between.
+    Parameters
+    ----------
+    borders : sequence of (m, 2)
+        Border of the field of each camera, once around, in the ideal image plane.
+    size_px : (width, height)
+        Size of every window.
+    alpha : float
+        0: the largest windows inside the fields, so that all pixels are valid. 1: the smallest
+        windows around the fields. Values between interpolate scale and position.
     """
     half = (np.array(size_px) - 1) / 2
     # In units in which all windows are squares.
@@ -124,7 +136,7 @@ def _windows(
 def _smallest_around(
     regions: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[float, Float[np.ndarray, "v 2"]]:
-    """(half a side, middles) of the smallest squares around the regions."""
+    """(half a side, middles) of the smallest equal squares that contain the regions."""
     low = np.stack([region.min(axis=0) for region in regions])
     high = np.stack([region.max(axis=0) for region in regions])
     low[:, 1], high[:, 1] = low[:, 1].min(), high[:, 1].max()
@@ -134,7 +146,7 @@ def _smallest_around(
 def _largest_inside(
     regions: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[float, Float[np.ndarray, "v 2"]] | None:
-    """(half a side, middles) of the largest squares inside the regions, or None."""
+    """(half a side, middles) of the largest equal squares inside the regions, or None."""
     low = np.stack([region.min(axis=0) for region in regions])
     high = np.stack([region.max(axis=0) for region in regions])
     middles, spans = (low + high) / 2, (high - low) / 2
@@ -149,7 +161,7 @@ def _largest_inside(
         if common[column, row] >= best:
             best = common[column, row]
             columns = [column, *reaches[1:, :, row].argmax(axis=1)]
-            middles = np.array([(own[k], y[row]) for own, k in zip(x, columns, strict=True)])
+            middles = np.array([(xs[k], y[row]) for xs, k in zip(x, columns, strict=True)])
         spans = spans * _NARROWER
     return (float(best) * (1 - _BEND), middles) if best > 0 else None
 
@@ -157,11 +169,14 @@ def _largest_inside(
 def _reach_inside(
     region: Float[np.ndarray, "m 2"], x: Float[np.ndarray, "i"], y: Float[np.ndarray, "j"]
 ) -> Float[np.ndarray, "i j"]:
-    """Half a side of the largest square in a region about each (x, y); negative outside of it."""
+    """Half the side of the largest square inside a region about each (x, y), (i, j).
+
+    Negative for a middle outside the region.
+    """
     middles = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 1, 2)
     start = region - middles
-    way = np.roll(region, -1, axis=0) - region
-    (a, b), (da, db) = np.moveaxis(start, -1, 0), way.T
+    side = np.roll(region, -1, axis=0) - region
+    (a, b), (da, db) = np.moveaxis(start, -1, 0), side.T
     # The larger of |a + t da| and |b + t db| is convex in t: it is least where one of them is zero,
     # where both are equal, or at an end.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -181,7 +196,7 @@ def _is_inside(
     da: Float[np.ndarray, "m"],
     db: Float[np.ndarray, "m"],
 ) -> Bool[np.ndarray, "n"]:
-    """Whether the origin is in a polygon: a ray from it crosses an odd number of sides."""
+    """Test if the origin is inside polygons: a ray from it crosses an odd number of sides, (n,)."""
     crosses = (b > 0) != (np.roll(b, -1, axis=1) > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         right = a - b * da / db > 0

@@ -1,5 +1,4 @@
-"""Where a camera stands: a rigid motion, its parameters over the sheet, and small steps of those
-that are free."""
+"""Pose of a camera: a rigid motion, its parameters over the sheet, and small steps for fits."""
 
 from enum import Enum
 
@@ -20,14 +19,21 @@ from trinoc.numerics.values import Value
 
 
 class PoseModel(Enum):
-    """What a fit may change of a camera's pose, with the names of the parameters.
+    """Free parameters of a camera pose in a fit; the value is the tuple of their names.
 
-    AIMED : pan, tilt, swing and distance; the point of the sheet that the optical axis meets is
-        held, at the origin unless something else is said.
-    AIM_FREE : these and the aim, so any pose whose axis meets the sheet Z = 0.
-    RIGID : any rigid motion, as a rotation and a displacement from where the camera was.
+    Attributes
+    ----------
+    AIMED :
+        Pan, tilt, swing and distance. The intersection of optical axis and sheet is fixed, by
+        default at the origin.
+    AIM_FREE :
+        These and the aim: any pose whose optical axis meets the sheet Z = 0.
+    RIGID :
+        Any rigid motion: a rotation and a displacement relative to the initial pose.
 
-    The angles come first in each, and there are three of them.
+    Notes
+    -----
+    The first three parameters of each model are angles.
     """
 
     AIMED = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
@@ -36,7 +42,7 @@ class PoseModel(Enum):
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names, with units, of the parameters of one camera."""
+        """Names of the parameters of one camera, with units."""
         return self.value
 
     @property
@@ -45,27 +51,31 @@ class PoseModel(Enum):
         return len(self.value)
 
     @property
-    def word(self) -> str:
-        """The model as options spell it: "aimed", "aim-free" or "rigid"."""
+    def option_name(self) -> str:
+        """Spelling in options and arguments: "aimed", "aim-free" or "rigid"."""
         return self.name.lower().replace("_", "-")
 
     @classmethod
-    def of(cls, given: "PoseModel | str") -> "PoseModel":
-        """A model from itself or its word. Raises InputError for anything else."""
+    def of(cls, value: "PoseModel | str") -> "PoseModel":
+        """Return the model for a PoseModel or its option name. Raises InputError otherwise."""
         for model in cls:
-            if given is model or given == model.word:
+            if value is model or value == model.option_name:
                 return model
-        words = ", ".join(f'"{model.word}"' for model in cls)
-        raise InputError(f"pose_model is {given!r}, but must be one of {words}, or a PoseModel.")
+        option_names = ", ".join(f'"{model.option_name}"' for model in cls)
+        raise InputError(
+            f"pose_model is {value!r}, but must be one of {option_names}, or a PoseModel."
+        )
 
 
 def pose_model_over_sheet(pose_model: PoseModel | str) -> PoseModel:
-    """The model of cameras that a sheet places. Raises InputError for RIGID and for no model."""
+    """Return the pose model of a calibration over a sheet. Raises InputError for RIGID and unknown
+    names.
+    """
     model = PoseModel.of(pose_model)
     if model is PoseModel.RIGID:
         raise InputError(
-            'pose_model is "rigid", but a camera over the sheet is described by its aim: give '
-            '"aim-free", which is any pose that looks at the sheet.'
+            'pose_model is "rigid", but a calibration over the sheet needs a model with an aim. '
+            'Give "aim-free", which allows any pose that looks at the sheet.'
         )
     return model
 
@@ -73,13 +83,17 @@ def pose_model_over_sheet(pose_model: PoseModel | str) -> PoseModel:
 class Pose(Value):
     """A rigid motion `cam_from_world` = [R | t]: x_cam = R x_world + t.
 
-    Fits take small steps from a pose (`retract`), in local coordinates that have no pole: pan and
-    swing become one angle where a camera looks straight down, which is a good place for a camera.
-    The method's parameters are read off at the end (`parameters`, `d_parameters_d_delta`).
+    Attributes
+    ----------
+    cam_from_world : (3, 4)
+        Rotation, and translation in mm.
 
-    Fields
-    ------
-    cam_from_world : (3, 4) rotation, and translation in mm.
+    Notes
+    -----
+    Fits take small steps from a pose (`retract`) in local coordinates without a singularity. Pan
+    and swing are such a singularity: they become one angle if a camera looks straight down, which
+    is a common position. The method's parameters are computed at the end (`parameters`,
+    `d_parameters_d_delta`).
     """
 
     cam_from_world: Float[ArrayLike, "3 4"]
@@ -88,7 +102,7 @@ class Pose(Value):
     def from_centre(
         cls, rotation: Float[ArrayLike, "3 3"], centre_world_mm: Float[ArrayLike, "3"]
     ) -> "Pose":
-        """From the cam_from_world rotation and the centre of projection in the world."""
+        """Pose from the cam_from_world rotation and the centre of projection in the world, mm."""
         return cls.from_translation(rotation, -(rotation @ centre_world_mm))
 
     @classmethod
@@ -98,7 +112,7 @@ class Pose(Value):
         distance_mm: Float[ArrayLike, ""],
         aim_mm: Float[ArrayLike, "2"],
     ) -> "Pose":
-        """From the rotation, and the point (X, Y) of Z = 0 at `distance_mm` on the optical axis."""
+        """Pose from a rotation, and the point (X, Y, 0) at `distance_mm` on the optical axis."""
         zero = jnp.zeros_like(distance_mm)
         aim_cam = jnp.stack([zero, zero, jnp.asarray(distance_mm)])
         return cls.from_translation(rotation, aim_cam - rotation[:, :2] @ aim_mm)
@@ -107,14 +121,14 @@ class Pose(Value):
     def from_translation(
         cls, rotation: Float[ArrayLike, "3 3"], translation_mm: Float[ArrayLike, "3"]
     ) -> "Pose":
-        """From R and t of x_cam = R x_world + t."""
-        # Searches among many poses are fast in NumPy.
+        """Pose from R and t of x_cam = R x_world + t."""
+        # NumPy in, NumPy out: searches over many poses are faster without JAX.
         xp = array_namespace(rotation, translation_mm)
         return cls(xp.concatenate([rotation, translation_mm[:, None]], axis=1))
 
     @classmethod
     def from_parameters(cls, parameters: Float[ArrayLike, "6"]) -> "Pose":
-        """From (pan, tilt, swing in rad, distance, aim X, aim Y in mm)."""
+        """Pose from (pan, tilt, swing in rad, distance, aim X, aim Y in mm)."""
         xp = array_namespace(parameters)
         pan, tilt, swing, distance = (parameters[k] for k in range(4))
         rotation = rotation_from_pan_tilt_swing(pan, tilt, swing)
@@ -123,42 +137,44 @@ class Pose(Value):
 
     @property
     def rotation(self) -> Float[ArrayLike, "3 3"]:
-        """cam_from_world rotation; its rows are the camera's x, y, z in the world frame."""
+        """Rotation cam_from_world (3, 3); its rows are the camera's x, y, z in the world frame."""
         return self.cam_from_world[:, :3]
 
     @property
     def translation_mm(self) -> Float[ArrayLike, "3"]:
-        """t of x_cam = R x_world + t: the world's origin in the camera frame."""
+        """Translation t of x_cam = R x_world + t: the world origin in the camera frame, (3,)."""
         return self.cam_from_world[:, 3]
 
     @property
     def centre_world_mm(self) -> Float[ArrayLike, "3"]:
-        """Centre of projection in the world frame."""
+        """Centre of projection in the world frame, (3,)."""
         return -self.rotation.T @ self.translation_mm
 
     @property
     def distance_mm(self) -> Float[ArrayLike, ""]:
-        """From the centre along the optical axis to Z = 0; negative where that lies behind, and
-        infinite where they are parallel."""
+        """Distance from the centre along the optical axis to Z = 0.
+
+        Negative if the intersection is behind the camera; infinite if axis and plane are parallel.
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             return -self.centre_world_mm[2] / self.rotation[2, 2]
 
     @property
     def aim_mm(self) -> Float[ArrayLike, "2"]:
-        """The point (X, Y) of Z = 0 on the optical axis."""
+        """Intersection (X, Y) of the optical axis with Z = 0."""
         return (self.centre_world_mm + self.distance_mm * self.rotation[2])[:2]
 
     @property
     def cam_from_sheet(self) -> Float[ArrayLike, "3 3"]:
-        """Homography from (X, Y, 1) on the sheet Z = 0 to the camera frame."""
+        """Homography (3, 3) from (X, Y, 1) on the sheet Z = 0 to the camera frame."""
         rotation = self.rotation
         return jnp.stack([rotation[:, 0], rotation[:, 1], self.translation_mm], axis=1)
 
     @property
     def parameters(self) -> Float[ArrayLike, "6"]:
-        """(pan, tilt, swing in rad, distance, aim X, aim Y in mm).
+        """Parameters (pan, tilt, swing in rad, distance, aim X, aim Y in mm), (6,).
 
-        Distance and aim are NaN where the axis does not meet Z = 0 in front of the camera.
+        Distance and aim are NaN if the axis does not meet Z = 0 in front of the camera.
         """
         xp = array_namespace(self.cam_from_world)
         pan, tilt, swing = pan_tilt_swing_from_rotation(self.rotation)
@@ -169,26 +185,29 @@ class Pose(Value):
 
     @property
     def inverse(self) -> "Pose":
-        """The way back: world_from_cam."""
+        """The inverse motion, world_from_cam."""
         return Pose.from_translation(self.rotation.T, self.centre_world_mm)
 
     def __matmul__(self, first: "Pose") -> "Pose":
-        """`first`, then this one: a_from_c = a_from_b @ b_from_c."""
+        """Composition a_from_c = a_from_b @ b_from_c: `first` is applied first."""
         moved = self.rotation @ first.translation_mm + self.translation_mm
         return Pose.from_translation(self.rotation @ first.rotation, moved)
 
     def transform(self, point_world_mm: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3"]:
-        """A point of the world in the camera frame."""
+        """Coordinates in the camera frame of one world point, (3,) mm."""
         return self.rotation @ point_world_mm + self.translation_mm
 
     def transform_points(
         self, points_world_mm: Float[ArrayLike, "*n 3"]
     ) -> Float[ArrayLike, "*n 3"]:
-        """Points of the world in the camera frame."""
+        """Coordinates in the camera frame of world points, (..., 3) mm."""
         return points_world_mm @ self.rotation.T + self.translation_mm
 
     def aim_at_origin(self) -> "Pose":
-        """This pose turned until the optical axis meets the world's origin, which lies in front."""
+        """Turn the pose by the smallest rotation that puts the world origin on the optical axis.
+
+        The origin must lie in front of the camera.
+        """
         distance = jnp.sqrt(self.translation_mm @ self.translation_mm)
         rotation = _turn_to_axis(self.translation_mm / distance) @ self.rotation
         return Pose.from_aim(rotation, distance, jnp.zeros_like(rotation[0, :2]))
@@ -196,13 +215,19 @@ class Pose(Value):
     def retract(
         self, delta: Float[ArrayLike, "p"], model: PoseModel, unit_mm: ScalarLike
     ) -> "Pose":
-        """This pose after a small step; zero leaves it as it is.
+        """Return this pose after a small step; a zero step returns the pose itself.
 
-        delta : (p,) a turn in rad about the camera's axes (`cayley_rotation`), then in units of
-            `unit_mm` the change of distance (AIMED), this and the shift of the aim along X and Y
-            (AIM_FREE), or the displacement of the centre along the world's axes (RIGID).
-        unit_mm : such as the distance at which the camera works, so that all of `delta` is of one
-            scale.
+        Parameters
+        ----------
+        delta : (p,)
+            First a rotation vector in rad about the camera axes (`cayley_rotation`). Then lengths
+            in units of `unit_mm`. AIMED: change of distance. AIM_FREE: change of distance and of
+            the aim's X and Y. RIGID: displacement of the centre along the world axes.
+        model : PoseModel
+            Free parameters.
+        unit_mm : float
+            Length unit, for example the working distance, so that all entries of `delta` have
+            similar size.
         """
         rotation = cayley_rotation(delta[:3]) @ self.rotation
         if model is PoseModel.RIGID:
@@ -213,7 +238,7 @@ class Pose(Value):
         return Pose.from_aim(rotation, self.distance_mm + unit_mm * delta[3], aim)
 
     def model_parameters(self, model: PoseModel, origin: "Pose") -> Float[ArrayLike, "p"]:
-        """The parameters that `model` names, in rad and mm; those of RIGID count from `origin`."""
+        """Parameters that `model` names, (p,), in rad and mm; for RIGID relative to `origin`."""
         if model is not PoseModel.RIGID:
             return self.parameters[: model.size]
         turn = vector_from_rotation(self.rotation @ origin.rotation.T)
@@ -222,14 +247,14 @@ class Pose(Value):
     def d_parameters_d_delta(
         self, model: PoseModel, unit_mm: ScalarLike, origin: "Pose"
     ) -> Float[ArrayLike, "p p"]:
-        """Jacobian of `model_parameters` with respect to a step of `retract` from here."""
+        """Jacobian (p, p) of `model_parameters` by a step of `retract` at this pose."""
         return jax.jacfwd(
             lambda delta: self.retract(delta, model, unit_mm).model_parameters(model, origin)
         )(jnp.zeros(model.size, jnp.asarray(self.cam_from_world).dtype))
 
 
 def _turn_to_axis(ray: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
-    """The smallest rotation that takes a unit vector with z > 0 onto the optical axis."""
+    """Smallest rotation that maps a unit vector with z > 0 onto the optical axis, (3, 3)."""
     x, y, z = ray[0], ray[1], ray[2]
     factor = 1 / (1 + z)
     rows = [

@@ -1,4 +1,4 @@
-"""The projection of all fits and tools: from a point, or a line, of the world to the picture.
+"""Projection of points and lines from the world to the image, shared by all fits and tools.
 
 Source: Hartley and Zisserman, section 6.1.
 """
@@ -25,10 +25,17 @@ from trinoc.numerics.vectors import (
 
 
 class Projection(NamedTuple):
-    """Undistorted pixels of points, and how they move with the points.
+    """Undistorted pixels of points with their derivatives.
 
-    uv_px : of each. depth : z in the camera's frame, positive before it, in mm for a matrix whose
-    third row has unit length. by_point : (px/mm) derivative by the point's coordinates.
+    Attributes
+    ----------
+    uv_px : (..., 2)
+        Pixel of each point.
+    depth : (...)
+        z in the camera frame, positive in front. In mm if the third row of the matrix has unit
+        length.
+    by_point : (..., 2, 3)
+        Derivative of the pixel by the point's coordinates, px/mm.
     """
 
     uv_px: Float[NumpyOrTraced, "*n 2"]
@@ -39,9 +46,9 @@ class Projection(NamedTuple):
 def project_point(
     pose: Pose, lens: AbstractLens, point_world_mm: Float[ArrayLike, "3"]
 ) -> Float[ArrayLike, "2"]:
-    """The pixel that images a point through a lens; for use under `jit`, `grad` and `vmap`.
+    """Pixel (2,) that images a world point through a lens, for use under `jit`, `grad` and `vmap`.
 
-    Meaningless for a point that the lens cannot see, such as one behind a pinhole camera.
+    Meaningless for a point that the lens cannot image, for example behind a pinhole camera.
     """
     return lens.project_ray(pose.transform(point_world_mm))
 
@@ -49,9 +56,9 @@ def project_point(
 def project_by_matrix(
     matrix_px: Float[ArrayLike, "*m 3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
 ) -> Float[NumpyOrTraced, "*e 2"]:
-    """Undistorted pixels of points by a projection matrix; in NumPy where both are NumPy.
+    """Undistorted pixels of points by a projection matrix; NumPy if both arguments are NumPy.
 
-    Of several matrices, (*m 3 4), each has its own points, (*m e 3); leading axes are broadcast.
+    Several matrices (*m, 3, 4) take points (*m, e, 3), one set per matrix. Leading axes broadcast.
     """
     image = homogeneous_pixel(matrix_px, points_world_mm)
     return image[..., :2] / image[..., 2:]
@@ -60,7 +67,7 @@ def project_by_matrix(
 def project_with_jacobian(
     matrix_px: Float[ArrayLike, "*m 3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
 ) -> Projection:
-    """`project_by_matrix` with depths and derivatives."""
+    """Pixels, depths and derivatives; same arguments as `project_by_matrix`."""
     image = homogeneous_pixel(matrix_px, points_world_mm)
     uv, depth = image[..., :2] / image[..., 2:], image[..., 2]
     rows: Any = matrix_px if points_world_mm.ndim == 1 else matrix_px[..., None, :, :]
@@ -72,7 +79,10 @@ def project_with_jacobian(
 def homogeneous_pixel(
     matrix_px: Float[ArrayLike, "*m 3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
 ) -> Any:
-    """Undistorted pixels times the depth, and the depth, (*e 3); matrices as there."""
+    """Homogeneous pixels (u w, v w, w) of points, (*e, 3), where w is the depth.
+
+    Same arguments as `project_by_matrix`.
+    """
     if is_traced(matrix_px, points_world_mm) and matrix_px.ndim > 2:
         # Sums of products and no products of matrices, which XLA computes one by one.
         rows = matrix_px[..., None, :, :]
@@ -85,9 +95,9 @@ def homogeneous_pixel(
 def image_of_point(
     matrix_px: Float[ArrayLike, "... 3 4"], point: Vector3
 ) -> tuple[Vector2, Scalar]:
-    """(undistorted pixel, depth) of points whose coordinates are arrays of their own.
+    """(undistorted pixel, depth) of points whose coordinates are separate arrays.
 
-    Kernels over long arrays of points fuse in this form.
+    XLA fuses kernels over long arrays of points in this form.
     """
     u, v, depth = (
         dot3(vector3(matrix_px[..., k, :3]), point) + matrix_px[..., k, 3] for k in range(3)
@@ -96,7 +106,9 @@ def image_of_point(
 
 
 def pixel_change(uv_px: Vector2, depth: Scalar, change: Vector3) -> Vector2:
-    """How a pixel moves where its homogeneous one, whose third coordinate is `depth`, changes."""
+    """First-order change of a pixel if its homogeneous coordinates, with third one `depth`,
+    change.
+    """
     u, v = uv_px
     return (change[0] - u * change[2]) / depth, (change[1] - v * change[2]) / depth
 
@@ -104,8 +116,22 @@ def pixel_change(uv_px: Vector2, depth: Scalar, change: Vector3) -> Vector2:
 def project_points(
     pose: Pose, lens: AbstractLens, points_world_mm: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 2"]:
-    """`project_point` of any number of points, which few programs serve; NaN beyond the fold of
-    the lens."""
+    """Project any number of world points through a lens.
+
+    Parameters
+    ----------
+    pose : Pose
+        Pose of the camera, cam_from_world.
+    lens : AbstractLens
+        Lens; not traced.
+    points_world_mm : (n, 3)
+        Points in the world frame.
+
+    Returns
+    -------
+    (n, 2)
+        Pixels; NaN beyond the fold of the lens. Few array lengths compile.
+    """
     uv_px = in_bucket(partial(_project_points, pose, lens), points_world_mm)
     return mask_folded(pose, lens, points_world_mm, uv_px)
 
@@ -116,9 +142,9 @@ def mask_folded(
     points_world_mm: Float[ArrayLike, "*n 3"],
     uv_px: Float[ArrayLike, "*n 2"],
 ) -> Any:
-    """Pixels of points, NaN for those whose rays lie beyond the fold of the lens.
+    """Replace pixels by NaN if their rays lie beyond the fold of the lens.
 
-    As they are for a camera that is traced.
+    Pixels of a traced camera are returned unchanged.
     """
     if is_traced(pose, lens) or lens.valid_radius_px() == np.inf:
         return uv_px
@@ -129,7 +155,7 @@ def mask_folded(
 def unproject_pixels(
     lens: AbstractLens, uv_px: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit rays, in the camera frame, of any number of pixels, which few programs serve."""
+    """Unit rays in the camera frame of any number of pixels, (n, 3). Few array lengths compile."""
     return in_bucket(partial(_unproject_pixels, lens), uv_px)
 
 
@@ -148,8 +174,15 @@ def _unproject_pixels(
 
 
 class LineDistances(NamedTuple):
-    """distance_px : signed, to the right of the direction from the first to the second end as seen
-    on the picture (v down). by_ends : (px/mm) derivative by the ends of the line.
+    """Signed distances of points from the image of a line, with derivatives.
+
+    Attributes
+    ----------
+    distance_px : (*m, e)
+        Positive on the right of the direction from the first to the second end, as displayed (v
+        down).
+    by_ends : (*m, e, 2, 3)
+        Derivative by the ends of the line, px/mm.
     """
 
     distance_px: Float[NumpyOrTraced, "*m e"]
@@ -163,17 +196,19 @@ def distances_from_line(
 ) -> LineDistances:
     """Distances of undistorted pixels from the image of the line through two points in space.
 
-    Of several matrices each has its own points; leading axes of the ends are broadcast. Where the
-    ends lie along the line does not matter, but that their images differ.
+    Several matrices (*m, 3, 4) have points (*m, e, 2), one set per matrix; leading axes of the ends
+    broadcast. The position of the two ends along the line does not matter, if their images differ.
     """
     image = project_with_jacobian(matrix_px, ends_mm)
     uv, xp = image.uv_px, array_namespace(matrix_px, ends_mm, points_px)
-    way = uv[..., 1:, :] - uv[..., :1, :]
-    squared = (way**2).sum(-1)
-    normal = xp.stack([-way[..., 1], way[..., 0]], axis=-1) / xp.sqrt(squared)[..., None]
+    direction = uv[..., 1:, :] - uv[..., :1, :]
+    squared = (direction**2).sum(-1)
+    normal = (
+        xp.stack([-direction[..., 1], direction[..., 0]], axis=-1) / xp.sqrt(squared)[..., None]
+    )
     offset = points_px - uv[..., :1, :]
-    # As the line turns, what it does abreast of a point is a mean of what its ends do.
-    share = (offset * way).sum(-1) / squared
+    # The displacement of the line abreast of a point interpolates those of its ends.
+    share = (offset * direction).sum(-1) / squared
     across = (normal[..., None] * image.by_point).sum(-2)
     weight = xp.stack([1 - share, share], axis=-1)
     return LineDistances((offset * normal).sum(-1), -weight[..., None] * across[..., None, :, :])

@@ -1,8 +1,7 @@
-"""Two cameras without distortion, turned until a point has the same row in both pictures.
+"""Stereo rectification: two ideal cameras in which a point has the same row in both images.
 
-Both image planes are parallel to the line between the centres, at one distance. A point at depth z
-then moves by f b / z along the rows from picture to picture. Source: Hartley and Zisserman, section
-11.12.
+Both image planes are parallel to the baseline, at one distance. A point at depth z moves by f b / z
+along the rows from image to image. Source: Hartley and Zisserman, section 11.12.
 """
 
 from collections.abc import Mapping
@@ -14,38 +13,44 @@ from jaxtyping import Bool, Float
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.ideal_cameras import (
+    camera_name_in_errors,
     expect_alpha,
     ideal_lens,
-    say_which_camera,
     with_covariance,
 )
 from trinoc.geometry.intrinsics import whole_size_px
-from trinoc.geometry.picture_window import WIDEST_DEG, border_in_plane, fit_windows
+from trinoc.geometry.picture_window import (
+    CAMERA_FRAME,
+    WIDEST_DEG,
+    border_in_plane,
+    fit_windows,
+)
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.projection import project_points, unproject_pixels
-from trinoc.geometry.rig import Rig, at_one_place
+from trinoc.geometry.rig import Rig, find_equal_centres
 from trinoc.numerics.precision import in_float64
 
 # Beyond, pixels at the border are stretched more than tenfold.
 _MOST_TURN_DEG = 60.0
 # The sine of the angle with the line under which a camera would be turned that far.
 _ALONG = np.sin(np.radians(90 - _MOST_TURN_DEG))
-_OWN_FRAME = Pose(np.eye(3, 4))
-# Of the field that both cameras see: less than this is no pair, and less than that is noted.
+# Share of the common field: an error below the first, a note below the second.
 LEAST_SHARE, NOTED_SHARE = 0.1, 0.75
 # numerical: points of the field along each side of a picture; a great distance, in baselines.
 _FIELD_STEPS, _FAR = 33, 100.0
 
 
 class Disparity(NamedTuple):
-    """Relation between disparity and depth in two rectified pictures.
+    """Relation between disparity and depth in two rectified images.
 
-    Fields
-    ------
-    first, second : names of the cameras.
-    offset_px : u in the first picture less u in the second, of points at infinity.
-    product_px_mm : focal length times distance of the centres, negative where the second camera is
-        on the left of the first.
+    Attributes
+    ----------
+    first, second : str
+        Names of the cameras.
+    offset_px : float
+        Disparity of points at infinity.
+    product_px_mm : float
+        Focal length times baseline. Negative if the second camera is on the left of the first.
     """
 
     first: str
@@ -54,7 +59,7 @@ class Disparity(NamedTuple):
     product_px_mm: float
 
     def depth_mm(self, difference_px: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Depths of points from u in the first picture less u in the second."""
+        """Depths, mm, from disparities: u in the first image minus u in the second, px."""
         return self.product_px_mm / (difference_px - self.offset_px)
 
 
@@ -62,31 +67,49 @@ class Disparity(NamedTuple):
 def rectify_pair(
     rig: Rig, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> tuple[Rig, Disparity]:
-    """Ideal cameras at the centres of two cameras, with equal rows, and their disparity.
+    """Rectify two cameras: same centres, common rotation, equal rows.
 
-    alpha : as of `undistort_lens`.
-    image_size_px : (width, height) of both pictures, by default those of the larger one.
+    Parameters
+    ----------
+    rig : Rig
+        Exactly two cameras.
+    alpha : float
+        Part of the field that the new images show, as in `undistort_lens`.
+    image_size_px : (width, height), optional
+        Size of both images. Default: the larger width and the larger height of the two.
 
-    The covariance of the poses is propagated; where lenses are not exact, there is none. Raises
-    InputError for another number of cameras, cameras at one place, a camera that looks along the
-    line of the centres or sees the other one, cameras that see no common rows, and where less than
-    a tenth of the common field is left (`share_of_common_field`).
+    Returns
+    -------
+    Rig
+        The ideal cameras. Their covariance is propagated from the poses; it is empty if the lenses
+        have errors.
+    Disparity
+        Conversion from disparity to depth.
+
+    Raises
+    ------
+    InputError
+        If the rig does not have two cameras with different centres; if one camera looks along the
+        baseline or has the other in its image; if the cameras have no common rows; if less than a
+        tenth of the common field remains (`share_of_common_field`).
     """
     expect_alpha(alpha)
     if len(rig) != 2:
-        raise InputError(f"Two cameras are rectified together, but these are {len(rig)}: give two.")
-    if at_one_place(dict(rig.items())) is not None:
         raise InputError(
-            f'The cameras "{rig.names[0]}" and "{rig.names[1]}" stand at one place, so nothing '
-            "between them has a depth: give two others."
+            f"Rectification needs two cameras, but the rig has {len(rig)}. Give a rig of two."
+        )
+    if find_equal_centres(dict(rig.items())) is not None:
+        raise InputError(
+            f'The cameras "{rig.names[0]}" and "{rig.names[1]}" have the same centre, so depth '
+            "cannot be measured. Give two cameras with a baseline."
         )
     ideal_from_world = _common_rotation(rig)
-    # Pixels have the shape that they have in the cameras, in the mean.
+    # The pixel shape is the geometric mean of those of both cameras.
     ratios = [np.divide(*camera.intrinsics.focal_length_px[::-1]) for camera in rig.cameras]
     shape = np.diag([1.0, float(np.exp(np.mean(np.log(ratios))))])
     borders = []
     for name, camera in rig.items():
-        with say_which_camera(name):
+        with camera_name_in_errors(name):
             border = border_in_plane(camera.intrinsics, ideal_from_world @ camera.pose.rotation.T)
         borders.append(border @ shape.T)
     sizes = zip(*(camera.image_size_px for camera in rig.cameras), strict=True)
@@ -97,8 +120,8 @@ def rectify_pair(
         windows = fit_windows(borders, size_px, alpha)
         if windows is None:
             raise InputError(
-                f"The pictures of {', '.join(rig.names)} show nothing in common rows: give cameras "
-                "that look at one scene."
+                f"The images of {', '.join(rig.names)} have no common rows. Give cameras that look "
+                "at the same scene."
             )
         return {
             name: Camera(
@@ -111,56 +134,57 @@ def rectify_pair(
     cameras = frame_pictures(alpha)
     share = share_of_common_field(rig, cameras)
     if share < LEAST_SHARE:
-        whole = share_of_common_field(rig, frame_pictures(1.0))
+        full_share = share_of_common_field(rig, frame_pictures(1.0))
         remedy = (
-            f"give alpha 1, which keeps {100 * whole:.0f} %, or "
-            if whole > LEAST_SHARE
-            else "give "
+            f"Give alpha 1, which keeps {100 * full_share:.0f} %, or "
+            if full_share > LEAST_SHARE
+            else "Give "
         )
         raise InputError(
-            f"The new pictures would show {100 * share:.0f} % of what both cameras look at, since "
-            f"their directions differ by {_angle_deg(rig):.0f} degrees: {remedy}cameras that look "
-            "in more nearly the same direction."
+            f"The new images would show {100 * share:.0f} % of the common field, because the "
+            f"optical axes differ by {_angle_deg(rig):.0f} degrees. {remedy}cameras with more "
+            "nearly parallel axes."
         )
     return with_covariance(cameras, rig), _disparity(cameras)
 
 
 @in_float64
 def share_of_common_field(rig: Rig, cameras: Mapping[str, Camera]) -> float:
-    """Of the places that both cameras of a rig image: the share that both new `cameras` image.
+    """Share of the common field of two cameras that both new `cameras` image; NaN if there is none.
 
-    The places are where the optical axes come nearest to each other, on planes across the axes; at
-    a great distance for axes that do not come nearer in front of the cameras. NaN for none.
+    The field is sampled on planes perpendicular to the axes, at the depth where the optical axes
+    approach each other most. Axes that do not approach in front of the cameras are sampled at a
+    great distance.
     """
     first, second = rig.cameras
     depths = _depths_of_approach(first, second)
-    points = []
+    fields = []
     for camera, other, depth in ((first, second, depths[0]), (second, first, depths[1])):
         size = np.array(camera.image_size_px) - 1.0
         grid = np.stack(np.meshgrid(*2 * [np.linspace(0, 1, _FIELD_STEPS)]), axis=-1)
         rays = unproject_pixels(camera.intrinsics.lens, grid.reshape(-1, 2) * size)
         rays = rays[rays[:, 2] > np.cos(np.radians(WIDEST_DEG))]
         in_camera = depth * rays / rays[:, 2:]
-        places = in_camera @ np.asarray(camera.pose.rotation) + camera.centre_world_mm
-        points.append(places[_is_imaged(other, places)])
-    common = np.concatenate(points)
+        points_mm = in_camera @ np.asarray(camera.pose.rotation) + camera.centre_world_mm
+        fields.append(points_mm[_is_imaged(other, points_mm)])
+    common = np.concatenate(fields)
     if not len(common):
         return float("nan")
-    kept = np.all([_is_imaged(camera, common) for camera in cameras.values()], axis=0)
-    return float(kept.mean())
+    imaged = np.all([_is_imaged(camera, common) for camera in cameras.values()], axis=0)
+    return float(imaged.mean())
 
 
 def _is_imaged(camera: Camera, points_mm: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-    """Whether a picture shows points."""
+    """Test which points lie in front of a camera and inside its image, (n,)."""
     in_camera = points_mm @ np.asarray(camera.cam_from_world)[:, :3].T
     in_camera = in_camera + np.asarray(camera.cam_from_world)[:, 3]
-    uv_px = project_points(_OWN_FRAME, camera.intrinsics.lens, in_camera)
+    uv_px = project_points(CAMERA_FRAME, camera.intrinsics.lens, in_camera)
     inside = ((uv_px >= -0.5) & (uv_px <= np.array(camera.image_size_px) - 0.5)).all(axis=1)
     return inside & (in_camera[:, 2] > 0)
 
 
 def _depths_of_approach(first: Camera, second: Camera) -> tuple[float, float]:
-    """How far along each optical axis the other one is nearest."""
+    """Distance along each optical axis, mm, of the point nearest to the other axis."""
     axes = np.stack([first.pose.rotation[2], second.pose.rotation[2]])
     baseline = np.asarray(second.centre_world_mm - first.centre_world_mm)
     far_mm = _FAR * float(np.linalg.norm(baseline))
@@ -168,12 +192,12 @@ def _depths_of_approach(first: Camera, second: Camera) -> tuple[float, float]:
     if 1 - cosine**2 < _FAR**-2:
         return far_mm, far_mm
     depths = np.linalg.solve([[1, -cosine], [cosine, -1]], axes @ baseline)
-    near = (depths > 0).all() and (depths < far_mm).all()
-    return (float(depths[0]), float(depths[1])) if near else (far_mm, far_mm)
+    is_in_front = (depths > 0).all() and (depths < far_mm).all()
+    return (float(depths[0]), float(depths[1])) if is_in_front else (far_mm, far_mm)
 
 
 def _angle_deg(rig: Rig) -> float:
-    """Between the optical axes of two cameras."""
+    """Angle between the optical axes of two cameras."""
     first, second = (camera.pose.rotation[2] for camera in rig.cameras)
     return float(np.degrees(np.arccos(np.clip(first @ second, -1, 1))))
 
@@ -187,10 +211,7 @@ def _disparity(cameras: dict[str, Camera]) -> Disparity:
 
 
 def _common_rotation(rig: Rig) -> Float[np.ndarray, "3 3"]:
-    """The rotation from the world to both ideal cameras, which turns the cameras least.
-
-    Raises InputError.
-    """
+    """Rotation from the world to both ideal cameras, nearest to the mean of the two rotations."""
     first, second = (camera.centre_world_mm for camera in rig.cameras)
     right, _, forward = np.mean([camera.pose.rotation for camera in rig.cameras], axis=0)
     along = (second - first) / np.linalg.norm(second - first)
@@ -199,8 +220,8 @@ def _common_rotation(rig: Rig) -> Float[np.ndarray, "3 3"]:
     length = np.linalg.norm(level)
     if not length > 1e-6:
         raise InputError(
-            f"The cameras {', '.join(rig.names)} look along their line, or in opposite "
-            "directions, so they have no common picture plane: give cameras side by side."
+            f"The cameras {', '.join(rig.names)} look along their baseline, or in opposite "
+            "directions, so they have no common image plane. Give cameras side by side."
         )
     level = level / length
     rotation = np.stack([along, np.cross(level, along), level])
@@ -209,20 +230,20 @@ def _common_rotation(rig: Rig) -> Float[np.ndarray, "3 3"]:
 
 
 def _expect_directions(rig: Rig, ideal_from_world: Float[np.ndarray, "3 3"]) -> None:
-    """Raise InputError for a camera that would be turned too far, or that sees the other one."""
+    """Raise InputError if a camera would turn too far or has the other one in its image."""
     for (name, camera), (other, partner) in zip(rig.items(), [*rig.items()][::-1], strict=True):
         axis = np.asarray(camera.pose.rotation[2])
         turn_deg = float(np.degrees(np.arccos(np.clip(axis @ ideal_from_world[2], -1, 1))))
         if turn_deg > _MOST_TURN_DEG:
             raise InputError(
-                f'The camera "{name}" would have to be turned by {turn_deg:.0f} degrees, because '
-                f"{_reason(camera, partner, other)}: rectify cameras that look at one scene from "
-                "beside each other."
+                f'The camera "{name}" would have to turn by {turn_deg:.0f} degrees, because '
+                f"{_reason(camera, partner, other)}. Rectify cameras that stand side by side and "
+                "look at the same scene."
             )
         if _sees(camera, partner):
             raise InputError(
-                f'The line to the camera "{other}" meets the picture of "{name}", where rows '
-                "would all be one point: rectify cameras that stand beside each other."
+                f'The camera "{other}" is in the image of "{name}", where all rows would meet. '
+                "Rectify cameras that stand side by side."
             )
 
 
@@ -230,20 +251,20 @@ def _reason(camera: Camera, partner: Camera, other: str) -> str:
     axis = camera.pose.rotation[2]
     baseline = partner.centre_world_mm - camera.centre_world_mm
     if float(axis @ partner.pose.rotation[2]) <= 0:
-        return "the cameras look at opposite sides"
+        return "the cameras look in opposite directions"
     if np.linalg.norm(np.cross(baseline, axis)) < _ALONG * np.linalg.norm(baseline):
-        return f'it looks along its line to "{other}"'
-    return "both look too far apart"
+        return f'it looks along the baseline to "{other}"'
+    return "the two viewing directions differ too much"
 
 
 def _sees(camera: Camera, other: Camera) -> bool:
-    """Whether the line to another camera meets the picture within WIDEST_DEG of its axis.
+    """Test if the line to another camera meets the image within WIDEST_DEG of the axis.
 
-    Beyond that angle, an ideal picture shows nothing.
+    An ideal image shows nothing beyond that angle.
     """
     ray = np.asarray(camera.pose.rotation @ (other.centre_world_mm - camera.centre_world_mm))
     ray = ray if ray[2] > 0 else -ray
     if ray[2] <= np.cos(np.radians(WIDEST_DEG)) * np.linalg.norm(ray):
         return False
-    (uv_px,) = project_points(_OWN_FRAME, camera.intrinsics.lens, ray[None])
+    (uv_px,) = project_points(CAMERA_FRAME, camera.intrinsics.lens, ray[None])
     return bool(((uv_px >= 0) & (uv_px <= np.array(camera.image_size_px) - 1)).all())

@@ -1,4 +1,4 @@
-"""Several cameras in one world frame, with what is known of their errors."""
+"""Several cameras in one world frame, with the covariance of their parameters."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -13,40 +13,44 @@ from trinoc.numerics.display import Displayable
 from trinoc.numerics.precision import ArrayLike, is_traced, real_array
 from trinoc.numerics.values import Value
 
-# Centres nearer to each other than this share of their distance from the sheet are one place.
-_ONE_PLACE = 1e-6
-# Names that folders give to themselves and to what is above them.
+# Centres are equal if their separation is below this share of their distance from the origin.
+_EQUAL_CENTRES = 1e-6
+# Names of the current and the parent folder.
 _NO_NAMES = (".", "..")
-# What to give where a rig is wanted.
+# Remedy for an argument that must be a rig.
 A_RIG = "a trinoc.Rig, such as load_rig reads from a file"
 PARAMETER_NAMES = (*POSE_NAMES, "aim_x_mm", "aim_y_mm")
 
 
 def is_camera_name(name: object) -> bool:
-    """Whether files, tables and messages can hold a name: printable characters, not all blank."""
+    """Test if a name suits files, tables and messages: printable characters, not all blank."""
     text = isinstance(name, str)
     return text and name.isprintable() and bool(name.strip()) and name not in _NO_NAMES
 
 
 def check_camera_names(names: Iterable[object]) -> None:
-    """Raise InputError for a name that a camera cannot have."""
+    """Raise InputError if a camera name is not allowed."""
     for name in names:
         if not is_camera_name(name):
             raise InputError(
-                f"A camera is named {name!r}: give it a name of printable characters, which is not "
-                "blank, . or .. alone."
+                f"The camera name {name!r} is not allowed. Use printable characters; blank, . and "
+                ".. alone are reserved."
             )
 
 
 class Rig(Displayable, Value):
     """Named cameras, in the order the user gave them.
 
-    Fields
-    ------
-    names : name of each camera.
-    cameras : the cameras, in the order of `names`.
-    parameters : names ("upper.pan_deg", ...) of the rows of `covariance`; empty if unknown.
-    covariance : (p, p) of `parameters`, in degrees and mm; (0, 0) if unknown.
+    Attributes
+    ----------
+    names : tuple of str
+        Name of each camera.
+    cameras : tuple of Camera
+        Cameras, in the order of `names`.
+    parameters : tuple of str
+        Names ("upper.pan_deg", ...) of the rows of `covariance`; empty if unknown.
+    covariance : (p, p)
+        Covariance of `parameters`, in degrees and mm; (0, 0) if unknown.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -80,8 +84,8 @@ class Rig(Displayable, Value):
             raise InputError("A rig needs at least one camera.")
         if self.covariance.shape != (len(self.parameters),) * 2:
             raise InputError(
-                f"The covariance is {self.covariance.shape}, but {len(self.parameters)} "
-                "parameters are named: give one row and one column for each."
+                f"The covariance has shape {self.covariance.shape}, but there are "
+                f"{len(self.parameters)} parameter names. Give one row and one column for each."
             )
 
     @classmethod
@@ -90,12 +94,27 @@ class Rig(Displayable, Value):
         matrices_px: Mapping[str, ArrayLike],
         image_size_px: Sequence[int] | Mapping[str, Sequence[int]],
     ) -> "Rig":
-        """A rig from any 3x4 projection matrices, in any unit and origin of the world.
+        """Create a rig from any 3x4 projection matrices, in any unit and origin of the world.
 
-        `image_size_px` is one (width, height), or one per camera. Raises InputError.
+        Parameters
+        ----------
+        matrices_px : dict of (3, 4)
+            Projection matrix of each camera.
+        image_size_px : (width, height), or dict
+            One size for all cameras, or one per camera.
+
+        Returns
+        -------
+        Rig
+            Cameras without distortion; no covariance.
+
+        Raises
+        ------
+        InputError
+            If a matrix is no perspective camera or a size is missing. The message names the camera.
         """
-        each = "a dictionary of each camera's name and 3x4 projection matrix"
-        check_kind(matrices_px, Mapping, "set of matrices", each)
+        expected = "a dictionary of each camera's name and 3x4 projection matrix"
+        check_kind(matrices_px, Mapping, "set of matrices", expected)
         cameras = {}
         for name, matrix in matrices_px.items():
             size: Any = image_size_px
@@ -108,9 +127,22 @@ class Rig(Displayable, Value):
         return cls(cameras)
 
     def take(self, names: Collection[str]) -> "Rig":
-        """The rig of some of its cameras, in its own order, with their part of the covariance.
+        """Return the rig of some cameras, in the order of this rig, with their part of the
+        covariance.
 
-        Raises InputError for a name that is no camera of it.
+        Parameters
+        ----------
+        names : collection of str
+            Names of the cameras.
+
+        Returns
+        -------
+        Rig
+
+        Raises
+        ------
+        InputError
+            If a name is not in the rig.
         """
         check_kind(names, Collection, "set of names", "names of cameras")
         for name in names:
@@ -125,7 +157,7 @@ class Rig(Displayable, Value):
 
     def __getitem__(self, name: str) -> Camera:
         if name not in self.names:
-            raise InputError(f'There is no camera "{name}"; this rig has {list_names(self)}.')
+            raise InputError(f'There is no camera "{name}". This rig has {list_names(self)}.')
         return self.cameras[self.names.index(name)]
 
     def __iter__(self) -> Iterator[str]:
@@ -135,61 +167,88 @@ class Rig(Displayable, Value):
         return len(self.names)
 
     def items(self) -> Iterator[tuple[str, Camera]]:
-        """(name, camera) in order."""
+        """Iterate over (name, camera), in order."""
         return iter(zip(self.names, self.cameras, strict=True))
 
     @property
     def matrices_px(self) -> np.ndarray:
-        """(v, 3, 4) projection matrices in the order of `names`, without lens distortion."""
+        """Projection matrices (v, 3, 4) in the order of `names`, without lens distortion."""
         return np.stack([camera.matrix_px for camera in self.cameras])
 
     def value(self, parameter: str) -> float:
-        """A parameter of `PARAMETER_NAMES` such as "upper.pan_deg", in degrees or millimetres.
+        """Return a pose parameter by its name.
 
-        Raises InputError for another name.
+        Parameters
+        ----------
+        parameter : str
+            A camera name and one of `PARAMETER_NAMES`, such as "upper.pan_deg".
+
+        Returns
+        -------
+        float
+            Value in degrees or mm.
+
+        Raises
+        ------
+        InputError
+            If the name is not a parameter of a camera of this rig.
         """
         check_kind(parameter, str, "name of the parameter", 'one such as "left.pan_deg"')
-        name, _, own = parameter.rpartition(".")
-        if own not in PARAMETER_NAMES:
+        name, _, parameter_name = parameter.rpartition(".")
+        if parameter_name not in PARAMETER_NAMES:
             raise InputError(
-                f'A camera has no parameter "{own}": ask for one such as "{self.names[0]}.pan_deg" '
-                f"of {', '.join(PARAMETER_NAMES)}."
+                f'A camera has no parameter "{parameter_name}". Use a name such as '
+                f'"{self.names[0]}.pan_deg", with one of {", ".join(PARAMETER_NAMES)}.'
             )
-        if own.startswith("aim_"):
-            return self[name].aim_mm[0 if own == "aim_x_mm" else 1]
-        return getattr(self[name], own)
+        if parameter_name.startswith("aim_"):
+            return self[name].aim_mm[0 if parameter_name == "aim_x_mm" else 1]
+        return getattr(self[name], parameter_name)
 
     def covariance_of(self, parameters: Sequence[str]) -> Float[np.ndarray, "k k"]:
-        """(k, k) of some parameters by name; zero for what `covariance` does not hold."""
+        """Covariance (k, k) of parameters by name; zero for parameters that `covariance` lacks."""
         rows = [self.parameters.index(p) if p in self.parameters else -1 for p in parameters]
-        known = np.array(rows) >= 0
+        has_row = np.array(rows) >= 0
         chosen = np.asarray(self.covariance)[np.ix_(rows, rows)]
-        return np.where(np.outer(known, known), chosen, 0.0)
+        return np.where(np.outer(has_row, has_row), chosen, 0.0)
 
     def sigma(self, parameter: str) -> float:
-        """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known.
+        """Return the standard deviation of a parameter by its name.
 
-        Raises InputError for a name that is neither of `PARAMETER_NAMES` nor the lens's.
+        Parameters
+        ----------
+        parameter : str
+            A camera name with one of `PARAMETER_NAMES` or with a lens parameter.
+
+        Returns
+        -------
+        float
+            In degrees, mm or the unit of the lens parameter; NaN if unknown.
+
+        Raises
+        ------
+        InputError
+            If the name is not a parameter of a camera of this rig.
         """
         check_kind(parameter, str, "name of the parameter", 'one such as "left.pan_deg"')
         if parameter not in self.parameters:
-            name, _, own = parameter.rpartition(".")
-            if own not in self[name].intrinsics.lens.parameter_names:
+            name, _, parameter_name = parameter.rpartition(".")
+            if parameter_name not in self[name].intrinsics.lens.parameter_names:
                 self.value(parameter)
             return float("nan")
         index = self.parameters.index(parameter)
         return float(np.sqrt(self.covariance[index, index]))
 
 
-def at_one_place(cameras: Mapping[str, Camera]) -> tuple[str, str] | None:
-    """The names of two cameras that stand at one place; None where there are none."""
+def find_equal_centres(cameras: Mapping[str, Camera]) -> tuple[str, str] | None:
+    """Names of the first two cameras with the same centre of projection; None if all differ."""
     names = list(cameras)
     centres = np.array([camera.centre_world_mm for camera in cameras.values()]).reshape(-1, 3)
     distances = np.linalg.norm(centres, axis=1)
     # One row at a time: models of other programs have thousands of cameras.
     for number, name in enumerate(names[:-1]):
-        apart = np.linalg.norm(centres[number + 1 :] - centres[number], axis=1)
-        beside = apart <= _ONE_PLACE * np.maximum(distances[number + 1 :], distances[number])
-        if beside.any():
-            return name, names[number + 1 + int(beside.argmax())]
+        separation_mm = np.linalg.norm(centres[number + 1 :] - centres[number], axis=1)
+        nearest_mm = np.maximum(distances[number + 1 :], distances[number])
+        is_equal = separation_mm <= _EQUAL_CENTRES * nearest_mm
+        if is_equal.any():
+            return name, names[number + 1 + int(is_equal.argmax())]
     return None

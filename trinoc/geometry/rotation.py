@@ -1,4 +1,4 @@
-"""Rotations: the exponential map, and the pan-tilt-swing parametrisation of a camera."""
+"""Rotations: exponential map, Cayley map, and the pan-tilt-swing parametrisation of a camera."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,16 +17,17 @@ _CROSS = np.array(
 
 
 def skew(vector: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
-    """[v]x, the matrix with [v]x w = v x w."""
-    own = jnp.asarray(vector)
-    return jnp.sum(own[:, None, None] * _CROSS.astype(own.dtype), axis=0)
+    """Cross-product matrix [v]x (3, 3) with [v]x w = v x w."""
+    array = jnp.asarray(vector)
+    return jnp.sum(array[:, None, None] * _CROSS.astype(array.dtype), axis=0)
 
 
 def cayley_rotation(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
-    """The rotation about a vector by 2 atan of half its length, which is its length to third order.
+    """Cayley map: rotation about a vector by 2 atan(length / 2), in rad.
 
-    Rational where Rodrigues' formula has a case of its own near zero: a chart for small steps.
-    Source: A. Cayley, "Sur quelques propriétés des déterminants gauches" (1846).
+    The angle equals the length to second order, so the map suits small steps. It is rational,
+    without the special case of Rodrigues' formula near zero. Source: A. Cayley, "Sur quelques
+    propriétés des déterminants gauches" (1846).
     """
     half = skew(0.5 * vector_rad)
     share = 2 / (1 + 0.25 * jnp.sum(jnp.square(vector_rad)))
@@ -34,7 +35,7 @@ def cayley_rotation(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"
 
 
 def rotation_from_vector(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
-    """Rodrigues' formula: the rotation about `vector_rad` by its length.
+    """Rodrigues' formula: rotation (3, 3) about `vector_rad` by its length.
 
     Smooth at zero: below 1e-4 rad the coefficients come from their Taylor series.
     """
@@ -48,7 +49,7 @@ def rotation_from_vector(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, 
 
 
 def vector_from_rotation(rotation: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "3"]:
-    """Inverse of `rotation_from_vector`, in rad, for a rotation by less than a quarter turn.
+    """Inverse of `rotation_from_vector`: rotation vector (3,), rad, for angles below 90 degrees.
 
     Smooth at zero: below 1e-6 rad the coefficient comes from its Taylor series.
     """
@@ -68,10 +69,10 @@ def vector_from_rotation(rotation: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, 
 def rotation_from_pan_tilt_swing(
     pan_rad: ScalarLike, tilt_rad: ScalarLike, swing_rad: ScalarLike
 ) -> Float[ArrayLike, "3 3"]:
-    """cam_from_world rotation whose rows are the camera's x (right), y (down), z (forward).
+    """Rotation cam_from_world (3, 3); its rows are the camera's x (right), y (down), z (forward).
 
-    Pan is the azimuth of the camera from -Y toward +X, tilt its elevation above Z = 0, and
-    swing turns the picture's x toward its y.
+    Pan is the azimuth of the camera from -Y toward +X. Tilt is its elevation above Z = 0. Swing
+    turns the image's x toward its y.
     """
     xp = array_namespace(pan_rad, tilt_rad, swing_rad)
     sin_p, cos_p = xp.sin(pan_rad), xp.cos(pan_rad)
@@ -84,9 +85,9 @@ def rotation_from_pan_tilt_swing(
 def pan_tilt_swing_from_rotation(
     rotation: Float[ArrayLike, "3 3"],
 ) -> tuple[Float[ArrayLike, ""], Float[ArrayLike, ""], Float[ArrayLike, ""]]:
-    """Inverse of `rotation_from_pan_tilt_swing`, in radians.
+    """(pan, tilt, swing) in rad of a rotation; inverse of `rotation_from_pan_tilt_swing`.
 
-    At a tilt of +-90 degrees pan and swing are one angle; pan is then whatever rounding says.
+    At a tilt of +-90 degrees pan and swing are one angle. Rounding then decides their split.
     """
     xp = array_namespace(rotation)
     x, forward = rotation[0], rotation[2]
@@ -102,7 +103,7 @@ def _level_axes(
     sin_t: Float[ArrayLike, ""],
     cos_t: Float[ArrayLike, ""],
 ) -> tuple[Float[ArrayLike, "3"], Float[ArrayLike, "3"], Float[ArrayLike, "3"]]:
-    """Right, down and forward of a camera without swing, in the world frame."""
+    """(right, down, forward) axes of a camera with swing 0, in the world frame."""
     xp = array_namespace(sin_p, cos_p, sin_t, cos_t)
     forward = xp.stack([-cos_t * sin_p, cos_t * cos_p, -sin_t])
     right = xp.stack([cos_p, sin_p, xp.zeros_like(sin_p)])

@@ -1,5 +1,7 @@
-"""Line segments of one picture, where they meet, and their fragments in several pictures: the
-observations that matching and refinement share."""
+"""Segments and junctions of one image, and fragments of several views.
+
+These observations are the input of matching and refinement.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -26,27 +28,33 @@ from trinoc.numerics.tables import (
 )
 from trinoc.numerics.values import Value
 
-# The body of a segment, not one of its ends, lies on a junction.
+# Value of `Junctions.end` where the body of a segment, not an end, lies on the junction.
 BODY = -1
 DEFAULT_SIGMA_PX = 0.5
-# Detectors cut ends short or run past them: along the segment an end is known far less.
+# Detectors shorten or extend segments: an end is far less certain along the segment than across.
 DEFAULT_SIGMA_ALONG_PX = 2.0
 
 
 class Junctions(Table):
-    """Where segments of one picture meet, and which of them do.
+    """Points where segments of one image meet.
 
-    The last three fields are one table with a row for each segment at each junction.
+    The last three fields form one table with a row per segment and junction.
 
-    Fields
-    ------
-    uv_px : (j, 2) the point nearest to all lines that meet, weighted by their sigmas.
-    covariance_px2 : (j, 2, 2) of that point.
-    kind : (j,) "L" (two ends), "Y" (three), "T" (an end on a body, or three ends of which two
-        are collinear), "X" (four ends or more).
-    junction : (m,) junction of each row.
-    segment : (m,) segment of each row.
-    end : (m,) 0 or 1, the end of the segment that meets, or -1 for its body.
+    Attributes
+    ----------
+    uv_px : (j, 2)
+        Point nearest to all lines that meet, weighted by their sigmas.
+    covariance_px2 : (j, 2, 2)
+        Covariance of that point.
+    kind : (j,)
+        "L": two ends. "Y": three ends. "T": an end on the body of a segment, or three ends of which
+        two are collinear. "X": four ends or more.
+    junction : (m,)
+        Junction of each row.
+    segment : (m,)
+        Segment of each row.
+    end : (m,)
+        End of the segment at the junction, 0 or 1; -1 for its body.
     """
 
     KIND: ClassVar[str] = "junctions"
@@ -70,23 +78,33 @@ _ENDS = ("u1_px", "v1_px", "u2_px", "v2_px")
 
 
 class Segments(Displayable, Table):
-    """Line segments of one picture.
+    """Line segments of one image.
 
-    Fields
-    ------
-    endpoints_px : (n, 2, 2) two ends (u, v) of each segment, in pixels of the picture.
-    covariance_px2 : (n, 4, 4) of (u1, v1, u2, v2); much larger along a segment than across.
-    polarity : (n,) +1 where the darker side lies on the right of the way from the first end
-        to the second as seen on the picture, -1 where on the left, 0 where not known.
-    contrast : (n,) grey levels of the step across the segment; NaN where not known.
-    support : (n,) number of edge points behind each segment; 0 where not known.
-    image_size_px : (width, height) of the picture, or None where not known.
-    reasons : (n,) what besides noise widened the covariance most: "neighbour",
-        "saturated", "shaded", "bent", or "" for nothing; None where not known.
-    chain : (n,) collinear pieces of one broken edge share a number; None where not searched.
-    junctions : where the segments meet; None where not searched.
-    side_levels : (n, 2) grey level beside each segment, on the right and on the left of the way
-        from the first end to the second, NaN where not known; None where not measured.
+    Attributes
+    ----------
+    endpoints_px : (n, 2, 2)
+        The two ends (u, v) of each segment, in pixels of the image.
+    covariance_px2 : (n, 4, 4)
+        Covariance of (u1, v1, u2, v2); much larger along a segment than across.
+    polarity : (n,)
+        +1 if the darker side is on the right of the direction from the first to the second end, as
+        displayed. -1 if on the left, 0 if unknown.
+    contrast : (n,)
+        Step across the segment, grey levels; NaN if unknown.
+    support : (n,)
+        Number of edge points that the segment was fitted to; 0 if unknown.
+    image_size_px : (width, height) or None
+        Size of the image; None if unknown.
+    reasons : (n,) or None
+        Largest contribution to the covariance besides noise: "neighbour", "saturated", "shaded",
+        "bent", or "" for none. None if unknown.
+    chain : (n,) or None
+        Common number of collinear pieces of one broken edge; None if not computed.
+    junctions : Junctions or None
+        Points where the segments meet; None if not computed.
+    side_levels : (n, 2) or None
+        Grey level on the right and on the left of the direction from the first to the second end.
+        NaN if unknown; None if not measured.
     """
 
     KIND: ClassVar[str] = "segments"
@@ -138,27 +156,45 @@ class Segments(Displayable, Table):
         sigma_along_px: float = DEFAULT_SIGMA_ALONG_PX,
         image_size_px: tuple[int, int] | None = None,
     ) -> "Segments":
-        """Segments of any detector: (n, 4) rows x1 y1 x2 y2, (n, 1, 4) as of OpenCV, or (n, 2, 2).
+        """Create segments from the ends that any detector returns.
 
-        `sigma_px` is the standard deviation of each end across the segment, `sigma_along_px`
-        along it. Raises InputError for sigmas that are not positive, for other shapes, for
-        coordinates that are not finite and for segments without length, and names the first.
+        Parameters
+        ----------
+        endpoints_px : (n, 4), (n, 1, 4) or (n, 2, 2)
+            Rows x1 y1 x2 y2, the same as OpenCV returns them, or pairs of ends; pixels.
+        sigma_px : float
+            Standard deviation of each end across the segment.
+        sigma_along_px : float
+            Standard deviation of each end along the segment.
+        image_size_px : (width, height), optional
+            Size of the image.
+
+        Returns
+        -------
+        Segments
+            Polarity, contrast and support are unknown.
+
+        Raises
+        ------
+        InputError
+            If a sigma is not positive, the shape is different, or a segment has length 0 or a
+            coordinate that is not finite. The message names the first such segment.
         """
         for name, sigma in (("sigma_px", sigma_px), ("sigma_along_px", sigma_along_px)):
             if not real_number(sigma, name) > 0:
-                raise InputError(f"{name} is {sigma}, but must be positive: no end is exact.")
+                raise InputError(f"{name} is {sigma}, but must be positive. No end is exact.")
         array = as_endpoints(endpoints_px)
         broken = np.flatnonzero(~np.isfinite(array).all(axis=(1, 2)))
         if len(broken):
             raise InputError(
                 f"Segment {broken[0]} has a coordinate that is not finite ({len(broken)} such "
-                "segments in all): remove them before matching."
+                "segments in all). Remove them before matching."
             )
         empty = np.flatnonzero((array[:, 0] == array[:, 1]).all(axis=1))
         if len(empty):
             raise InputError(
-                f"Segment {empty[0]} has two equal ends ({len(empty)} such segments in all): "
-                "remove them before matching."
+                f"Segment {empty[0]} has two equal ends ({len(empty)} such segments in all). "
+                "Remove them before matching."
             )
         count = len(array)
         return cls(
@@ -171,14 +207,14 @@ class Segments(Displayable, Table):
         )
 
     def take(self, rows: np.ndarray) -> "Segments":
-        """Some of them, without their junctions, which number all."""
+        """Return some of the segments, without junctions, whose indices refer to all segments."""
         plain = replace(self, junctions=None)
         return replace(plain, **take_rows(plain.rows(), rows))
 
     def append(self, more: "Segments") -> "Segments":
-        """These, and after them others, which meet none and belong to no chain of them.
+        """Append segments that have no junctions and belong to no chain of these.
 
-        What these do not know is not known of the others either.
+        Optional columns that these segments lack are dropped from `more`.
         """
         first = int(np.max(self.chain, initial=-1)) + 1 if self.chain is not None else 0
         others = more.rows() | {"chain": np.arange(first, first + len(more))}
@@ -191,30 +227,32 @@ class Segments(Displayable, Table):
 
     @property
     def length_px(self) -> Float[ArrayLike, "n"]:
-        """Distance between the two ends."""
+        """Distance between the two ends, (n,) px."""
         return np.linalg.norm(np.diff(self.endpoints_px, axis=1)[:, 0], axis=-1)
 
 
-def as_endpoints(given: ArrayLike) -> Float[np.ndarray, "n 2 2"]:
-    """Rows x1 y1 x2 y2, or pairs of ends, as pairs. Raises InputError for other shapes."""
-    if given is None:
+def as_endpoints(endpoints: ArrayLike) -> Float[np.ndarray, "n 2 2"]:
+    """Convert rows x1 y1 x2 y2, or pairs of ends, to (n, 2, 2). Raises InputError for other
+    shapes.
+    """
+    if endpoints is None:
         raise InputError(
-            "Segments are None, which OpenCV's detectors give where they find none: give "
-            "np.zeros((0, 4)) then, or what find_segments finds."
+            "Segments are None, which OpenCV's detectors return for an image without segments. "
+            "Give np.zeros((0, 4)) instead, or the result of find_segments."
         )
     try:
-        array = np.asarray(given, dtype=np.float64)
+        array = np.asarray(endpoints, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(
-            f"Segments of type {type(given).__name__} hold no numbers: give an array of (n, 4) "
-            "rows x1 y1 x2 y2, or what load_segments reads from a file."
+            f"Segments of type {type(endpoints).__name__} contain no numbers. Give an (n, 4) array "
+            "with rows x1 y1 x2 y2, or the result of load_segments."
         ) from error
     if array.size == 0:
         return array.reshape(0, 2, 2)
     if array.shape[1:] not in ((4,), (1, 4), (2, 2)):
         raise InputError(
             f"Segments have shape {array.shape}, but must be (n, 4) with rows x1 y1 x2 y2, "
-            "(n, 1, 4) or (n, 2, 2); those of a picture are what find_segments finds."
+            "(n, 1, 4) or (n, 2, 2). For an image, use the result of find_segments."
         )
     return array.reshape(-1, 2, 2)
 
@@ -224,7 +262,10 @@ def covariance_of_ends(
     sigma_px: float | Float[np.ndarray, "n"],
     sigma_along_px: float | Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "n 4 4"]:
-    """(n, 4, 4) covariance of independent ends with given sigmas across and along each segment."""
+    """Covariance (n, 4, 4) of segments whose two ends have independent errors.
+
+    `sigma_px` and `sigma_along_px` are standard deviations across and along each segment.
+    """
     direction = np.diff(endpoints_px, axis=1)[:, 0]
     direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     along = direction[:, :, None] * direction[:, None, :]
@@ -237,16 +278,20 @@ def covariance_of_ends(
 
 
 class LineObservations(Value):
-    """Tracks of fragments, and a first estimate of the line that each shows.
+    """Tracks of corresponding fragments, with a first estimate of the 3-D line of each track.
 
-    Fields
-    ------
-    views : names of the views, the order of axis v.
-    fragments_px : (t, v, 2, 2) corresponding ends, in pixels of the picture; anything where
-        not seen.
-    covariance_px2 : (t, v, 4, 4) of the fragments' ends.
-    seen : (t, v) whether a view shows the line.
-    lines_mm : (t, 2, 3) two points of each line, from where the refinement starts; the 3-D
+    Attributes
+    ----------
+    views : tuple of str
+        Names of the views, the order of axis v.
+    fragments_px : (t, v, 2, 2)
+        Corresponding ends, in pixels of the image; any value where the line is not visible.
+    covariance_px2 : (t, v, 4, 4)
+        Covariance of the fragments' ends.
+    seen : (t, v)
+        True where a view shows the line.
+    lines_mm : (t, 2, 3)
+        Two points of each line in the world frame. The refinement starts from them; the refined 3-D
         segment is reported between them.
     """
 
@@ -260,8 +305,8 @@ class LineObservations(Value):
         fewest = self.seen.sum(axis=1).min(initial=2)
         if fewest < 2:
             raise InputError(
-                f"Track {int(np.argmin(self.seen.sum(axis=1)))} is seen in {fewest} view(s), but a "
-                "line in space needs at least two: leave such tracks out."
+                f"Track {int(np.argmin(self.seen.sum(axis=1)))} is visible in {fewest} view(s), "
+                "but a line in space needs at least two. Remove such tracks."
             )
 
     def __len__(self) -> int:

@@ -1,8 +1,8 @@
-"""A segment in space from its fragments in two or more views, with covariance.
+"""Maximum-likelihood 3-D segment from its fragments in two or more views, with covariance.
 
-Maximum likelihood: the two ends that minimise the Mahalanobis distance of their images from
-the ends of the fragments. The fragments' covariance is large along the segment, so that
-views hardly argue about the ends' place along the line, and agree on the line itself.
+The two ends minimise the Mahalanobis distance of their images from the ends of the fragments. The
+covariance of fragments is large along the segment. So the views determine the line together, and
+hardly constrain the positions of the ends along it.
 """
 
 from typing import NamedTuple
@@ -20,12 +20,23 @@ from trinoc.numerics.small_matrices import (
     solve_positive_definite,
 )
 
-# The error is squared in each: after three, a millionth of a standard deviation or less is left.
+# Convergence is quadratic: after three steps the error is at most a millionth of a standard
+# deviation.
 GAUSS_NEWTON_STEPS = 3
 
 
 class Segment3D(NamedTuple):
-    """Two ends (2, 3) in mm, their covariance (6, 6), and the chi-square of the fit."""
+    """A 3-D segment with its covariance.
+
+    Attributes
+    ----------
+    ends_mm : (2, 3)
+        Two ends in the world frame.
+    covariance_mm2 : (6, 6)
+        Covariance of both ends.
+    chi_square : ()
+        Chi-square of the fit.
+    """
 
     ends_mm: Float[ArrayLike, "2 3"]
     covariance_mm2: Float[ArrayLike, "6 6"]
@@ -33,7 +44,9 @@ class Segment3D(NamedTuple):
 
 
 class _Iterate(NamedTuple):
-    """At some ends: the covariance and chi-square there, and the next ends of Gauss-Newton."""
+    """One Gauss-Newton iteration: covariance and chi-square at the current ends, and the next
+    ends.
+    """
 
     covariance_mm2: Float[ArrayLike, "6 6"]
     chi_square: Float[ArrayLike, ""]
@@ -45,7 +58,22 @@ def triangulate_point(
     uv_px: Float[ArrayLike, "v 2"],
     weight: Float[ArrayLike, "v"],
 ) -> Float[ArrayLike, "3"]:
-    """The point nearest to the viewing rays of `uv_px`, in weighted least squares (mm)."""
+    """Return the point nearest to viewing rays, in weighted least squares.
+
+    Parameters
+    ----------
+    matrices_px : (v, 3, 4)
+        Projection matrices of the views.
+    uv_px : (v, 2)
+        Undistorted pixel of the point in each view.
+    weight : (v,)
+        Weight of each view; 0 excludes a view.
+
+    Returns
+    -------
+    (3,)
+        Point in the world frame, mm.
+    """
 
     def normal_equations(
         matrix_px: Float[ArrayLike, "3 4"], uv: Float[ArrayLike, "2"]
@@ -64,27 +92,40 @@ def triangulate_segment(
     matrices_px: Float[ArrayLike, "v 3 4"],
     fragments_px: Float[ArrayLike, "v 2 2"],
     covariance_px2: Float[ArrayLike, "v 4 4"],
-    seen: Bool[ArrayLike, "v"],
+    visible: Bool[ArrayLike, "v"],
 ) -> Segment3D:
-    """Maximum-likelihood segment from corresponding fragments (undistorted pixels).
+    """Return the maximum-likelihood 3-D segment of corresponding fragments.
 
-    Views that are not `seen` may hold anything, NaN included. The covariance is that of the
-    least-squares estimate, (J^T W J)^-1, on the fragments' own covariances; the cameras'
-    errors are not in it. NaN where the seen views do not determine the segment.
+    Parameters
+    ----------
+    matrices_px : (v, 3, 4)
+        Projection matrices of the views.
+    fragments_px : (v, 2, 2)
+        Corresponding ends in each view, undistorted pixels.
+    covariance_px2 : (v, 4, 4)
+        Covariance of the ends of each fragment.
+    visible : (v,)
+        True for views that show the segment. Other views may contain any numbers, NaN included.
+
+    Returns
+    -------
+    Segment3D
+        The covariance is (J^T W J)^-1 of the fragments' covariances; errors of the cameras are not
+        included. NaN if the visible views do not determine the segment.
     """
-    weight = seen.astype(matrices_px.dtype)
-    fragments = jnp.where(seen[:, None, None], fragments_px, 0.0)
+    weight = visible.astype(matrices_px.dtype)
+    fragments = jnp.where(visible[:, None, None], fragments_px, 0.0)
     identity = jnp.eye(4, dtype=matrices_px.dtype)
-    covariance = jnp.where(seen[:, None, None], covariance_px2, identity)
+    covariance = jnp.where(visible[:, None, None], covariance_px2, identity)
     information = weight[:, None, None] * jax.vmap(inverse_positive_definite)(covariance)
 
     def fit_ends(ends: Float[ArrayLike, "2 3"]) -> _Iterate:
         image = project_with_jacobian(matrices_px, ends[None])
         error = (image.uv_px - fragments).reshape(-1, 4)
-        # Of each end's two coordinates by its own three: (v, e, 2, 3).
+        # Derivative of both pixel coordinates of an end by its three coordinates: (v, e, 2, 3).
         slope = image.by_point
         blocks = information.reshape(-1, 2, 2, 2, 2)
-        # Axes: view, end, coordinate of the image, end, coordinate, place.
+        # Axes: view, end, image coordinate, end, image coordinate, space coordinate.
         weighted = (blocks[..., None] * slope[:, None, None]).sum(4)
         hessian = (slope[:, :, :, :, None, None] * weighted[:, :, :, None]).sum((0, 2))
         of_error = (information * error[:, None, :]).sum(-1)
@@ -94,7 +135,9 @@ def triangulate_segment(
         return _Iterate(covariance, (error * of_error).sum(), ends - step)
 
     start = jax.vmap(triangulate_point, in_axes=(None, 1, None))(matrices_px, fragments, weight)
-    nothing = _Iterate(jnp.zeros((6, 6)), jnp.zeros(()), start)
-    found = jax.lax.fori_loop(0, GAUSS_NEWTON_STEPS, lambda _, fit: fit_ends(fit.next_mm), nothing)
-    # The covariance and the chi-square are those before the last step, which hardly moves the ends.
-    return Segment3D(found.next_mm, found.covariance_mm2, found.chi_square)
+    initial = _Iterate(jnp.zeros((6, 6)), jnp.zeros(()), start)
+    solution = jax.lax.fori_loop(
+        0, GAUSS_NEWTON_STEPS, lambda _, fit: fit_ends(fit.next_mm), initial
+    )
+    # Covariance and chi-square belong to the ends before the last step, which is negligible.
+    return Segment3D(solution.next_mm, solution.covariance_mm2, solution.chi_square)

@@ -1,4 +1,8 @@
-"""3-D segments whose errors are partly their own and partly shared, and measures of them."""
+"""3-D segments with joint covariance, and measures of them with standard deviations.
+
+The errors have two parts: noise of each segment's fragments, and errors of the cameras that all
+segments share.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -13,25 +17,29 @@ from trinoc.numerics.values import Value
 
 
 class Measure(NamedTuple):
-    """A value and its standard deviation, in the unit that the measure names."""
+    """A measured value and its standard deviation, in the unit of the measure."""
 
     value: float
     sigma: float
 
 
 class UncertainLines(Value):
-    """3-D segments with the covariance of any number of them together.
+    """3-D segments with the joint covariance of all their ends.
 
-    Fields
-    ------
+    Attributes
+    ----------
     ends_mm : (t, 2, 3)
-    own_covariance_mm2 : (t, 6, 6) part that comes from each segment's own fragments.
-    by_parameters : (t, 6, k) derivative of the ends by the cameras' parameters.
-    parameter_covariance : (k, k) of those parameters: the part that all segments share.
+        Ends in the world frame.
+    fragment_covariance_mm2 : (t, 6, 6)
+        Part of the covariance that comes from the noise of each segment's fragments.
+    by_parameters : (t, 6, k)
+        Derivative of the ends by the camera parameters.
+    parameter_covariance : (k, k)
+        Covariance of the camera parameters, the cause of the shared errors.
     """
 
     ends_mm: Float[np.ndarray, "t 2 3"]
-    own_covariance_mm2: Float[np.ndarray, "t 6 6"]
+    fragment_covariance_mm2: Float[np.ndarray, "t 6 6"]
     by_parameters: Float[np.ndarray, "t 6 k"]
     parameter_covariance: Float[np.ndarray, "k k"]
 
@@ -40,30 +48,44 @@ class UncertainLines(Value):
 
     @property
     def shared_covariance_mm2(self) -> Float[np.ndarray, "t 6 6"]:
-        """Part of each segment's covariance that comes from the cameras."""
+        """Part of the covariance of each segment that comes from the cameras, (t, 6, 6)."""
         by = self.by_parameters
         return np.einsum("tik,kl,tjl->tij", by, self.parameter_covariance, by, optimize=True)
 
     @property
     def covariance_mm2(self) -> Float[np.ndarray, "t 6 6"]:
-        """Covariance of the ends of each segment: own and shared parts together."""
-        return self.own_covariance_mm2 + self.shared_covariance_mm2
+        """Covariance of the ends of each segment, both parts together, (t, 6, 6)."""
+        return self.fragment_covariance_mm2 + self.shared_covariance_mm2
 
     def joint_covariance_mm2(self, segments: Sequence[int]) -> Float[np.ndarray, "n n"]:
-        """Covariance of the ends of several segments together (n = 6 per segment)."""
+        """Joint covariance of the ends of some segments, (n, n) with n = 6 per segment."""
         chosen = np.asarray(segments)
         by = self.by_parameters[chosen].reshape(6 * len(chosen), -1)
         covariance = by @ self.parameter_covariance @ by.T
         for block, segment in enumerate(chosen):
             rows = slice(6 * block, 6 * block + 6)
-            covariance[rows, rows] += self.own_covariance_mm2[segment]
+            covariance[rows, rows] += self.fragment_covariance_mm2[segment]
         return covariance
 
     def measure(self, function: Callable[..., Float[ArrayLike, ""]], *segments: int) -> Measure:
-        """`function` of the ends (2, 3) of some segments, with sigma by propagation.
+        """Evaluate a function of some segments, with its standard deviation by error propagation.
 
-        For example `lines.measure(length_mm, 3)` or `lines.measure(angle_deg, 3, 7)`; any
-        differentiable function of JAX arrays serves.
+        Parameters
+        ----------
+        function : callable
+            Differentiable JAX function of the ends (2, 3) of each segment, such as `length_mm` or
+            `angle_deg`.
+        *segments : int
+            Indices of the segments, one per argument of `function`.
+
+        Returns
+        -------
+        Measure
+            Value and standard deviation, in the unit of `function`.
+
+        Notes
+        -----
+        Examples: `lines.measure(length_mm, 3)`, `lines.measure(angle_deg, 3, 7)`.
         """
         return _measure(function, self.ends_mm[list(segments)], self.joint_covariance_mm2(segments))
 
@@ -78,14 +100,14 @@ def _measure(
 
 
 def length_mm(segment: Float[ArrayLike, "2 3"]) -> Float[ArrayLike, ""]:
-    """Distance between the two ends of a segment."""
+    """Distance between the two ends (2, 3) of a segment."""
     return _norm(segment[1] - segment[0])
 
 
 def angle_deg(
     first: Float[ArrayLike, "2 3"], second: Float[ArrayLike, "2 3"]
 ) -> Float[ArrayLike, ""]:
-    """Angle between the lines of two segments, from 0 to 90 degrees."""
+    """Angle between the lines of two segments (2, 3), from 0 to 90 degrees."""
     a, b = first[1] - first[0], second[1] - second[0]
     return jnp.degrees(jnp.arctan2(_norm(jnp.cross(a, b)), jnp.abs(a @ b)))
 
@@ -95,7 +117,7 @@ def distance_mm(
 ) -> Float[ArrayLike, ""]:
     """Mean distance of the second segment's ends from the line of the first.
 
-    For parallel edges of a body this is the distance between them.
+    This is the distance between parallel edges of a body. Both segments are ends (2, 3).
     """
     direction = (first[1] - first[0]) / _norm(first[1] - first[0])
     across = [

@@ -1,5 +1,5 @@
-"""A picture as light: grey levels, a camera's response, noise, clipping, and one blurred step; as a
-camera without distortion would have taken it.
+"""Image as light: grey levels, camera response, noise, saturation, step edges, undistorted images.
 
-Between `geometry` and the rooms that read pictures. Whoever reads a picture begins with
-`Light.from_picture`, or with `grey_image` where the scale of its own numbers is wanted."""
+Between `geometry` and the rooms that read images. Start with `Light.from_picture`, or with
+`grey_image` to keep the scale of the image's own numbers.
+"""

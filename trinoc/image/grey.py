@@ -1,8 +1,8 @@
-"""Any picture as grey levels, the same for calibration, segments and users.
+"""Grey levels of any image, the same for calibration, segments and users.
 
-The grey level of a colour pixel is the mean of its red, green and blue. So it does not matter
-whether a reader delivers RGB (imageio, Pillow, matplotlib) or BGR (OpenCV), and the noise is the
-least that three channels of equal noise allow.
+The grey level of a colour pixel is the mean of red, green and blue. So the order of the channels
+does not matter: RGB (imageio, Pillow, matplotlib) or BGR (OpenCV). For equal noise in the channels,
+the mean also has the least noise.
 """
 
 from typing import NamedTuple
@@ -15,34 +15,37 @@ from trinoc.errors import InputError
 from trinoc.image.noise import level_noise
 
 SMALLEST_SIDE_PX = 16
-# Cameras of 8, 10, 12, 14 and 16 bit.
+# Full white of cameras with 8, 10, 12, 14 and 16 bit.
 FULL_WHITE = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
-# Pictures of real numbers that were filtered or made overshoot their white by up to this factor.
+# Filtered or rendered images of real numbers may exceed full white by up to this factor.
 _SLACK = 1.25
-# A comb: so many rows by turns lighter and darker, by more than so many sigmas of the noise and
-# 255ths of full white. Its share of the pixels, and how many times as many there are as along rows.
-# Moved by a pixel between the fields, the demo's pictures have shares of .007 to .03 and none along
-# rows. Of 15 pictures that scikit-image carries none has ten times as many down as along.
+# A comb: number of rows that alternate in brightness; smallest step, in sigmas of the noise and in
+# 255ths of full white. Interlaced: smallest share of comb pixels, and smallest ratio to those of
+# the transposed image. With a shift of one pixel between the fields, the demo's images have shares
+# of .007 to .03, and none when transposed. No image of scikit-image (15) has a ratio of ten.
 _COMB_ROWS, _COMB_SIGMAS, _COMB_LEVELS = 6, 6.0, 8.0
 _COMB_SHARE, _COMB_RATIO = 0.002, 10
-# A mosaic: colours that differ by so much of the mean level and so many sigmas, each beside what
-# smooths all of them away. Pixels of one industrial camera differ by .012 in their gains, those of
-# 100 other pictures by less, colours of a raw picture by .5.
+# A mosaic: smallest difference of the colours from the smoothed image, as a share of the mean level
+# and in sigmas. The pixel gains of an industrial camera differ by .012, those of 100 other images
+# by less, the colours of a raw image by .5.
 _MOSAIC_SHARE, _MOSAIC_SIGMAS = 0.05, 6.0
 _SMOOTH = np.array([0.25, 0.5, 0.25])
 
 
 class GreyImage(NamedTuple):
-    """A grey picture.
+    """A grey image.
 
-    Fields
-    ------
-    grey : (h, w) grey levels, on the scale of the picture's own numbers; of real numbers up to 1:
-        times 255.
-    quantum : step between two levels, 0 for real numbers.
-    white : the largest level that can be told from a larger one; infinite where not known.
-    full : the level of full white in the picture's own range: the least of 255, 1023, 4095, 16383
-        and 65535 that holds all levels, and always 255 for uint8.
+    Attributes
+    ----------
+    grey : (h, w)
+        Grey levels, on the scale of the input. Real numbers up to 1 are multiplied by 255.
+    quantum : float
+        Step between two levels; 0 for real numbers.
+    white : float
+        Largest level below saturation; infinite if unknown.
+    full : float
+        Level of full white: the smallest of 255, 1023, 4095, 16383 and 65535 that is not exceeded.
+        Always 255 for uint8.
     """
 
     grey: Float[np.ndarray, "h w"]
@@ -52,11 +55,11 @@ class GreyImage(NamedTuple):
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """(width, height)."""
+        """Size (width, height)."""
         return self.grey.shape[1], self.grey.shape[0]
 
     def in_255ths(self) -> "GreyImage":
-        """The same with full white at 255, whatever the picture's own range."""
+        """The same image scaled to full white at 255."""
         if self.full == 255:
             return self
         per_255th = self.full / 255
@@ -64,32 +67,44 @@ class GreyImage(NamedTuple):
         return GreyImage(grey, self.quantum / per_255th, self.white / per_255th, 255.0)
 
     def as_8_bit(self) -> UInt8[np.ndarray, "h w"]:
-        """The grey levels in 255ths of full white, whole numbers."""
+        """Grey levels scaled to 255 and truncated, as uint8 (h, w)."""
         return np.clip(self.grey * (255 / self.full), 0, 255).astype(np.uint8)
 
 
 def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
-    """Grey levels of an (h, w) or (h, w, channels) picture of whole or real numbers.
+    """Convert an image of whole or real numbers to grey levels.
 
-    One channel is grey, two are grey and alpha, three are colours in either order, four are
-    colours and alpha. Raises InputError for what is no picture: other shapes and types, pictures
-    under 16 pixels a side, values that are not finite.
+    Parameters
+    ----------
+    image : (h, w) or (h, w, channels)
+        One channel: grey. Two: grey and alpha. Three: colours in either order. Four: colours and
+        alpha.
+
+    Returns
+    -------
+    GreyImage
+
+    Raises
+    ------
+    InputError
+        If the argument is not an image: another shape or type, less than 16 pixels per side, or
+        values that are not finite.
     """
     if image is None or isinstance(image, str) or hasattr(image, "__fspath__"):
-        given = "None" if image is None else f'the name "{image}"'
+        argument = "None" if image is None else f'the name "{image}"'
         raise InputError(
-            f"The picture is {given}, but must be an array: read the file first, as by cv2.imread, "
-            "and check that it was found."
+            f"The picture is {argument}, but must be an array. Read the file first, for example "
+            "with cv2.imread, and check that the file exists."
         )
     array = np.asarray(image)
     if array.dtype == np.bool_:
         raise InputError(
-            "The picture is of truth values, which have no grey levels: give the picture itself, "
-            "or 255 times the mask as uint8 where black and white is meant."
+            "The picture has truth values, which are no grey levels. Give the picture itself, or "
+            "255 times the mask as uint8 for a black and white picture."
         )
     if array.dtype.kind not in "uif":
         raise InputError(
-            f"A picture of {array.dtype} holds no grey levels: give an array of numbers."
+            f"A picture of type {array.dtype} has no grey levels. Give an array of numbers."
         )
     channels = array.shape[2] if array.ndim == 3 else 1
     if array.ndim not in (2, 3) or not 1 <= channels <= 4:
@@ -102,8 +117,8 @@ def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
             f"The picture is {array.shape[1]} x {array.shape[0]} px, but must have at least "
             f"{SMALLEST_SIDE_PX} px a side."
         )
-    whole = array.dtype.kind != "f"
-    quantum = 1.0 if whole else 0.0
+    is_integer = array.dtype.kind != "f"
+    quantum = 1.0 if is_integer else 0.0
     planes = [array] if array.ndim == 2 else list(np.moveaxis(array, 2, 0))
     if channels < 3:
         grey = np.ascontiguousarray(planes[0], dtype=np.float32)
@@ -111,37 +126,40 @@ def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
         red, green, blue = (plane.astype(np.float32) for plane in planes[:3])
         # In this order the sum is the same, to the last bit, with red and blue exchanged.
         grey = (green + (red + blue)) / np.float32(3)
-        if whole and not (np.array_equal(red, green) and np.array_equal(green, blue)):
+        if is_integer and not (np.array_equal(red, green) and np.array_equal(green, blue)):
             quantum /= 3
-    if not whole and not np.isfinite(grey.sum(dtype=np.float64)):
-        raise InputError("The picture has values that are not finite: replace them first.")
+    if not is_integer and not np.isfinite(grey.sum(dtype=np.float64)):
+        raise InputError("The picture has values that are not finite. Replace them first.")
     largest = 0.0 if array.dtype == np.uint8 else float(np.abs(grey).max())
-    if not whole and largest <= _SLACK:
+    if not is_integer and largest <= _SLACK:
         grey, quantum, largest = grey * np.float32(255), 255 * quantum, 255.0
-    full = _full_white(largest if whole else largest / _SLACK)
+    full = _full_white(largest if is_integer else largest / _SLACK)
     return GreyImage(grey, quantum, _white(array.dtype, full), full)
 
 
 def _full_white(largest: float) -> float:
-    """Full white of the fewest bits, 8 to 16, that hold a level."""
+    """Full white of the fewest bits, 8 to 16, that does not lie below a level."""
     return next((full for full in FULL_WHITE if largest <= full), max(largest, FULL_WHITE[-1]))
 
 
 def _white(dtype: np.dtype, full: float) -> float:
-    """The last level below saturation, in 255ths as cameras that shift their bits deliver it."""
+    """Largest level below saturation: one 255th below full white.
+
+    Cameras that shift their bits deliver such levels, too.
+    """
     return 254 / 255 * full if dtype in (np.uint8, np.uint16) else np.inf
 
 
-def why_mixed(image: GreyImage) -> str | None:
-    """That neighbouring pixels are of two moments or of several colours, and what to do about it;
-    None where they are of one light."""
-    return why_interlaced(image) or why_mosaic(image)
+def describe_mixed_pixels(image: GreyImage) -> str | None:
+    """Sentence on an interlaced image or a raw mosaic, with the remedy; None for a normal image."""
+    return describe_interlacing(image) or describe_mosaic(image)
 
 
-def why_mosaic(image: GreyImage) -> str | None:
-    """That pixels are of several colours by turns, and what to do about it; None where not.
+def describe_mosaic(image: GreyImage) -> str | None:
+    """Sentence on a raw colour mosaic, with the remedy; None for a normal image.
 
-    A mosaic of colours that are alike in it, as under balanced light, is as good as grey.
+    A mosaic with equal mean levels of all colours, for example under balanced light, is as good as
+    grey.
     """
     steps = image.grey - cv2.sepFilter2D(image.grey, -1, _SMOOTH, _SMOOTH)
     means = [steps[row::2, column::2].mean() for row in (0, 1) for column in (0, 1)]
@@ -149,34 +167,37 @@ def why_mosaic(image: GreyImage) -> str | None:
     if max(means) - min(means) <= max(_MOSAIC_SHARE * image.grey.mean(), noise):
         return None
     return (
-        "Its pixels are of several colours by turns (a raw mosaic): turn it into colour or grey, "
-        'or name the colours to `calibrate` (bayer="RGGB").'
+        "Neighbouring pixels have different colours (a raw mosaic). Convert it to colour or grey, "
+        'or give the pattern of colours to `calibrate` (bayer="RGGB").'
     )
 
 
-def why_interlaced(image: GreyImage) -> str | None:
-    """That even and odd rows are of two moments, and what to do about it; None where they are not.
+def describe_interlacing(image: GreyImage) -> str | None:
+    """Sentence on an interlaced image, with the remedy; None for a normal image.
 
-    Edges that moved from one field to the next are combs of light and dark rows.
+    Between two fields, moving edges become combs of light and dark rows.
     """
     levels = image.in_255ths()
-    most = _COMB_SHARE * levels.grey.size
-    if _count_combs(levels.grey, _COMB_LEVELS) <= most:
+    most_combs = _COMB_SHARE * levels.grey.size
+    if _count_combs(levels.grey, _COMB_LEVELS) <= most_combs:
         return None
-    least = max(_COMB_SIGMAS * level_noise(levels.grey, levels.quantum), _COMB_LEVELS)
-    down, along = (_count_combs(grey, least) for grey in (levels.grey, levels.grey.T))
-    if down <= max(most, _COMB_RATIO * along):
+    smallest_step = max(_COMB_SIGMAS * level_noise(levels.grey, levels.quantum), _COMB_LEVELS)
+    down, along = (_count_combs(grey, smallest_step) for grey in (levels.grey, levels.grey.T))
+    if down <= max(most_combs, _COMB_RATIO * along):
         return None
     return (
-        "Its even and odd rows are of two moments (interlaced), so that edges are combs: set the "
-        "camera to whole frames (progressive), or hold still what it sees."
+        "Even and odd rows were taken at two times (interlaced), so edges are combs. Set the "
+        "camera to progressive scan, or keep the scene still."
     )
 
 
-def _count_combs(grey: Float[np.ndarray, "h w"], least: float) -> int:
-    """Pixels above which so many steps down the rows go up and down by turns."""
+def _count_combs(grey: Float[np.ndarray, "h w"], smallest_step: float) -> int:
+    """Number of pixels below which `_COMB_ROWS` - 1 steps between rows alternate in sign.
+
+    `smallest_step` is the smallest absolute step, grey levels.
+    """
     steps = np.diff(grey, axis=0)
-    up, fall = ((side * steps > least).astype(np.uint8) for side in (1, -1))
+    up, fall = ((side * steps > smallest_step).astype(np.uint8) for side in (1, -1))
     up[1::2], fall[1::2] = fall[1::2], up[1::2].copy()
     run = np.ones((_COMB_ROWS - 1, 1), np.uint8)
     return sum(cv2.countNonZero(cv2.erode(turns, run, borderValue=0)) for turns in (up, fall))

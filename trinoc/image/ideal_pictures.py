@@ -1,8 +1,7 @@
-"""Pictures as cameras without distortion would have taken them: of one lens, of a rig as it looks,
-and of two cameras that are turned until rows correspond.
+"""Undistorted and rectified images: of one lens, of a rig, of two cameras with common rows.
 
-Maps are those of `cv2.remap`: for each pixel of the new picture the place in the old one, by the
-projection of the lens itself, so that every lens model has them.
+Maps have the format of `cv2.remap`: for each pixel of the new image, its position in the old one.
+They come from the projection of the lens, so they exist for every lens model.
 """
 
 from collections.abc import Mapping
@@ -15,7 +14,7 @@ from jaxtyping import Bool, Float, Float32, Shaped
 from trinoc.errors import InputError, check_kind, list_names
 from trinoc.geometry.ideal_cameras import undistort_lens, undistort_rig
 from trinoc.geometry.intrinsics import Intrinsics
-from trinoc.geometry.pose import Pose
+from trinoc.geometry.picture_window import CAMERA_FRAME
 from trinoc.geometry.projection import project_points
 from trinoc.geometry.rectification import (
     NOTED_SHARE,
@@ -27,21 +26,22 @@ from trinoc.geometry.rig import A_RIG, Rig
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.precision import in_float64
 
-# Where a ray is imaged that the lens does not see.
+# Coordinate of rays that the lens does not image.
 _NOWHERE_PX = -1e4
 _BLOCK = 1 << 16
-_OWN_FRAME = Pose(np.eye(3, 4))
-# Which OpenCV resamples.
+# Types that OpenCV resamples.
 _DEPTHS = (np.uint8, np.uint16, np.float32, np.float64)
 
 
 class PictureMaps(NamedTuple):
-    """Where the pixels of a new picture are in an old one, as `cv2.remap` takes it.
+    """Position in the old image of each pixel of the new one, as `cv2.remap` expects it.
 
-    Fields
-    ------
-    map_x, map_y : (h, w) column and row of each, (0, 0) the centre of the top-left pixel.
-    size_px : (width, height) of the old picture.
+    Attributes
+    ----------
+    map_x, map_y : (h, w)
+        Column and row, px; (0, 0) is the centre of the top-left pixel.
+    size_px : (width, height)
+        Size of the old image.
     """
 
     map_x: Float32[np.ndarray, "h w"]
@@ -50,52 +50,70 @@ class PictureMaps(NamedTuple):
 
     @property
     def valid(self) -> Bool[np.ndarray, "h w"]:
-        """(h, w) whether the old picture shows what the pixel shows."""
+        """Mask of the pixels that lie inside the old image, (h, w)."""
         width, height = self.size_px
         across = (self.map_x >= -0.5) & (self.map_x <= width - 0.5)
         return across & (self.map_y >= -0.5) & (self.map_y <= height - 0.5)
 
     def resample(self, picture: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
-        """The new picture, of the same depth and channels, 0 where it is not valid.
+        """Compute the new image by bicubic interpolation.
 
-        Bicubic, which leaves the edges of a picture where they are. Raises InputError for a picture
-        of another size.
+        Parameters
+        ----------
+        picture : (h, w) or (h, w, channels)
+            Old image of type uint8, uint16, float32 or float64.
+
+        Returns
+        -------
+        (h, w) or (h, w, channels)
+            New image of the same type; 0 where it is not valid.
+
+        Raises
+        ------
+        InputError
+            If the image has another size or type.
         """
-        given = np.asarray(picture)
-        size = given.shape[1::-1] if given.ndim in (2, 3) else given.shape
+        array = np.asarray(picture)
+        size = array.shape[1::-1] if array.ndim in (2, 3) else array.shape
         if size != self.size_px:
             raise InputError(
-                f"The picture is {' x '.join(map(str, size))} px, but the lens is of pictures of "
-                f"{self.size_px[0]} x {self.size_px[1]} px: give one of that size."
+                f"The picture is {' x '.join(map(str, size))} px, but the lens belongs to pictures "
+                f"of {self.size_px[0]} x {self.size_px[1]} px. Give one of that size."
             )
-        if given.dtype not in _DEPTHS:
+        if array.dtype not in _DEPTHS:
             raise InputError(
-                f"The picture is of {given.dtype}: give one of uint8, uint16, float32 or float64."
+                f"The picture has type {array.dtype}, which cannot be resampled. Give uint8, "
+                "uint16, float32 or float64."
             )
-        # Values beyond the border are those at it, so that the outermost pixels do not darken.
-        made = cv2.remap(
-            given, self.map_x, self.map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-        ).reshape(*self.map_x.shape, *given.shape[2:])
-        made[~self.valid] = 0
-        return made
+        # Replicated border values keep the outermost pixels from darkening.
+        resampled = cv2.remap(
+            array, self.map_x, self.map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        ).reshape(*self.map_x.shape, *array.shape[2:])
+        resampled[~self.valid] = 0
+        return resampled
 
 
 class IdealLens(NamedTuple):
-    """lens : without distortion. maps : from pictures of the lens before to its pictures."""
+    """A lens without distortion, and the maps from images of the real lens to its images."""
 
     lens: Intrinsics
     maps: PictureMaps
 
 
 class IdealRig(NamedTuple):
-    """Cameras without distortion, and the way from the pictures of the cameras before to theirs.
+    """Cameras without distortion, with the maps from the images of the real cameras.
 
-    Fields
-    ------
-    rig : at the same centres; with a covariance where that of the rig before holds for it.
-    maps : of each camera.
-    disparity : of a rectified pair, from which depth follows.
-    notes : sentences on what a rectified pair loses of the field that both cameras see.
+    Attributes
+    ----------
+    rig : Rig
+        Ideal cameras at the same centres. The covariance is empty if that of the real rig does not
+        apply.
+    maps : dict of PictureMaps
+        Maps of each camera.
+    disparity : Disparity or None
+        Conversion from disparity to depth, for a rectified pair.
+    notes : tuple of str
+        Sentences on the loss of common field in a rectified pair.
     """
 
     rig: Rig
@@ -106,15 +124,18 @@ class IdealRig(NamedTuple):
     def resample(
         self, pictures: Mapping[str, Shaped[np.ndarray, "..."]]
     ) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """The new picture of each camera that is given. Raises InputError as `PictureMaps` does."""
-        made = {}
+        """Return the new image of each camera in `pictures`.
+
+        Raises InputError as `PictureMaps.resample`.
+        """
+        resampled = {}
         for name, picture in pictures.items():
             if name not in self.maps:
                 raise InputError(
-                    f'There is no camera "{name}"; this rig has {list_names(self.maps)}.'
+                    f'There is no camera "{name}". This rig has {list_names(self.maps)}.'
                 )
-            made[name] = self.maps[name].resample(picture)
-        return made
+            resampled[name] = self.maps[name].resample(picture)
+        return resampled
 
 
 @overload
@@ -132,19 +153,28 @@ def undistort(
 def undistort(
     cameras: Intrinsics | Rig, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> IdealLens | IdealRig:
-    """A lens, or all cameras of a rig, without distortion, and maps for their pictures.
+    """Remove the distortion of a lens or of all cameras of a rig; return them with image maps.
 
     Parameters
     ----------
-    cameras : of any lens model.
-    alpha : how much of the field is kept, as in OpenCV: 0 the largest part all of whose pixels are
-        valid, 1 all of it (of a fisheye up to 75 degrees from the axis), with black around it.
-    image_size_px : (width, height) of the new pictures, by default that of the old ones.
+    cameras : Intrinsics or Rig
+        Lens or rig with any lens model.
+    alpha : float
+        Part of the field that is kept, as in OpenCV. 0: the largest part in which all pixels are
+        valid. 1: the whole field (up to 75 degrees from the axis), with a black border.
+    image_size_px : (width, height), optional
+        Size of the new images. Default: the size of the old ones.
 
-    Pixels keep their shape, cameras their pose. The covariance of a rig stays,
-    unless it holds errors of lenses that change, which no ideal lens can have: then there is none.
+    Returns
+    -------
+    IdealLens or IdealRig
+        Pixel shapes and poses do not change. The covariance of a rig is kept. It is dropped if it
+        contains errors of a lens that changes, because a pinhole cannot have them.
 
-    Raises InputError for a lens whose distortion folds the picture.
+    Raises
+    ------
+    InputError
+        If the distortion of a lens folds the image.
     """
     check_kind(cameras, (Intrinsics, Rig), "lens or rig", "trinoc.Intrinsics or trinoc.Rig")
     if isinstance(cameras, Intrinsics):
@@ -157,30 +187,40 @@ def undistort(
 def rectify(
     rig: Rig, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> IdealRig:
-    """Two cameras turned, without distortion, so that a point has one row in both pictures.
+    """Turn two cameras, without distortion, so that a point has the same row in both images.
 
     Parameters
     ----------
-    rig : of two cameras.
-    alpha, image_size_px : as in `undistort`; by default the pictures are as large as the larger.
+    rig : Rig
+        Two cameras.
+    alpha, image_size_px :
+        As in `undistort`. Default size: the larger width and height of the two.
 
-    `disparity` of the result gives depth: f (C_b - C_a) / ((u_a - c_a) - (u_b - c_b)) for cameras a
-    and b with centres C along the rows, the focal length f and the principal points c along u.
+    Returns
+    -------
+    IdealRig
+        Rectified cameras with the same centres, maps and `disparity`. The covariance of the poses
+        is propagated to first order; it is empty if the lenses have errors.
 
-    The centres stay. The covariance of the poses is propagated to first order; where the lenses
-    are not exact either, there is none.
+    Raises
+    ------
+    InputError
+        If the cameras have the same centre, look along their baseline or in opposite directions,
+        have each other in the image, or have no common rows; if less than a tenth of the common
+        field would remain.
 
-    Raises InputError where the cameras stand at one place, look along the line of their centres or
-    at opposite sides, see each other, have no rows in common, or where less than a tenth of what
-    both look at would be left.
+    Notes
+    -----
+    Depth is f (C_b - C_a) / ((u_a - c_a) - (u_b - c_b)) for cameras a and b. C is the centre along
+    the rows, f the focal length, c the principal point along u.
     """
     check_kind(rig, Rig, "rig", A_RIG)
     ideal, disparity = rectify_pair(rig, alpha=alpha, image_size_px=image_size_px)
     share, notes = share_of_common_field(rig, dict(ideal.items())), ()
     if share < NOTED_SHARE:
         notes = (
-            f"The new pictures show {100 * share:.0f} % of what both cameras look at; a larger "
-            "alpha keeps more.",
+            f"The new pictures show {100 * share:.0f} % of the common field. A larger alpha keeps "
+            "more.",
         )
     return IdealRig(ideal, _maps(rig, ideal), disparity, notes)
 
@@ -197,9 +237,9 @@ def _maps(rig: Rig, ideal: Rig) -> dict[str, PictureMaps]:
 def picture_maps(
     lens: Intrinsics, ideal: Intrinsics, cam_from_ideal: Float[np.ndarray, "3 3"]
 ) -> PictureMaps:
-    """Maps from pictures of a lens to those of an ideal one at the same place.
+    """Maps from images of a lens to those of an ideal lens with the same centre.
 
-    `cam_from_ideal` is the rotation from the frame of the ideal camera to that of the other.
+    `cam_from_ideal` (3, 3) is the rotation from the ideal camera frame to the real one.
     """
     width, height = ideal.image_size_px
     maps = np.empty((2, height, width), np.float32)
@@ -214,10 +254,10 @@ def picture_maps(
 
 
 def _image_rays(lens: Intrinsics, rays_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
-    """Pixels that a lens makes of rays, far from the picture for those that it does not see."""
-    uv_px = project_points(_OWN_FRAME, lens.lens, rays_cam)
-    # Beyond its fold a polynomial shows what lies before it a second time.
+    """Pixels of rays through a lens, (n, 2); _NOWHERE_PX if the lens does not image the ray."""
+    uv_px = project_points(CAMERA_FRAME, lens.lens, rays_cam)
+    # Beyond the fold, a polynomial images rays a second time into the valid part.
     fold = np.cos(lens.lens.fold_angle_rad())
-    seen = rays_cam[:, 2] > fold * np.linalg.norm(rays_cam, axis=1)
-    uv_px = np.where(seen[:, None] & np.isfinite(uv_px), uv_px, _NOWHERE_PX)
+    is_before_fold = rays_cam[:, 2] > fold * np.linalg.norm(rays_cam, axis=1)
+    uv_px = np.where(is_before_fold[:, None] & np.isfinite(uv_px), uv_px, _NOWHERE_PX)
     return np.clip(uv_px, _NOWHERE_PX, max(lens.image_size_px) - _NOWHERE_PX)

@@ -1,4 +1,4 @@
-"""A picture as the light that its grey levels stand for."""
+"""Image as light: grey levels decoded by the camera response."""
 
 from typing import NamedTuple
 
@@ -12,17 +12,21 @@ from trinoc.image.response import AbstractResponse, ResponseLike, find_response
 
 
 class Light(NamedTuple):
-    """Levels and light of a picture on one scale for all pictures, so that a contrast means the
-    same in each: in 255ths of full white.
+    """Levels and light of an image in 255ths of full white, one scale for all images.
 
-    Fields
-    ------
-    levels : (h, w) grey levels.
-    light : (h, w) the light that they stand for; `levels` itself where the response is linear. Of
-        a colour, the mean of its channels' light.
-    quantum : step between two levels, 0 for real numbers.
-    white : the largest level that can be told from a larger one; infinite where not known.
-    response : how the camera makes levels of light.
+    Attributes
+    ----------
+    levels : (h, w)
+        Grey levels.
+    light : (h, w)
+        Light of the levels; the same array as `levels` for a linear response. For a colour image,
+        the mean over the channels.
+    quantum : float
+        Step between two levels; 0 for real numbers.
+    white : float
+        Largest level below saturation; infinite if unknown.
+    response : AbstractResponse
+        Conversion between light and level.
     """
 
     levels: Float[np.ndarray, "h w"]
@@ -35,48 +39,64 @@ class Light(NamedTuple):
     def from_picture(
         cls, picture: Shaped[np.ndarray, "..."], response: ResponseLike = "linear"
     ) -> "Light":
-        """The light of an (h, w) or (h, w, channels) picture.
+        """Compute the light of an image.
 
-        Raises InputError for what is no picture, and for an unknown response.
+        Parameters
+        ----------
+        picture : (h, w) or (h, w, channels)
+            Image, as in `grey_image`.
+        response : str, float or AbstractResponse
+            Response of the camera, as in `find_response`.
+
+        Returns
+        -------
+        Light
+
+        Raises
+        ------
+        InputError
+            If the argument is not an image, or the response is unknown.
         """
         curve = find_response(response)
-        given = grey_image(picture).in_255ths()
-        light = given.grey if curve.is_linear else _read_light(np.asarray(picture), given, curve)
-        return cls(given.grey, light, given.quantum, given.white, curve)
+        image = grey_image(picture).in_255ths()
+        light = image.grey if curve.is_linear else _read_light(np.asarray(picture), image, curve)
+        return cls(image.grey, light, image.quantum, image.white, curve)
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """(width, height)."""
+        """Size (width, height)."""
         return self.levels.shape[1], self.levels.shape[0]
 
     @property
     def is_linear(self) -> bool:
-        """Whether the light is the levels themselves."""
+        """True if the light equals the levels."""
         return self.light is self.levels
 
     @property
     def light_of_white(self) -> float:
-        """The light of the largest level that can be told from a larger one."""
+        """Light of the largest level below saturation."""
         if self.is_linear or not np.isfinite(self.white):
             return self.white
         return float(255 * self.response.light_of(self.white / 255))
 
     def noise_sigma(self, stride: tuple[int, int] = (1, 1)) -> float:
-        """Standard deviation of the light between pixels, from every so many rows and columns."""
+        """Standard deviation of the light's noise per pixel, from every `stride`-th row and
+        column.
+        """
         return level_noise(self.light, self.quantum if self.is_linear else 0.0, stride)
 
-    def find_clipped(self, beside_px: int = 0) -> Bool[np.ndarray, "h w"]:
-        """(h, w) whether a pixel is saturated, or so near to one that is."""
+    def find_clipped(self, margin_px: int = 0) -> Bool[np.ndarray, "h w"]:
+        """Mask of the saturated pixels, dilated by `margin_px`, (h, w)."""
         saturated = (self.levels >= self.white).astype(np.uint8)
-        side = 2 * beside_px + 1
+        side = 2 * margin_px + 1
         return cv2.dilate(saturated, np.ones((side, side), np.uint8)) > 0
 
 
 def _read_light(
-    picture: Shaped[np.ndarray, "..."], given: GreyImage, response: AbstractResponse
+    picture: Shaped[np.ndarray, "..."], image: GreyImage, response: AbstractResponse
 ) -> Float[np.ndarray, "h w"]:
     if picture.ndim == 2 or picture.shape[2] < 3:
-        return _decode_levels(given.grey, response)
+        return _decode_levels(image.grey, response)
     # Side by side, the channels are one grey picture: all have the range of the brightest.
     channels = np.concatenate([picture[..., k] for k in range(3)], axis=1)
     light = _decode_levels(grey_image(channels).in_255ths().grey, response)

@@ -1,9 +1,9 @@
-"""The noise of a picture, from the picture itself.
+"""Noise of an image, estimated from the image itself.
 
 The product of the second differences along u and v is zero on ramps and on straight edges along
-either axis. The median of its size is not moved by the few corners, oblique edges and texture that
-are left (J. Immerkaer, "Fast noise variance estimation", Computer Vision and Image Understanding
-64(2), 1996, doi 10.1006/cviu.1996.0060, with a median in place of its mean).
+either axis. Corners, oblique edges and texture remain; they are few and do not affect the median.
+Source: J. Immerkaer, "Fast noise variance estimation", Computer Vision and Image Understanding
+64(2), 1996, doi 10.1006/cviu.1996.0060, with a median in place of the mean.
 """
 
 import cv2
@@ -12,11 +12,11 @@ from jaxtyping import Bool, Float
 
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
-# Root of the sum of squares of the mask: what independent noise is multiplied by.
+# Norm of the mask, the factor of independent noise.
 _GAIN = 6.0
 _FEWEST_PIXELS = 50
 _ROUNDING_SIGMA = float(np.sqrt(1 / 12))
-# Pictures of real numbers are taken to be good to this share of their range.
+# Smallest noise of images of real numbers, as a share of their range.
 _LEAST_OF_RANGE = 1e-4
 
 
@@ -27,12 +27,24 @@ def noise_sigma(
     stride: tuple[int, int] = (1, 1),
     flat: Bool[np.ndarray, "h w"] | None = None,
 ) -> float:
-    """Standard deviation of the noise in grey levels, rounding included.
+    """Estimate the standard deviation of the noise, in grey levels, rounding included.
 
-    quantum : step between two grey levels, over which equal answers are spread. With 0, for real
-        numbers, the answer is a plain median. By default 1 where all levels are whole, 0 otherwise.
-    stride : look at every so many rows and columns only.
-    flat : pixels to look at, if all eight neighbours are flat too. Fewer than 50 give NaN.
+    Parameters
+    ----------
+    grey : (h, w)
+        Grey levels.
+    quantum : float, optional
+        Step between two grey levels. Equal values of the mask are spread over this step. 0: plain
+        median, for real numbers. Default: 1 if all levels are whole, else 0.
+    stride : (int, int)
+        Use every n-th row and column only.
+    flat : (h, w) bool, optional
+        Use only these pixels, and of these only those with eight flat neighbours.
+
+    Returns
+    -------
+    float
+        NaN if `flat` leaves fewer than 50 pixels.
     """
     rows, columns = stride
     down = grey[:-2:rows] + grey[2::rows] - 2 * grey[1:-1:rows]
@@ -52,9 +64,9 @@ def noise_sigma(
 def level_noise(
     grey: Float[np.ndarray, "h w"], quantum: float, stride: tuple[int, int] = (1, 1)
 ) -> float:
-    """`noise_sigma` of a picture, not below that of the rounding to `quantum`, and never 0.
+    """`noise_sigma` of an image, at least the noise of rounding to `quantum`, and never 0.
 
-    Real numbers, whose `quantum` is 0, have a ten-thousandth of their range for a floor.
+    For real numbers (`quantum` 0), the lower bound is a ten-thousandth of their range.
     """
     noise = noise_sigma(grey, quantum=quantum, stride=stride)
     floor = _ROUNDING_SIGMA * quantum if quantum else _LEAST_OF_RANGE * float(np.ptp(grey))
@@ -62,11 +74,11 @@ def level_noise(
 
 
 def _median(values: Float[np.ndarray, "n"], step: float) -> float:
-    """The median of values that rounding has thrown together, each spread over its step."""
+    """Median of rounded values, each assumed uniform over its rounding step."""
     middle = len(values) // 2
     median = float(np.partition(values, middle)[middle])
     if not step:
         return median
-    # Where inside its step the median lies, the counts of smaller and of equal values tell.
+    # The counts of smaller and equal values give the position of the median inside its step.
     below, equal = np.count_nonzero(values < median), np.count_nonzero(values == median)
     return max(0.0, median + step * ((middle + 0.5 - below) / equal - 0.5))

@@ -1,8 +1,7 @@
-"""Grey levels against light: the response of a camera.
+"""Response of a camera: grey level against light.
 
-Levels and light run from 0, black, to 1, full white. All rooms know a response by its three
-functions and the numbers that it is made of; another curve is another class in this file, and a
-name in `_NAMED`.
+Levels and light run from 0, black, to 1, full white. Rooms use a response by its three functions
+and its parameters. A new curve is a class in this file and a name in `_NAMED`.
 """
 
 import abc
@@ -22,66 +21,76 @@ Values = Float[ArrayLike, "..."]
 
 
 class Parameter(NamedTuple):
-    """A number of a response, where it is fitted to a picture.
+    """Bounds and Gaussian prior of a response parameter that is fitted to an image.
 
-    least, most : bounds. usual, sigma : what is known of it before.
+    Attributes
+    ----------
+    lower, upper : float
+        Bounds.
+    prior_mean, sigma : float
+        Mean and standard deviation of the prior.
     """
 
-    least: float
-    most: float
-    usual: float
+    lower: float
+    upper: float
+    prior_mean: float
     sigma: float
 
 
 class AbstractResponse(eqx.Module):
-    """How a camera makes grey levels of light. The fields of a response are its parameters."""
+    """Conversion between light and grey level. The fields of a response are its parameters."""
 
     PARAMETERS: ClassVar[dict[str, Parameter]]
 
     @abc.abstractmethod
     def level_of(self, light: Values | float) -> Values:
-        """The grey level that light gives."""
+        """Grey level of a light value."""
 
     @abc.abstractmethod
     def light_of(self, level: Values | float) -> Values:
-        """Inverse of `level_of`, of levels above black."""
+        """Light of a grey level above black; inverse of `level_of`."""
 
     @abc.abstractmethod
     def slope_at(self, light: Values | float) -> Values:
-        """By how much the level grows with the light."""
+        """Derivative of the level by the light."""
 
     @property
     @abc.abstractmethod
     def is_linear(self) -> bool:
-        """Whether light and level are one; of a response that nobody traces."""
+        """True if light and level are equal. The response must not be traced."""
 
     @property
     @abc.abstractmethod
-    def words(self) -> str:
-        """What the curve is like, in a few words."""
+    def description(self) -> str:
+        """Short description of the curve, for messages."""
 
 
 class PowerResponse(AbstractResponse):
-    """One family from linear to sRGB and beyond, ((x + t)^p - t^p) / ((1 + t)^p - t^p) with
-    p = 2.4^-bend: sRGB's curve (IEC 61966-2-1) at bend 1 within .0002.
+    """Family of responses from linear to sRGB and beyond.
 
-    bend : 0 linear, 1 sRGB.
+    The level is ((x + t)^p - t^p) / ((1 + t)^p - t^p) with p = 2.4^-bend. For bend 1 it equals
+    sRGB's curve (IEC 61966-2-1) to .0002.
+
+    Attributes
+    ----------
+    bend : float
+        0: linear. 1: sRGB.
     """
 
     bend: ScalarLike = 0.0
 
     PARAMETERS: ClassVar[dict[str, Parameter]] = {"bend": Parameter(-1.0, 3.0, 0.0, 1.0)}
-    # Bends that a user may give.
-    LEAST: ClassVar[float] = -1.0
-    MOST: ClassVar[float] = 2.0
+    # Range of the bend as an argument.
+    SMALLEST: ClassVar[float] = -1.0
+    LARGEST: ClassVar[float] = 2.0
     _TOE: ClassVar[float] = 0.001
     _LOG_GAMMA: ClassVar[float] = float(np.log(2.4))
-    # Light below black, as ringing makes it, is taken along the tangent.
+    # Light below black, for example by ringing, is extrapolated along the tangent.
     _LEAST_LIGHT: ClassVar[float] = -0.8 * _TOE
     _LEAST_LEVEL: ClassVar[float] = 1e-6
 
     def level_of(self, light: Values | float) -> Values:
-        """The grey level; the identity at bend 0."""
+        """Grey level of a light value; equal to it for bend 0."""
         xp, power = self._namespace_and_power(light)
         base = xp.maximum(light, self._LEAST_LIGHT) + self._TOE
         level = (base**power - self._TOE**power) / self._range(power)
@@ -89,24 +98,24 @@ class PowerResponse(AbstractResponse):
         return level + slope * xp.minimum(light - self._LEAST_LIGHT, 0.0)
 
     def light_of(self, level: Values | float) -> Values:
-        """Inverse of `level_of`, of levels above black."""
+        """Light of a grey level above black."""
         xp, power = self._namespace_and_power(level)
         base = xp.maximum(level, self._LEAST_LEVEL) * self._range(power) + self._TOE**power
         return base ** (1 / power) - self._TOE
 
     def slope_at(self, light: Values | float) -> Values:
-        """By how much the level grows with the light."""
+        """Derivative of the level by the light."""
         xp, power = self._namespace_and_power(light)
         return self._slope(xp.maximum(light, self._LEAST_LIGHT) + self._TOE, power)
 
     @property
     def is_linear(self) -> bool:
-        """Whether light and level are one."""
+        """True if light and level are equal."""
         return not self.bend
 
     @property
-    def words(self) -> str:
-        """What the curve is like, in a few words."""
+    def description(self) -> str:
+        """Short description of the curve, for messages."""
         if abs(self.bend - 1) < 0.1:
             return "as sRGB"
         if self.bend < 0:
@@ -124,25 +133,24 @@ class PowerResponse(AbstractResponse):
         return (1 + self._TOE) ** power - self._TOE**power
 
 
-# How a camera makes grey levels of light, as users say it: by name, by how far its curve bends, or
-# as a curve of their own.
+# Response as an argument: a name, a bend, or a response object.
 ResponseLike = Literal["linear", "srgb"] | float | AbstractResponse
 _NAMED = {"linear": PowerResponse(0.0), "srgb": PowerResponse(1.0)}
 
 
-def find_response(given: ResponseLike | str) -> AbstractResponse:
-    """The response that a user names. Raises InputError for a name or a bend that is none."""
-    if isinstance(given, AbstractResponse):
-        return given
-    least, most = PowerResponse.LEAST, PowerResponse.MOST
-    if isinstance(given, str):
-        found = _NAMED.get(given)
+def find_response(value: ResponseLike | str) -> AbstractResponse:
+    """Return the response of a name, a bend or a response object. Raises InputError for others."""
+    if isinstance(value, AbstractResponse):
+        return value
+    lower, upper = PowerResponse.SMALLEST, PowerResponse.LARGEST
+    if isinstance(value, str):
+        response = _NAMED.get(value)
     else:
-        is_bend = isinstance(given, numbers.Real) and least <= given <= most
-        found = PowerResponse(float(given)) if is_bend else None
-    if found is None:
+        is_bend = isinstance(value, numbers.Real) and lower <= value <= upper
+        response = PowerResponse(float(value)) if is_bend else None
+    if response is None:
         raise InputError(
-            f'response is {given!r}, but must be "linear", "srgb" or a number from '
-            f"{least:g} to {most:g} (0 is linear, 1 is sRGB)."
+            f'response is {value!r}, but must be "linear", "srgb" or a number from '
+            f"{lower:g} to {upper:g} (0 is linear, 1 is sRGB)."
         )
-    return found
+    return response

@@ -1,8 +1,8 @@
-"""One blurred step: two levels on either side of a line, convolved with a Gaussian.
+"""Model of an edge: a step between two levels along a line, convolved with a Gaussian.
 
-Whoever places an edge does it by this model: by the slope of the levels across (`log_parabola`,
-`height_of_step`), by mean profiles with something known beforehand (`fit_profiles`), or by a block
-of pixels with levels and slopes of its own (`fit_block`).
+All edge positions come from this model. Three estimators exist: the slopes of levels across the
+edge (`log_parabola`, `height_of_step`), mean profiles with a prior (`fit_profiles`), and a block of
+pixels with its own levels and slopes (`fit_block`).
 """
 
 from typing import Any, NamedTuple
@@ -18,13 +18,20 @@ from trinoc.numerics.small_least_squares import Residuals, gauss_newton
 from trinoc.numerics.small_matrices import solve_positive_definite
 
 _SMALLEST = np.float32(1e-6)
-# Information about a place or a level that nothing is known of.
-_HARDLY_ANY = 1e-6
+# Prior information on a position or level without a prior, for a regular system.
+_WEAK_INFORMATION = 1e-6
 
 
 def blurred_step(across_px: Any, width_px: Any) -> tuple[Any, Any]:
-    """(share of the step that is reached, its slope per px) so far beyond the edge, for a blur of
-    this width, the standard deviation of a Gaussian; elementwise."""
+    """(share of the step, slope of that share per px) at a distance from the edge; elementwise.
+
+    Parameters
+    ----------
+    across_px : array
+        Signed distance from the edge.
+    width_px : array
+        Blur: standard deviation of the Gaussian.
+    """
     xp, reached = (jnp, ndtr) if is_traced(across_px, width_px) else (np, scipy.special.ndtr)
     scaled = across_px / width_px
     return reached(scaled), xp.exp(-0.5 * scaled**2) / (np.sqrt(2 * np.pi) * width_px)
@@ -33,20 +40,21 @@ def blurred_step(across_px: Any, width_px: Any) -> tuple[Any, Any]:
 def height_of_step(
     slope: Float[np.ndarray, "*n"], variance_px2: Float[np.ndarray, "*n"]
 ) -> Float[np.ndarray, "*n"]:
-    """The height of a step from the slope at its middle."""
+    """Height of a step from the slope at its middle, grey levels."""
     return slope * np.sqrt(2 * np.pi * variance_px2)
 
 
 def log_parabola(
-    slope: Float[np.ndarray, "*n 3"], least: Float[np.ndarray, "*n 1"] | np.float32 = _SMALLEST
+    slope: Float[np.ndarray, "*n 3"], smallest: Float[np.ndarray, "*n 1"] | np.float32 = _SMALLEST
 ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
-    """(rise, bend) of the logarithm of slopes at three places across an edge, one apart.
+    """(rise, bend): first and minus second difference of the logarithm of three slopes.
 
-    The slope of a blurred step is a Gaussian: its peak is rise / bend beyond the middle place, and
-    its variance 1 / bend. Cut at a slant it is again a Gaussian, so that samples along an axis of
-    the picture do. Slopes are taken to be at least `least`.
+    The slopes are at three positions across an edge, one unit apart. The slope of a blurred step is
+    a Gaussian: its peak is rise / bend beyond the middle position, and its variance is 1 / bend. An
+    oblique section is also a Gaussian, so samples along an image axis suffice. Slopes below
+    `smallest` are replaced by it.
     """
-    level = np.log(np.maximum(slope, least))
+    level = np.log(np.maximum(slope, smallest))
     low, high = level[..., 0] - level[..., 1], level[..., 2] - level[..., 1]
     return (high - low) / 2, -(low + high)
 
@@ -54,34 +62,35 @@ def log_parabola(
 def peak_of_slope(
     slope: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """(offset, variance) of the blurred step with these slopes; the offset is from the middle."""
+    """(offset from the middle, variance) of a blurred step from slopes at three positions."""
     rise, bend = log_parabola(slope)
     bend = np.maximum(bend, _SMALLEST)
     return rise / bend, 1 / bend
 
 
 def blur_of_two_slopes(squared_ratio: float, fine_px: float, coarse_px: float) -> float:
-    """Width of a blurred step from the ratio of its slopes, squared, after two Gaussians.
+    """Blur of a step, px, from the squared ratio of its slopes after two Gaussian filters.
 
-    Seen through a Gaussian of scale a, a step of blur s has a slope of height / sqrt(s^2 + a^2):
-    the ratio gives s, whatever the height (S. Zhuo and T. Sim, "Defocus map estimation from a
-    single image", Pattern Recognition 44(9), 2011, doi 10.1016/j.patcog.2011.03.009).
+    Filtered with a Gaussian of scale a, a step of blur s has the slope height / sqrt(s^2 + a^2). So
+    the ratio of two slopes gives s for any height. Source: S. Zhuo and T. Sim, "Defocus map
+    estimation from a single image", Pattern Recognition 44(9), 2011, doi
+    10.1016/j.patcog.2011.03.009.
     """
-    # Wide blur leaves a ratio near 1, of which only a bound can be told.
+    # For wide blur the ratio is near 1 and gives only a bound.
     variance = (coarse_px**2 - squared_ratio * fine_px**2) / max(squared_ratio - 1.0, 1e-2)
     return float(np.sqrt(max(variance, 0.0)))
 
 
 class ProfileFit(NamedTuple):
-    """Of each profile: place, logarithm of the width, variance of the place, and chi-square."""
+    """Fitted steps: position, log width, variance of the position and chi-square, (s,) each."""
 
-    place_px: Float[np.ndarray, "s"]
+    position_px: Float[np.ndarray, "s"]
     log_width: Float[np.ndarray, "s"]
     variance_px2: Float[np.ndarray, "s"]
     chi_square: Float[np.ndarray, "s"]
 
 
-# At most so much at a time: place, logarithm of the height, floor, logarithm of the width.
+# Largest step of each unknown: position, log height, lower level, log width.
 _LARGEST_STEP = np.array([0.4, 0.3, np.inf, 0.2])
 _STEPS = 20
 
@@ -94,28 +103,42 @@ def fit_profiles(
     start: Float[np.ndarray, "s 4"],
     prior: Float[np.ndarray, "s 4"],
     precision: Float[np.ndarray, "4"],
-    least_above: float,
+    smallest_log_height: float,
 ) -> ProfileFit:
-    """Blurred steps fitted to profiles, with what is known beforehand.
+    """Fit blurred steps to profiles, with a Gaussian prior.
 
-    Unknowns: place, logarithm of the height over the `visible` one (at least `least_above`), floor,
-    logarithm of the width; `precision` is the inverse of the prior's variance, 0 where there is
-    none, and `information` that of every level.
+    Parameters
+    ----------
+    across_px : (s, b)
+        Distances of the samples of each profile.
+    level : (s, b)
+        Grey levels.
+    information : (s, b)
+        Inverse variance of each level; 0 excludes it.
+    visible : (s,)
+        Observed height of each step, the unit of the fitted height.
+    start, prior : (s, 4)
+        Initial and prior values of the unknowns: position, log of the height over `visible`, lower
+        level, log of the width.
+    precision : (4,)
+        Inverse variance of the prior; 0 for none.
+    smallest_log_height : float
+        Lower bound of the second unknown.
     """
-    # Beyond the profile nothing is seen of a step.
-    least, most = across_px.min(axis=1), across_px.max(axis=1)
+    # A step outside the profile is not observable.
+    nearest, farthest = across_px.min(axis=1), across_px.max(axis=1)
     used = information > 0
     first = np.argsort(~used, axis=1, kind="stable")[:, : used.sum(axis=1).max(initial=1)]
     across_px, level, information = (
         np.take_along_axis(each, first, axis=1) for each in (across_px, level, information)
     )
-    root, precision = np.sqrt(information), np.maximum(precision, _HARDLY_ANY)
+    root, precision = np.sqrt(information), np.maximum(precision, _WEAK_INFORMATION)
 
     def residuals(state: Float[np.ndarray, "s 4"]) -> Residuals:
-        place, above, base, log_width = (column[:, None] for column in state.T)
-        off, width = across_px - place, np.exp(log_width)
+        position, log_height, base, log_width = (column[:, None] for column in state.T)
+        off, width = across_px - position, np.exp(log_width)
         share, slope = blurred_step(off, width)
-        rise = root * (visible[:, None] * np.exp(above))
+        rise = root * (visible[:, None] * np.exp(log_height))
         slopes = np.empty((len(off), 4, off.shape[1]))
         np.multiply(-rise, slope, out=slopes[:, 0])
         np.multiply(rise, share, out=slopes[:, 1])
@@ -132,8 +155,8 @@ def fit_profiles(
         state: Float[np.ndarray, "s 4"], step: Float[np.ndarray, "s 4"]
     ) -> Float[np.ndarray, "s 4"]:
         after = state + step
-        after[:, 0] = np.clip(after[:, 0], least, most)
-        after[:, 1] = np.maximum(after[:, 1], least_above)
+        after[:, 0] = np.clip(after[:, 0], nearest, farthest)
+        after[:, 1] = np.maximum(after[:, 1], smallest_log_height)
         return after
 
     state, equations = gauss_newton(
@@ -144,13 +167,24 @@ def fit_profiles(
 
 
 class BlockFit(NamedTuple):
-    """Fields
-    ------
-    information : (3, 3) of the offsets at both ends and of the logarithm of the blur, at noise 1.
-    gradient : (3,) of the log likelihood. square : () sum of squared residuals.
-    count : (2,) fitted pixels to the left and to the right.
-    column : (c,) sum of the residuals of usable pixels. inner : (c,) whether one is in the core.
-    step : () from left to right.
+    """Quadratic form of the log likelihood of an edge in one block of pixels.
+
+    Attributes
+    ----------
+    information : (3, 3)
+        Of the offsets at both ends and the log of the blur, for noise 1.
+    gradient : (3,)
+        Gradient of the log likelihood.
+    square : ()
+        Sum of squared residuals.
+    count : (2,)
+        Number of fitted pixels on the left and on the right.
+    column : (c,)
+        Sum over each column of the residuals of usable pixels.
+    inner : (c,)
+        True for columns of the core.
+    step : ()
+        Level difference from left to right.
     """
 
     information: Float[ArrayLike, "3 3"]
@@ -170,20 +204,38 @@ def fit_block(
     level: Float[ArrayLike, "r c"],
     usable: Bool[ArrayLike, "r c"],
     reach: Bool[ArrayLike, "c"],
-    place: Float[ArrayLike, "3"],
+    state: Float[ArrayLike, "3"],
     noise: ScalarLike,
 ) -> BlockFit:
-    """What a block of pixels says of a place: offsets at both ends, and logarithm of the blur.
+    """Quadratic form of the log likelihood of a block of pixels, at a state of the edge.
 
-    Levels are constant, with a little slope across and along, on either side of the line, and the
-    step between them is blurred. Levels and slopes are linear, and are eliminated (variable
-    projection: Golub and Pereyra, 1973, doi:10.1137/0710036). What remains is a quadratic form.
+    On either side of the line, the level is constant with small slopes across and along; the step
+    between them is blurred. Levels and slopes are linear and are eliminated (variable projection:
+    Golub and Pereyra, 1973, doi:10.1137/0710036).
 
-    core : widths, and px, to both sides of the line that are fitted in any case; `reach` says
-    which columns are besides. slopes : standard deviations of slopes across and along, per px.
+    Parameters
+    ----------
+    core : (2,)
+        Half width of the core in blur widths, plus px.
+    slopes : (2,)
+        Prior standard deviations of the slopes across and along, per px.
+    across_px : (r, c)
+        Distance of each pixel from the line.
+    share : (r, c)
+        Position of each pixel along the line, 0 at the first end, 1 at the second.
+    level : (r, c)
+        Grey levels.
+    usable : (r, c)
+        Pixels that may be fitted.
+    reach : (c,)
+        Columns outside the core that are fitted as well.
+    state : (3,)
+        Offsets of the edge at both ends, px, and log of the blur.
+    noise : float
+        Standard deviation of the noise; scales the prior of the slopes.
     """
-    across = across_px - ((1 - share) * place[0] + share * place[1])
-    width = jnp.exp(place[2])
+    across = across_px - ((1 - share) * state[0] + share * state[1])
+    width = jnp.exp(state[2])
     inner = usable & (jnp.abs(across) < core[0] * width + core[1])
     fitted = usable & (inner | reach[None])
     weight = fitted.astype(level.dtype).reshape(-1)
@@ -193,9 +245,9 @@ def fit_block(
     along = jnp.broadcast_to(rows[:, None], across.shape)
     side = jnp.stack([jnp.ones_like(across), across, along], axis=-1).reshape(-1, 3)
     basis = jnp.concatenate([side * (1 - right)[:, None], side * right[:, None]], axis=1)
-    # Priors of slopes are in grey levels, and the noise is one here.
-    known = jnp.concatenate([jnp.full(1, _HARDLY_ANY), (noise / slopes) ** 2])
-    normal = basis.T @ (weight[:, None] * basis) + jnp.diag(jnp.tile(known, 2))
+    # Priors of slopes are in grey levels; noise is 1 here.
+    prior_information = jnp.concatenate([jnp.full(1, _WEAK_INFORMATION), (noise / slopes) ** 2])
+    normal = basis.T @ (weight[:, None] * basis) + jnp.diag(jnp.tile(prior_information, 2))
     mean = (weight * level.reshape(-1)).sum() / jnp.maximum(weight.sum(), 1.0)
     values = level.reshape(-1) - mean
     levels = solve_positive_definite(normal, basis.T @ (weight * values))
@@ -204,8 +256,8 @@ def fit_block(
     between = side @ (levels[3:] - levels[:3])
     by_across = bell * between + levels[1] * (1 - right) + levels[4] * right
     by_blur = -across.reshape(-1) * bell * between
-    far = share.reshape(-1)
-    slope = jnp.stack([-by_across * (1 - far), -by_across * far, by_blur], axis=1)
+    end_share = share.reshape(-1)
+    slope = jnp.stack([-by_across * (1 - end_share), -by_across * end_share, by_blur], axis=1)
     weighted = weight[:, None] * slope
     mixed = basis.T @ weighted
     information = slope.T @ weighted - mixed.T @ solve_positive_definite(normal, mixed)

@@ -1,4 +1,4 @@
-"""Pixels beside a line."""
+"""Grey levels of pixels near a line."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -9,11 +9,11 @@ def nearest_levels(
     u_px: Float[np.ndarray, "*n"],
     v_px: Float[np.ndarray, "*n"],
 ) -> Float[np.ndarray, "*n"]:
-    """Values of the nearest pixels; beyond its border the picture continues level."""
+    """Grey levels of the nearest pixels; outside the image, those of the nearest border pixel."""
     height, width = picture.shape
     column, row = (
-        np.rint(at).astype(np.int32).clip(0, side - 1)
-        for at, side in ((u_px, width), (v_px, height))
+        np.rint(coordinate).astype(np.int32).clip(0, side - 1)
+        for coordinate, side in ((u_px, width), (v_px, height))
     )
     return picture.ravel()[row * width + column]
 
@@ -21,8 +21,17 @@ def nearest_levels(
 def list_pixels_across(
     at_px: Int[np.ndarray, "*n 2"], along_u: Bool[np.ndarray, "*n"], half: int
 ) -> Int[np.ndarray, "*n p 2"]:
-    """(column, row) of pixels and of so many on either side, in their row where an edge is crossed
-    along u, or else in their column."""
+    """(column, row) of a pixel and its `half` neighbours on either side, across an edge.
+
+    Parameters
+    ----------
+    at_px : (..., 2)
+        Middle pixels.
+    along_u : (...)
+        True: neighbours in the same row. False: in the same column.
+    half : int
+        Number of neighbours on either side.
+    """
     steps = np.arange(-half, half + 1)
     pixels = np.empty((*along_u.shape, len(steps), 2), at_px.dtype)
     for axis, along in enumerate((along_u, ~along_u)):
@@ -33,7 +42,10 @@ def list_pixels_across(
 def take_levels(
     picture: Shaped[np.ndarray, "h w"], pixels: Int[np.ndarray, "*n 2"]
 ) -> tuple[Shaped[np.ndarray, "*n"], Bool[np.ndarray, "*n"]]:
-    """(value of each pixel, whether the picture has it); beyond the border the nearest one's."""
+    """(level, True if inside the image) of pixels.
+
+    Outside the image, the level of the nearest border pixel is returned.
+    """
     height, width = picture.shape
     column, row = np.moveaxis(pixels, -1, 0)
     near_column, near_row = np.clip(column, 0, width - 1), np.clip(row, 0, height - 1)

@@ -42,7 +42,7 @@ _DTYPES = {"f": np.float64, "i": np.int64}
 _BESIDE_TRACKS = {
     field.name: _DTYPES.get(field.kind, np.str_)
     for field in list_fields(Frames)
-    if not field.column.beside
+    if not field.column.per_row
 }
 
 

@@ -76,7 +76,9 @@ class Frames(Table):
     ]
     columns: Annotated[
         dict[str, Shaped[np.ndarray, "_ ..."]],
-        Column(ColumnCheck("have not as many rows as there are tracks", _are_as_many), beside=True),
+        Column(
+            ColumnCheck("have not as many rows as there are tracks", _are_as_many), per_row=True
+        ),
     ]
     noise_tail: Float[np.ndarray, "f"] | None = None
 

@@ -18,7 +18,7 @@ from trinoc.geometry.intrinsics import (
     describe_usable_fold,
 )
 from trinoc.geometry.lenses.registry import LENS_MODELS, promote_lens
-from trinoc.geometry.rig import Rig, at_one_place
+from trinoc.geometry.rig import Rig, find_equal_centres
 from trinoc.io.formats.motions import checked_rotation
 from trinoc.io.json_document import Block, read_document, write_document
 from trinoc.numerics.tables import is_covariance
@@ -109,7 +109,7 @@ def expect_readable(value: Rig | Intrinsics, where: str) -> None:
 
 def expect_apart(cameras: Mapping[str, Camera], where: str) -> None:
     """Raise InputError where two cameras stand at one place: nothing between them has a depth."""
-    pair = at_one_place(cameras)
+    pair = find_equal_centres(cameras)
     if pair is not None:
         raise InputError(
             f'{where}: the cameras "{pair[0]}" and "{pair[1]}" stand at one place, which leaves '

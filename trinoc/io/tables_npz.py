@@ -46,12 +46,12 @@ def list_arrays(table: Table, prefix: str = "") -> dict[str, np.ndarray]:
         name, value = prefix + field.name, getattr(table, field.name)
         match value:
             case Table():
-                arrays |= list_arrays(value, prefix + field.below)
+                arrays |= list_arrays(value, prefix + field.array_prefix)
             case dict() if field.type == dict[str, int]:
                 for own, array in zip(_names_of_counts(name), (list(value), list(value.values()))):
                     arrays[own] = _array(array, "iU"[own.endswith("names")])
             case dict():
-                arrays |= {prefix + field.below + own: _array(a) for own, a in value.items()}
+                arrays |= {prefix + field.array_prefix + own: _array(a) for own, a in value.items()}
             case tuple() if field.column.blocks:
                 flat = [np.asarray(block).reshape(-1) for block in value]
                 arrays[name] = np.concatenate([*flat, np.zeros(0)])
@@ -68,7 +68,7 @@ def build_table(kind: type[_Value], fields: "ArrayFields") -> _Value:
     """The table of a kind in the arrays of a file. Raises InputError as `load_npz` does."""
     read = Content({}, {})
     # What stands beside the columns is what these leave; blocks are as large as these say.
-    last = [f for f in list_fields(kind) if f.column.beside or f.column.blocks]
+    last = [f for f in list_fields(kind) if f.column.per_row or f.column.blocks]
     for part in ([field for field in list_fields(kind) if field not in last], last):
         for field in part:
             if not field.optional or fields.has(field):
@@ -84,14 +84,17 @@ def _read(field: Field, fields: "ArrayFields", read: Content, words: Mapping[str
     """The value of one field. Raises InputError where its array is missing or another."""
     name, column = field.name, field.column
     if isinstance(field.type, type) and issubclass(field.type, Table):
-        return build_table(field.type, fields.below(field.below))
+        return build_table(field.type, fields.below(field.array_prefix))
     if field.type == dict[str, int]:
         names, values = _names_of_counts(name)
         texts = fields.take(names, "U", (None,), name)
         numbers = fields.take(values, "i", texts.shape, f"{len(texts)} names")
         return dict(zip(map(str, texts), map(int, numbers), strict=True))
     if typing.get_origin(field.type) is dict:
-        inner, sides = fields.below(field.below), typing.get_args(field.type)[1].dim_str.split()
+        inner, sides = (
+            fields.below(field.array_prefix),
+            typing.get_args(field.type)[1].dim_str.split(),
+        )
         if "..." in sides:
             return {own: inner.arrays[inner.prefix + own] for own in inner.remaining()}
         return {own: inner.take(own, "U", (None,), "words") for own in inner.every()}
@@ -145,7 +148,7 @@ class ArrayFields:
         if field.type == dict[str, int]:
             return self.prefix + _names_of_counts(field.name)[0] in self.arrays
         if typing.get_origin(field.type) is dict or hasattr(field.type, "KIND"):
-            return any(name.startswith(self.prefix + field.below) for name in self.arrays)
+            return any(name.startswith(self.prefix + field.array_prefix) for name in self.arrays)
         return self.prefix + field.name in self.arrays
 
     def below(self, prefix: str) -> "ArrayFields":

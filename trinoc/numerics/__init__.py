@@ -1,3 +1,4 @@
-"""What several rooms need and no library has: arrays, precision, buckets, small solvers.
+"""Numerical tools shared by rooms: arrays, precision, buckets, small solvers.
 
-Ground floor. Nothing here knows cameras, pictures or segments."""
+Ground floor: no cameras, images or segments here.
+"""

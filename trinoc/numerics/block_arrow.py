@@ -1,15 +1,15 @@
-"""Normal equations of many small groups of unknowns that share a few others, and nothing else.
+"""Normal equations with an arrow structure: many small groups of unknowns that share a few others.
 
-Pictures of one camera share its lens, lines of a scene share the cameras: J^T J is an arrow,
+Images of one camera share its lens; lines of a scene share the cameras. J^T J is an arrow,
 
     [ head        coupling_1  ...  coupling_k ]
     [ coupling_1^T  block_1                   ]
     [ ...                     ...             ]
     [ coupling_k^T                   block_k  ]
 
-and eliminating the blocks leaves the head its Schur complement, head - sum_j coupling_j
-block_j^-1 coupling_j^T. Cost and memory are linear in the number of blocks. Source: Triggs et
-al., "Bundle adjustment: a modern synthesis", section 6.1 (2000).
+Elimination of the blocks gives the Schur complement of the head, head - sum_j coupling_j block_j^-1
+coupling_j^T. Cost and memory are linear in the number of blocks. Source: Triggs et al., "Bundle
+adjustment: a modern synthesis", section 6.1 (2000).
 """
 
 from typing import Any, NamedTuple
@@ -27,13 +27,16 @@ Unknowns = tuple[Float[ArrayLike, "q"], Float[ArrayLike, "k w"]]
 
 
 class BlockArrow(lx.AbstractLinearOperator):
-    """A symmetric positive semidefinite arrow over the unknowns (head (q,), blocks (k, w)).
+    """Symmetric positive semidefinite arrow matrix over the unknowns (head (q,), blocks (k, w)).
 
-    Fields
-    ------
-    head : (q, q) of the unknowns that all share.
-    coupling : (k, q, w) between the head and each block.
-    blocks : (k, w, w) of each group's own unknowns.
+    Attributes
+    ----------
+    head : (q, q)
+        Entries of the shared unknowns.
+    coupling : (k, q, w)
+        Entries between the head and each block.
+    blocks : (k, w, w)
+        Entries of the unknowns of each group.
     """
 
     head: Float[ArrayLike, "q q"]
@@ -42,16 +45,16 @@ class BlockArrow(lx.AbstractLinearOperator):
 
     @classmethod
     def of_operator(cls, operator: lx.AbstractLinearOperator) -> "BlockArrow":
-        """Read the entries off any operator that is an arrow.
+        """Read the entries from a linear operator with arrow structure.
 
-        It is applied to q + w vectors, however many blocks there are: blocks do not mix. Raises
-        ValueError where its unknowns are not (head (q,), blocks (k, w)).
+        The operator is applied to q + w vectors, for any number of blocks, because blocks do not
+        mix. Raises ValueError if the unknowns are not (head (q,), blocks (k, w)).
         """
         structure = operator.in_structure()
         if not isinstance(structure, tuple) or [len(leaf.shape) for leaf in structure] != [1, 2]:
             raise ValueError(
                 "An arrow has the unknowns (head (q,), blocks (k, w)), not "
-                f"{jax.tree.structure(structure)}: solve in a chart that has these two."
+                f"{jax.tree.structure(structure)}. Use a parametrisation with these two parts."
             )
         size, (count, width) = structure[0].shape[0], structure[1].shape
         dtype = structure[0].dtype
@@ -65,21 +68,24 @@ class BlockArrow(lx.AbstractLinearOperator):
             return apply(unit, jnp.zeros((count, width), dtype))
 
         def block_columns(unit: Float[Array, "w"]) -> PyTree:
-            every = jnp.broadcast_to(unit[None], (count, width))
-            return apply(jnp.zeros(size, dtype), every)[1]
+            repeated = jnp.broadcast_to(unit[None], (count, width))
+            return apply(jnp.zeros(size, dtype), repeated)[1]
 
         head, coupling = jax.vmap(head_column)(jnp.eye(size, dtype=dtype))
         blocks = jax.vmap(block_columns)(jnp.eye(width, dtype=dtype))
         return cls(head, jnp.swapaxes(coupling, 0, 1), jnp.moveaxis(blocks, 0, 2))
 
     def with_damped_blocks(self, damping: ScalarLike | Float[ArrayLike, "k"]) -> "BlockArrow":
-        """The arrow with the diagonals of its blocks enlarged by a share, of all or of each."""
+        """Arrow whose block diagonals are multiplied by 1 + damping.
+
+        `damping` is one number, or one per block.
+        """
         count, width, _ = self.blocks.shape
         factor = 1 + jnp.broadcast_to(damping, (count,))[:, None, None] * jnp.eye(width)[None]
         return BlockArrow(self.head, self.coupling, self.blocks * factor)
 
     def mv(self, vector: Unknowns) -> Unknowns:
-        """The arrow times a vector."""
+        """Product of the arrow and a vector (head, blocks)."""
         head, blocks = vector
         return (
             self.head @ head + jnp.einsum("kqw,kw->q", self.coupling, blocks),
@@ -88,37 +94,42 @@ class BlockArrow(lx.AbstractLinearOperator):
         )
 
     def as_matrix(self) -> Float[Array, "n n"]:
-        """The dense matrix, head first."""
+        """Dense matrix (n, n), head first."""
         count, size, width = self.coupling.shape
-        across = jnp.moveaxis(self.coupling, 1, 0).reshape(size, count * width)
-        own = jsl.block_diag(*self.blocks)
-        return jnp.block([[jnp.asarray(self.head), across], [across.T, own]])
+        coupling_matrix = jnp.moveaxis(self.coupling, 1, 0).reshape(size, count * width)
+        block_matrix = jsl.block_diag(*self.blocks)
+        return jnp.block(
+            [[jnp.asarray(self.head), coupling_matrix], [coupling_matrix.T, block_matrix]]
+        )
 
     def transpose(self) -> "BlockArrow":
-        """The arrow itself: it is symmetric."""
+        """The arrow itself, because it is symmetric."""
         return self
 
     def in_structure(self) -> PyTree[jax.ShapeDtypeStruct]:
-        """Shapes of (head, blocks)."""
+        """Shapes of (head, blocks) of a vector."""
         count, size, width = self.coupling.shape
         dtype = self.coupling.dtype
         return jax.ShapeDtypeStruct((size,), dtype), jax.ShapeDtypeStruct((count, width), dtype)
 
     def out_structure(self) -> PyTree[jax.ShapeDtypeStruct]:
-        """That of the unknowns."""
+        """Shapes of (head, blocks) of a product."""
         return self.in_structure()
 
 
 class Elimination(NamedTuple):
-    """An arrow without its blocks, and what it takes to find their unknowns again.
+    """Result of the elimination of an arrow's blocks, with the terms for back substitution.
 
-    A block that is not positive definite determines nothing: its unknowns stay at zero.
+    A block that is not positive definite determines nothing: its unknowns are set to zero.
 
-    Fields
-    ------
-    inverse : (k, w, w) of each block; zeros where it has none.
-    follow : (k, w, q) how each block's unknowns follow those of the head.
-    reduced : (q, q) Schur complement of the blocks.
+    Attributes
+    ----------
+    inverse : (k, w, w)
+        Inverse of each block; zeros if it does not exist.
+    follow : (k, w, q)
+        Derivative of each block's unknowns by those of the head.
+    reduced : (q, q)
+        Schur complement of the blocks.
     """
 
     inverse: Float[ArrayLike, "k w w"]
@@ -126,19 +137,22 @@ class Elimination(NamedTuple):
     reduced: Float[ArrayLike, "q q"]
 
     def reduced_side(self, side: Unknowns) -> Float[ArrayLike, "q"]:
-        """What a right-hand side leaves to the head."""
+        """Right-hand side of the reduced system, (q,)."""
         return side[0] + jnp.einsum("kwq,kw->q", self.follow, side[1])
 
     def blocks_of(
         self, head: Float[ArrayLike, "q"], side: Float[ArrayLike, "k w"]
     ) -> Float[ArrayLike, "k w"]:
-        """Unknowns of the blocks, given those of the head and their own right-hand side."""
-        own = jnp.einsum("kvw,kw->kv", self.inverse, side)
-        return own + jnp.einsum("kwq,q->kw", self.follow, head)
+        """Unknowns of the blocks, (k, w), by back substitution.
+
+        `head` has the unknowns of the head; `side` is the right-hand side of the blocks.
+        """
+        uncoupled = jnp.einsum("kvw,kw->kv", self.inverse, side)
+        return uncoupled + jnp.einsum("kwq,q->kw", self.follow, head)
 
 
 def eliminate(arrow: BlockArrow) -> Elimination:
-    """Schur complement of an arrow's blocks."""
+    """Eliminate the blocks of an arrow."""
     inverse = jax.vmap(inverse_positive_definite)(arrow.blocks)
     determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
     inverse = jnp.where(determined[:, None, None], inverse, 0.0)
@@ -148,7 +162,7 @@ def eliminate(arrow: BlockArrow) -> Elimination:
 
 
 class FactoredArrow(NamedTuple):
-    """An elimination with the factors of its reduced matrix, scaled to a unit diagonal."""
+    """Elimination with the LU factors of its reduced matrix, scaled to a unit diagonal."""
 
     elimination: Elimination
     scale: Float[ArrayLike, "q"]
@@ -156,23 +170,25 @@ class FactoredArrow(NamedTuple):
 
 
 class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
-    """Solves arrows by eliminating their blocks, damped as Levenberg and Marquardt do.
+    """Linear solver for arrows by elimination of the blocks, with Levenberg-Marquardt damping.
 
-    Fields
-    ------
-    damping : added to the diagonal of the reduced matrix after that was scaled to ones: the head
-        moves less where little is left to determine it.
-    block_damping : by which share the diagonals of the blocks grow, of all or of each.
+    Attributes
+    ----------
+    damping : scalar
+        Number added to the diagonal of the reduced matrix, which is scaled to a unit diagonal
+        first. Poorly determined head unknowns then move less.
+    block_damping : scalar or (k,)
+        Share added to the diagonals of the blocks.
     """
 
     damping: ScalarLike = 0.0
     block_damping: ScalarLike | Float[ArrayLike, "k"] = 0.0
 
     def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> FactoredArrow:
-        """Read the arrow, eliminate its blocks, and factor what is left."""
+        """Read the arrow, eliminate its blocks, and factor the reduced matrix."""
         arrow = operator if isinstance(operator, BlockArrow) else BlockArrow.of_operator(operator)
         elimination = eliminate(arrow.with_damped_blocks(self.block_damping))
-        # The floor serves directions of which nothing is known.
+        # The floor avoids a division by zero in directions without information.
         scale = jnp.sqrt(jnp.maximum(jnp.diag(elimination.reduced), 1e-300))
         scaled = elimination.reduced / scale[:, None] / scale[None, :]
         damped = scaled + self.damping * jnp.eye(len(scale), dtype=scale.dtype)
@@ -181,7 +197,7 @@ class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
     def compute(
         self, state: FactoredArrow, vector: PyTree[Array], options: dict[str, Any]
     ) -> tuple[PyTree[Array], lx.RESULTS, dict[str, Any]]:
-        """The solution for one right-hand side."""
+        """Solve for one right-hand side."""
         elimination, scale, factors = state
         head = jsl.lu_solve(factors, elimination.reduced_side(vector) / scale) / scale
         blocks = elimination.blocks_of(head, vector[1])
@@ -192,21 +208,21 @@ class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
     def transpose(
         self, state: FactoredArrow, options: dict[str, Any]
     ) -> tuple[FactoredArrow, dict[str, Any]]:
-        """The matrix is symmetric."""
+        """The same state: the matrix is symmetric."""
         return state, options
 
     def conj(
         self, state: FactoredArrow, options: dict[str, Any]
     ) -> tuple[FactoredArrow, dict[str, Any]]:
-        """The matrix is real."""
+        """The same state: the matrix is real."""
         return state, options
 
     def assume_full_rank(self) -> bool:
-        """What is not determined is held or damped."""
+        """True: undetermined unknowns are fixed or damped."""
         return True
 
 
-# What lineax asks of an operator, it asks of functions that dispatch on its type.
+# lineax asks for properties of an operator by functions that dispatch on its type.
 for _yes in (lx.is_symmetric, lx.is_positive_semidefinite):
     _yes.register(BlockArrow)(lambda operator: True)
 for _no in (

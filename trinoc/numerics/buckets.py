@@ -1,7 +1,8 @@
-"""Arrays padded to few lengths, so that a new picture does not compile anew.
+"""Arrays padded to a few lengths (buckets), so that a new image size compiles no new program.
 
-All that is padded in the package is padded by `bucket` and `padded`; kernels over many rows run
-`in_blocks` of one length."""
+All padding of the package uses `bucket` and `pad_rows`. Kernels over many rows run `in_blocks` of
+one length.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,8 +15,7 @@ from jaxtyping import Bool, Float, Int
 from trinoc.numerics.precision import ArrayLike, array_namespace
 
 SMALLEST_BUCKET = 64
-# numerical: NumPy works through so few as quickly as a program of blocks does, and compiles
-# nothing.
+# numerical: up to this number of rows NumPy is as fast as a compiled program, without compiling.
 FEW_ROWS = 4096
 
 _Tree = TypeVar("_Tree")
@@ -23,11 +23,17 @@ _Possible = tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]
 
 
 def bucket(count: int, *, smallest: int = SMALLEST_BUCKET, finer_above: int | None = None) -> int:
-    """The length for so many rows: `smallest`, a power of two, doubled until it holds them.
+    """Padded length for a number of rows: `smallest`, doubled until it is at least `count`.
 
-    finer_above : from here on in steps of half the power of two below `count`, for where the work
-        on padding costs more than one small program more. Finer steps would save less work, and
-        every program stays in memory.
+    Parameters
+    ----------
+    count : int
+        Number of rows.
+    smallest : int
+        Smallest length, a power of two.
+    finer_above : int, optional
+        Above this number the length grows in quarters of the power of two. Use it where work on
+        padding costs more than one more compiled program. Every program stays in memory.
     """
     power = max(smallest, 1 << max(int(count) - 1, 0).bit_length())
     if finer_above is None or count <= finer_above:
@@ -37,7 +43,7 @@ def bucket(count: int, *, smallest: int = SMALLEST_BUCKET, finer_above: int | No
 
 
 def pad_rows(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np.ndarray:
-    """`array` with rows of `filler` appended up to `size` rows."""
+    """Append rows of `filler` to `array` up to `size` rows."""
     result = np.empty((size, *array.shape[1:]), dtype=array.dtype)
     result[: len(array)] = array
     result[len(array) :] = filler
@@ -45,25 +51,27 @@ def pad_rows(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np
 
 
 def in_bucket(function: Callable[[np.ndarray], ArrayLike], rows: np.ndarray) -> np.ndarray:
-    """`function` over rows, padded to a bucket with rows of zeros whose results are dropped."""
+    """Apply `function` to rows padded with zeros to a bucket size.
+
+    Results of the padding are dropped.
+    """
     return np.asarray(function(pad_rows(rows, bucket(len(rows)))))[: len(rows)]
 
 
 def blocks(count: int, size: int) -> Iterator[slice]:
-    """Slices that cover range(count), each of at most `size`; one empty slice for none."""
+    """Slices that cover range(count), each of at most `size`; one empty slice for a count of 0."""
     return (slice(start, min(start + size, count)) for start in range(0, max(count, 1), size))
 
 
 def in_blocks(function: Callable[..., _Tree], size: int, *columns: np.ndarray) -> _Tree:
-    """`function` over the rows of `columns`, `size` at a time, as NumPy arrays.
+    """Apply `function` to the rows of `columns`, `size` rows at a time; results are NumPy arrays.
 
-    The length that `function` sees is always `size`, whatever the number of rows: memory stays
-    bounded and nothing compiles anew. It takes and returns arrays with the rows in front, and
-    must bear rows of zeros, whose results are dropped.
+    Every call has `size` rows, so memory is bounded and only one program compiles. `function` takes
+    and returns arrays with rows first. It must accept rows of zeros, whose results are dropped.
     """
     count = len(columns[0])
     slices = list(blocks(count, size))
-    # All blocks are handed over before the first result is waited for.
+    # All blocks are dispatched before the first result is waited for.
     results = [function(*(pad_rows(c[part], size) for c in columns)) for part in slices]
     rows = [part.stop - part.start for part in slices]
 
@@ -74,8 +82,10 @@ def in_blocks(function: Callable[..., _Tree], size: int, *columns: np.ndarray) -
 
 
 def as_columns(tree: Any) -> Float[ArrayLike, "c h"]:
-    """All leaves of a tree, arrays of items or of rows of items, as rows of one array, in their
-    order."""
+    """Stack the leaves of a tree as rows of one array (c, h), in their order.
+
+    A leaf is an array (h,) or an array of such rows.
+    """
     xp = array_namespace(tree)
     leaves = [xp.asarray(leaf) for leaf in jax.tree.leaves(tree)]
     return xp.concatenate(
@@ -86,12 +96,15 @@ def as_columns(tree: Any) -> Float[ArrayLike, "c h"]:
 def select_in_blocks(
     function: Callable[[np.ndarray], _Possible], size: int, rows: Int[np.ndarray, "m k"]
 ) -> tuple[Int[np.ndarray, "_"], Float[np.ndarray, "c _"]]:
-    """(which rows are possible, their columns) by a function of `size` rows at a time, or of
-    FEW_ROWS at most, which says of each whether it is possible; it must bear rows of zeros."""
+    """(indices of the selected rows, their columns) by a test of `size` rows at a time.
+
+    `function` returns a mask and columns for its rows. It must accept rows of zeros. Up to FEW_ROWS
+    rows are tested in one call without padding.
+    """
     parts = list(blocks(len(rows), size))
-    few = len(rows) <= FEW_ROWS
-    # All blocks are handed over before the first result is waited for.
-    results = [function(rows[part] if few else pad_rows(rows[part], size)) for part in parts]
+    is_small = len(rows) <= FEW_ROWS
+    # All blocks are dispatched before the first result is waited for.
+    results = [function(rows[part] if is_small else pad_rows(rows[part], size)) for part in parts]
     possible, columns = [], []
     for part, (is_possible, values) in zip(parts, results, strict=True):
         keep = np.flatnonzero(np.asarray(is_possible)[: part.stop - part.start])
@@ -103,7 +116,7 @@ def select_in_blocks(
 def split_columns(
     columns: Float[np.ndarray, "c m"], shapes: Sequence[tuple[int, ...]]
 ) -> Iterable[Float[np.ndarray, "..."]]:
-    """Arrays of these shapes for each item, from as many columns as they have entries."""
+    """Inverse of `as_columns`: one array per shape, with items first."""
     sizes = [int(np.prod(shape)) for shape in shapes]
     parts = np.split(columns, np.cumsum(sizes)[:-1])
     return (

@@ -1,30 +1,34 @@
-"""That something compiles, told to whoever waits for it.
+"""Notice to the user that a program compiles.
 
-Logging stands on a floor above. The package's front door says who tells (`set_compile_notice`).
+Logging belongs to a higher floor: the package's front door sets the callback
+(`set_compile_notice`).
 """
 
 import contextlib
 import time
 from collections.abc import Callable, Iterator
 
-# Called with whether the program is kept for later processes, and the seconds of compiling so far.
+# Arguments: True if the program is kept for later processes; seconds of compiling so far.
 Notice = Callable[[bool, float], None]
 
-# numerical: seconds of compiling after which it is told again.
+# numerical: seconds of compiling between two notices.
 _AGAIN_S = 30.0
 _notices: list[Notice] = []
-# Of this process: seconds of compiling so far, and those at which it is told next.
+# Seconds of compiling in this process, and the number at which the next notice is due.
 _seconds, _next_at = [0.0], [0.0]
 
 
 def set_compile_notice(notice: Notice) -> None:
-    """Call `notice` before something compiles: at first, and then each half minute of it."""
+    """Set the function that is called when a program compiles.
+
+    It is called before the first program, then after every 30 s of compiling.
+    """
     _notices[:] = [notice]
 
 
 @contextlib.contextmanager
 def compiling() -> Iterator[None]:
-    """A block that compiles a program which is kept for later processes."""
+    """Context in which a program compiles that the store keeps for later processes."""
     notice_compiling(is_kept=True)
     begin = time.monotonic()
     try:
@@ -34,7 +38,7 @@ def compiling() -> Iterator[None]:
 
 
 def notice_compiling(*, is_kept: bool) -> None:
-    """Tell that something is about to compile, unless that has just been told."""
+    """Call the notices, unless they were called within the last 30 s of compiling."""
     if _seconds[0] >= _next_at[0]:
         _next_at[0] = _seconds[0] + _AGAIN_S
         for notice in _notices:

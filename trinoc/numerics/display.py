@@ -1,41 +1,52 @@
-"""How values show themselves, without knowing who draws them.
+"""Display of values at a prompt and in notebooks, independent of the drawing code.
 
-Drawing stands on a floor above the values. The package's front door says who draws
-(`set_displays`), and a value calls it when it is first shown.
+Drawing belongs to a higher floor. The package's front door registers it (`set_displays`), and a
+value loads it when it is first displayed.
 """
 
 from collections.abc import Callable
 from typing import Any
 
-# What gives the one who draws values. It has the functions `heading`, `html`, `plot`,
-# `show` and `to_frame`, which take the value first.
+# Loader of the drawing module. That has the functions `heading`, `html`, `plot`, `show` and
+# `to_frame`, whose first argument is the value.
 _sources: list[Callable[[], Any]] = []
 
 
 def set_displays(source: Callable[[], Any]) -> None:
-    """Let values be shown by what `source` returns; it is called when a value is shown."""
+    """Register the loader of the drawing functions; it is called when a value is displayed."""
     _sources[:] = [source]
 
 
 class Displayable:
-    """A value that shows itself, at a prompt and in notebooks."""
+    """A value with displays for prompts and notebooks."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {_sources[0]().heading(self)}>"
 
     def _repr_html_(self) -> str:
-        """A table and a small picture, for notebooks."""
+        """HTML of a table and a small figure, for notebooks."""
         return _sources[0]().html(self)
 
     def plot(self, axes: Any = None, **options: Any) -> Any:
-        """Draw this on matplotlib axes (`pip install 'trinoc[plot]'`), new ones where none are
-        given, and return them. docs/start.md has the options of each kind of value."""
+        """Draw this value with matplotlib (`pip install 'trinoc[plot]'`).
+
+        Parameters
+        ----------
+        axes : matplotlib axes, optional
+            Axes to draw on; new ones by default.
+        **options :
+            Options of the kind of value, listed in docs/start.md.
+
+        Returns
+        -------
+        matplotlib axes
+        """
         return _sources[0]().plot(self, axes, **options)
 
     def show(self, **options: Any) -> Any:
-        """The report's figure to turn, of a value in space; its `html` is a page of its own."""
+        """Return the interactive 3-D figure of the report; its `html` is a complete page."""
         return _sources[0]().show(self, **options)
 
     def to_frame(self) -> Any:
-        """This as a table of pandas (`pip install 'trinoc[notebook]'`), a row for each item."""
+        """Return a pandas table with one row per item (`pip install 'trinoc[notebook]'`)."""
         return _sources[0]().to_frame(self)

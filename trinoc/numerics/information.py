@@ -1,26 +1,29 @@
-"""Which parameters the observations determine, and the covariance of those."""
+"""Observability: the parameters that observations determine, and their covariance."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-# A direction whose standard deviation exceeds this (rad, or share of the distance) has left
-# the range in which a linear error means anything: it counts as free.
+# A direction counts as free if its standard deviation exceeds this (rad, or share of the distance):
+# a linear error is not valid there.
 LARGEST_SIGMA = 0.1
 # Share of a free direction in a parameter above which the parameter is not determined.
 _FREE_SHARE = 1e-6
 
 
 class Observability(NamedTuple):
-    """What a Jacobian says about the parameters it belongs to.
+    """Rank and covariance of the parameters that an information matrix determines.
 
-    Fields
-    ------
-    rank : number of directions of the chart that the observations determine.
-    covariance : (k, k) of the named parameters; NaN in the rows and columns of those that
-        a free direction touches or that are beyond a linear error.
-    gauge : indices of those parameters.
+    Attributes
+    ----------
+    rank : int
+        Number of directions of the parametrisation that the observations determine.
+    covariance : (k, k)
+        Covariance of the named parameters. NaN in rows and columns of parameters that depend on a
+        free direction, or whose sigma is too large for a linear error.
+    gauge : tuple of int
+        Indices of these undetermined parameters.
     """
 
     rank: int
@@ -33,12 +36,22 @@ def observability(
     parameters_by_chart: Float[np.ndarray, "k p"],
     largest_sigma: Float[np.ndarray, "k"],
 ) -> Observability:
-    """Rank of an information matrix, and the covariance on the directions it determines.
+    """Rank of an information matrix, and the covariance on the directions that it determines.
 
-    The chart's columns are scaled alike (rad, shares of the distance), so that eigenvalues
-    are comparable: 1 / eigenvalue is the variance of a direction. Nothing is damped: a
-    covariance off the determined directions is refused, not made up, and so is that of a
-    parameter beyond its `largest_sigma`, such as the pan of a camera that looks straight down.
+    Parameters
+    ----------
+    information : (p, p)
+        Information of the local coordinates, which are scaled alike (rad, shares of the distance).
+        So 1 / eigenvalue is the variance of a direction, and eigenvalues are comparable.
+    parameters_by_chart : (k, p)
+        Derivative of the named parameters by the local coordinates.
+    largest_sigma : (k,)
+        Largest sigma of each parameter for which a linear error is valid.
+
+    Notes
+    -----
+    No damping: the covariance of an undetermined parameter is NaN, not a made-up number. An example
+    is the pan of a camera that looks straight down.
     """
     values, vectors = np.linalg.eigh(information)
     is_real = values > 1e-14 * values.max(initial=0.0)
@@ -50,9 +63,9 @@ def observability_of_root(
     parameters_by_chart: Float[np.ndarray, "k p"],
     largest_sigma: Float[np.ndarray, "k"],
 ) -> Observability:
-    """`observability` of the information root^T root, without forming it.
+    """`observability` of the information root^T root, without forming the product.
 
-    Standard deviations may differ by twelve digits, where the information holds seven.
+    Standard deviations may then differ by twelve digits; with the information, by seven.
     """
     _, values, vectors = np.linalg.svd(root)
     is_real = values > 1e-12 * values[0]
@@ -66,7 +79,10 @@ def _of_eigenvalues(
     parameters_by_chart: Float[np.ndarray, "k p"],
     largest_sigma: Float[np.ndarray, "k"],
 ) -> Observability:
-    """Of the eigenvalues and eigenvectors of the information, those apart that rounding made."""
+    """Observability from the eigenvalues and eigenvectors of the information.
+
+    `is_real` is False for eigenvalues that are rounding errors.
+    """
     determined = (values > LARGEST_SIGMA**-2) & is_real
     free = np.abs(parameters_by_chart @ vectors[:, ~determined])
     scale = np.linalg.norm(parameters_by_chart, axis=1, keepdims=True)

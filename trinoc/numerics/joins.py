@@ -1,8 +1,8 @@
-"""Joins and groups on sorted arrays and of near points: index work, never all against all.
+"""Joins and groups on sorted arrays and of nearby points, by index operations.
 
-A run is the half-open range [start, stop) of ordered points. Runs may leave points out, and two
-neighbours may share the point where a chain was split. A group is a number for each row of a
-table; without groups (None) all rows are of one problem, and results have no axis of groups.
+A run is a half-open range [start, stop) of ordered points. Runs may skip points, and two neighbours
+may share the point at which a chain was split. A group is a number for each row of a table. Without
+groups (None), all rows belong to one problem, and results have no group axis.
 """
 
 from collections.abc import Iterator
@@ -15,14 +15,14 @@ from scipy.spatial import KDTree
 
 Group = Int[np.ndarray, "m"] | None
 
-# Points of a leaf: the fastest, to build and to ask, for some thousands of points.
+# Points per leaf: fastest to build and query for some thousands of points.
 _LEAF = 16
 
 
 def expand_ranges(
     start: Int[np.ndarray, "n"], stop: Int[np.ndarray, "n"]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-    """(owner, position): every position of range(start[i], stop[i]), with its i."""
+    """(owner, position): each position of range(start[i], stop[i]), with its i."""
     count = np.maximum(stop - start, 0)
     owner = np.repeat(np.arange(len(start)), count)
     position = np.take(start - (np.cumsum(count) - count), owner)
@@ -33,10 +33,10 @@ def expand_ranges(
 def overlapping(
     first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
-    """(i, j) of all pairs of intervals (low, high) that overlap, each pair once.
+    """(i, j) of all pairs of overlapping intervals (low, high), each pair once.
 
-    Of two intervals that overlap, exactly one starts inside the other: a search in the sorted
-    starts finds the pairs without looking at any other.
+    Of two overlapping intervals, exactly one starts inside the other. A search in the sorted starts
+    therefore finds all pairs and visits no others.
     """
     order_first, order_second = np.argsort(first[:, 0]), np.argsort(second[:, 0])
     starts_first, starts_second = first[order_first, 0], second[order_second, 0]
@@ -55,14 +55,19 @@ def overlapping(
 
 
 def blocks_of_overlapping(
-    first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"], at_once: int
+    first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"], pairs_per_block: int
 ) -> Iterator[slice]:
-    """Slices of `first` of which about `at_once` pairs overlap, and more only of a single one; one
-    empty slice for none."""
-    begun = np.searchsorted(np.sort(second[:, 0]), first[:, 1], "left")
-    over = np.searchsorted(np.sort(second[:, 1]), first[:, 0], "right")
-    before = np.cumsum(begun - over)
-    borders = np.searchsorted(before, np.arange(at_once, before[-1] if len(before) else 0, at_once))
+    """Slices of `first` with about `pairs_per_block` overlapping pairs each.
+
+    A slice of a single row may have more pairs. One empty slice for no rows.
+    """
+    started = np.searchsorted(np.sort(second[:, 0]), first[:, 1], "left")
+    ended = np.searchsorted(np.sort(second[:, 1]), first[:, 0], "right")
+    pair_count = np.cumsum(started - ended)
+    borders = np.searchsorted(
+        pair_count,
+        np.arange(pairs_per_block, pair_count[-1] if len(pair_count) else 0, pairs_per_block),
+    )
     if len(first) == 0:
         yield slice(0, 0)
     for start, stop in pairwise(np.unique([0, *borders, len(first)]).tolist()):
@@ -70,17 +75,19 @@ def blocks_of_overlapping(
 
 
 def pairs_of_equal_keys(
-    keys: Int[np.ndarray, "n"], at_once: int = 1 << 21
+    keys: Int[np.ndarray, "n"], pairs_per_block: int = 1 << 21
 ) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
-    """(m, n) with m and n any two different positions that hold one key, each pair once.
+    """(m, n) of all pairs of different positions with equal keys, each pair once.
 
-    In blocks of about `at_once` pairs, so that their number is no matter of memory.
+    Yields blocks of about `pairs_per_block` pairs, so that memory is bounded.
     """
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
     first = np.searchsorted(ordered, ordered, "left")
-    before = np.cumsum(np.arange(len(ordered)) - first)
-    borders = np.searchsorted(before, np.arange(0, before[-1] if len(before) else 0, at_once))
+    pair_count = np.cumsum(np.arange(len(ordered)) - first)
+    borders = np.searchsorted(
+        pair_count, np.arange(0, pair_count[-1] if len(pair_count) else 0, pairs_per_block)
+    )
     for start, stop in pairwise([*np.unique(borders).tolist(), len(ordered)]):
         rows = np.arange(start, stop)
         later, earlier = expand_ranges(first[rows], rows)
@@ -90,7 +97,7 @@ def pairs_of_equal_keys(
 def members(
     start: Int[np.ndarray, "r"], stop: Int[np.ndarray, "r"]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "r"]]:
-    """(index, run, first): every member of every run, its run, and where each run begins."""
+    """(index, run, first): each member of each run, its run, and where each run begins."""
     run, index = expand_ranges(start, stop)
     count = stop - start
     return index, run, np.cumsum(count) - count
@@ -99,22 +106,22 @@ def members(
 def group_maxima(
     values: Shaped[np.ndarray, "m"], first: Int[np.ndarray, "r"], run: Int[np.ndarray, "m"]
 ) -> tuple[np.ndarray, Int[np.ndarray, "r"]]:
-    """(maximum, position) of each run, the position counted from the run's first member."""
+    """(maximum, position) of each run; the position is relative to the run's first member."""
     top = np.maximum.reduceat(values, first)
     hits = np.flatnonzero(values == top[run])
     position = np.zeros(len(first), dtype=np.int64)
-    # Written backwards, so that the first of equal maxima stays.
+    # Written backwards, so that the first of equal maxima remains.
     position[run[hits[::-1]]] = hits[::-1]
     return top, position - first
 
 
 def broadcast_groups(values: Any, group: Group) -> Any:
-    """The value of each row's group, or the values of all rows without groups."""
+    """Value of each row's group, (m, ...); the values themselves without groups."""
     return values if group is None else np.asarray(values)[group]
 
 
 def take_groups(group: Group, rows: Shaped[np.ndarray, "_"]) -> Int[np.ndarray, "k"] | None:
-    """The groups of some rows, by a mask or by numbers."""
+    """Groups of some rows, selected by a mask or by indices; None without groups."""
     return None if group is None else group[rows]
 
 
@@ -145,7 +152,7 @@ def group_medians(
 
 
 def point_tree(points_px: Float[np.ndarray, "n 2"]) -> KDTree:
-    """A tree for few questions: built in half the time that a balanced one takes."""
+    """k-d tree for few queries: its construction takes half the time of a balanced tree."""
     return KDTree(points_px, leafsize=_LEAF, balanced_tree=False, compact_nodes=False)
 
 
@@ -155,18 +162,25 @@ def near_pairs(
     radius_px: float,
     most: int = 8,
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"], Float[np.ndarray, "p"]]:
-    """(i, j, distance): of each of the first points, the nearest of the others within the radius.
+    """(i, j, distance) of the nearest second points of each first point, within `radius_px`.
 
-    At most so many per point are given, two or more.
+    Parameters
+    ----------
+    one_px, other_px : (n, 2), (m, 2)
+        First and second points.
+    radius_px : float
+        Largest distance.
+    most : int
+        Largest number of second points for each first point, at least 2.
     """
-    near = point_tree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
-    distance, found = map(np.asarray, near)
-    one, slot = np.nonzero(found < len(other_px))
-    return one, found[one, slot], distance[one, slot]
+    query = point_tree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
+    distance, neighbour = map(np.asarray, query)
+    one, slot = np.nonzero(neighbour < len(other_px))
+    return one, neighbour[one, slot], distance[one, slot]
 
 
 def distinct(keys: Int[np.ndarray, "p"]) -> Int[np.ndarray, "d"]:
-    """The different keys in rising order; none may be negative. Faster than np.unique."""
+    """Different keys in ascending order; keys must not be negative. Faster than np.unique."""
     ordered = np.sort(keys)
     return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))]
 
@@ -174,13 +188,16 @@ def distinct(keys: Int[np.ndarray, "p"]) -> Int[np.ndarray, "d"]:
 def group_labels(
     count: int, one: Int[np.ndarray, "p"], other: Int[np.ndarray, "p"]
 ) -> Int[np.ndarray, "n"]:
-    """(n,) the least number of the items that pairs tie to each, directly or not."""
+    """Connected components: the smallest index of the component of each item, (n,).
+
+    `one` and `other` are pairs of connected items.
+    """
     label = np.arange(count)
     while True:
-        least = np.minimum(label[one], label[other])
-        # What ties one item ties all that its label stands for.
+        lower_label = np.minimum(label[one], label[other])
+        # A pair connects the two components, not only its two items.
         for side in (one, other):
-            np.minimum.at(label, label[side], least)
+            np.minimum.at(label, label[side], lower_label)
         label = label[label]
         if np.array_equal(label[one], label[other]) and np.array_equal(label, label[label]):
             return label

@@ -1,5 +1,6 @@
-"""The array type of all signatures (a JAX array inside `jit`, a NumPy array outside), and double
-precision at the outer edge, without touching the caller's JAX settings.
+"""Array types of all signatures, and double precision without changing the caller's JAX settings.
+
+Arrays are JAX arrays inside `jit` and NumPy arrays outside.
 """
 
 import contextlib
@@ -18,8 +19,8 @@ from jaxtyping import Float
 from trinoc.errors import InputError
 from trinoc.numerics.forked import expect_no_fork, note_computation
 
-# Indexing a NumPy array yields NumPy's own scalars, which are no arrays but behave as such.
-# Type checkers do not see them: their scalar type lacks operators that all arrays have.
+# Indexing a NumPy array yields NumPy scalars, which behave like arrays. Type checkers do not get
+# them here, because their type lacks operators that all arrays have.
 if TYPE_CHECKING:
     ArrayLike = jax.Array | np.ndarray
 else:
@@ -28,8 +29,8 @@ else:
 # One number: a Python float, or an array without axes.
 ScalarLike = Float[ArrayLike, ""] | float
 
-# What properties give: NumPy and Python numbers; inside `jit`, `grad` and `vmap` what is traced.
-# Type checkers see the former alone, as most callers see it.
+# Types of properties: NumPy and Python numbers, or traced values inside `jit`, `grad` and `vmap`.
+# Type checkers see only the former, as most callers do.
 if TYPE_CHECKING:
     NumpyOrTraced = np.ndarray
     FloatOrTraced = float
@@ -41,13 +42,16 @@ else:
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
-# The state of a call that no `jit`, `grad` or `vmap` encloses, also where one imports this.
+# Trace state outside `jit`, `grad` and `vmap`, even if this module is imported inside one.
 with jax.ensure_compile_time_eval():
     _OUTSIDE = get_opaque_trace_state()
 
 
 def real_array(value: Any, name: str) -> np.ndarray:
-    """An array of float64 of what a caller gave. Raises InputError for what are no numbers."""
+    """Convert an argument to an array of float64.
+
+    Raises InputError, with `name`, if it is not numeric.
+    """
     try:
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -55,22 +59,22 @@ def real_array(value: Any, name: str) -> np.ndarray:
 
 
 def is_traced(*trees: Any) -> bool:
-    """Whether `jit`, `grad` or `vmap` follows some array of the trees."""
+    """True if an array of the trees is traced by `jit`, `grad` or `vmap`."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
 def array_namespace(*trees: Any) -> ModuleType:
-    """`jax.numpy` where something is traced, NumPy otherwise."""
+    """`jax.numpy` if an argument is traced, else NumPy."""
     return jnp if is_traced(*trees) else np
 
 
 def is_outside() -> bool:
-    """Whether no `jit`, `grad` or `vmap` encloses the call."""
+    """True if no `jit`, `grad` or `vmap` encloses the call."""
     return get_opaque_trace_state() == _OUTSIDE
 
 
 def as_numpy(tree: Any) -> Any:
-    """`tree` with every JAX array replaced by a NumPy array of the same dtype."""
+    """Replace every JAX array of a tree by a NumPy array of the same dtype."""
     return jax.tree.map(_leaf_as_numpy, tree, is_leaf=lambda node: isinstance(node, dict))
 
 
@@ -84,18 +88,18 @@ def _leaf_as_numpy(leaf: Any) -> Any:
 
 
 def as_float(value: Any) -> Any:
-    """One number as a Python float; a traced one as it is."""
+    """Convert one number to a Python float; a traced number is returned unchanged."""
     return value if is_traced(value) else float(value)
 
 
 def in_float64(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """Run `function` with 64-bit JAX arrays and hand its result back as NumPy.
+    """Decorator: run `function` with 64-bit JAX arrays and return its result as NumPy.
 
-    The setting is thread-local and ends with the call. A float64 JAX array that left the
-    call would fall to float32 at its next operation, so none leaves: NumPy arrays do.
+    The setting is thread-local and ends with the call. A float64 JAX array would become float32 at
+    its next operation outside the call, so results are NumPy arrays.
 
-    With a traced argument `function` runs as it is: its result belongs to the trace, and so does
-    the precision. Inside a trace, constant arguments still give NumPy.
+    With a traced argument `function` runs unchanged: the trace defines the precision, and the
+    result belongs to it. Inside a trace, constant arguments still give NumPy.
     """
 
     @functools.wraps(function)
@@ -103,7 +107,7 @@ def in_float64(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, 
         if is_traced(args, kwargs):
             return function(*args, **kwargs)
         expect_no_fork()
-        # Constants inside a trace are computed at once; elsewhere to say so costs compilations.
+        # Constants inside a trace are computed at once. Outside, the context would cost compiling.
         at_once = contextlib.nullcontext() if is_outside() else jax.ensure_compile_time_eval()
         with at_once, jax.enable_x64(True):
             return as_numpy(function(*args, **kwargs))

@@ -1,11 +1,11 @@
-"""Compiled programs: compiled by one thread only, and kept for the next process.
+"""Compiled programs: each compiled by one thread only, and stored for later processes.
 
-JAX's own cache keeps what was compiled, but finds it by the traced and lowered program: a process
-that computes for a tenth of a second traces for ten. Programs that `kept_jit` makes are found by
-what they are made from: the function, its static arguments, the kinds of its arrays, and,
-through the store, everything else that could change them. Without a store (`set_program_store`),
-inside `jit`, `grad` or `vmap`, and with values of classes that are not trinoc's, they are plain
-`jax.jit`.
+JAX's own cache stores compiled programs but keys them by the traced and lowered program. A process
+that computes for 0.1 s then traces for 10 s. Programs of `kept_jit` have a key from their sources:
+the function, its static arguments, the kinds of its arrays, and through the store everything else
+that could change them. They are plain `jax.jit` in three cases: without a store
+(`set_program_store`), inside `jit`, `grad` or `vmap`, and for values of classes that are not
+trinoc's.
 """
 
 import contextlib
@@ -29,32 +29,34 @@ from trinoc.numerics.compiler_options import quick_compiling
 from trinoc.numerics.forked import expect_no_fork, note_computation
 from trinoc.numerics.precision import as_numpy, is_outside, is_traced
 
-# Whose classes a version number or the store's own key stands for.
+# Packages whose classes are identified by a version number or by the store's own key.
 _KNOWN = {
     *("trinoc", "jax", "jaxlib", "jaxtyping", "numpy", "equinox", "optimistix", "lineax"),
     *("builtins", "collections", "functools"),
 }
-# Beginning of the names by which compiled programs call LAPACK.
+# Prefix of LAPACK's names in compiled programs.
 _LAPACK = "lapack_"
-# numerical: arguments of fewer numbers, as of some 200 segments a view, are worked through in
-# milliseconds.
+# numerical: programs on fewer array entries, such as 200 segments per view, take milliseconds.
 OPTIMIZED_FROM = 1 << 16
 _compiling = threading.Lock()
 _compiled: set[Hashable] = set()
 
 
 def count_numbers(values: Any) -> int:
-    """Of all arrays in a tree."""
+    """Number of array entries in a tree."""
     return sum(np.size(leaf) for leaf in jax.tree.leaves(values))
 
 
 @contextlib.contextmanager
 def one_compiles(*program: Hashable) -> Iterator[None]:
-    """Hold a block that calls a jitted program until another thread has compiled the same.
+    """Context for a call of a jitted program: other threads wait until it has compiled once.
 
-    Threads that meet an uncompiled program would each compile it, in time and memory of their own.
+    Threads that meet an uncompiled program would each compile it, with their own time and memory.
 
-    program : all in which it differs from others: its name, static arguments and shapes.
+    Parameters
+    ----------
+    program : hashable
+        Everything that distinguishes the program: name, static arguments and shapes.
     """
     if program in _compiled:
         yield
@@ -66,41 +68,41 @@ def one_compiles(*program: Hashable) -> Iterator[None]:
 
 @runtime_checkable
 class ProgramStore(Protocol):
-    """Where programs are kept. Content comes back as it was put, or not at all.
+    """Storage of compiled programs. It returns content exactly as stored, or not at all.
 
-    `modules` are the names of the modules from which the content is made: it is not returned after
-    the source of one of them, or of a module that they import, has changed.
+    `modules` are the names of the modules that the content depends on. After a change in the source
+    of one of them, or of a module that it imports, the content is not returned.
     """
 
     def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:
-        """The content that was put under the name, on this machine."""
+        """Content stored under the name on this machine, or None."""
         ...
 
     def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
-        """Keep it, or do without."""
+        """Store the content. A failure is not an error."""
         ...
 
 
 class _KeptProgram(NamedTuple):
-    """A program on flat lists of arrays, and the shape of what it returns."""
+    """A program on flat lists of arrays, and the tree structure of its result."""
 
     program: Callable[[list[Any]], list[Any]]
     result: Any
 
 
-# The store, if there is one, and what each kept function has loaded from it.
+# The store, if any, and the programs that each kept function has loaded from it.
 _stores: list[ProgramStore | None] = [None]
 _loaded: list[dict[Hashable, _KeptProgram | None]] = []
 
 
 def set_program_store(store: ProgramStore | None) -> ProgramStore | None:
-    """Use a store from now on, or none; returns the one before."""
+    """Set the store, or None for no store, and return the previous one."""
     before, _stores[0] = _stores[0], store
     return before
 
 
 def forget_programs() -> None:
-    """Give the memory of all programs back, `jax.jit`'s too; the store still has its own."""
+    """Free the memory of all programs, those of `jax.jit` included; the store keeps its copies."""
     for programs in _loaded:
         programs.clear()
     jax.clear_caches()
@@ -113,29 +115,40 @@ def kept_jit(
     optimized_from: int = OPTIMIZED_FROM,
     few_rows_of: str | None = None,
 ) -> Callable[..., Any]:
-    """`jax.jit` of a function without side effects, whose programs a store may keep.
+    """`jax.jit` of a pure function, whose compiled programs a store may keep.
 
-    The function must take no value from outside but constants of trinoc's own modules. For
-    arguments of fewer numbers than `optimized_from` it is not optimized: compiling would take
-    longer than the program ever runs. Array code (`array_namespace`) is not compiled at all where
-    the argument `few_rows_of` has FEW_ROWS at most: NumPy runs it as it is.
+    Parameters
+    ----------
+    function : callable
+        Function without side effects. It uses no outside values except constants of trinoc's
+        modules.
+    static_argnames : tuple of str
+        As in `jax.jit`.
+    optimized_from : int
+        Number of array entries in the arguments from which the program is optimized. For fewer,
+        compiling would take longer than the program ever runs.
+    few_rows_of : str, optional
+        Name of an argument. If it has at most FEW_ROWS rows, array code (`array_namespace`) runs in
+        NumPy without compiling.
     """
-    # Options of the compiler are for whole programs alone.
+    # Compiler options apply to outermost programs only.
     inner = jax.jit(function, static_argnames=static_argnames)
     options = {
         optimized: quick_compiling(optimized=optimized) or None for optimized in (False, True)
     }
-    whole = {
-        optimized: jax.jit(function, static_argnames=static_argnames, compiler_options=own)
-        for optimized, own in options.items()
+    outer_jit = {
+        optimized: jax.jit(
+            function, static_argnames=static_argnames, compiler_options=compiler_options
+        )
+        for optimized, compiler_options in options.items()
     }
     signature = inspect.signature(function)
     caller = _calling_module()
-    known: dict[Hashable, _KeptProgram | None] = {}
-    _loaded.append(known)
+    programs: dict[Hashable, _KeptProgram | None] = {}
+    _loaded.append(programs)
 
     def choose_jit(args: Any, kwargs: Any) -> Callable[..., Any]:
-        return whole[count_numbers((args, kwargs)) >= optimized_from]
+        return outer_jit[count_numbers((args, kwargs)) >= optimized_from]
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -145,36 +158,38 @@ def kept_jit(
             return inner(*args, **kwargs)
         expect_no_fork()
         if few_rows_of is not None:
-            given = signature.bind(*args, **kwargs)
-            if len(given.arguments[few_rows_of]) <= FEW_ROWS:
+            bound = signature.bind(*args, **kwargs)
+            if len(bound.arguments[few_rows_of]) <= FEW_ROWS:
                 with np.errstate(all="ignore"):
                     return function(*as_numpy(args), **kwargs)
         note_computation()
         if store is None or config.jax_disable_jit or jax.default_backend() != "cpu":
             notice_compiling(is_kept=False)
             return choose_jit(args, kwargs)(*args, **kwargs)
-        given = signature.bind(*args, **kwargs)
-        given.apply_defaults()
-        static = {name: given.arguments.pop(name) for name in static_argnames}
-        leaves, tree = jax.tree.flatten(dict(given.arguments))
+        bound = signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        static = {name: bound.arguments.pop(name) for name in static_argnames}
+        leaves, tree = jax.tree.flatten(dict(bound.arguments))
         kinds = tuple(jax.api_util.shaped_abstractify(leaf) for leaf in leaves)
         precision = (config.jax_enable_x64, config.jax_default_matmul_precision)
         key = (tree, kinds, tuple(static.values()), precision)
-        if key not in known:
-            own = options[count_numbers(leaves) >= optimized_from]
-            known[key] = _load_or_compile(store, function, caller, static, tree, leaves, key, own)
-        kept = known[key]
-        if kept is None:
+        if key not in programs:
+            compiler_options = options[count_numbers(leaves) >= optimized_from]
+            programs[key] = _load_or_compile(
+                store, function, caller, static, tree, leaves, key, compiler_options
+            )
+        program = programs[key]
+        if program is None:
             return choose_jit(args, kwargs)(*args, **kwargs)
-        return jax.tree.unflatten(kept.result, kept.program(leaves))
+        return jax.tree.unflatten(program.result, program.program(leaves))
 
     return call
 
 
 def _calling_module() -> str:
-    """The module of trinoc that calls `kept_jit` while it is imported, or an empty name.
+    """Name of the trinoc module that calls `kept_jit` during its import, or "".
 
-    Its source is part of the program: it says what `vmap` maps over, for one.
+    Its source is part of the program, for example the axes of a `vmap`.
     """
     frame = inspect.currentframe()
     while frame is not None:
@@ -195,7 +210,7 @@ def _load_or_compile(
     key: tuple[Hashable, ...],
     options: dict[str, str | bool] | None,
 ) -> _KeptProgram | None:
-    """The program, from the store or compiled and put there; None where it cannot be kept."""
+    """Load the program from the store, or compile and store it; None if it cannot be stored."""
     from jax.experimental import serialize_executable
 
     in_tree = jax.tree.structure(((leaves,), {}))
@@ -216,23 +231,23 @@ def _load_or_compile(
             )
         except Exception:
             pass
-    found: list[Any] = []
+    results: list[Any] = []
 
     def flat(leaves: list[Any]) -> list[Any]:
         values, result = jax.tree.flatten(function(**jax.tree.unflatten(tree, leaves), **static))
-        found[:] = [result]
+        results[:] = [result]
         return values
 
-    # What JAX's own cache hands out cannot be kept again: a name of its own, so that it compiles.
+    # A program from JAX's own cache cannot be serialized. A unique name makes it compile.
     flat.__name__ = f"{function.__name__}_{secrets.token_hex(4)}"
     with compiling():
         compiled = jax.jit(flat).lower(leaves).compile(compiler_options=options)
-    result = found[0]
+    result = results[0]
     try:
-        # What a program calls must be there when it is loaded.
+        # Custom calls of a loaded program must exist: only LAPACK's do.
         calls = set(re.findall(r'custom_call_target="([^"]*)"', compiled.as_text() or ""))
         if all(call.startswith(_LAPACK) for call in calls):
-            # A value of the result's kind and not its tree, whose marks do not survive pickling.
+            # A value with the result's structure: tree structures themselves cannot be pickled.
             like = jax.tree.unflatten(result, range(result.num_leaves))
             payload = serialize_executable.serialize(compiled)[0]
             store.put(name, _pickle_own_classes((payload, like, bool(calls)))[0], modules)
@@ -243,28 +258,31 @@ def _load_or_compile(
 
 @functools.cache
 def _make_lapack_ready() -> None:
-    """JAX looks LAPACK's addresses up when it first lowers a call; a loaded program does not."""
+    """Register LAPACK's addresses, which JAX does only when it lowers a call."""
     jax.jit(jnp.linalg.cholesky).lower(np.eye(2))
 
 
 def _name(
     function: Callable[..., Any], caller: str, key: tuple[Hashable, ...]
 ) -> tuple[str, frozenset[str]]:
-    """A name that differs where the function or its arguments differ, and the modules of both.
+    """(key, modules) of a program: the key differs if the function or its arguments differ.
 
-    A class of an argument brings its module: the function may know only its base class.
+    A class of an argument adds its module, because the function may know only the base class.
     """
     tree, kinds, *rest = key
     kinds = [(k.shape, str(k.dtype), k.weak_type) for k in kinds]  # pyright: ignore
-    made_of = (function.__module__, function.__qualname__, tree, kinds, rest)
-    content, modules = _pickle_own_classes(made_of)
-    own = {function.__module__, caller} - {""}
-    return hashlib.sha256(content).hexdigest(), frozenset(modules | own)
+    identity = (function.__module__, function.__qualname__, tree, kinds, rest)
+    content, modules = _pickle_own_classes(identity)
+    function_modules = {function.__module__, caller} - {""}
+    return hashlib.sha256(content).hexdigest(), frozenset(modules | function_modules)
 
 
 class _OwnClasses(pickle.Pickler):
-    """Refuses values whose class may change without trinoc's knowing, such as a user's own lens;
-    collects the modules of trinoc whose classes and functions it meets."""
+    """Pickler that refuses values of foreign classes, such as a user's own lens.
+
+    Such a class may change without notice. The pickler collects the trinoc modules of all classes
+    and functions in the value.
+    """
 
     def __init__(self, parts: "_Parts") -> None:
         super().__init__(parts, protocol=5)
@@ -282,14 +300,14 @@ class _OwnClasses(pickle.Pickler):
 
 
 class _Parts(list[bytes]):
-    """What a pickler writes to: `io` stands above this floor."""
+    """Output of a pickler in memory: file objects of `io` belong to a higher floor."""
 
     def write(self, part: bytes) -> None:
         self.append(bytes(part))
 
 
 def _pickle_own_classes(value: Any) -> tuple[bytes, set[str]]:
-    """(content, the modules of trinoc whose classes and functions it names)."""
+    """(content, trinoc modules of the classes and functions in it)."""
     parts = _Parts()
     pickler = _OwnClasses(parts)
     pickler.dump(value)

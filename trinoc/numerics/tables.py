@@ -1,10 +1,10 @@
-"""Values as tables of columns, each declared once; rows of trees of columns; options in groups.
+"""Tables: values made of columns, each declared once; operations on rows; grouped options.
 
-A table is a frozen Module. Its annotations say the kind and the shape of each column as jaxtyping
-does, `Float[np.ndarray, "t 2 3"]`: a side with a name is as long in all columns. `Annotated` adds a
-`Column`: what the values must be, and what the numbers of a row are called. The class's docstring
-has a sentence on each. Files, frames of pandas, CSV, Parquet and cards follow from these.
-At the end stands what values of columns must be.
+A table is a frozen Module. The annotation of a field gives kind and shape of the column, as in
+jaxtyping: `Float[np.ndarray, "t 2 3"]`. Axes of the same name have the same length in all columns.
+`Annotated` adds a `Column`: the checks of the values, and the names of the numbers in a row. The
+class's docstring describes each column. File formats, pandas frames, CSV, Parquet and notebook
+cards derive from these declarations. Common checks are at the end of the file.
 """
 
 import dataclasses
@@ -24,39 +24,47 @@ _Rows = TypeVar("_Rows")
 _Options = TypeVar("_Options")
 _TableType = TypeVar("_TableType", bound="Table")
 
-# What jaxtyping's Float, Int and Bool hold; Shaped is for texts.
+# Kinds of jaxtyping's Float, Int and Bool; Shaped is for texts.
 _DTYPES = {"f": "float64", "i": "int64", "b": "bool"}
-# Numbers of a row: both ends of a line in space.
+# Most numbers of a row in a brief table: both ends of a line in space.
 _MOST_BRIEF = 6
 
 
 class Content(NamedTuple):
-    """What was read of a table: values by the names of its fields, and how long its sides are."""
+    """Content of a table file: values by field name, and the length of each named axis."""
 
     values: dict[str, Any]
     sides: dict[str, int]
 
 
 class ColumnCheck(NamedTuple):
-    """`good` says of each entry of a value, or of the whole, whether it can be. `problem` is said
-    of the first row that cannot."""
+    """A test of a column: `good` returns a mask over the rows, or one bool for the whole value.
+
+    `problem` describes the first row that fails, as the end of a sentence.
+    """
 
     problem: str
     good: Callable[[Any, Content], Any]
 
 
 class Column:
-    """What is to be said of a field beside its kind and its shape.
+    """Properties of a field in addition to kind and shape.
 
     Parameters
     ----------
-    checks : what the values must be.
-    parts : a name for each number of a row, or a function of the table that gives them; of a
-        covariance, the names of what it is of.
-    side : of names, such as those of views: the side that they number.
-    beside : of a dictionary: its arrays have a row for each of the table, and names of their own.
-    blocks : of a tuple of square matrices: the number of rows of each.
-    below : of a table in a table: what the names of its arrays in a file begin with.
+    checks : ColumnCheck
+        Tests of the values.
+    parts : sequence of str, or callable
+        Name of each number in a row, or a function of the table that returns them. For a
+        covariance, the names of its variables.
+    side : str
+        For a tuple of names, such as view names: the axis that they label.
+    per_row : bool
+        For a dictionary of arrays: each has one row per row of the table, and its key as name.
+    blocks : callable
+        For a tuple of square matrices: the number of rows of each.
+    prefix : str
+        For a table in a table: prefix of its array names in a file.
     """
 
     def __init__(
@@ -64,16 +72,19 @@ class Column:
         *checks: ColumnCheck,
         parts: Sequence[str] | Callable[[Any], Sequence[str]] = (),
         side: str = "",
-        beside: bool = False,
+        per_row: bool = False,
         blocks: Callable[[Content], Sequence[int]] | None = None,
-        below: str = "",
+        prefix: str = "",
     ) -> None:
         self.checks, self.parts, self.side = checks, parts, side
-        self.beside, self.blocks, self.below = beside, blocks, below
+        self.per_row, self.blocks, self.prefix = per_row, blocks, prefix
 
 
 class Field(NamedTuple):
-    """A field of a table; what is no array has no kind ("f", "i", "b" or "U") and no sides."""
+    """A field of a table. A field that is no array has kind "" and no sides.
+
+    `kind` is "f", "i", "b" or "U"; `sides` are the names of the axes.
+    """
 
     name: str
     type: Any
@@ -83,17 +94,26 @@ class Field(NamedTuple):
     sides: tuple[str, ...]
 
     @property
-    def below(self) -> str:
-        """What the names of its arrays begin with, where several stand for it."""
-        return "" if self.column.beside else self.column.below or f"{self.name}/"
+    def array_prefix(self) -> str:
+        """Prefix of the array names, for a field stored as several arrays."""
+        return "" if self.column.per_row else self.column.prefix or f"{self.name}/"
 
 
 class Table(Value):
     """A value whose columns are declared.
 
-    `KIND` names it in files, `IN_WORDS` in sentences. `SIDES` has words for what is counted along
-    each side with a name; the first are the rows. `DERIVED` are properties with a row for each,
-    with names for its numbers; files do not hold them.
+    Notes
+    -----
+    Class variables:
+
+    KIND : str
+        Name in files.
+    IN_WORDS : str
+        Name in sentences.
+    SIDES : mapping
+        For each named axis, the plural noun of its items. The first axis is that of the rows.
+    DERIVED : mapping
+        Properties with one entry per row, with the names of its numbers. Files do not contain them.
     """
 
     KIND: ClassVar[str] = ""
@@ -113,9 +133,9 @@ class Table(Value):
     ) -> _TableType: ...
 
     def __getitem__(self, rows: Any) -> Any:
-        """One row, or the table of some: a slice, indices, or a mask, as of a NumPy array.
+        """Return one row, or a table of some rows: a slice, indices or a mask, as in NumPy.
 
-        Raises IndexError for a row that is not there and for a mask of another length.
+        Raises IndexError for a missing row and for a mask of another length.
         """
         chosen = np.arange(len(self))[rows]
         return TableRow(self, int(chosen)) if np.ndim(chosen) == 0 else self.take(chosen)
@@ -124,60 +144,64 @@ class Table(Value):
         return (TableRow(self, number) for number in range(len(self)))
 
     def rows(self) -> dict[str, Any]:
-        """The fields that have a row for each row of the table, those of a dictionary in one."""
+        """Fields with one entry per row of the table; a dictionary counts as one field."""
         first = next(iter(self.SIDES))
-        held = {field.name: (field, getattr(self, field.name)) for field in list_fields(type(self))}
+        fields = {
+            field.name: (field, getattr(self, field.name)) for field in list_fields(type(self))
+        }
         return {
             name: value
-            for name, (field, value) in held.items()
-            if value is not None and (field.sides[:1] == (first,) or field.column.beside)
+            for name, (field, value) in fields.items()
+            if value is not None and (field.sides[:1] == (first,) or field.column.per_row)
         }
 
     def take(self: _TableType, rows: np.ndarray) -> _TableType:
-        """The rows at the given indices, in that order, or where the mask is true."""
+        """Table of the rows at the given indices, in that order, or where the mask is true."""
         return dataclasses.replace(self, **take_rows(self.rows(), rows))
 
     def append(self: _TableType, rows: Mapping[str, np.ndarray]) -> _TableType:
-        """The same with more rows, by the names of their columns.
+        """Table with more rows, given by the names of their columns.
 
-        Columns that are not given are False, 0 or "" there.
+        Missing columns are False, 0 or "".
         """
         count = len(next(iter(rows.values())))
 
         def longer(name: str, column: Any) -> Any:
             if isinstance(column, dict):
-                return {own: longer(own, array) for own, array in column.items()}
-            none = np.zeros((count, *np.shape(column)[1:]), column.dtype)
-            return np.concatenate([np.asarray(column), rows.get(name, none)])
+                return {key: longer(key, array) for key, array in column.items()}
+            missing = np.zeros((count, *np.shape(column)[1:]), column.dtype)
+            return np.concatenate([np.asarray(column), rows.get(name, missing)])
 
         return dataclasses.replace(
             self, **{name: longer(name, column) for name, column in self.rows().items()}
         )
 
     def named_columns(self, *, brief: bool = False) -> dict[str, np.ndarray]:
-        """A name and a column for each number of a row, or, if brief, without the long rows of
-        covariances and pictures; `DERIVED` come last."""
+        """Column of each number of a row, by name; `DERIVED` ones last.
+
+        If `brief`, rows of more than six numbers (covariances, images) are skipped.
+        """
         columns: dict[str, np.ndarray] = {}
         fields = {field.name: field.column for field in list_fields(type(self))}
         for name, value in self.rows().items():
             parts = fields[name].parts
             names = parts(self) if callable(parts) else parts
-            for own, array in value.items() if isinstance(value, dict) else [(name, value)]:
+            for label, array in value.items() if isinstance(value, dict) else [(name, value)]:
                 if not brief or np.prod(np.shape(array)[1:]) <= _MOST_BRIEF:
-                    columns |= _name_parts(own, np.asarray(array), names)
+                    columns |= _name_parts(label, np.asarray(array), names)
         for name, parts in self.DERIVED.items():
             columns |= _name_parts(name, np.asarray(getattr(self, name)), parts)
         return columns
 
 
 class TableRow:
-    """One row of a table: its part of each column and property of rows, by that one's name."""
+    """One row of a table. Its attributes are the entries of the columns and derived properties."""
 
     def __init__(self, table: Table, number: int) -> None:
         self._table, self._number = table, number
 
     def __getattr__(self, name: str) -> Any:
-        # Copying asks for such names before there is a table, and notebooks ask for them, too.
+        # `copy` looks up such names before `_table` exists; notebooks look them up as well.
         if name.startswith("_"):
             raise AttributeError(name)
         if name not in dir(self):
@@ -191,8 +215,10 @@ class TableRow:
         return [*self._table.rows(), *self._table.DERIVED]
 
     def __repr__(self) -> str:
-        own = self._table.take(np.array([self._number])).named_columns(brief=True)
-        numbers = ", ".join(f"{name}={_brief_number(column[0])}" for name, column in own.items())
+        columns = self._table.take(np.array([self._number])).named_columns(brief=True)
+        numbers = ", ".join(
+            f"{name}={_brief_number(column[0])}" for name, column in columns.items()
+        )
         return f"<{type(self._table).__name__}[{self._number}]: {numbers}>"
 
 
@@ -201,7 +227,7 @@ def _brief_number(value: Any) -> str:
 
 
 def _name_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str, np.ndarray]:
-    """The numbers of each row by name; of covariances, the upper triangle."""
+    """Columns of the numbers in each row, by name; for covariances, the upper triangle."""
     if array.ndim == 1:
         return {name: array}
     if array.ndim == 3 and array.shape[1] == array.shape[2] == len(parts):
@@ -218,9 +244,9 @@ def _name_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str,
 
 @functools.cache
 def list_fields(table: type[Table]) -> tuple[Field, ...]:
-    """What a table declares."""
+    """Declared fields of a table."""
     hints = typing.get_type_hints(table, include_extras=True)
-    return tuple(_field(each, hints[each.name]) for each in dataclasses.fields(table))
+    return tuple(_field(field, hints[field.name]) for field in dataclasses.fields(table))
 
 
 def _field(field: dataclasses.Field, hint: Any) -> Field:
@@ -240,33 +266,32 @@ def _field(field: dataclasses.Field, hint: Any) -> Field:
 
 
 def take_rows(table: _Rows, rows: np.ndarray | slice | int) -> _Rows:
-    """The rows at the given indices, in that order, or where the mask is true, of each column of a
-    tree."""
+    """Select rows of each column in a tree, by indices in that order, by a slice or by a mask."""
     return jax.tree.map(lambda column: column[rows], table)
 
 
 def concatenate_rows(tables: Sequence[_Rows]) -> _Rows:
-    """The rows of one or more trees of columns, one after the other."""
+    """Concatenate the rows of trees of columns; at least one tree."""
     return jax.tree.map(lambda *columns: np.concatenate(columns), *tables)
 
 
 def with_field(options: _Options, name: str, value: Any) -> _Options:
-    """The same options with another value of one field, named by "group.field" or "field".
+    """Copy of the options with another value of one field, named "group.field" or "field".
 
-    Raises ValueError for a name that the options do not have.
+    Raises ValueError for an unknown name.
     """
     group: Any = options
     first, _, rest = name.partition(".")
-    own = [field.name for field in dataclasses.fields(group)]
-    if first not in own:
-        raise ValueError(f'There is no option "{first}": choose one of {", ".join(own)}.')
+    field_names = [field.name for field in dataclasses.fields(group)]
+    if first not in field_names:
+        raise ValueError(f'There is no option "{first}". Choose one of {", ".join(field_names)}.')
     changed = with_field(getattr(group, first), rest, value) if rest else value
     return dataclasses.replace(group, **{first: changed})
 
 
-# Larger numbers are no places: no picture has so many pixels, no scene so many mm.
+# Larger coordinates are errors: no image has so many pixels, no scene so many mm.
 LARGEST_PX, LARGEST_MM = 1e6, 1e9
-# Of correlations: what rounding leaves of a covariance without spread in some direction.
+# Smallest eigenvalue, by rounding, of a singular correlation matrix.
 _LEAST_EIGENVALUE = -1e-6
 _ROUNDING = 1e-9
 
@@ -292,20 +317,20 @@ CHI_SQUARE = ColumnCheck("is no chi-square", lambda values, _: ~(values < 0) & ~
 COVARIANCE = ColumnCheck("is no covariance", lambda values, _: is_covariance(values))
 
 
-def check_number(side: str, problem: str, *, least: int = 0) -> ColumnCheck:
-    """A row along a side, or -1 for none where `least` is."""
+def check_number(side: str, problem: str, *, smallest: int = 0) -> ColumnCheck:
+    """Check for indices along an axis, from `smallest` (-1: no item) up to its length."""
     return ColumnCheck(
-        problem, lambda values, table: (values >= least) & (values < table.sides[side])
+        problem, lambda values, table: (values >= smallest) & (values < table.sides[side])
     )
 
 
 def is_covariance(matrices: Float[np.ndarray, "n k k"]) -> Bool[np.ndarray, "n"]:
-    """(n,) whether each of (n, k, k) is finite, symmetric and without negative variance."""
+    """Mask of the matrices (n, k, k) that are finite, symmetric and have no negative variance."""
     good = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     trusted = np.where(good[:, None, None], matrices, 0.0)
     variance = np.diagonal(trusted, axis1=1, axis2=2)
     sigma = np.sqrt(np.where(variance > 0, variance, 1.0))
-    # As correlations, so that degrees and millimetres count alike.
+    # As correlations, so that degrees and millimetres are comparable.
     unit = trusted / sigma[:, :, None] / sigma[:, None, :]
     good &= (variance >= 0).all(axis=1) & (np.abs(unit) < 2).all(axis=(1, 2))
     unit = np.where(good[:, None, None], unit, 0.0)

@@ -1,4 +1,4 @@
-"""Values that users hold: their arrays are read-only, and equal content makes them equal."""
+"""Base class of the values that users hold: read-only arrays, equality by content."""
 
 import dataclasses
 from typing import Any
@@ -13,9 +13,10 @@ _NUMBERS = (np.ndarray, np.generic, jax.Array, bool, int, float)
 
 
 class Value(eqx.Module):
-    """A frozen value. NumPy arrays in it cannot be written to; those that its maker holds can.
+    """A frozen value whose NumPy arrays cannot be written to.
 
-    Values of one class are equal where all their fields are, NaN and NaN among them.
+    They are read-only views: the array that the caller passed stays writable. Values of one class
+    are equal if all their fields are equal; NaN equals NaN.
     """
 
     def __check_init__(self) -> None:
@@ -35,7 +36,7 @@ class Value(eqx.Module):
 
 
 def _read_only(content: Any) -> Any:
-    """The same without arrays that can be written to: views of them take their place."""
+    """The same content with read-only views in place of writable arrays."""
     if isinstance(content, np.ndarray):
         if not content.flags.writeable:
             return content
@@ -43,12 +44,12 @@ def _read_only(content: Any) -> Any:
         view.flags.writeable = False
         return view
     if type(content) is dict:
-        guarded = {key: _read_only(each) for key, each in content.items()}
-        is_same = all(guarded[key] is each for key, each in content.items())
+        guarded = {key: _read_only(item) for key, item in content.items()}
+        is_same = all(guarded[key] is item for key, item in content.items())
         return content if is_same else guarded
     if isinstance(content, tuple | list):
-        parts = [_read_only(each) for each in content]
-        if all(part is each for part, each in zip(parts, content, strict=True)):
+        parts = [_read_only(item) for item in content]
+        if all(part is item for part, item in zip(parts, content, strict=True)):
             return content
         make: Any = getattr(type(content), "_make", type(content))
         return make(parts)
@@ -56,7 +57,7 @@ def _read_only(content: Any) -> Any:
 
 
 def equal_values(first: Any, second: Any) -> bool:
-    """Whether two values, or containers of such, have the same content; NaN equals NaN."""
+    """True if two values, or containers of values, have equal content; NaN equals NaN."""
     if isinstance(first, eqx.Module):
         names = [field.name for field in dataclasses.fields(first)]  # pyright: ignore
         return type(first) is type(second) and all(
@@ -66,7 +67,7 @@ def equal_values(first: Any, second: Any) -> bool:
         return (
             isinstance(second, dict)
             and first.keys() == second.keys()
-            and all(equal_values(each, second[key]) for key, each in first.items())
+            and all(equal_values(item, second[key]) for key, item in first.items())
         )
     if isinstance(first, tuple | list):
         return (
@@ -82,12 +83,12 @@ def equal_values(first: Any, second: Any) -> bool:
 
 
 def _outline(content: Any) -> Any:
-    """What equal values have in common and can be hashed: all but the numbers in them."""
+    """Hashable part of a value that equal values share: everything except its numbers."""
     if isinstance(content, eqx.Module):
         fields = dataclasses.fields(content)  # pyright: ignore
-        return type(content), tuple(_outline(getattr(content, each.name)) for each in fields)
+        return type(content), tuple(_outline(getattr(content, field.name)) for field in fields)
     if isinstance(content, dict):
-        return frozenset((key, _outline(each)) for key, each in content.items())
+        return frozenset((key, _outline(field)) for key, field in content.items())
     if isinstance(content, tuple | list):
         return tuple(map(_outline, content))
     return np.shape(content) if isinstance(content, _NUMBERS) else content

@@ -1,9 +1,9 @@
-"""Vectors as tuples of scalars, and vector products of NumPy's arrays.
+"""Vectors as tuples of scalars, for kernels, and vector products of NumPy arrays.
 
-Under `vmap` a scalar becomes one long array, and arithmetic on such arrays fuses into one loop
-over the items; a batch of 3-vectors and 2x2 matrices becomes thousands of tiny products, tens
-of times slower on a CPU. Scalars may as well be arrays of many items from the start, with axes
-that broadcast.
+Under `vmap` a scalar becomes one long array, and arithmetic on such arrays fuses into one loop over
+the items. A batch of 3-vectors and 2x2 matrices would become thousands of tiny products, tens of
+times slower on a CPU. Scalars may also be arrays of many items from the start, with axes that
+broadcast.
 """
 
 import functools
@@ -23,22 +23,22 @@ Symmetric3 = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 
 def vector3(array: Float[ArrayLike, "... 3"]) -> Vector3:
-    """The components of an array."""
+    """Components of an array (..., 3)."""
     return array[..., 0], array[..., 1], array[..., 2]
 
 
 def in_front(a: Vector3) -> Vector3:
-    """With an axis of length 1 before all others."""
+    """Components with a new first axis of length 1."""
     return a[0][None], a[1][None], a[2][None]
 
 
 def nth3(a: Vector3, k: int) -> Vector3:
-    """The k-th along the first axis."""
+    """Item k along the first axis of each component."""
     return a[0][k], a[1][k], a[2][k]
 
 
 def nth6(a: Symmetric3, k: int) -> Symmetric3:
-    """The k-th along the first axis."""
+    """Item k along the first axis of each entry."""
     return a[0][k], a[1][k], a[2][k], a[3][k], a[4][k], a[5][k]
 
 
@@ -48,21 +48,21 @@ def total(terms: Iterable[Scalar]) -> Scalar:
 
 
 def largest(terms: Iterable[Scalar]) -> Scalar:
-    """The largest of at least one scalar, or along the first axis of an array."""
+    """Maximum of at least one scalar, or along the first axis of an array."""
     terms = list(terms)
     return functools.reduce(array_namespace(terms).maximum, terms)
 
 
 def least(terms: Iterable[Scalar]) -> Scalar:
-    """The least of at least one scalar, or along the first axis of an array."""
+    """Minimum of at least one scalar, or along the first axis of an array."""
     terms = list(terms)
     return functools.reduce(array_namespace(terms).minimum, terms)
 
 
 def log_sum_exp(terms: Sequence[Scalar]) -> Scalar:
-    """Logarithm of the sum of exponentials; one term at least is finite."""
-    xp, most = array_namespace(terms), largest(terms)
-    return most + xp.log(total(xp.exp(term - most) for term in terms))
+    """Logarithm of the sum of exponentials; at least one term must be finite."""
+    xp, maximum = array_namespace(terms), largest(terms)
+    return maximum + xp.log(total(xp.exp(term - maximum) for term in terms))
 
 
 def dot3(a: Vector3, b: Vector3) -> Scalar:
@@ -80,22 +80,22 @@ def cross3(a: Vector3, b: Vector3) -> Vector3:
 
 
 def add3(a: Vector3, b: Vector3, factor: Scalar | float = 1.0) -> Vector3:
-    """a + factor b."""
+    """Sum a + factor b."""
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
 
 
 def scaled3(a: Vector3, factor: Scalar) -> Vector3:
-    """factor a."""
+    """Product factor a."""
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
 def unit3(a: Vector3) -> Vector3:
-    """a at unit length."""
+    """Unit vector along a."""
     return scaled3(a, 1 / array_namespace(a).sqrt(dot3(a, a)))
 
 
 def outer3(a: Vector3, b: Vector3, weights: tuple[Scalar, Scalar, Scalar]) -> Symmetric3:
-    """w0 a a^T + w1 (a b^T + b a^T) + w2 b b^T."""
+    """Symmetric matrix w0 a a^T + w1 (a b^T + b a^T) + w2 b b^T."""
     w0, w1, w2 = weights
     entries = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     xx, xy, xz, yy, yz, zz = (
@@ -105,7 +105,7 @@ def outer3(a: Vector3, b: Vector3, weights: tuple[Scalar, Scalar, Scalar]) -> Sy
 
 
 def times_matrix(matrix: Float[ArrayLike, "... 3 3"], a: Vector3) -> Vector3:
-    """matrix a."""
+    """Product matrix a."""
     return (
         dot3(vector3(matrix[..., 0, :]), a),
         dot3(vector3(matrix[..., 1, :]), a),
@@ -116,7 +116,10 @@ def times_matrix(matrix: Float[ArrayLike, "... 3 3"], a: Vector3) -> Vector3:
 def interpolated_covariance(
     covariance: tuple[Scalar, Scalar, Scalar], s: Scalar, t: Scalar
 ) -> Scalar:
-    """Covariance of two interpolated places, from (c00, c01, c11) of the places 0 and 1."""
+    """Covariance of two positions interpolated between points 0 and 1, at shares s and t.
+
+    `covariance` is (c00, c01, c11) of the two points.
+    """
     c00, c01, c11 = covariance
     return (1 - s) * (1 - t) * c00 + (s * (1 - t) + t * (1 - s)) * c01 + s * t * c11
 
@@ -124,29 +127,39 @@ def interpolated_covariance(
 def add_error_of_ends(
     covariance: Float[np.ndarray, "n p p"], error: Float[np.ndarray, "n 2 d"]
 ) -> None:
-    """Add an error along one way of each of two ends, which come first, each d numbers."""
+    """Add a rank-one error to each of two ends, in place.
+
+    Parameters
+    ----------
+    covariance : (n, p, p)
+        Covariances whose first 2 d variables are the two ends.
+    error : (n, 2, d)
+        Standard deviation of each end along one direction, as a vector.
+    """
     size = error.shape[2]
     for end in (0, 1):
-        own = slice(size * end, size * (end + 1))
-        covariance[:, own, own] += error[:, end, :, None] * error[:, end, None]
+        columns = slice(size * end, size * (end + 1))
+        covariance[:, columns, columns] += error[:, end, :, None] * error[:, end, None]
 
 
 def cross_2d(a: Float[np.ndarray, "*n 2"], b: Float[np.ndarray, "*n 2"]) -> np.ndarray:
-    """Signed area of the parallelogram of two vectors. For a few rows `np.cross` takes ten times
-    as long."""
+    """Signed area of the parallelogram of two vectors.
+
+    Ten times faster than `np.cross` for few rows.
+    """
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def cross_3d(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*m 3"]) -> np.ndarray:
-    """Vector product; leading axes are broadcast."""
+    """Vector product; leading axes broadcast."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def complete_axes(unit: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2 3"]:
-    """Two unit vectors across a unit vector and each other."""
-    least = np.eye(3)[np.argmin(np.abs(unit), axis=-1)]
-    first = cross_3d(unit, least)
+    """Two unit vectors perpendicular to a unit vector and to each other, (..., 2, 3)."""
+    smallest_axis = np.eye(3)[np.argmin(np.abs(unit), axis=-1)]
+    first = cross_3d(unit, smallest_axis)
     first = first / np.linalg.norm(first, axis=-1, keepdims=True)
     return np.stack([first, cross_3d(unit, first)], axis=-2)

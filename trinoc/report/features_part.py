@@ -22,7 +22,7 @@ def features_figure(features: Feature, rig: Rig | None = None) -> SpaceFigure:
     figure = SpaceFigure(tuple(features_layers(features)), (), ())
     if rig is not None:
         figure = figure.join(cameras_in_space(rig))
-    places = features.wires().places_mm
+    places = features.wires().points_mm
     if len(places) == 0:
         return figure
     name = features.IN_WORDS.removeprefix("a ").capitalize()

@@ -1,9 +1,10 @@
-"""Step 0 of the method: one image to line segments.
+"""Step 0 of the method: from one image to line segments.
 
-`find_segments` is the chain of Nevatia and Babu (1980) with sub-pixel lines and covariance,
-`find_segments_lsd` OpenCV's detector with its bias taken out. `find_junctions` says where segments
-meet, `with_side_levels` adds the grey levels on both sides. Segments of any other detector are
-an (n, 4) array and need nothing from here."""
+`find_segments` is the detector of Nevatia and Babu (1980), with sub-pixel lines and covariance.
+`find_segments_lsd` is OpenCV's detector, corrected for its bias. `find_junctions` computes the
+points where segments meet, `with_side_levels` the grey levels on both sides. Segments of any other
+detector are an (n, 4) array and need nothing from this room.
+"""
 
 from trinoc.segments.find import (
     find_segments as find_segments,
@@ -15,9 +16,7 @@ from trinoc.segments.junctions import (
 from trinoc.segments.lsd import (
     find_segments_lsd as find_segments_lsd,
 )
-from trinoc.segments.nevatia_babu.thinning import (
-    nevatia_babu_masks as nevatia_babu_masks,
-)
+from trinoc.segments.nevatia_babu.masks import nevatia_babu_masks as nevatia_babu_masks
 from trinoc.segments.nothing_found import (
     why_nothing as why_nothing,
 )

@@ -1,4 +1,4 @@
-"""Line segments of a picture: Nevatia and Babu's chain from masks to segments."""
+"""Detection of line segments: the chain of Nevatia and Babu, from masks to segments."""
 
 from collections.abc import Callable
 from functools import partial
@@ -13,17 +13,8 @@ from trinoc.image.light import Light
 from trinoc.image.response import ResponseLike
 from trinoc.numerics.tables import take_rows
 from trinoc.segments.junctions import with_junctions
-from trinoc.segments.nevatia_babu.accept import (
-    Shifts,
-    SideSlopes,
-    is_on_ramp,
-    is_sharp,
-    is_straight,
-    least_snr2,
-    shading_shifts,
-    side_slopes,
-    typical_blur,
-)
+from trinoc.segments.nevatia_babu.accept import is_sharp, is_straight, least_snr2, typical_blur
+from trinoc.segments.nevatia_babu.edge_points import PyramidLevel, Runs
 from trinoc.segments.nevatia_babu.endpoints import (
     NearEnds,
     end_sigmas,
@@ -34,10 +25,8 @@ from trinoc.segments.nevatia_babu.errors import (
     ErrorModel,
     end_covariances,
     error_model,
-    find_overlaps,
     inflate_variance,
     noise_variance,
-    without_neighbours,
 )
 from trinoc.segments.nevatia_babu.line_fit import (
     FittedLines,
@@ -45,18 +34,21 @@ from trinoc.segments.nevatia_babu.line_fit import (
     merge_collinear,
     refit_lines,
 )
-from trinoc.segments.nevatia_babu.runs import (
-    PyramidLevel,
-    Runs,
-    find_runs,
-    full_level,
-)
+from trinoc.segments.nevatia_babu.masks import combined_kernel
+from trinoc.segments.nevatia_babu.neighbours import find_overlaps, without_neighbours
+from trinoc.segments.nevatia_babu.runs import find_runs, full_level
 from trinoc.segments.nevatia_babu.saturated_edges import shifts_of_saturated
-from trinoc.segments.nevatia_babu.thinning import combined_kernel
+from trinoc.segments.nevatia_babu.side_slopes import (
+    Shifts,
+    SideSlopes,
+    is_on_ramp,
+    shading_shifts,
+    side_slopes,
+)
 from trinoc.segments.side_intensity import side_levels
 from trinoc.segments.tuning import DEFAULT, SegmentTuning
 
-# numerical: points of a run that give a line, its trimmed ends among them.
+# numerical: fewest points of a run for a line fit, trimmed ends included.
 _FEWEST_POINTS = 8
 
 
@@ -71,34 +63,50 @@ def find_segments(
     response: ResponseLike = "linear",
     tuning: SegmentTuning = DEFAULT,
 ) -> Segments:
-    """Straight edges of a picture, with polarity, contrast, covariance and junctions.
+    """Detect straight edges, with polarity, contrast, covariance and junctions.
 
     Parameters
     ----------
-    image : (h, w) or (h, w, 3) picture of uint8, uint16 or real numbers; a colour's grey level
-        is the mean of its channels, in whatever order they come.
-    tolerance_px : coarsest deviation of an edge from a straight line, in pixels.
-    false_alarms : how many segments noise alone may bring about in such a picture.
-    least_contrast : fainter edges are left out; in 255ths of the picture's own range, which is
-        that of 8, 10, 12, 14 or 16 bit, whichever is the least that holds all levels, or 0 to 1
-        for real numbers that do not go beyond.
-    arcs : whether to keep the chords of arcs, such as the rims of cylinders: pieces that deviate
-        by up to `tolerance_px`.
-    intrinsics : a lens whose distortion is taken out of the edge points before lines are
-        fitted; the segments are then in undistorted pixels.
-    response : how the camera makes grey levels of light: "linear", "srgb" (nearly every camera
-        that is not an industrial one), or a number that bends the curve from 0, linear, past 1,
-        sRGB. Edges are found in the grey levels and placed in the light: a response that is not
-        linear moves a blurred edge toward its darker side.
-    tuning : every other tuned constant of the chain; a benchmark or a study changes them.
+    image : (h, w) or (h, w, 3)
+        Image of uint8, uint16 or real numbers. The grey level of a colour is the mean of its
+        channels, in any order.
+    tolerance_px : float
+        Largest deviation of an edge from a straight line.
+    false_alarms : float
+        Expected number of segments that noise alone causes in such an image.
+    least_contrast : float
+        Smallest contrast of a segment, in 255ths of the image's range. The range is the smallest of
+        8, 10, 12, 14 or 16 bit that contains all levels, or 0 to 1 for real numbers up to 1.
+    arcs : bool
+        Keep chords of arcs, such as the rims of cylinders: pieces that deviate by up to
+        `tolerance_px`.
+    intrinsics : Intrinsics, optional
+        Lens whose distortion is removed from the edge points before lines are fitted. The segments
+        are then in undistorted pixels.
+    response : str, float or AbstractResponse
+        Grey level against light: "linear", "srgb" (nearly every camera that is not an industrial
+        one), or a bend, 0 for linear, 1 for sRGB. Edges are detected in the grey levels and located
+        in the light. A response that is not linear moves a blurred edge toward its darker side.
+    tuning : SegmentTuning
+        All other constants of the method, for benchmarks and studies.
 
-    Returns segments whose first end comes first when walking with the darker side on the
-    right as seen on the picture, so that every polarity is +1. Their `reasons` tell what
-    widened a covariance beyond noise. Raises InputError for what is no picture, for knobs
-    that are not positive, for a lens of another picture size and for an unknown response.
+    Returns
+    -------
+    Segments
+        The darker side of each segment is on the right of the direction from the first to the
+        second end, as displayed. So every polarity is +1. `reasons` names the largest contribution
+        to a covariance besides noise.
 
-    After R. Nevatia and K. R. Babu, "Linear feature extraction and description", 1980,
-    doi:10.1016/0146-664X(80)90049-0; docs/segments.md tells what differs.
+    Raises
+    ------
+    InputError
+        If the argument is not an image, a number is not positive, the lens belongs to another image
+        size, or the response is unknown.
+
+    References
+    ----------
+    R. Nevatia and K. R. Babu, "Linear feature extraction and description", 1980,
+    doi:10.1016/0146-664X(80)90049-0. docs/segments.md lists the differences.
     """
     _check_options(tolerance_px, false_alarms, least_contrast)
     picture = Light.from_picture(image, response)
@@ -114,9 +122,9 @@ def find_segments(
     lines, has_line, to_image = _undistort(runs, lines, intrinsics, tuning)
     wanted = has_line & _is_wanted(lines, arcs, least_contrast, tuning)
     lines, errors, shifts = take_rows((lines, errors, shifts), wanted)
-    ends_px, along_px, near = _place_ends(lines, tuning)
+    ends_px, along_px, near_ends = _place_ends(lines, tuning)
     covariance_px2, reasons = _covariances(lines, errors, shifts, along_px, tuning)
-    found = Segments(
+    segments = Segments(
         ends_px,
         covariance_px2,
         np.ones(len(ends_px), dtype=np.int64),
@@ -126,7 +134,7 @@ def find_segments(
         reasons,
         side_levels=side_levels(picture.levels, ends_px, to_image, tuning.junctions),
     )
-    return with_junctions(found, near, tuning.junctions)
+    return with_junctions(segments, near_ends, tuning.junctions)
 
 
 def _check_options(tolerance_px: float, false_alarms: float, least_contrast: float) -> None:
@@ -141,9 +149,9 @@ def _check_lens(lens: Intrinsics | None, size_px: tuple[int, int]) -> None:
     check_kind(lens, (Intrinsics, type(None)), "lens", A_LENS)
     if lens is not None and tuple(lens.image_size_px) != size_px:
         raise InputError(
-            f"The picture is {size_px[0]} x {size_px[1]} px, but the lens was given for "
-            f"{lens.image_size_px[0]} x {lens.image_size_px[1]} px: use the lens of "
-            "this camera and resolution."
+            f"The picture is {size_px[0]} x {size_px[1]} px, but the lens belongs to pictures of "
+            f"{lens.image_size_px[0]} x {lens.image_size_px[1]} px. Use the lens of this camera at "
+            "this resolution."
         )
 
 
@@ -155,8 +163,7 @@ def _accept(
     false_alarms: float,
     tuning: SegmentTuning,
 ) -> tuple[Runs, FittedLines, SideSlopes]:
-    """(points, lines, slopes of the light beside them) without soft shadows, slopes of the light
-    and noise."""
+    """(runs, lines, side slopes) without soft shadows, intensity ramps and noise."""
     slopes = side_slopes(picture.levels, runs, blur_px2, tuning.accept)
     keep = (
         is_sharp(lines, blur_px2, tuning.accept)
@@ -165,7 +172,7 @@ def _accept(
     )
     runs, lines, slopes = runs.take(keep), *take_rows((lines, slopes), keep)
     if not picture.is_linear:
-        # Edges are placed in the light: what slopes there moves them.
+        # Edges are located in the light, so its slopes shift them.
         slopes = side_slopes(picture.light, runs, blur_px2, tuning.accept)
     return runs, lines, slopes
 
@@ -173,14 +180,14 @@ def _accept(
 def _without_neighbours(
     smooth: PyramidLevel, runs: Runs, lines: FittedLines, blur_px2: float, tuning: SegmentTuning
 ) -> tuple[Runs, FittedLines, ErrorModel]:
-    """(points, lines, what else may have moved them) without the pull of neighbours."""
+    """(runs, lines, error model) after subtraction of the pull of neighbouring edges."""
     profile_px2 = smooth.kernel_variance_px2 + blur_px2
-    near = find_overlaps(runs, lines, profile_px2, tuning.errors)
-    points = without_neighbours(runs.points, lines, blur_px2, near)
+    overlaps = find_overlaps(runs, lines, profile_px2, tuning.errors)
+    points = without_neighbours(runs.points, lines, blur_px2, overlaps)
     cleaned = runs._replace(points=points)
     lines = refit_lines(cleaned, lines, cleaned.differ_from(runs), tuning.scales)
-    given = smooth.picture, runs.points, cleaned, lines, near, blur_px2, tuning.errors
-    return cleaned, lines, error_model(*given)
+    arguments = smooth.picture, runs.points, cleaned, lines, overlaps, blur_px2, tuning.errors
+    return cleaned, lines, error_model(*arguments)
 
 
 def _without_shifts(
@@ -191,17 +198,17 @@ def _without_shifts(
     errors: ErrorModel,
     tuning: SegmentTuning,
 ) -> tuple[Runs, FittedLines, tuple[Shifts, Shifts]]:
-    """(points, lines, shifts) moved back across, by what clipping and by what shading did."""
+    """(runs, lines, shifts) after correction of the shifts by saturation and by shading."""
     saturated = shifts_of_saturated(smooth, runs, lines, errors, tuning.saturation)
-    # What is clipped does not slope.
-    seen = saturated.variance_px2 == 0
+    # A clipped side has no slope.
+    is_unsaturated = saturated.variance_px2 == 0
     shading = shading_shifts(slopes, lines, errors.crowded, tuning.errors)
-    shaded = Shifts(*(seen * part for part in shading))
+    shaded = Shifts(*(is_unsaturated * part for part in shading))
     shift_px = saturated.shift_px + shaded.shift_px
     if shift_px.any():
         # Toward the brighter side.
-        way = lines.direction * shift_px[:, None]
-        offset = np.stack([way[:, 1], -way[:, 0]], axis=-1)
+        displacement = lines.direction * shift_px[:, None]
+        offset = np.stack([displacement[:, 1], -displacement[:, 0]], axis=-1)
         runs = runs.move(runs.points.uv_px + runs.spread(offset).astype(np.float32))
         lines = lines._replace(centre_px=lines.centre_px + offset)
     return runs, lines, (saturated, shaded)
@@ -210,27 +217,26 @@ def _without_shifts(
 def _undistort(
     runs: Runs, lines: FittedLines, lens: Intrinsics | None, tuning: SegmentTuning
 ) -> tuple[FittedLines, Bool[np.ndarray, "r"], Callable[[np.ndarray], np.ndarray]]:
-    """(lines through undistorted points, which of them lie before the fold of the lens, the way
-    back into the picture)."""
-    every = np.ones(len(runs.count), dtype=bool)
+    """(undistorted lines, mask of lines inside the fold of the lens, mapping back to the image)."""
+    all_lines = np.ones(len(runs.count), dtype=bool)
     if lens is None or not lens.has_distortion:
-        return lines, every, np.asarray
+        return lines, all_lines, np.asarray
     uv_px = undistort_pixels(lens, runs.points.uv_px)
     valid = np.asarray(np.isfinite(uv_px).all(axis=1))
     if valid.all():
-        return fit_lines(runs.move(uv_px), tuning.scales), every, partial(distort_pixels, lens)
-    # A run without enough points before the fold stays where it is, and its line is not used.
+        return fit_lines(runs.move(uv_px), tuning.scales), all_lines, partial(distort_pixels, lens)
+    # A run with too few points inside the fold is not moved, and its line is not used.
     has_line = runs.total(valid.astype(np.float64)) >= _FEWEST_POINTS
-    flat = runs.move(np.where(valid[:, None], uv_px, runs.points.uv_px))
-    kept = valid | ~runs.spread(has_line)
-    count = runs.total(kept.astype(np.float64)).astype(runs.count.dtype)
-    flat = Runs.from_counts(flat.points.take(kept), count)
+    undistorted = runs.move(np.where(valid[:, None], uv_px, runs.points.uv_px))
+    keep = valid | ~runs.spread(has_line)
+    count = runs.total(keep.astype(np.float64)).astype(runs.count.dtype)
+    undistorted = Runs.from_counts(undistorted.points.take(keep), count)
 
     def to_image(flat_px: np.ndarray) -> np.ndarray:
-        # Few points beside a line that ends at the fold have no pixel.
+        # Some points next to a line that ends at the fold have no pixel.
         return np.nan_to_num(distort_pixels(lens, flat_px))
 
-    return fit_lines(flat, tuning.scales), has_line, to_image
+    return fit_lines(undistorted, tuning.scales), has_line, to_image
 
 
 def _is_wanted(
@@ -239,7 +245,7 @@ def _is_wanted(
     least_contrast: float,
     tuning: SegmentTuning,
 ) -> Bool[np.ndarray, "r"]:
-    """No arcs, unless they are wanted, no bevels of corners, and nothing fainter than wanted."""
+    """Mask of the lines that are long, have enough contrast and, unless `arcs`, are no arcs."""
     long = lines.pieces.length_px >= tuning.accept.least_length_px
     straight = arcs | is_straight(lines, tuning.accept)
     return straight & (lines.contrast >= least_contrast) & long
@@ -248,12 +254,15 @@ def _is_wanted(
 def _place_ends(
     lines: FittedLines, tuning: SegmentTuning
 ) -> tuple[Float[np.ndarray, "r 2 2"], Float[np.ndarray, "r 2"], NearEnds]:
-    """(ends at the crossings with what stops them, their sigmas along, lines near them)."""
+    """(ends, their standard deviations along the line, pairs of ends and nearby lines).
+
+    An end near another line is moved to the crossing.
+    """
     pieces = lines.pieces
-    near = lines_near_ends(pieces, tuning.ends.snap_px)
-    partner, position = snap_ends(pieces, tuning.ends.snap_px, near, tuning.ends)
+    near_ends = lines_near_ends(pieces, tuning.ends.snap_px)
+    partner, position = snap_ends(pieces, tuning.ends.snap_px, near_ends, tuning.ends)
     along_px = end_sigmas(lines.contrast, partner, tuning.ends)
-    return pieces._replace(extent_px=position).ends_px, along_px, near
+    return pieces._replace(extent_px=position).ends_px, along_px, near_ends
 
 
 def _covariances(
@@ -263,9 +272,9 @@ def _covariances(
     along_px: Float[np.ndarray, "r 2"],
     tuning: SegmentTuning,
 ) -> tuple[Float[np.ndarray, "r 4 4"], Shaped[np.ndarray, "r"]]:
-    """(covariances of the ends, what widened them beyond noise)."""
+    """(covariances of the ends, largest contribution to each besides noise)."""
     noise_px2 = noise_variance(lines.variance_middle_px2, lines.pieces.length_px, tuning.errors)
     variance_px2, common_px2, reasons = inflate_variance(errors, noise_px2, *shifts, tuning.errors)
     off_px2 = np.square(tuning.errors.off_share * errors.off_px)
-    given = lines.direction, variance_px2, common_px2, off_px2, along_px
-    return end_covariances(*given), reasons
+    arguments = lines.direction, variance_px2, common_px2, off_px2, along_px
+    return end_covariances(*arguments), reasons

@@ -1,4 +1,4 @@
-"""Junctions and chains of segments, whoever found the segments."""
+"""Junctions and collinear chains of segments, of any detector."""
 
 import equinox as eqx
 import numpy as np
@@ -17,38 +17,56 @@ from trinoc.segments.tuning import DEFAULT, SegmentEndTuning
 
 
 def with_junctions(
-    segments: Segments, near: NearEnds | None = None, tuning: SegmentEndTuning = DEFAULT.junctions
+    segments: Segments,
+    near_ends: NearEnds | None = None,
+    tuning: SegmentEndTuning = DEFAULT.junctions,
 ) -> Segments:
-    """The same segments with their junctions and chains; `near` as for `find_junctions`."""
+    """Return the segments with junctions and chains; `near_ends` as in `find_junctions`."""
     return eqx.tree_at(
         lambda s: (s.junctions, s.chain),
         segments,
-        (find_junctions(segments, near, tuning), collinear_chains(segments, tuning)),
+        (find_junctions(segments, near_ends, tuning), collinear_chains(segments, tuning)),
         is_leaf=lambda leaf: leaf is None,
     )
 
 
 def find_junctions(
-    segments: Segments, near: NearEnds | None = None, tuning: SegmentEndTuning = DEFAULT.junctions
+    segments: Segments,
+    near_ends: NearEnds | None = None,
+    tuning: SegmentEndTuning = DEFAULT.junctions,
 ) -> Junctions:
-    """Where segments meet: ends that agree within their uncertainty, and ends on bodies.
+    """Compute the points where segments meet: ends on ends, and ends on bodies.
 
-    An end meets another segment where their lines cross within three of the end's own sigmas
-    along its segment (up to 8 pixels), and on the other segment or as near to its
-    end. Ends that meet each other, directly or through a third, make one junction. `near` are
-    the pairs of ends and lines to look at, all that are near each other where it is None.
+    Parameters
+    ----------
+    segments : Segments
+        Segments of one image.
+    near_ends : NearEnds, optional
+        Pairs of ends and lines to test. Default: all that are near each other.
+    tuning : SegmentEndTuning
+        Distances and angles.
+
+    Returns
+    -------
+    Junctions
+
+    Notes
+    -----
+    An end meets another segment if their lines cross within three of the end's sigmas along its
+    segment (at most 8 px). The crossing must lie on the other segment, or as near to its end. Ends
+    that meet, directly or through a third end, form one junction.
     """
     ends = np.asarray(segments.endpoints_px, dtype=np.float64)
     count = len(ends)
     pieces = _cut_pieces(ends)
     across, along = _sigmas(segments, pieces.direction)
-    reach = np.minimum(tuning.sigmas * along, tuning.most_reach_px)
-    if near is None:
-        near = lines_near_ends(pieces, float(reach.max(initial=0.0)))
-    line, side, other, _, place, _ = endpoint_crossings(pieces, reach, near)
-    # The end of the other segment that the crossing is within reach of, or its body.
-    to_end = np.abs(place[:, None] - pieces.extent_px[other])
-    at_end = to_end < reach[other][:, None]
+    reach_px = np.minimum(tuning.sigmas * along, tuning.most_reach_px)
+    if near_ends is None:
+        near_ends = lines_near_ends(pieces, float(reach_px.max(initial=0.0)))
+    line, side, other, _, other_position, _ = endpoint_crossings(pieces, reach_px, near_ends)
+    # The end of the other segment near the crossing, or its body.
+    to_end = np.abs(other_position[:, None] - pieces.extent_px[other])
+    at_end = to_end < reach_px[other][:, None]
     other_end = np.where(at_end.any(axis=1), np.argmin(to_end, axis=1), BODY)
 
     both_ends = other_end != BODY
@@ -56,7 +74,7 @@ def find_junctions(
     group = group_labels(2 * count, node[both_ends], other_node[both_ends])
     met = distinct(np.concatenate([node, other_node[both_ends]]))
     body = ~both_ends
-    # One key for group, segment and end, that sorts as they do; a body comes before the ends.
+    # One key for (group, segment, end), with the same order; a body sorts before the ends.
     keys = np.concatenate(
         [
             (group[met] * count + met // 2) * 3 + 1 + met % 2,
@@ -71,12 +89,11 @@ def find_junctions(
 def collinear_chains(
     segments: Segments, tuning: SegmentEndTuning = DEFAULT.junctions
 ) -> Int[np.ndarray, "n"]:
-    """(n,) a number per segment, equal for pieces that continue each other across a gap.
+    """Number of each segment's chain of collinear pieces across gaps, (n,).
 
-    Two pieces continue each other when their facing ends are at most 30 pixels apart, less
-    than the longer piece is long, their directions differ by less than four degrees and each
-    end lies on the other's line within three sigmas. Where both polarities are known they
-    must agree.
+    Two pieces belong together if their facing ends are at most 30 px apart, and less than the
+    length of the longer piece. Their directions differ by less than four degrees, and each end lies
+    on the other's line within three sigmas. Known polarities must agree.
     """
     ends = np.asarray(segments.endpoints_px, dtype=np.float64)
     pieces = _cut_pieces(ends)
@@ -86,7 +103,7 @@ def collinear_chains(
     outward = np.stack([-direction, direction], axis=1).reshape(-1, 2)
     out_u, out_v = (column.astype(np.float32) for column in outward.T)
     first, second = pairs.T
-    # Nearly all pairs fail this: the others cost little.
+    # Nearly all pairs fail this test, so it comes first.
     facing = out_u[first] * out_u[second] + out_v[first] * out_v[second] < -np.cos(
         np.radians(tuning.chain_deg)
     )
@@ -98,7 +115,7 @@ def collinear_chains(
     distance = np.linalg.norm(gap, axis=-1)
     sigma = tuning.sigmas * np.hypot(across[one], across[other]) + 0.5
     polarity = np.asarray(segments.polarity) * 1
-    # Two pieces that run the same way face each other with different ends.
+    # Two pieces with the same direction face each other with different ends.
     agree = polarity[one] * polarity[other] * np.where(side == other_side, -1, 1) >= 0
     continues = (
         (one != other)
@@ -113,15 +130,15 @@ def collinear_chains(
 
 def _cut_pieces(ends: Float[np.ndarray, "n 2 2"]) -> Pieces:
     centre = ends.mean(axis=1)
-    way = ends[:, 1] - ends[:, 0]
-    length = np.linalg.norm(way, axis=-1, keepdims=True)
-    return Pieces(centre, way / length, length * np.array([-0.5, 0.5]))
+    offset = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(offset, axis=-1, keepdims=True)
+    return Pieces(centre, offset / length, length * np.array([-0.5, 0.5]))
 
 
 def _sigmas(
     segments: Segments, direction: Float[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """(across, along): larger of the two ends' sigmas across and along each segment."""
+    """(across, along): the larger sigma of the two ends, across and along each segment."""
     covariance = np.asarray(segments.covariance_px2)
     u, v = direction.T
     across, along = (
@@ -146,7 +163,7 @@ def _assemble(
     across: Float[np.ndarray, "n"],
     tuning: SegmentEndTuning,
 ) -> Junctions:
-    """Junctions from groups of ends and bodies of segments, sorted by group."""
+    """Build junctions from groups of ends and bodies, sorted by group."""
     centre, direction, _ = pieces
     begins = np.diff(group, prepend=-1) != 0
     junction, earliest = np.cumsum(begins) - 1, np.flatnonzero(begins)
@@ -155,7 +172,7 @@ def _assemble(
     information = np.add.reduceat(
         weight[:, None, None] * normal[:, :, None] * normal[:, None, :], earliest, axis=0
     )
-    # Positions count from a line of the junction itself, where the sums keep their digits.
+    # Positions relative to a line of the junction, so that the sums keep their digits.
     origin = centre[segment[earliest]]
     offset = ((centre[segment] - origin[junction]) * normal).sum(axis=-1)
     pulled = np.add.reduceat((weight * offset)[:, None] * normal, earliest, axis=0)
@@ -173,7 +190,7 @@ def _kinds(
     count: int,
     straight_deg: float,
 ) -> np.ndarray:
-    """Kind of each junction from its number of ends and bodies, and whether two ends align."""
+    """Kind of each junction, from its numbers of ends and bodies and from collinear ends."""
     ends = np.bincount(junction[end != BODY], minlength=count)
     bodies = np.bincount(junction[end == BODY], minlength=count)
     straight = np.zeros(count, dtype=bool)

@@ -1,4 +1,4 @@
-"""Segments by OpenCV's line segment detector, for comparison and for those who prefer it."""
+"""OpenCV's line segment detector with a corrected bias, as an alternative to `find_segments`."""
 
 import cv2
 import numpy as np
@@ -9,8 +9,8 @@ from trinoc.image.grey import grey_image
 from trinoc.segments.junctions import with_junctions
 from trinoc.segments.side_intensity import with_side_levels
 
-# OpenCV's segments lie this far from the edges they belong to, in u and v, whatever the edge:
-# measured on edges at all angles. It is subtracted.
+# Constant offset of OpenCV's segments from their edges, in u and v, measured on edges at all
+# angles. It is subtracted.
 # numerical: properties of that detector.
 LSD_BIAS_PX = np.array([-0.123, -0.119])
 LSD_SIGMA_PX = 0.1  # numerical: as above
@@ -18,16 +18,37 @@ LSD_SIGMA_ALONG_PX = 2.0  # numerical: as above
 
 
 def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:
-    """Straight edges by cv2's LSD, with its bias taken out, junctions, chains and side levels.
+    """Detect straight edges by cv2's LSD, with its bias removed.
 
-    Takes the pictures that `find_segments` takes. The polarity and the contrast are not
-    known; every segment has the same sigmas. After R. Grompone von Gioi et al., "LSD: a line
-    segment detector", Image Processing On Line 2, 2012, doi:10.5201/ipol.2012.gjmr-lsd.
+    Parameters
+    ----------
+    image : (h, w) or (h, w, channels)
+        As in `find_segments`.
+
+    Returns
+    -------
+    Segments
+        With junctions, chains and side levels. Polarity and contrast are unknown; all segments have
+        the same sigmas.
+
+    Raises
+    ------
+    InputError
+        If the argument is not an image.
+
+    References
+    ----------
+    R. Grompone von Gioi et al., "LSD: a line segment detector", Image Processing On Line 2, 2012,
+    doi:10.5201/ipol.2012.gjmr-lsd.
     """
     picture = grey_image(image).in_255ths()
     levels = np.clip(np.rint(picture.grey), 0, 255).astype(np.uint8)
-    found = cv2.createLineSegmentDetector().detect(levels)[0]
-    rows = np.zeros((0, 4)) if found is None else np.asarray(found, np.float64).reshape(-1, 4)
+    detections = cv2.createLineSegmentDetector().detect(levels)[0]
+    rows = (
+        np.zeros((0, 4))
+        if detections is None
+        else np.asarray(detections, np.float64).reshape(-1, 4)
+    )
     segments = with_junctions(
         Segments.from_endpoints(
             rows - np.tile(LSD_BIAS_PX, 2),

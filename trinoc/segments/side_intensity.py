@@ -1,4 +1,4 @@
-"""Grey levels on either side of segments, as the matcher compares them between pictures."""
+"""Grey levels on either side of segments, which the matcher compares between images."""
 
 from collections.abc import Callable
 
@@ -11,15 +11,29 @@ from trinoc.image.light import Light
 from trinoc.image.strip import nearest_levels
 from trinoc.segments.tuning import DEFAULT, SegmentEndTuning
 
-# Not near its ends.
+# Positions along a segment, without the parts near its ends.
 _ALONG = np.linspace(0.1, 0.9, 16)  # numerical: samples of a median
 
 
 def with_side_levels(segments: Segments, image: Shaped[np.ndarray, "..."]) -> Segments:
-    """The same segments with the grey levels beside them in the picture they were found in.
+    """Return segments of another detector with the grey levels on both sides.
 
-    For segments of other detectors; those of `find_segments` have them. Takes the pictures that
-    `find_segments` takes, and raises InputError for others.
+    Parameters
+    ----------
+    segments : Segments
+        Segments of the image.
+    image : (h, w) or (h, w, channels)
+        The image that they were detected in, as in `find_segments`.
+
+    Returns
+    -------
+    Segments
+        With `side_levels`.
+
+    Raises
+    ------
+    InputError
+        If the argument is not an image.
     """
     levels = side_levels(Light.from_picture(image).levels, np.asarray(segments.endpoints_px))
     return eqx.tree_at(lambda s: s.side_levels, segments, levels, is_leaf=lambda leaf: leaf is None)
@@ -31,23 +45,23 @@ def side_levels(
     to_image: Callable[[Float[np.ndarray, "p 2"]], np.ndarray] = np.asarray,
     tuning: SegmentEndTuning = DEFAULT.junctions,
 ) -> Float[np.ndarray, "n 2"]:
-    """(n, 2) median grey level on the right and on the left of each segment.
+    """Median grey level on the right and on the left of each segment, (n, 2).
 
-    Right and left are of the way from the first end to the second, as seen on the picture.
-    `to_image` takes points beside segments to pixels of the picture, where a lens lies between.
+    Right and left refer to the direction from the first to the second end, as displayed. `to_image`
+    maps points near segments to pixels of the image, for undistorted segments.
     """
     step = endpoints_px[:, 1] - endpoints_px[:, 0]
     right = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1)[:, None]
-    away = np.array(tuning.beside_px)
-    off = np.concatenate([away, -away])[:, None]
-    beside = np.empty((2, len(step), 2 * len(away), len(_ALONG)))
+    distances = np.array(tuning.beside_px)
+    offsets = np.concatenate([distances, -distances])[:, None]
+    samples = np.empty((2, len(step), 2 * len(distances), len(_ALONG)))
     for axis in (0, 1):
         on = endpoints_px[:, 0, axis, None] + step[:, axis, None] * _ALONG
-        np.add(on[:, None], right[:, axis, None, None] * off, out=beside[axis])
+        np.add(on[:, None], right[:, axis, None, None] * offsets, out=samples[axis])
     if to_image is not np.asarray:
-        beside = to_image(beside.reshape(2, -1).T).T.reshape(beside.shape)
-    levels = nearest_levels(grey, *beside).reshape(len(step), 2, len(away) * len(_ALONG))
-    # The mean of the two in the middle; of so few, sorting is faster than partition.
+        samples = to_image(samples.reshape(2, -1).T).T.reshape(samples.shape)
+    levels = nearest_levels(grey, *samples).reshape(len(step), 2, len(distances) * len(_ALONG))
+    # Median of an even number; for so few, sorting is faster than partition.
     middle = levels.shape[2] // 2
     levels.sort(axis=2)
     return levels[:, :, middle - 1 : middle + 1].mean(axis=2).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Rigs of the demo and of examples, and the truth of made scenes: its edges and what is visible."""
+"""Rigs of the demo and of examples; true edges of synthetic scenes and their visibility."""
 
 from trinoc.synth.rigs import (
     table1_lens as table1_lens,

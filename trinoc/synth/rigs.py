@@ -1,4 +1,4 @@
-"""Rigs whose truth is known: Table 1 of the 1986 paper, and random ones like it."""
+"""Rigs with known parameters: Table 1 of the 1986 paper, and random ones."""
 
 import numpy as np
 
@@ -18,10 +18,18 @@ IMAGE_SIZE_PX = (512, 480)
 
 
 def table1_lens(*, resolution: int = 1, distortion: tuple[float, ...] | None = None) -> Intrinsics:
-    """The paper's lens and sensor, 512 x 480 pixels that are not square.
+    """Return the paper's lens and sensor: 512 x 480 pixels that are not square.
 
-    `resolution` divides each pixel into that many along both sides and leaves the field of
-    view as it is. `distortion` is up to five Brown-Conrady coefficients.
+    Parameters
+    ----------
+    resolution : int
+        Divides each pixel into this many along both sides; the field of view is unchanged.
+    distortion : tuple of float, optional
+        Up to five Brown-Conrady coefficients.
+
+    Returns
+    -------
+    Intrinsics
     """
     return Intrinsics(
         focal_length_mm=FOCAL_LENGTH_MM,
@@ -32,17 +40,37 @@ def table1_lens(*, resolution: int = 1, distortion: tuple[float, ...] | None = N
 
 
 def table1_rig(*, resolution: int = 1, distortion: tuple[float, ...] | None = None) -> Rig:
-    """The cameras "upper", "left" and "right" of Table 1; see `table1_lens` for the options."""
+    """Return the cameras "upper", "left" and "right" of Table 1.
+
+    Parameters
+    ----------
+    resolution, distortion :
+        As in `table1_lens`.
+
+    Returns
+    -------
+    Rig
+    """
     lens = table1_lens(resolution=resolution, distortion=distortion)
     return Rig({name: _camera(lens, row) for name, row in TABLE_1.items()})
 
 
 def random_rig(seed: int, *, wide: bool = False, lens: Intrinsics | None = None) -> Rig:
-    """Three cameras about the origin, drawn by `seed`.
+    """Return three random cameras around the origin.
 
-    Near Table 1 each angle is within 8 degrees of the paper's and the distance within 10 %;
-    a wide rig has pans within 60, tilts from 20 to 80 and swings within 15 degrees, and
-    distances from 400 to 600 mm. `lens` defaults to `table1_lens()`.
+    Parameters
+    ----------
+    seed : int
+        Seed of the random numbers.
+    wide : bool
+        False: each angle within 8 degrees of Table 1, distances within 10 %. True: pan within 60
+        degrees, tilt from 20 to 80, swing within 15, distances from 400 to 600 mm.
+    lens : Intrinsics, optional
+        Default: `table1_lens()`.
+
+    Returns
+    -------
+    Rig
     """
     lens = table1_lens() if lens is None else lens
     generator = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""What is true of a scene and its pictures: edges, who shows which part, whose segment is whose."""
+"""Truth of a synthetic scene: its edges, their visible parts, and the edge of each segment."""
 
 from collections.abc import Collection, Mapping
 
@@ -10,14 +10,17 @@ from trinoc.numerics.values import Value
 
 
 class SeenParts(Value):
-    """The parts of a scene's edges that one picture shows.
+    """Parts of a scene's edges that are visible in one image.
 
-    Fields
-    ------
-    edge : (k,) index of the edge.
-    extent : (k, 2) from where to where along it, 0 at its first end and 1 at its second.
-    grey_step : (k,) grey level on the left of the way from the first end to the second, as
-        seen on the picture, minus that on the right; NaN where not known.
+    Attributes
+    ----------
+    edge : (k,)
+        Index of the edge.
+    extent : (k, 2)
+        Start and stop along the edge: 0 at its first end, 1 at its second.
+    grey_step : (k,)
+        Grey level on the left of the direction from the first end to the second, as displayed,
+        minus that on the right; NaN if unknown.
     """
 
     edge: Int[np.ndarray, "k"]
@@ -26,13 +29,16 @@ class SeenParts(Value):
 
 
 class SceneTruth(Value):
-    """Edges in space, and what each picture shows of them.
+    """Edges in space, and their visible parts in each image.
 
-    Fields
-    ------
-    edges_mm : (m, 2, 3) ends of every edge.
-    edge_kinds : "edge", or "rim" for a chord of a cylinder's rim.
-    seen : for each view, the parts of the edges that its picture shows.
+    Attributes
+    ----------
+    edges_mm : (m, 2, 3)
+        Ends of every edge.
+    edge_kinds : tuple of str
+        "edge", or "rim" for a chord of a cylinder's rim.
+    seen : dict of SeenParts
+        For each view, the visible parts of the edges.
     """
 
     edges_mm: Float[np.ndarray, "m 2 3"]
@@ -41,15 +47,17 @@ class SceneTruth(Value):
 
 
 class SegmentTruth(Value):
-    """Which edge each 2-D segment of each view comes from.
+    """True edge of each 2-D segment of each view.
 
-    Fields
-    ------
-    edges_mm : (m, 2, 3) ends of every edge.
-    edge_of : for each view, (n,) index of each segment's edge; `SPURIOUS` where it has none,
-        `NOT_SCORED` where an answer about it counts neither as right nor as wrong.
-    extent : for each view, (n, 2) from where to where along the edge the segment reaches;
-        anything where it has no edge.
+    Attributes
+    ----------
+    edges_mm : (m, 2, 3)
+        Ends of every edge.
+    edge_of : dict of (n,)
+        For each view, the edge of each segment. `SPURIOUS`: none. `NOT_SCORED`: a result on this
+        segment counts neither as right nor as wrong.
+    extent : dict of (n, 2)
+        For each view, start and stop of the segment along its edge; any value without an edge.
     """
 
     edges_mm: Float[np.ndarray, "m 2 3"]
@@ -63,7 +71,7 @@ SPURIOUS, NOT_SCORED = -1, -2
 def points_along(
     segments_mm: Float[np.ndarray, "n 2 3"], position: Float[np.ndarray, "n k"]
 ) -> Float[np.ndarray, "n k 3"]:
-    """Points of segments at positions from 0, the first end, to 1, the second."""
+    """Points of segments at positions from 0 (first end) to 1 (second end), (n, k, 3)."""
     first, second = segments_mm[:, :1], segments_mm[:, 1:]
     return first + position[..., None] * (second - first)
 
@@ -75,26 +83,28 @@ def shown_parts_mm(
     grey_step: float = 0.0,
     kinds: Collection[str] | None = None,
 ) -> Float[np.ndarray, "k 2 3"]:
-    """Ends in space of the parts that at least `views` pictures show.
+    """Ends of the edge parts that are visible in at least `views` images, (k, 2, 3).
 
-    A picture shows a part where its grey levels differ by at least `grey_step` across it.
-    Only edges of `kinds` count; None is all of them.
+    A part is visible in an image if grey levels differ by at least `grey_step` across it. Only
+    edges of `kinds` count; None means all.
     """
     chosen = {}
-    for name, seen in truth.seen.items():
-        enough = np.ones(len(seen.edge), dtype=bool)
+    for name, visible in truth.seen.items():
+        counts = np.ones(len(visible.edge), dtype=bool)
         if grey_step > 0:
-            enough = np.abs(seen.grey_step) >= grey_step
+            counts = np.abs(visible.grey_step) >= grey_step
         if kinds is not None:
-            enough &= np.array([truth.edge_kinds[edge] in kinds for edge in seen.edge], dtype=bool)
-        chosen[name] = (seen.edge[enough], seen.extent[enough])
+            counts &= np.array(
+                [truth.edge_kinds[edge] in kinds for edge in visible.edge], dtype=bool
+            )
+        chosen[name] = (visible.edge[counts], visible.extent[counts])
     return parts_in_views_mm(truth.edges_mm, chosen, views=views)
 
 
 def shown_parts_of_segments_mm(
     truth: SegmentTruth, *, views: int = 2
 ) -> Float[np.ndarray, "k 2 3"]:
-    """Ends in space of the parts of edges that segments of at least `views` views cover."""
+    """Ends of the edge parts that segments of at least `views` views cover, (k, 2, 3)."""
     chosen = {}
     for name, edge in truth.edge_of.items():
         real = edge >= 0
@@ -108,14 +118,16 @@ def parts_in_views_mm(
     *,
     views: int,
 ) -> Float[np.ndarray, "k 2 3"]:
-    """Ends in space of the parts of edges that (edge, extent) lists of several views share."""
-    found: list[Float[np.ndarray, "2 3"]] = []
+    """Ends of the edge parts that at least `views` of the (edge, extent) lists contain, (k, 2,
+    3).
+    """
+    shared_parts: list[Float[np.ndarray, "2 3"]] = []
     for index, edge in enumerate(edges_mm):
         per_view = [_union(extent[owner == index]) for owner, extent in parts.values()]
         for start, end in _intersect_intervals(per_view, views):
             ends = np.array([[start], [end]])
-            found.append(edge[0] + ends * (edge[1] - edge[0]))
-    return np.array(found).reshape(-1, 2, 3)
+            shared_parts.append(edge[0] + ends * (edge[1] - edge[0]))
+    return np.array(shared_parts).reshape(-1, 2, 3)
 
 
 def _union(intervals: Float[np.ndarray, "k 2"]) -> list[tuple[float, float]]:
@@ -132,7 +144,7 @@ def _union(intervals: Float[np.ndarray, "k 2"]) -> list[tuple[float, float]]:
 def _intersect_intervals(
     per_view: list[list[tuple[float, float]]], views: int
 ) -> list[tuple[float, float]]:
-    """Where the disjoint intervals of at least `views` views lie over each other."""
+    """Intervals that lie in the disjoint intervals of at least `views` views."""
     events = sorted(
         [(start, 1) for intervals in per_view for start, _ in intervals]
         + [(end, -1) for intervals in per_view for _, end in intervals],

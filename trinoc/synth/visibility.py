@@ -1,9 +1,9 @@
-"""Hidden line removal: which parts of segments in space a camera sees, exactly.
+"""Hidden line removal: exact visible parts of 3-D segments.
 
-The region that a triangle hides from a viewpoint is convex: behind its plane, and inside the
-three planes through the viewpoint and its sides. A segment meets it in one interval, found
-from four linear inequalities; what is left of all triangles, and of the picture's frame, is
-what the camera sees.
+The region that a triangle hides from a viewpoint is convex: behind its plane and inside the three
+planes through the viewpoint and its sides. So a segment meets it in one interval, given by four
+linear inequalities. The visible parts remain after all triangles and the image frame are
+subtracted.
 """
 
 from typing import NamedTuple
@@ -13,15 +13,22 @@ from jaxtyping import Bool, Float, Int
 
 from trinoc.geometry.camera import Camera
 
-# A point counts as behind a face from this depth on, so that a face does not hide its own edges.
+# Smallest depth behind a face that counts as hidden, so that a face does not hide its own edges.
 _BEHIND_MM = 1e-6
-# Shorter intervals are rounding, in parts of the segment.
+# Shorter intervals, as a share of the segment, are rounding errors.
 _SLIVER = 1e-7
 
 
 class VisibleParts(NamedTuple):
-    """Parts of segments that a camera sees: the segment's index (k,), and from where to where
-    along it, 0 to 1 from its first end to its second, (k, 2)."""
+    """Visible parts of segments.
+
+    Attributes
+    ----------
+    segment : (k,)
+        Index of the segment.
+    extent : (k, 2)
+        Start and stop along it, 0 at its first end, 1 at its second.
+    """
 
     segment: Int[np.ndarray, "k"]
     extent: Float[np.ndarray, "k 2"]
@@ -32,9 +39,9 @@ def visible_parts(
     segments_mm: Float[np.ndarray, "n 2 3"],
     triangles_mm: Float[np.ndarray, "t 3 3"],
 ) -> VisibleParts:
-    """The parts of segments that lie in the picture and that no triangle hides.
+    """Parts of segments inside the image that no triangle hides.
 
-    The frame is that of the picture without lens distortion.
+    The image frame is that without lens distortion.
     """
     hidden = hidden_intervals(camera.centre_world_mm, segments_mm, triangles_mm)
     framed = _interval(*_frame_values(camera, segments_mm))
@@ -51,7 +58,10 @@ def hidden_intervals(
     segments_mm: Float[np.ndarray, "n 2 3"],
     triangles_mm: Float[np.ndarray, "t 3 3"],
 ) -> Float[np.ndarray, "n t 2"]:
-    """From where to where each triangle hides each segment from a viewpoint; from > to if not."""
+    """(start, stop) of the part of each segment that each triangle hides, (n, t, 2).
+
+    start > stop if nothing is hidden.
+    """
     corners = triangles_mm - centre_world_mm
     ends = segments_mm - centre_world_mm
     following = np.roll(corners, -1, axis=1)
@@ -61,7 +71,7 @@ def hidden_intervals(
     normal = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     level = np.einsum("ti,ti->t", normal, corners[:, 0])
     away = np.sign(level)
-    # A triangle seen edge-on hides nothing; a face's own edges, level with it, are not behind.
+    # A triangle viewed edge-on hides nothing. A face's own edges lie in its plane, not behind it.
     edge_on = np.abs(level) < _BEHIND_MM
     inside = np.einsum("tsi,nei->ntes", sides, ends)
     behind = np.einsum("ti,nei->nte", normal * away[:, None], ends) - np.abs(level)[:, None]
@@ -73,7 +83,7 @@ def hidden_intervals(
 def _frame_values(
     camera: Camera, segments_mm: Float[np.ndarray, "n 2 3"]
 ) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5"]]:
-    """Values at both ends that are positive in front of the camera and inside the picture."""
+    """Values at both ends that are positive in front of the camera and inside the image."""
     first, second, third = camera.matrix_px
     width, height = camera.image_size_px
     planes = np.stack(
@@ -92,7 +102,7 @@ def _frame_values(
 def _interval(
     first: Float[np.ndarray, "*n k"], second: Float[np.ndarray, "*n k"]
 ) -> Float[np.ndarray, "*n 2"]:
-    """From where to where k values, linear from first to second end, are all >= 0."""
+    """(start, stop) where k values, linear from the first to the second end, are all >= 0."""
     change = second - first
     with np.errstate(divide="ignore", invalid="ignore"):
         crossing = -first / change
@@ -107,7 +117,7 @@ def _interval(
 def _remainder(
     low: float, high: float, hidden: Float[np.ndarray, "t 2"]
 ) -> list[tuple[float, float]]:
-    """What is left of [low, high] when the hidden intervals are taken away."""
+    """Parts of [low, high] outside the hidden intervals."""
     if low > high:
         return []
     real: Bool[np.ndarray, "t"] = hidden[:, 1] >= hidden[:, 0]

@@ -100,7 +100,7 @@ def test_the_noise_of_the_segments_is_estimated():
     answer = refine(sheet_estimate(10), pessimist)
     assert answer.segment_sigma_factor == pytest.approx(0.5 * right.segment_sigma_factor, rel=0.05)
     # What is known of the lines does not depend on what was stated.
-    own, as_stated = answer.lines.own_covariance_mm2, right.lines.own_covariance_mm2
+    own, as_stated = answer.lines.fragment_covariance_mm2, right.lines.fragment_covariance_mm2
     ratio = np.trace(own, axis1=1, axis2=2) / np.trace(as_stated, axis1=1, axis2=2)
     assert np.median(ratio) == pytest.approx(1, rel=0.1)
 
@@ -225,7 +225,7 @@ def test_what_does_not_belong_together_is_refused():
         refine(sheet_estimate(0), take_rows(lines, np.zeros(3, dtype=bool)))
     lost = lines.seen.copy()
     lost[1] = [True, False, False]
-    with pytest.raises(InputError, match="Track 1 is seen in 1 view"):
+    with pytest.raises(InputError, match="Track 1 is visible in 1 view"):
         LineObservations(
             lines.views, lines.fragments_px, lines.covariance_px2, lost, lines.lines_mm
         )

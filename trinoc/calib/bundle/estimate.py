@@ -119,7 +119,7 @@ def joint_estimate(
         status = RefineStatus.GAUGE_FREE if determined.gauge else RefineStatus.CONVERGED
     probability = log_posterior(squared, lines.seen, sheet_chi_square, loss)
     known = not determined.gauge and choice.pose_model is not PoseModel.RIGID
-    own = factor**2 * fit.own_covariance_mm2[:count]
+    own = factor**2 * fit.fragment_covariance_mm2[:count]
     return RefineResult(
         status,
         Rig(refined, parameters=names, covariance=covariance) if known else Rig(refined),
@@ -174,8 +174,8 @@ def _cameras(rig: Rig, choice: FreeParameters) -> CameraState:
     )
     if not np.isfinite(np.asarray(cameras.reach_mm)).all():
         raise InputError(
-            f'The rig cannot be refined with the pose model "{choice.pose_model.word}", because a '
-            'camera\'s axis does not meet the sheet in front of it: use "rigid".'
+            f'The rig cannot be refined with the pose model "{choice.pose_model.option_name}", '
+            'because a camera\'s axis does not meet the sheet in front of it: use "rigid".'
         )
     return cameras
 
@@ -222,7 +222,7 @@ class _Fit(NamedTuple):
     squared : of every fragment's distance, in sigmas.
     information : (k, k) on the cameras' steps, which `sheet_information` is a part of.
     by_step, values : of the public parameters.
-    own_covariance_mm2, by_cameras : of the segments' ends, by the noise as it was claimed.
+    fragment_covariance_mm2, by_cameras : of the segments' ends, by the noise as it was claimed.
     """
 
     cameras: CameraState
@@ -236,7 +236,7 @@ class _Fit(NamedTuple):
     by_step: Float[ArrayLike, "k k"]
     values: Float[ArrayLike, "v p"]
     ends_mm: Float[ArrayLike, "t 2 3"]
-    own_covariance_mm2: Float[ArrayLike, "t 6 6"]
+    fragment_covariance_mm2: Float[ArrayLike, "t 6 6"]
     by_cameras: Float[ArrayLike, "t 6 k"]
 
 

@@ -19,7 +19,7 @@ from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import DetectionError, InputError
-from trinoc.image.grey import grey_image, why_mixed
+from trinoc.image.grey import describe_mixed_pixels, grey_image
 
 DETECTORS: dict[type[AbstractTarget], Callable[..., Detection]] = {
     Pattern: detect_circles,
@@ -59,7 +59,7 @@ def detect_or_explain(
 
     search : None for no search. camera : whose image it is.
     """
-    mixed = why_mixed(grey_image(np.asarray(image)))
+    mixed = describe_mixed_pixels(grey_image(np.asarray(image)))
     if mixed is not None:
         raise DetectionError(mixed)
     try:

@@ -173,7 +173,8 @@ def describe_processing(
     sure = {name for name in look if 0 < _SIGMAS * sigma[name] < abs(value[name])}
     said, bend = [], value["bend"]
     if scene.bend is None and abs(bend) > max(_SIGMAS * sigma["bend"], _LEAST_BEND):
-        curve = f"{PowerResponse(bend).words} ({bend:.2f} +- {sigma['bend']:.2f}, 0 linear, 1 sRGB)"
+        spread = f"({bend:.2f} +- {sigma['bend']:.2f}, 0 linear, 1 sRGB)"
+        curve = f"{PowerResponse(bend).description} {spread}"
         said.append(f"response {curve}")
     if "contrast" in sure:
         said.append("response with an s-curve")

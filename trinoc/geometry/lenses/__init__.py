@@ -1,1 +1,1 @@
-"""What a lens does to a ray: one file for each model, and the registry of their names."""
+"""Lens models: one file for each, and the registry of their names."""

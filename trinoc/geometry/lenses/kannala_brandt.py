@@ -1,8 +1,8 @@
-"""The fisheye of Kannala and Brandt: a polynomial of the angle from the optical axis.
+"""Fisheye model of Kannala and Brandt: a polynomial in the angle from the optical axis.
 
 Source: J. Kannala and S. S. Brandt, "A generic camera model and calibration method for
-conventional, wide-angle, and fish-eye lenses", PAMI 28(8), 2006; the coefficients are those of
-`cv2.fisheye`, Kalibr's and ROS's "equidistant".
+conventional, wide-angle, and fish-eye lenses", PAMI 28(8), 2006. The coefficients are those of
+`cv2.fisheye`, and of "equidistant" in Kalibr and ROS.
 """
 
 from typing import ClassVar
@@ -18,13 +18,15 @@ from trinoc.numerics.precision import ArrayLike
 _NEWTON_STEPS = 20
 # numerical: a slope near zero would throw the next angle far beyond the lens.
 _LEAST_SLOPE = 0.05
-# Below this square of the angle's tangent, series replace quotients of two small numbers.
+# Below this squared tangent of the angle, a series replaces the quotient of two small numbers.
 _NEAR_AXIS = 1e-6
 
 
 class KannalaBrandt(AbstractLens):
-    """A fisheye: a ray at the angle t from the optical axis is imaged at the radius
-    t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8), up to t = 180 degrees."""
+    """Fisheye lens with a polynomial in the angle t from the optical axis, up to t = 180 degrees.
+
+    A ray at t has the image radius t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8), in focal lengths.
+    """
 
     model: ClassVar[str] = "kannala_brandt"
     coefficient_names: ClassVar[tuple[str, ...]] = ("k1", "k2", "k3", "k4")
@@ -36,7 +38,7 @@ class KannalaBrandt(AbstractLens):
     newton: ClassVar[tuple[int, float]] = (_NEWTON_STEPS, _LEAST_SLOPE)
 
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """The radius along the direction of (x, y)."""
+        """Image radius along the direction of (x, y), in focal lengths, (2,)."""
         across, forward = ray_cam[:2], ray_cam[2]
         square = across @ across
         angle_per_across = _angle_per_radius(square, forward)
@@ -44,7 +46,7 @@ class KannalaBrandt(AbstractLens):
         return across * (angle_per_across * _radius_per_angle(angle_square, self.coefficients))
 
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """The unit ray, its angle by Newton's method."""
+        """Unit ray (3,); its angle comes from Newton's method."""
         square = distorted @ distorted
         on_axis = square < 1e-30
         radius = jnp.sqrt(jnp.where(on_axis, 1.0, square))
@@ -53,7 +55,7 @@ class KannalaBrandt(AbstractLens):
         return jnp.concatenate([across, jnp.where(on_axis, 1.0, jnp.cos(angle))[None]])
 
     def radial_part(self) -> RadialPart:
-        """The polynomial."""
+        """The polynomial in the angle."""
         falling = np.asarray(self.coefficients, dtype=np.float64)[::-1].tolist()
         return RadialPart((*falling, 1.0), by_angle=True)
 
@@ -61,20 +63,23 @@ class KannalaBrandt(AbstractLens):
 def _angle_per_radius(
     square: Float[ArrayLike, ""], forward: Float[ArrayLike, ""]
 ) -> Float[ArrayLike, ""]:
-    """atan2(a, z) / a of a ray, where a^2 is `square`; smooth on the optical axis."""
-    near = (forward > 0) & (square < _NEAR_AXIS * forward * forward)
-    safe = jnp.where(near, 1.0, forward)
-    across = jnp.sqrt(jnp.where(near, 1.0, square))
-    far = jnp.arctan2(across, safe) / across
-    z = jnp.where(near, forward, 1.0)
-    q = jnp.where(near, square, 0.0) / (z * z)
-    return jnp.where(near, (1 - q * (1 / 3 - q * (1 / 5 - q / 7))) / z, far)
+    """Angle over distance from the axis, atan2(a, z) / a, of a ray with a^2 = `square`.
+
+    Smooth on the optical axis.
+    """
+    is_near_axis = (forward > 0) & (square < _NEAR_AXIS * forward * forward)
+    safe = jnp.where(is_near_axis, 1.0, forward)
+    across = jnp.sqrt(jnp.where(is_near_axis, 1.0, square))
+    general = jnp.arctan2(across, safe) / across
+    z = jnp.where(is_near_axis, forward, 1.0)
+    q = jnp.where(is_near_axis, square, 0.0) / (z * z)
+    return jnp.where(is_near_axis, (1 - q * (1 / 3 - q * (1 / 5 - q / 7))) / z, general)
 
 
 def _radius_per_angle(
     angle_square: Float[ArrayLike, ""], coefficients: Float[ArrayLike, "4"]
 ) -> Float[ArrayLike, ""]:
-    """1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8."""
+    """Image radius over angle: 1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8."""
     k1, k2, k3, k4 = (coefficients[i] for i in range(4))
     t2 = angle_square
     return 1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))
@@ -83,7 +88,7 @@ def _radius_per_angle(
 def _angle_of_radius(
     radius: Float[ArrayLike, ""], coefficients: Float[ArrayLike, "4"]
 ) -> Float[ArrayLike, ""]:
-    """The angle whose radius this is, between 0 and 180 degrees."""
+    """Angle from the axis, 0 to pi rad, of an image radius, by Newton's method."""
     k1, k2, k3, k4 = (coefficients[i] for i in range(4))
 
     def step(_: ArrayLike, angle: Float[ArrayLike, ""]) -> Float[ArrayLike, ""]:

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from trinoc.numerics.precision import ArrayLike
 
 NEWTON_STEPS = 8
-# A step from the solution doubles the order up to which derivatives are those of the inverse, so
-# two give all up to the third; the steps before need none.
+# A step at the solution doubles the order up to which derivatives are exact. So two steps give
+# them up to the third order; earlier steps need no derivatives.
 _DIFFERENTIATED_STEPS = 2
 
 
@@ -19,11 +19,11 @@ def inverse_in_plane(
     image: Float[ArrayLike, "2"],
     steps: int = NEWTON_STEPS,
 ) -> Float[ArrayLike, "2"]:
-    """The point that `mapping`, a deformation near the identity, takes to `image`.
+    """Return the point that `mapping`, a deformation near the identity, maps to `image`.
 
-    Converges to rounding error wherever a lens maps one to one between the optical axis
-    and the point; beyond the radius where distortion folds back the result is meaningless.
-    Derivatives, by `image` and by what `mapping` holds, are right up to the third.
+    Newton's method converges to rounding error where a lens is one to one between the optical axis
+    and the point. Beyond the fold of the distortion the result is meaningless. Derivatives by
+    `image` and by the parameters of `mapping` are exact up to the third order.
     """
     jacobian_of = jax.jacfwd(mapping)
 
@@ -42,6 +42,9 @@ def newton_iterations(
     start: Float[ArrayLike, "*n"],
     steps: int,
 ) -> Float[ArrayLike, "*n"]:
-    """Where so many steps of Newton's method lead, with derivatives of the solution."""
+    """Result of a fixed number of Newton steps, with derivatives of the solution.
+
+    Only the last two steps are differentiated.
+    """
     before = jax.lax.fori_loop(0, steps - _DIFFERENTIATED_STEPS, step, start)
     return jax.lax.fori_loop(0, _DIFFERENTIATED_STEPS, step, jax.lax.stop_gradient(before))

@@ -1,9 +1,9 @@
-"""Lenses without distortion, and with polynomials as OpenCV has them: Brown-Conrady by its first
-five coefficients, the rational one by eight, without and with its thin prism.
+"""Pinhole lens and OpenCV's polynomial models: Brown-Conrady, rational, and thin prism.
 
+Brown-Conrady has OpenCV's first five coefficients, the rational model eight, the thin prism twelve.
 Sources: D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37(8), 1971;
-OpenCV, "Camera Calibration and 3D Reconstruction", the model of `cv2.projectPoints`; the quotient
-is that of D. Claus and A. Fitzgibbon, "A rational function lens distortion model", CVPR 2005.
+OpenCV, "Camera Calibration and 3D Reconstruction", the model of `cv2.projectPoints`; for the
+quotient D. Claus and A. Fitzgibbon, "A rational function lens distortion model", CVPR 2005.
 """
 
 import math
@@ -24,7 +24,7 @@ from trinoc.numerics.precision import ArrayLike
 
 
 class Pinhole(AbstractLens):
-    """An ideal lens, which has no coefficients: straight lines stay straight."""
+    """An ideal lens without coefficients: images of straight lines are straight."""
 
     model: ClassVar[str] = "none"
     coefficient_names: ClassVar[tuple[str, ...]] = ()
@@ -34,11 +34,11 @@ class Pinhole(AbstractLens):
     dispensable: ClassVar[tuple[str, ...]] = ()
 
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """(x/z, y/z)."""
+        """Normalised coordinates (x/z, y/z) of the ray, unchanged."""
         return ray_cam[:2] / ray_cam[2]
 
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """(x, y, 1)."""
+        """Ray (x, y, 1) of normalised coordinates."""
         return ray_of_normalised(distorted)
 
 
@@ -53,13 +53,13 @@ class BrownConrady(AbstractPlaneLens):
     dispensable: ClassVar[tuple[str, ...]] = ("k3", "k2")
 
     def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """The place after the polynomial."""
+        """Coordinates after radial and tangential distortion, (2,)."""
         k1, k2, p1, p2, k3 = (self.coefficients[i] for i in range(5))
         r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]
         return radial_and_tangential(ideal, 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), p1, p2)
 
     def radial_part(self) -> RadialPart:
-        """r (1 + k1 r^2 + k2 r^4 + k3 r^6)."""
+        """Radial part r (1 + k1 r^2 + k2 r^4 + k3 r^6), with a bound on the tangential part."""
         k1, k2, p1, p2, k3 = np.asarray(self.coefficients, dtype=np.float64).tolist()
         return RadialPart((k3, k2, k1, 1.0), tangential=(6 * math.hypot(p1, p2), 0.0))
 
@@ -70,7 +70,7 @@ def radial_and_tangential(
     p1: Float[ArrayLike, ""],
     p2: Float[ArrayLike, ""],
 ) -> Float[ArrayLike, "2"]:
-    """A place that is moved along its radius by a factor, and across it by p1 and p2."""
+    """Scale normalised coordinates by the factor `radial` and add tangential distortion, (2,)."""
     x, y = ideal[0], ideal[1]
     along = radial + 2 * (p2 * x + p1 * y)
     return ideal * along + jnp.stack([p2, p1]) * (x * x + y * y)
@@ -91,16 +91,16 @@ class Rational(AbstractPlaneLens):
     dispensable: ClassVar[tuple[str, ...]] = ("k6", "k5", "k4", "k3", "k2")
 
     def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """The place after quotient and tangential part."""
+        """Coordinates after the radial quotient and tangential distortion, (2,)."""
         return _by_quotient(ideal, self.coefficients)
 
     def radial_part(self) -> RadialPart:
-        """The quotient."""
+        """Radial quotient, with a bound on the tangential part."""
         return _radial_part(np.asarray(self.coefficients, dtype=np.float64).tolist())
 
 
 class ThinPrism(AbstractPlaneLens):
-    """`Rational` with OpenCV's thin prism: (s1 r^2 + s2 r^4, s3 r^2 + s4 r^4) besides."""
+    """`Rational` plus OpenCV's thin prism: (s1 r^2 + s2 r^4, s3 r^2 + s4 r^4) is added."""
 
     model: ClassVar[str] = "thin_prism"
     coefficient_names: ClassVar[tuple[str, ...]] = (*_RATIONAL, "s1", "s2", "s3", "s4")
@@ -113,14 +113,14 @@ class ThinPrism(AbstractPlaneLens):
     )
 
     def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """The place after quotient, tangential part and prism."""
+        """Coordinates after radial quotient, tangential distortion and thin prism, (2,)."""
         s1, s2, s3, s4 = (self.coefficients[i] for i in range(8, 12))
         r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]
         prism = jnp.stack([r2 * (s1 + r2 * s2), r2 * (s3 + r2 * s4)])
         return _by_quotient(ideal, self.coefficients) + prism
 
     def radial_part(self) -> RadialPart:
-        """The quotient."""
+        """Radial quotient, with a bound on the tangential part and the prism."""
         values = np.asarray(self.coefficients, dtype=np.float64).tolist()
         s1, s2, s3, s4 = values[8:]
         radial = _radial_part(values)
@@ -131,7 +131,7 @@ class ThinPrism(AbstractPlaneLens):
 def _by_quotient(
     ideal: Float[ArrayLike, "2"], coefficients: Float[ArrayLike, "c"]
 ) -> Float[ArrayLike, "2"]:
-    """(x/z, y/z) of an ideal pinhole to those of the lens, by the first eight coefficients."""
+    """Coordinates distorted by the first eight coefficients, (2,)."""
     k1, k2, p1, p2, k3, k4, k5, k6 = (coefficients[i] for i in range(8))
     r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]
     above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))

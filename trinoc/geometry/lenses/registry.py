@@ -1,4 +1,4 @@
-"""The lens models by name, and lenses of several models brought to one."""
+"""Registry of lens models by name, and conversions between models."""
 
 from collections.abc import Sequence
 
@@ -16,15 +16,15 @@ LENS_MODELS: dict[str, type[AbstractLens]] = {
     lens.model: lens
     for lens in (Pinhole, BrownConrady, Rational, ThinPrism, KannalaBrandt, *SPLINED.values())
 }
-# The model of coefficients that come without a name, and that an ideal lens is given where its
-# distortion is asked for.
+# Model of coefficients without a model name, and of an ideal lens whose distortion is to be
+# estimated.
 DEFAULT_DISTORTION = BrownConrady
-# What stands for the model where none is named: that one, or a wider one if it folds an image.
+# Option value if no model is named: DEFAULT_DISTORTION, or a wider model if that one folds.
 DEFAULT_LENS = "default"
 
 
 def lens_model(name: str) -> type[AbstractLens]:
-    """The lens of a model's name. Raises InputError for one that is not known."""
+    """Return the lens class of a model name. Raises InputError for an unknown name."""
     if not isinstance(name, str) or name not in LENS_MODELS:
         raise InputError(
             f"The lens model is {name!r}, but must be one of {', '.join(LENS_MODELS)}."
@@ -35,7 +35,10 @@ def lens_model(name: str) -> type[AbstractLens]:
 def promote_lens(
     lens: AbstractLens, model: type[AbstractLens] = DEFAULT_DISTORTION
 ) -> AbstractLens:
-    """An ideal lens as one of `model`, at whose zero it is ideal; any other as it is."""
+    """Convert an ideal lens to a model with zero coefficients.
+
+    Other lenses are returned unchanged.
+    """
     if lens.has_distortion:
         return lens
     zeros = np.zeros(len(model.coefficient_names))
@@ -43,16 +46,21 @@ def promote_lens(
 
 
 def widen_lens(lens: AbstractLens, model: type[AbstractLens]) -> AbstractLens:
-    """A lens as one of a model whose coefficients begin with its own, and whose others are 0 where
-    it is the same lens."""
+    """Convert a lens to a wider model; the added coefficients are 0 and the lens is equal.
+
+    The coefficients of `model` must begin with those of the lens.
+    """
     zeros = np.zeros(len(model.coefficient_names) - len(lens.coefficient_names))
     coefficients = np.append(np.asarray(lens.coefficients), zeros)
     return model(lens.focal_length_px, lens.principal_point_px, lens.skew_px, coefficients)
 
 
 def simplify_lens(lens: AbstractLens) -> AbstractLens:
-    """An ideal lens where all coefficients are zero and say so, the core of a splined lens without
-    a correction; the lens as it is otherwise."""
+    """Return the simplest model of the same lens.
+
+    This is the core of a splined lens without correction, and a pinhole if all coefficients are
+    zero.
+    """
     if isinstance(lens, AbstractSplinedLens) and not np.any(np.asarray(lens.control_px)):
         lens = lens.core
     if not lens.zero_is_ideal or np.any(np.asarray(lens.coefficients) != 0.0):
@@ -62,23 +70,23 @@ def simplify_lens(lens: AbstractLens) -> AbstractLens:
 
 
 def spline_lens(lens: AbstractLens, image_size_px: tuple[int, int]) -> AbstractSplinedLens:
-    """A lens with a correction that is zero, and may be fitted.
+    """Return the lens with a spline correction of zero, which a fit may then change.
 
-    Raises InputError for a model that is no core of a splined lens.
+    Raises InputError if the model cannot be the core of a splined lens.
     """
     core = promote_lens(lens)
     if type(core) not in SPLINED:
         raise InputError(
-            f"The lens model {core.model} takes no correction by splines: use one of "
+            f"The lens model {core.model} takes no correction by splines. Use one of "
             f"{', '.join(each.model for each in SPLINED)}."
         )
     return SPLINED[type(core)].of_core(core, image_size_px)
 
 
 def stack_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:
-    """Several lenses along a new first axis, ideal ones promoted to the model of the others.
+    """Stack lenses along a new first axis; ideal lenses are promoted to the model of the others.
 
-    Raises InputError where they are of two models that both distort.
+    Raises InputError for two models that both distort.
     """
     models = {type(lens) for lens in lenses if lens.has_distortion}
     if not all(model.zero_is_ideal for model in models):
@@ -86,8 +94,8 @@ def stack_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:
     if len(models) > 1:
         raise InputError(
             f"Lenses of the models {' and '.join(sorted(model.model for model in models))} cannot "
-            "be fitted together: give lenses of one model (ideal ones may be among them)."
+            "be fitted together. Give lenses of one model; ideal lenses may be among them."
         )
-    alike = [promote_lens(lens, model) for model in models for lens in lenses] or list(lenses)
-    xp = array_namespace(alike)
-    return jax.tree.map(lambda *leaves: xp.stack([xp.asarray(leaf) for leaf in leaves]), *alike)
+    promoted = [promote_lens(lens, model) for model in models for lens in lenses] or list(lenses)
+    xp = array_namespace(promoted)
+    return jax.tree.map(lambda *leaves: xp.stack([xp.asarray(leaf) for leaf in leaves]), *promoted)

@@ -1,8 +1,8 @@
-"""Lenses whose skew is fitted: the affine part of a camera is then any that a matrix may have.
+"""Lenses with skew as a parameter, so that the affine part of the camera is unrestricted.
 
-Sensors have no skew, but the camera whose sensor is tilted against its lens (T. Scheimpflug, 1904)
-is one with skew, and so is one that is seen over places whose axes are not perpendicular. It is
-the shear of D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37(8), 1971.
+Sensors have no skew. But a camera with a tilted sensor (T. Scheimpflug, 1904) is equivalent to one
+with skew. So is a camera whose object points have axes that are not perpendicular. Skew is the
+shear of D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37(8), 1971.
 """
 
 from typing import TYPE_CHECKING, ClassVar
@@ -25,39 +25,39 @@ SKEW = "skew_px"
 
 
 class AbstractSkewedLens(AbstractLens):
-    """A lens that is its `core_model`, whose `parameters` end with the skew."""
+    """A lens of `core_model` with one more parameter at the end: the skew."""
 
     core_model: AbstractClassVar[type[AbstractLens]]
 
     def __init_subclass__(cls) -> None:
-        """Says of the lens what its core says, and that its skew is a parameter."""
+        """Set the class variables: those of the core model, plus the skew."""
         super().__init_subclass__()
         cls.model = f"skewed_{cls.core_model.model}"
         cls.parameter_names = (*cls.core_model.parameter_names, SKEW)
 
     @property
     def parameters(self) -> Float[ArrayLike, "q"]:
-        """Values of `parameter_names`."""
+        """Values of `parameter_names`, (q,)."""
         xp = array_namespace(self)
         return xp.append(super().parameters, self.skew_px)
 
     @classmethod
     def from_parameters(cls, values: Float[ArrayLike, "q"]) -> "AbstractSkewedLens":
-        """A lens from the values of `parameter_names`."""
+        """Lens from the values of `parameter_names`."""
         return cls(values[:2], values[2:4], values[-1], values[4:-1])
 
     def with_parameters(self, values: Float[ArrayLike, "q"]) -> "AbstractSkewedLens":
-        """This lens with other values of `parameter_names`."""
+        """Copy of this lens with other values of `parameter_names`."""
         return self.from_parameters(values)
 
     def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
-        """Those of the core, and a focal length: skew moves a corner as that along v does."""
+        """Scales of the core and, for the skew, the focal length, (q,)."""
         xp = array_namespace(self)
         return xp.append(super().parameter_scales(image_size_px), self.focal_length_px[0])
 
 
 class SkewedThinPrism(AbstractSkewedLens, ThinPrism):
-    """`ThinPrism` with skew: it has Brown-Conrady's and the rational lens within it."""
+    """`ThinPrism` with skew. Contains Brown-Conrady and the rational model as special cases."""
 
     core_model: ClassVar[type[AbstractLens]] = ThinPrism
 
@@ -68,7 +68,7 @@ class SkewedKannalaBrandt(AbstractSkewedLens, KannalaBrandt):
     core_model: ClassVar[type[AbstractLens]] = KannalaBrandt
 
 
-# From the one that contains least; each has the coefficients of those before it first.
+# Nested models, narrowest first: each begins with the coefficients of the previous one.
 _NESTED = (BrownConrady, Rational, ThinPrism)
 _SKEWED: dict[type[AbstractLens], type[AbstractSkewedLens]] = {
     KannalaBrandt: SkewedKannalaBrandt,
@@ -77,21 +77,23 @@ _SKEWED: dict[type[AbstractLens], type[AbstractSkewedLens]] = {
 
 
 def skew_lens(lens: AbstractLens) -> AbstractLens:
-    """The lens as one of the widest model that contains it, whose skew is a parameter; as it is
-    where its model has none such."""
+    """Convert a lens to the widest model that contains it and has skew as a parameter.
+
+    A lens of a model without such a wider model is returned unchanged.
+    """
     model = _SKEWED.get(type(lens))
     return lens if model is None else widen_lens(lens, model)
 
 
 def straighten_lens(lens: AbstractLens, model: type[AbstractLens]) -> AbstractLens:
-    """Inverse of `skew_lens`: the lens as one of `model`, or of the next that its coefficients
-    need."""
+    """Inverse of `skew_lens`: convert to `model`, or to the narrowest wider model that fits."""
     if not isinstance(lens, AbstractSkewedLens):
         return lens
     values = np.asarray(lens.coefficients)
-    least = len(model.coefficient_names)
-    for each in (model, *(wider for wider in _NESTED if len(wider.coefficient_names) > least)):
-        count = len(each.coefficient_names)
+    model_count = len(model.coefficient_names)
+    wider_models = [wider for wider in _NESTED if len(wider.coefficient_names) > model_count]
+    for candidate in (model, *wider_models):
+        count = len(candidate.coefficient_names)
         if not values[count:].any():
             break
-    return each(lens.focal_length_px, lens.principal_point_px, lens.skew_px, values[:count])
+    return candidate(lens.focal_length_px, lens.principal_point_px, lens.skew_px, values[:count])

@@ -1,8 +1,8 @@
-"""Lenses that no polynomial describes: one that does, and a correction by B-splines.
+"""Splined lenses: a polynomial lens plus a correction by a bicubic B-spline surface.
 
-The correction is a smooth surface over the picture that the polynomial gives, so that its inverse
-is a small step in the plane and all rays are those of the polynomial, beyond 90 degrees, too.
-Source of the idea: mrcal's splined models, whose surface lies over a stereographic picture.
+The correction is a smooth function on the distorted image of the polynomial lens, its core. So its
+inverse is a small step in the plane. All rays are those of the core, also beyond 90 degrees. The
+idea is from mrcal's splined models, whose surface lies over a stereographic projection.
 """
 
 from functools import cache
@@ -24,52 +24,68 @@ else:
     from equinox import AbstractClassVar
 
 
-# A cell is under the basis functions of so many control points along each side.
+# Number of control points whose basis functions overlap a cell, along each side.
 ORDER = 4
 
 
 def surface(
-    control: Float[ArrayLike, "rows columns"], place: Float[ArrayLike, "2"]
+    control: Float[ArrayLike, "rows columns"], position: Float[ArrayLike, "2"]
 ) -> Float[ArrayLike, ""]:
-    """Height of the surface at a place, which counts cells from the grid's first corner.
+    """Height of the B-spline surface at a grid position.
 
-    place : (along columns, along rows), from 0 to columns - 3 and rows - 3; beyond, the height is
-        that of the nearest place of the grid.
+    Parameters
+    ----------
+    control : (rows, columns)
+        Control points.
+    position : (2,)
+        Position in cells from the first corner of the grid, along columns and along rows. Outside
+        the grid, the height at the nearest grid position is returned.
     """
     rows, columns = control.shape
-    along, across = basis(place, rows, columns)
+    along, across = basis(position, rows, columns)
     return along @ control @ across
 
 
 def basis(
-    place: Float[ArrayLike, "2"], rows: int, columns: int
+    position: Float[ArrayLike, "2"], rows: int, columns: int
 ) -> tuple[Float[ArrayLike, "rows"], Float[ArrayLike, "columns"]]:
-    """What each row, and each column, of control points counts at a place."""
-    return _basis(place[1], rows), _basis(place[0], columns)
+    """Weights of the rows and of the columns of control points at a grid position, ((r,), (c,))."""
+    return _basis(position[1], rows), _basis(position[0], columns)
 
 
-def _basis(place: Float[ArrayLike, ""], count: int) -> Float[ArrayLike, "n"]:
-    """The basis function of every control point along one side; they sum to one.
+def _basis(position: Float[ArrayLike, ""], count: int) -> Float[ArrayLike, "n"]:
+    """Value of the basis function of every control point along one side, (n,); they sum to one.
 
-    All of them, though four at most are not zero: a derivative by many control points is then one
-    product of matrices, which takes less time than picking four out of each.
+    At most four are not zero, but all are computed. A derivative by many control points is then one
+    matrix product, which is faster than gathering four values each.
     """
-    inside = jnp.clip(place, 0.0, float(count - ORDER + 1))
-    away = jnp.abs(inside - (np.arange(count) - 1.0).astype(inside.dtype))
-    near, far = jnp.maximum(1.0 - away, 0.0), jnp.maximum(2.0 - away, 0.0)
-    return (far**3 - 4.0 * near**3) / 6.0
+    inside = jnp.clip(position, 0.0, float(count - ORDER + 1))
+    separation = jnp.abs(inside - (np.arange(count) - 1.0).astype(inside.dtype))
+    inner, outer = jnp.maximum(1.0 - separation, 0.0), jnp.maximum(2.0 - separation, 0.0)
+    return (outer**3 - 4.0 * inner**3) / 6.0
 
 
-def smoothness(rows: int, columns: int, reach: float) -> Float[np.ndarray, "n n"]:
-    """Inverse covariance of the control points of a smooth random surface of variance 1.
+def smoothness(rows: int, columns: int, correlation_cells: float) -> Float[np.ndarray, "n n"]:
+    """Inverse covariance (n, n) of the control points of a smooth random surface of variance 1.
 
-    reach : cells over which its heights go together. The points stand row by row. Heights have
-    the covariance of Matern, of smoothness 1, and variance 1 on average over the grid. Source:
+    Parameters
+    ----------
+    rows, columns : int
+        Size of the grid; control points are in row-major order.
+    correlation_cells : float
+        Correlation length of the heights, in cells.
+
+    Notes
+    -----
+    The surface has a Matern covariance of smoothness 1; its variance is 1 on average over the grid.
+
+    References
+    ----------
     F. Lindgren, H. Rue and J. Lindstrom, "An explicit link between Gaussian fields and Gaussian
     Markov random fields", J. R. Statist. Soc. B 73(4), 2011.
     """
     bend = np.kron(_bend(rows), np.eye(columns)) + np.kron(np.eye(rows), _bend(columns))
-    root = 8.0 / reach**2 * np.eye(rows * columns) + bend
+    root = 8.0 / correlation_cells**2 * np.eye(rows * columns) + bend
     information = root @ root
     heights = np.kron(_heights(rows), _heights(columns))
     variance = np.einsum("hi,ij,hj->h", heights, np.linalg.inv(information), heights)
@@ -77,15 +93,15 @@ def smoothness(rows: int, columns: int, reach: float) -> Float[np.ndarray, "n n"
 
 
 def _bend(count: int) -> Float[np.ndarray, "n n"]:
-    """Minus the second difference along a row of points, which ends without a slope."""
+    """Negative second-difference matrix along one side, with zero slope at both ends, (n, n)."""
     step = np.diff(np.eye(count), axis=0)
     return step.T @ step
 
 
 def _heights(count: int) -> Float[np.ndarray, "h n"]:
-    """Heights at the cells' corners by the control points of one side."""
-    near, middle = (np.eye(count - ORDER + 2, count, k=k) for k in (0, 1))
-    return (near + 4.0 * middle + np.eye(count - ORDER + 2, count, k=2)) / 6.0
+    """Matrix from the control points of one side to heights at the cell corners, (h, n)."""
+    previous, middle = (np.eye(count - ORDER + 2, count, k=k) for k in (0, 1))
+    return (previous + 4.0 * middle + np.eye(count - ORDER + 2, count, k=2)) / 6.0
 
 
 ROWS, COLUMNS = 10, 12
@@ -93,24 +109,24 @@ _CELLS = np.array([COLUMNS, ROWS]) - ORDER + 1
 _EXTENT = ("log_half_u", "log_half_v")
 _CONTROL = tuple(f"{d}_{r}_{c}" for d in ("du", "dv") for r in range(ROWS) for c in range(COLUMNS))
 _ADDED = (*_EXTENT, *_CONTROL)
-# Names of the coefficients of the correction, too many to be listed one by one.
+# Names of the coefficients of the correction, for messages that summarise them.
 SPLINE_PARAMETERS = frozenset(_ADDED)
 _POWERS = (0,) * len(_ADDED)
-# The grid goes beyond the edges of the picture by this share.
+# The grid extends beyond the image edges by this share.
 _MARGIN = 0.02
-# The correction is small and smooth: of one of 5 px, four leave rounding.
+# For a correction of 5 px, four steps converge to rounding.
 _NEWTON_STEPS = 5
-# Cells over which the correction goes together, as far as the prior has it.
-_REACH = 4.0
+# Prior correlation length of the correction, cells.
+_CORRELATION_CELLS = 4.0
 
 
 class AbstractSplinedLens(AbstractLens):
-    """A lens whose pixels are those of `core`, moved by (du, dv) of a bicubic B-spline.
+    """A lens with the pixels of its core, displaced by a bicubic B-spline (du, dv).
 
-    The control points, 10 rows of 12 for du and then for dv, in pixels, are coefficients, after
-    those of the core and the logarithms of half the extent of the grid along u and v, in focal
-    lengths from the principal point. The extent is never fitted. Beyond the grid the correction
-    stays what it is at its edge.
+    The coefficients are those of the core, the logarithms of half the grid's extent along u and v,
+    and the control points. The extent is in focal lengths from the principal point and is never
+    fitted. The control points are 10 rows of 12 for du, then for dv, in px. Outside the grid the
+    correction is constant.
     """
 
     core_model: AbstractClassVar[type[AbstractLens]]
@@ -118,7 +134,7 @@ class AbstractSplinedLens(AbstractLens):
     never_fitted: ClassVar[tuple[str, ...]] = _EXTENT
 
     def __init_subclass__(cls) -> None:
-        """Says of the lens what its core says, and what the correction adds."""
+        """Set the class variables: those of the core model, plus the control points."""
         super().__init_subclass__()
         core = cls.core_model
         cls.model = f"splined_{core.model}"
@@ -138,27 +154,27 @@ class AbstractSplinedLens(AbstractLens):
 
     @property
     def control_px(self) -> Float[ArrayLike, "2 rows columns"]:
-        """The control points of du and of dv."""
+        """Control points of du and dv, (2, rows, columns) px."""
         return self.coefficients[-len(_CONTROL) :].reshape(2, ROWS, COLUMNS)
 
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """What the core has, corrected."""
+        """Distorted coordinates of the core, plus the correction, (2,)."""
         return self._correct(self.core.distort(ray_cam))
 
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """The ray of the core's picture, which is found by Newton's method."""
+        """Ray of the core; the correction is inverted by Newton's method."""
         of_core = inverse_in_plane(self._correct, distorted, _NEWTON_STEPS)
         return self.core.undistort(of_core)
 
     def radial_part(self) -> RadialPart | None:
-        """That of the core."""
+        """Radial part of the core."""
         return self.core.radial_part()
 
     def steepness(self) -> float:
-        """A bound on how much the correction changes from one pixel to the next.
+        """Bound on the change of the correction from one pixel to the next, px/px.
 
-        Below 1 the correction is one to one, and its inverse exists everywhere. The lens must not
-        be traced.
+        Below 1 the correction is one to one and has an inverse everywhere. The lens must not be
+        traced.
         """
         half = np.exp(np.asarray(self.coefficients[-len(_CONTROL) - 2 : -len(_CONTROL)]))
         cell_px = 2.0 * half * np.asarray(self.focal_length_px) / _CELLS
@@ -170,14 +186,14 @@ class AbstractSplinedLens(AbstractLens):
         return float(np.linalg.norm(steps))
 
     def valid_radius_px(self) -> float:
-        """That of the core less the longest correction; 0 for a correction that folds."""
+        """Valid radius of the core minus the largest correction, px; 0 if the correction folds."""
         if not self.steepness() < 1.0:
             return 0.0
         longest_px = np.linalg.norm(np.abs(np.asarray(self.control_px)).max(axis=(1, 2)))
         return max(self.core.valid_radius_px() - float(longest_px), 0.0)
 
     def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
-        """Those of the core; for control points, half the diagonal of the picture."""
+        """Scales of the core; half the image diagonal for control points, (q,)."""
         xp = array_namespace(self)
         fu = self.focal_length_px[0]
         corner_px = 0.5 * fu * xp.hypot(image_size_px[0] / fu, image_size_px[1] / fu)
@@ -186,36 +202,37 @@ class AbstractSplinedLens(AbstractLens):
         return xp.concatenate([self.core.parameter_scales(image_size_px), extent, of_control])
 
     def with_focal_factor(self, factor: Float[ArrayLike, "2"]) -> AbstractLens:
-        """This lens with focal lengths multiplied, and the correction with them."""
+        """Copy of this lens with focal lengths and correction multiplied by `factor`."""
         xp = array_namespace(self, factor)
         scaled = super().with_focal_factor(factor)
         control = (self.control_px * factor[:, None, None]).ravel()
         values = xp.concatenate([self.parameters[: -len(_CONTROL)], control])
         return scaled.with_parameters(xp.concatenate([scaled.parameters[:2], values[2:]]))
 
-    def _correct(self, place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """A place of the core's picture, in focal lengths, after the correction."""
-        in_cells, (du, dv) = self._in_cells(place), self.control_px
+    def _correct(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """Apply the correction to distorted coordinates of the core, in focal lengths."""
+        in_cells, (du, dv) = self._in_cells(normalised), self.control_px
         shift_px = jnp.stack([surface(du, in_cells), surface(dv, in_cells)])
-        return place + shift_px / self.focal_length_px
+        return normalised + shift_px / self.focal_length_px
 
     def by_control(self, uv_of_core_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2 k"]:
-        """Derivative of a pixel, of a lens without skew, by the control points, the last of its
-        parameters. Which count is told by the pixel that the core has.
+        """Derivative (2, k) of a pixel by the control points, the last k parameters, for skew 0.
+
+        `uv_of_core_px` is the pixel of the core; it selects the cell of the grid.
         """
         along, across = basis(self._in_cells(self.affine_inverse(uv_of_core_px)), ROWS, COLUMNS)
         counts = (along[:, None] * across[None]).ravel()
         none = jnp.zeros_like(counts)
         return jnp.stack([jnp.concatenate([counts, none]), jnp.concatenate([none, counts])])
 
-    def _in_cells(self, place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """A place of the core's picture, in cells from the corner of the grid."""
+    def _in_cells(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        """Convert distorted coordinates of the core to cells from the grid corner."""
         half = jnp.exp(self.coefficients[-len(_CONTROL) - 2 : -len(_CONTROL)])
-        return 0.5 * (place / half + 1.0) * _CELLS.astype(place.dtype)
+        return 0.5 * (normalised / half + 1.0) * _CELLS.astype(normalised.dtype)
 
     @classmethod
     def of_core(cls, core: AbstractLens, image_size_px: tuple[int, int]) -> "AbstractSplinedLens":
-        """A lens of `core_model`, its correction zero, on a grid that covers the picture."""
+        """Lens with a zero correction on a grid that covers the image."""
         centre, size = np.asarray(core.principal_point_px), np.asarray(image_size_px, float)
         reach_px = np.maximum(centre + 0.5, size - 0.5 - centre)
         half = (1.0 + _MARGIN) * reach_px / np.asarray(core.focal_length_px)
@@ -224,10 +241,10 @@ class AbstractSplinedLens(AbstractLens):
 
     @classmethod
     def correction_information(cls) -> Float[np.ndarray, "q q"]:
-        """Inverse covariance of `parameters` under a prior on the correction alone.
+        """Inverse covariance (q, q) of `parameters` under the prior on the correction.
 
-        The prior has the mean zero and a standard deviation of 1 px over the field, going
-        together over four cells of the grid; divide by the square of another sigma for that.
+        The prior has mean 0, a standard deviation of 1 px, and a correlation length of four cells.
+        For another standard deviation sigma, divide by sigma^2.
         """
         return _information(cls)
 
@@ -236,7 +253,9 @@ class AbstractSplinedLens(AbstractLens):
 def _information(model: type[AbstractSplinedLens]) -> Float[np.ndarray, "q q"]:
     information = np.zeros((len(model.parameter_names),) * 2)
     count = len(_CONTROL)
-    information[-count:, -count:] = np.kron(np.eye(2), smoothness(ROWS, COLUMNS, _REACH))
+    information[-count:, -count:] = np.kron(
+        np.eye(2), smoothness(ROWS, COLUMNS, _CORRELATION_CELLS)
+    )
     return information
 
 

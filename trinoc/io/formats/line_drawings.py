@@ -35,7 +35,7 @@ def write_gltf(value: Matches | Feature, path: Path, unit_mm: float) -> None:
     if len(value) == 0:
         raise InputError(f"{path} was not written: there is no 3-D segment, and glTF needs one.")
     wires = value.wires()
-    x, y, z = (wires.places_mm[wires.pairs.reshape(-1)] / unit_mm).T
+    x, y, z = (wires.points_mm[wires.pairs.reshape(-1)] / unit_mm).T
     vertices = np.stack([x, z, -y], axis=1).astype("<f4")
     content = vertices.tobytes()
     if path.suffix.lower() == ".gltf":
@@ -127,7 +127,7 @@ def write_dxf(value: Matches | Feature, path: Path, unit_mm: float) -> None:
         *((0, "SECTION"), (2, "ENTITIES")),
     ]
     wires = value.wires()
-    places = wires.places_mm / unit_mm
+    places = wires.points_mm / unit_mm
     layers = _layers(value)
     for row, (start, end) in zip(wires.owner, places[wires.pairs].tolist(), strict=True):
         pairs += [(0, "LINE"), (8, layers[row].upper())]

@@ -101,7 +101,7 @@ def write_ply(value: Matches | Feature, path: Path, unit_mm: float) -> None:
     """Write vertices, faces and edges as text; each edge has the columns of what it is of."""
     wires = value.wires()
     vertices: dict[str, np.ndarray] = dict(
-        zip(("x_mm", "y_mm", "z_mm"), wires.places_mm.T, strict=True)
+        zip(("x_mm", "y_mm", "z_mm"), wires.points_mm.T, strict=True)
     )
     if isinstance(value, Wireframe):
         vertices |= {"corner": value.corner}

@@ -21,7 +21,7 @@ from trinoc.geometry.intrinsics import (
     describe_unusable_fold,
     undistort_pixels,
 )
-from trinoc.geometry.rig import A_RIG, Rig, at_one_place
+from trinoc.geometry.rig import A_RIG, Rig, find_equal_centres
 from trinoc.geometry.segments import (
     DEFAULT_SIGMA_PX,
     Segments,
@@ -268,7 +268,7 @@ def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None
 
 
 def _check_apart(names: Iterable[str], rig: Rig) -> None:
-    pair = at_one_place({name: rig[name] for name in names})
+    pair = find_equal_centres({name: rig[name] for name in names})
     if pair is not None:
         raise MatchError(
             f'The cameras "{pair[0]}" and "{pair[1]}" stand at one place, which leaves depth '

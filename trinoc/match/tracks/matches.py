@@ -238,7 +238,7 @@ class Matches(Displayable, Table):
         dict[str, Shaped[np.ndarray, "..."]],
         Column(
             ColumnCheck("are no truth values, probabilities or words of tracks", _are_marks),
-            beside=True,
+            per_row=True,
         ),
     ] = field(default_factory=dict)
 

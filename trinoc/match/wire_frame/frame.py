@@ -131,7 +131,8 @@ class Wireframe(Feature):
     chi_square: Float[np.ndarray, "e"]
     degrees: Int[np.ndarray, "e"]
     edge_of_track: Annotated[
-        Int[np.ndarray, "t"], Column(check_number("e", "names an edge that is not there", least=-1))
+        Int[np.ndarray, "t"],
+        Column(check_number("e", "names an edge that is not there", smallest=-1)),
     ]
     face: Annotated[
         Int[np.ndarray, "m"], Column(check_number("f", "names a face that is not there"))
@@ -142,7 +143,7 @@ class Wireframe(Feature):
     face_chi_square: Float[np.ndarray, "f"]
     face_degrees: Int[np.ndarray, "f"]
     facing: Bool[np.ndarray, "f"]
-    let_go: Annotated[LetGo, Column(below="let_go_")]
+    let_go: Annotated[LetGo, Column(prefix="let_go_")]
 
     @property
     def checked(self) -> Bool[np.ndarray, "e"]:

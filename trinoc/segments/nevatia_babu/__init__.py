@@ -1,4 +1,6 @@
-"""The chain of Nevatia and Babu, in the order of the work.
+"""The chain of Nevatia and Babu, in the order of the steps.
 
-thinning -> chains -> runs -> line_fit -> accept -> errors, saturated_edges -> endpoints.
-Source: R. Nevatia, K. R. Babu, "Linear feature extraction and description" (1980)."""
+masks, thinning -> chains -> edge_points, runs -> line_fit -> side_slopes, accept -> neighbours,
+saturated_edges -> errors -> endpoints. Source: R. Nevatia, K. R. Babu, "Linear feature extraction
+and description" (1980).
+"""

@@ -1,8 +1,8 @@
 """Edge points linked into chains, and chains split into straight runs.
 
-Links are by predecessor and successor; runs by iterative end-point fit (R. O. Duda and P. E. Hart,
-"Pattern classification and scene analysis", 1973, 7.5), as Nevatia and Babu have it. All chains are
-worked on together.
+Links are predecessors and successors. Runs come from iterative end-point fit (R. O. Duda and P. E.
+Hart, "Pattern classification and scene analysis", 1973, 7.5), as in Nevatia and Babu. All chains
+are processed together.
 """
 
 import functools
@@ -14,22 +14,22 @@ from trinoc.numerics.joins import group_maxima, members
 from trinoc.segments.nevatia_babu.thinning import BORDER_PX, ThinnedPixels
 
 _SECTORS = 16  # numerical: of the table of steps
-# numerical: borders of the first sectors from u toward v.
+# numerical: slopes of the borders of the first sectors, from u toward v.
 _SLOPES = np.tan((np.arange(_SECTORS // 4) + 0.5) * (2 * np.pi / _SECTORS)).astype(np.float32)
-# Of the 24 steps, those within some sixty degrees of the direction.
+# Number of the 24 steps within about sixty degrees of the direction.
 _AHEAD = 10  # numerical: of the table of steps
 # numerical: Nevatia and Babu's own rule.
 _LEAST_COSINE = np.float32(np.cos(np.radians(30.0)))
-# Points that are worked on at a time: what they need stays in the processor's cache.
-_AT_ONCE = 1 << 13  # numerical: size of a block
+# Points per block, so that the data stay in the processor's cache.
+_BLOCK = 1 << 13  # numerical: size of a block
 
 
 def successors(pixels: ThinnedPixels, shape: tuple[int, int]) -> Int[np.ndarray, "n"]:
-    """(n,) the next point along the edge of each point, -1 where there is none.
+    """Next point along the edge of each point, (n,); -1 if there is none.
 
-    Of the points ahead, within two pixels and thirty degrees, the one with the least
-    distance along + 1.5 distance across + 2 (1 - cosine of the angle) is preferred; a link
-    stands where both sides prefer each other. `shape` is (height, width) of the picture.
+    Candidates are points ahead, within two pixels and thirty degrees. The preferred one has the
+    smallest distance along + 1.5 distance across + 2 (1 - cosine of the angle). A link requires
+    that both points prefer each other. `shape` is (height, width) of the image.
     """
     count = len(pixels.pixel)
     successor = np.full(count, -1, dtype=np.int64)
@@ -47,50 +47,53 @@ def successors(pixels: ThinnedPixels, shape: tuple[int, int]) -> Int[np.ndarray,
 def _candidate_links(
     pixels: ThinnedPixels, shape: tuple[int, int]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """Every pair (from, to) that may follow each other, and its cost."""
+    """(from, to, cost) of all pairs of points that may be consecutive."""
     width = shape[1]
     index = np.full(shape[0] * width, -1, dtype=np.int32)
     index[pixels.pixel] = np.arange(len(pixels.pixel), dtype=np.int32)
-    # As complex numbers, vectors are gathered whole.
-    place = np.ascontiguousarray(pixels.uv_px).view(np.complex64).ravel()
-    way = np.empty_like(place)
-    way.real, way.imag = -pixels.gradient[:, 1], pixels.gradient[:, 0]
-    way /= pixels.profile[:, 1]
+    # Complex numbers, so that a vector is gathered in one access.
+    position = np.ascontiguousarray(pixels.uv_px).view(np.complex64).ravel()
+    direction = np.empty_like(position)
+    direction.real, direction.imag = -pixels.gradient[:, 1], pixels.gradient[:, 0]
+    direction /= pixels.profile[:, 1]
     ahead = _offsets_ahead() @ np.array([1, width])
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    for begin in range(0, len(way), _AT_ONCE):
-        chosen = slice(begin, begin + _AT_ONCE)
-        at = np.take(ahead, _sectors(way[chosen]), axis=0)
-        at += pixels.pixel[chosen, None]
-        found = np.take(index, at).ravel()
-        slot = np.flatnonzero(found >= 0)
-        second = np.take(found, slot).astype(np.int64)
-        parts.append(_links(slot // _AHEAD + begin, second, way, place))
+    for begin in range(0, len(direction), _BLOCK):
+        block = slice(begin, begin + _BLOCK)
+        neighbours = np.take(ahead, _sectors(direction[block]), axis=0)
+        neighbours += pixels.pixel[block, None]
+        neighbour_index = np.take(index, neighbours).ravel()
+        slot = np.flatnonzero(neighbour_index >= 0)
+        second = np.take(neighbour_index, slot).astype(np.int64)
+        parts.append(_links(slot // _AHEAD + begin, second, direction, position))
     first, second, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
     return first, second, cost
 
 
-def _sectors(way: np.ndarray) -> Int[np.ndarray, "n"]:
-    """Number of the sector of each direction, in a quarter of the time of an arc tangent."""
-    u, v = np.abs(np.real(way)), np.abs(np.imag(way))
-    sector = np.zeros(len(way), np.int8)
+def _sectors(direction: np.ndarray) -> Int[np.ndarray, "n"]:
+    """Sector number of each direction, four times faster than by an arc tangent."""
+    u, v = np.abs(np.real(direction)), np.abs(np.imag(direction))
+    sector = np.zeros(len(direction), np.int8)
     for slope in _SLOPES:
         sector += v > slope * u
-    sector = np.where(np.real(way) < 0, _SECTORS // 2 - sector, sector)
-    return np.where(np.imag(way) < 0, -sector, sector) & (_SECTORS - 1)
+    sector = np.where(np.real(direction) < 0, _SECTORS // 2 - sector, sector)
+    return np.where(np.imag(direction) < 0, -sector, sector) & (_SECTORS - 1)
 
 
 def _links(
-    first: Int[np.ndarray, "m"], second: Int[np.ndarray, "m"], way: np.ndarray, place: np.ndarray
+    first: Int[np.ndarray, "m"],
+    second: Int[np.ndarray, "m"],
+    direction: np.ndarray,
+    position: np.ndarray,
 ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Of pairs of points near each other, those that may follow each other, and their cost."""
-    one, other = np.take(way, first), np.take(way, second)
-    cosine = _dot(one, other)
+    """(from, to, cost) of those pairs of nearby points that may be consecutive."""
+    first_direction, second_direction = np.take(direction, first), np.take(direction, second)
+    cosine = _dot(first_direction, second_direction)
     turning = np.flatnonzero(cosine > _LEAST_COSINE)
-    first, second, cosine = (np.take(each, turning) for each in (first, second, cosine))
-    mean = np.take(one, turning) + np.take(other, turning)
-    between = np.take(place, second) - np.take(place, first)
-    # Two unit vectors with this cosine add up to a vector of this length.
+    first, second, cosine = (np.take(values, turning) for values in (first, second, cosine))
+    mean = np.take(first_direction, turning) + np.take(second_direction, turning)
+    between = np.take(position, second) - np.take(position, first)
+    # Length of the sum of two unit vectors with this cosine.
     size = np.sqrt(2 + 2 * cosine)
     along = _dot(between, mean) / size
     across = np.abs(np.real(between) * np.imag(mean) - np.imag(between) * np.real(mean)) / size
@@ -100,13 +103,13 @@ def _links(
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "m"]:
-    """Scalar products of vectors as complex numbers."""
+    """Scalar products of vectors stored as complex numbers."""
     return np.real(a) * np.real(b) + np.imag(a) * np.imag(b)
 
 
 @functools.cache
 def _offsets_ahead() -> Int[np.ndarray, "sectors m 2"]:
-    """(sectors, m, 2) the (u, v) steps that lie ahead, for each sector of the direction."""
+    """Pixel steps (u, v) that lie ahead, for each sector of the direction, (sectors, m, 2)."""
     reach = np.arange(-BORDER_PX, BORDER_PX + 1)
     steps = np.array([(u, v) for v in reach for u in reach if u or v])
     angle = np.arange(_SECTORS) * (2 * np.pi / _SECTORS)
@@ -117,12 +120,11 @@ def _offsets_ahead() -> Int[np.ndarray, "sectors m 2"]:
 def order_chains(
     successor: Int[np.ndarray, "n"], least_points: int = 1
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "c"]]:
-    """(order, starts): the points chain by chain, and where in that order each chain starts.
+    """(order, starts): point indices chain by chain, and the start of each chain in this order.
 
-    Pointer doubling: after k rounds each point knows its 2^k-th predecessor, so that the
-    longest chain of the picture needs some twelve rounds and no loop over points. A closed
-    chain is opened at its point of lowest index. Chains of fewer than `least_points` points are
-    left out.
+    Pointer doubling: after k rounds, each point has its 2^k-th predecessor. So the longest chain of
+    an image needs about twelve rounds, without a loop over points. A closed chain is opened at its
+    point of lowest index. Chains with fewer than `least_points` points are dropped.
     """
     count = len(successor)
     linked = np.flatnonzero(successor >= 0)
@@ -135,20 +137,20 @@ def order_chains(
         predecessor[closed[lowest]] = closed[lowest]
         head, distance = _heads(predecessor)
     length = np.bincount(head, minlength=count)
-    kept = np.flatnonzero(length >= least_points)
-    length = length[kept]
+    long_chains = np.flatnonzero(length >= least_points)
+    length = length[long_chains]
     starts = np.cumsum(length) - length
-    place = np.full(count, -1)
-    place[kept] = starts
-    place = place[head]
-    within = np.flatnonzero(place >= 0)
+    chain_start = np.full(count, -1)
+    chain_start[long_chains] = starts
+    chain_start = chain_start[head]
+    within = np.flatnonzero(chain_start >= 0)
     order = np.empty(len(within), dtype=np.int64)
-    order[place[within] + distance[within]] = within
+    order[chain_start[within] + distance[within]] = within
     return order, starts
 
 
 def _lowest_of_rings(predecessor: Int[np.ndarray, "n"]) -> Int[np.ndarray, "k"]:
-    """Of points all of which lie on closed chains: the one of lowest index of each chain."""
+    """Point of lowest index of each closed chain; all points must lie on closed chains."""
     lowest = np.arange(len(predecessor))
     for _ in range(len(predecessor).bit_length()):
         lowest = np.minimum(lowest, lowest[predecessor])
@@ -157,14 +159,14 @@ def _lowest_of_rings(predecessor: Int[np.ndarray, "n"]) -> Int[np.ndarray, "k"]:
 
 
 def _heads(predecessor: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
-    """Of each point: the first point of its chain, and the steps to it.
+    """(first point of its chain, number of steps to it) of each point.
 
-    Points of a closed chain have no first point: some other point of the chain stands there.
+    For a closed chain, some other point of the chain is returned.
     """
     count = len(predecessor)
     head = predecessor.copy()
     distance = (predecessor != np.arange(count)).astype(np.int64)
-    # Points that know the first of their chain are done; most chains are short.
+    # Points whose first point is final need no more rounds; most chains are short.
     under_way = np.flatnonzero(predecessor[predecessor] != predecessor)
     for _ in range(max(1, int(count).bit_length())):
         if len(under_way) == 0:
@@ -183,10 +185,9 @@ def split_chains(
     tolerance_px: float,
     least_points: int,
 ) -> tuple[Int[np.ndarray, "r"], Int[np.ndarray, "r"]]:
-    """(start, stop) of runs of points within `tolerance_px` of the chord of their ends.
+    """(start, stop) of runs of points within `tolerance_px` of the chord between their ends.
 
-    `uv_px` are the points chain by chain. Runs with fewer than `least_points` points are
-    dropped on the way.
+    `uv_px` are the points chain by chain. Runs with fewer than `least_points` points are dropped.
     """
     start, stop = starts, np.append(starts[1:], len(uv_px))
     u, v = (np.ascontiguousarray(column) for column in uv_px.T)

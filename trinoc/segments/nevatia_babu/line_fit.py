@@ -1,4 +1,4 @@
-"""Straight lines through runs of edge points, and pieces of one edge joined across gaps.
+"""Straight lines through runs of edge points, and collinear lines joined across gaps.
 
 Total least squares, weighted by edge strength.
 """
@@ -12,8 +12,8 @@ from trinoc.image.step_edge import height_of_step
 from trinoc.numerics.joins import near_pairs
 from trinoc.numerics.tables import take_rows
 from trinoc.segments.nevatia_babu.chains import order_chains
+from trinoc.segments.nevatia_babu.edge_points import Runs
 from trinoc.segments.nevatia_babu.endpoints import Pieces
-from trinoc.segments.nevatia_babu.runs import Runs
 from trinoc.segments.tuning import DEFAULT, EndpointTuning, ScaleTuning, SegmentTuning
 
 _LEAST_VARIANCE_PX2 = 1.0  # numerical: a guard where noise leaves no width
@@ -23,20 +23,32 @@ _LEAST_SHARPNESS = 0.01  # numerical: a guard of a division
 class FittedLines(NamedTuple):
     """Lines through runs of edge points, in the order of the runs.
 
-    Fields
-    ------
-    centre_px : (r, 2) weighted mean of the points.
-    direction : (r, 2) unit vector, with the darker side on the right.
-    extent_px : (r, 2) first and last point along the line, from the centre.
-    contrast : (r,) mean height of the step, in grey levels.
-    light_per_level : (r,) mean slope of the light over that of the grey levels.
-    blur_px2 : (r,) mean variance of the edge's own blur.
-    kernel_variance_px2 : (r,) mean variance of the smoothing by the kernel.
-    variance_middle_px2 : (r,) variance that noise gives the middle of the line across it.
-    residual_px : (r,) root mean square distance of the points from the line.
-    sagitta_px : (r,) largest deviation of a parabola through the points from its chord, signed.
-    support : (r,) number of points.
-    snr2 : (r,) sum of the points' evidence.
+    Attributes
+    ----------
+    centre_px : (r, 2)
+        Weighted mean of the points.
+    direction : (r, 2)
+        Unit vector, with the darker side on the right.
+    extent_px : (r, 2)
+        Positions of the first and the last point along the line, from the centre.
+    contrast : (r,)
+        Mean height of the step, grey levels.
+    light_per_level : (r,)
+        Mean ratio of the slope of the light to that of the grey levels.
+    blur_px2 : (r,)
+        Mean variance of the edge's blur.
+    kernel_variance_px2 : (r,)
+        Mean variance of the smoothing by the kernel.
+    variance_middle_px2 : (r,)
+        Variance by noise of the line's middle across it.
+    residual_px : (r,)
+        Root mean square distance of the points from the line.
+    sagitta_px : (r,)
+        Largest deviation of a parabola through the points from its chord, signed.
+    support : (r,)
+        Number of points.
+    snr2 : (r,)
+        Sum of the points' evidence.
     """
 
     centre_px: Float[np.ndarray, "r 2"]
@@ -54,28 +66,29 @@ class FittedLines(NamedTuple):
 
     @property
     def pieces(self) -> Pieces:
-        """From the first to the last point of each line."""
+        """Piece of each line from its first to its last point."""
         return Pieces(self.centre_px, self.direction, self.extent_px)
 
 
 def fit_lines(runs: Runs, tuning: ScaleTuning = DEFAULT.scales) -> FittedLines:
     """Fit a line to each run.
 
-    Points are weighted by their strength; a second pass weighs down those off the first
-    line, as where a chain turns into a corner.
+    Points are weighted by their strength. A second pass reduces the weight of points far from the
+    first line, for example where a chain bends into a corner.
     """
     points = runs.points
     origin, chord, x, y = _in_frames_of_chords(runs)
     root = np.sqrt(points.information)
     weight = root
-    for last in (False, True):
+    for is_last_pass in (False, True):
         mean, turn = _fit_weighted_line(runs, x, y, weight)
         cosine, sine = (runs.spread(part) for part in turn.T.astype(np.float32))
         off_x, off_y = (
-            of - runs.spread(part) for of, part in zip((x, y), mean.T.astype(np.float32))
+            coordinate - runs.spread(part)
+            for coordinate, part in zip((x, y), mean.T.astype(np.float32))
         )
         across = off_y * cosine - off_x * sine
-        if not last:
+        if not is_last_pass:
             rms = np.sqrt(runs.mean(across * across))
             scale = (1 / (tuning.robust_px + 2 * rms)).astype(np.float32)
             weight = root / np.square(1 + np.square(across * runs.spread(scale)))
@@ -87,7 +100,7 @@ def fit_lines(runs: Runs, tuning: ScaleTuning = DEFAULT.scales) -> FittedLines:
     kernel_variance = runs.total(weight * points.kernel_variance_px2) / total
     sharpness = runs.total(weight * points.sharpness) / total
     blur = (kernel_variance + 1) / np.maximum(sharpness, _LEAST_SHARPNESS) - kernel_variance
-    # The profile's width at each point is that of the kernel there and of the edge's blur.
+    # Width of the profile at each point: kernel plus blur of the edge.
     variance = np.maximum(
         points.kernel_variance_px2 + runs.spread(blur.astype(np.float32)),
         np.float32(_LEAST_VARIANCE_PX2),
@@ -109,10 +122,10 @@ def fit_lines(runs: Runs, tuning: ScaleTuning = DEFAULT.scales) -> FittedLines:
 
 
 def _in_frames_of_chords(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(origin, chord, x, y): the points along and across the unit vector from first to last point.
+    """(origin, chord, x, y): points along and across the chord from the first to the last point.
 
-    From the first point, in double precision. What lies near an axis can then be summed up in
-    single precision: a line of 1,000 px is placed to 1e-5 px.
+    Origin and chord are in double precision. Sums near the chord can then use single precision: a
+    line of 1,000 px is located to 1e-5 px.
     """
     uv_px, first = runs.points.uv_px, runs.first
     origin = uv_px[first].astype(np.float64)
@@ -126,7 +139,7 @@ def _in_frames_of_chords(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def _rotate_to_picture(xy: Float[np.ndarray, "r 2"], chord: Float[np.ndarray, "r 2"]) -> np.ndarray:
-    """Vectors in the frames of chords as vectors of the picture."""
+    """Rotate vectors from the frames of chords to the image frame."""
     u = xy[:, 0] * chord[:, 0] - xy[:, 1] * chord[:, 1]
     return np.stack([u, xy[:, 0] * chord[:, 1] + xy[:, 1] * chord[:, 0]], axis=-1)
 
@@ -137,7 +150,7 @@ def _fit_weighted_line(
     y: Float[np.ndarray, "m"],
     weight: Float[np.ndarray, "m"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and forward direction of the line with the least weighted squared distances."""
+    """(centre, forward direction) of the line with the least weighted sum of squared distances."""
     wx, wy = weight * x, weight * y
     total, sx, sy, sxx, sxy, syy = (
         runs.total(moment) for moment in (weight, wx, wy, wx * x, wx * y, wy * y)
@@ -156,9 +169,9 @@ def _bow(
     weight: Float[np.ndarray, "m"],
     total: Float[np.ndarray, "r"],
 ) -> Float[np.ndarray, "r"]:
-    """Height of the best parabola over its chord, the line being the best straight one.
+    """Height of the best parabola over its chord, signed, (r,) px.
 
-    With t along the line, the part of t^2 that is orthogonal to 1 and t carries the sagitta.
+    With t along the line, the part of t^2 orthogonal to 1 and t gives the sagitta.
     """
     squared = along * along
     weighted = weight * squared
@@ -176,7 +189,7 @@ def _bow(
 def merge_collinear(
     runs: Runs, lines: FittedLines, tolerance_px: float, tuning: SegmentTuning = DEFAULT
 ) -> tuple[Runs, FittedLines]:
-    """The same after joining collinear lines across small gaps."""
+    """(runs, lines) after joining collinear lines across small gaps."""
     successor = collinear_successors(lines, tolerance_px / 2, tuning.ends)
     line_order, begin = order_chains(successor)
     length = runs.count[line_order]
@@ -193,30 +206,31 @@ def refit_lines(
     changed: Bool[np.ndarray, "r"],
     tuning: ScaleTuning = DEFAULT.scales,
 ) -> FittedLines:
-    """The lines of the runs, of which those with `changed` points are fitted again."""
+    """Lines of the runs; those with `changed` points are fitted again."""
     if changed.all() or not changed.any():
         return fit_lines(runs, tuning) if changed.any() else lines
     fields = [field.copy() for field in lines]
-    for field, again in zip(fields, fit_lines(runs.take(changed), tuning), strict=True):
-        field[changed] = again
+    for field, refitted in zip(fields, fit_lines(runs.take(changed), tuning), strict=True):
+        field[changed] = refitted
     return FittedLines(*fields)
 
 
 def collinear_successors(
     lines: FittedLines, tolerance_px: float, tuning: EndpointTuning = DEFAULT.ends
 ) -> Int[np.ndarray, "r"]:
-    """(r,) the line that continues each line beyond a gap, -1 where there is none.
+    """Line that continues each line beyond a gap, (r,); -1 if there is none.
 
-    Two lines with their dark sides on the same side continue each other when the gap is at
-    most `gap_px` and both inner ends lie within `tolerance_px` of the chord of the outer
-    ends. Each line continues at most one and is continued by at most one, the nearest.
+    Two lines with dark sides on the same side continue each other if the gap is at most `gap_px`
+    and both inner ends lie within `tolerance_px` of the chord of the outer ends. Each line has at
+    most one predecessor and one successor, the nearest.
     """
     successor = np.full(len(lines.support), -1, dtype=np.int64)
     ends = lines.pieces.ends_px
     one, other, gap = near_pairs(ends[:, 1], ends[:, 0], tuning.gap_px)
-    a, b = lines.direction[one], lines.direction[other]
+    direction, next_direction = lines.direction[one], lines.direction[other]
     along = np.flatnonzero(
-        a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] > np.cos(np.radians(tuning.parallel_deg))
+        direction[:, 0] * next_direction[:, 0] + direction[:, 1] * next_direction[:, 1]
+        > np.cos(np.radians(tuning.parallel_deg))
     )
     one, other, gap = one[along], other[along], gap[along]
     chord = ends[other, 1] - ends[one, 0]
@@ -224,8 +238,8 @@ def collinear_successors(
     normal = np.stack([-chord[:, 1], chord[:, 0]], -1) / np.maximum(length, 1e-9)[:, None]
     deviation = np.maximum(
         *(
-            np.abs(to[:, 0] * normal[:, 0] + to[:, 1] * normal[:, 1])
-            for to in (ends[one, 1] - ends[one, 0], ends[other, 0] - ends[one, 0])
+            np.abs(offset[:, 0] * normal[:, 0] + offset[:, 1] * normal[:, 1])
+            for offset in (ends[one, 1] - ends[one, 0], ends[other, 0] - ends[one, 0])
         )
     )
     part = lines.pieces.length_px
