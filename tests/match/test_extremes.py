@@ -20,7 +20,7 @@ from trinoc.match.selection.messages import (
     log_share_kept,
     with_log_share,
 )
-from trinoc.match.tracks.answers import LET_GO
+from trinoc.match.tracks.answers import DISCARDED_TRIPLES
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.selection import SelectionTuning
 from trinoc.numerics.tables import with_field
@@ -84,7 +84,7 @@ def test_copies_that_differ_by_less_than_their_sigmas_make_nothing_sure():
     matches = match_segments(segments, RIG, tuning=few)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert matches.counts[LET_GO] > 0
+    assert matches.counts[DISCARDED_TRIPLES] > 0
     assert (matches.posterior < 0.5).all()
     assert any("repeat themselves" in note for note in matches.notes)
     assert peak < MOST_BYTES
