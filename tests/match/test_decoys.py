@@ -239,7 +239,7 @@ def test_a_few_tracks_that_are_next_to_certain_tell_where_chance_gives_none():
         assert is_above_chance(found, chance, 0.2, DEFAULT.decoys) is above
     assert is_above_chance(SureTracks(60, 0), chance, 0.6, DEFAULT.decoys)
     # The same number is no more than chance where decoys have as many.
-    as_many = [each._replace(certain=10) for each in chance]
+    as_many = [each._replace(near_certain=10) for each in chance]
     assert not is_above_chance(SureTracks(11, 10), as_many, 0.2, DEFAULT.decoys)
 
 

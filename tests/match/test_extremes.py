@@ -12,7 +12,7 @@ from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.geometry.segments import Segments, covariance_of_ends
 from trinoc.match.candidates.index import LAYERS, spatial_index
 from trinoc.match.matcher import match_segments
-from trinoc.match.observations.unusable import EQUAL, UNPLACED, first_of_equals
+from trinoc.match.observations.unusable import DUPLICATE, POSITION_UNKNOWN, first_of_duplicates
 from trinoc.match.selection.junction_support import _near_ends
 from trinoc.match.selection.messages import (
     affordable,
@@ -66,9 +66,9 @@ def test_segments_that_say_nothing_change_no_other_match():
     np.testing.assert_allclose(*places, rtol=0, atol=1e-4)
     np.testing.assert_allclose(found.posterior, alone.posterior, atol=1e-6)
     for view in VIEWS:
-        assert set(found.reasons[view][40:60]) == {UNPLACED}
-        assert set(found.reasons[view][60:]) == {EQUAL}
-    assert found.counts[f"segments {UNPLACED}"] == 60
+        assert set(found.reasons[view][40:60]) == {POSITION_UNKNOWN}
+        assert set(found.reasons[view][60:]) == {DUPLICATE}
+    assert found.counts[f"segments {POSITION_UNKNOWN}"] == 60
     assert peak < MOST_BYTES
 
 
@@ -101,7 +101,7 @@ def test_of_equal_segments_the_first_is_left(count, others, seed):
     one = rng.uniform(0, 400, (1, 2, 2))
     equal = one + 1e-3 * rng.uniform(-1, 1, (count, 2, 2))
     apart = one + 20 + 10 * np.arange(others)[:, None, None]
-    rows = first_of_equals(
+    rows = first_of_duplicates(
         np.concatenate([equal, apart]), np.full(count + others, 0.3), np.ones(count + others, int)
     )
     assert rows.tolist() == [0, *range(count, count + others)]
@@ -109,7 +109,7 @@ def test_of_equal_segments_the_first_is_left(count, others, seed):
 
 def test_edges_of_both_polarities_are_two():
     ends = np.tile(np.array([[[10.0, 10.0], [90.0, 40.0]]]), (3, 1, 1))
-    assert first_of_equals(ends, np.full(3, 0.3), np.array([1, -1, 1])).tolist() == [0, 1]
+    assert first_of_duplicates(ends, np.full(3, 0.3), np.array([1, -1, 1])).tolist() == [0, 1]
 
 
 @given(sigma_px=st.floats(1.0, 1e6), far_px=st.floats(0.0, 1e6))
@@ -120,7 +120,9 @@ def test_a_segment_enters_no_more_cells_than_there_are(sigma_px, far_px):
     size = np.array([512.0, 480.0])
     table = spatial_index(ends, slack, margins, size, 9.0, 1.0)
     cells = sum(
-        np.ceil(512 / (9 * layer.cell)) * np.ceil(480 / (9 * layer.cell)) * layer.sectors
+        np.ceil(512 / (9 * layer.cell_scale))
+        * np.ceil(480 / (9 * layer.cell_scale))
+        * layer.sectors
         for layer in LAYERS
     )
     assert len(table.segment) <= 2 * cells

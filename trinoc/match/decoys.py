@@ -33,7 +33,7 @@ from trinoc.match.explanations import (
     undo_mistakes,
 )
 from trinoc.match.observations.match_input import BEYOND_FOLD, FrameInput
-from trinoc.match.observations.unusable import EQUAL, UNPLACED
+from trinoc.match.observations.unusable import DUPLICATE, POSITION_UNKNOWN
 from trinoc.match.tracks.answers import CERTAIN, SURE
 from trinoc.match.tracks.matches import EVEN_POSTERIOR, SUSPECT_SETS, Matches
 from trinoc.match.tracks.reliability import depth_range_remedy
@@ -84,7 +84,10 @@ def check_set(
     Matches
         In a suspect set no posterior is above 0.5. The first note names the most likely cause.
     """
-    is_usable = [~np.isin(matches.reasons[name], (BEYOND_FOLD, UNPLACED, EQUAL)) for name in names]
+    is_usable = [
+        ~np.isin(matches.reasons[name], (BEYOND_FOLD, POSITION_UNKNOWN, DUPLICATE))
+        for name in names
+    ]
     fewest = min(int(of_view.sum()) for of_view in is_usable)
     if verify == "off" or len(names) != 3 or fewest < tuning.fewest_segments:
         return matches
@@ -134,7 +137,7 @@ def count_by_chance(
     decoy_counts = []
     for decoy in decoys(frame):
         decoy_counts.append(count_sure(match(decoy, three_views_only=True)))
-        if sure.three_view > 2 * least_above_chance([decoy_counts[-1].in_three], share, tuning):
+        if sure.three_view > 2 * least_above_chance([decoy_counts[-1].three_view], share, tuning):
             break
     return decoy_counts
 

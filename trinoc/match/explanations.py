@@ -217,8 +217,8 @@ def take_longest(frame: FrameInput, limit: int) -> FrameInput:
     ]
     # The sample has its own numbering, since its result is only counted.
     order = [np.arange(len(row)) for row in rows]
-    left_out = [np.full(len(row), "") for row in rows]
-    return _take_segments(frame, rows)._replace(order=order, left_out=left_out)
+    exclusion_reasons = [np.full(len(row), "") for row in rows]
+    return _take_segments(frame, rows)._replace(order=order, exclusion_reasons=exclusion_reasons)
 
 
 def _take_segments(frame: FrameInput, rows: list[Int[np.ndarray, "_"]]) -> FrameInput:

@@ -22,7 +22,7 @@ from trinoc.match.observations.match_input import (
     with_noise_scale,
 )
 from trinoc.match.observations.table import segments_per_view
-from trinoc.match.observations.unusable import leave_out_unusable
+from trinoc.match.observations.unusable import exclude_unusable
 from trinoc.match.occlusion.pairs import match_occluded
 from trinoc.match.scouting import find_triples
 from trinoc.match.selection.marginals import Selection, learn_noise_scale, select
@@ -180,7 +180,7 @@ def match_frames(
     -------
     Matches of each frame.
     """
-    frames = [leave_out_unusable(frame, tuning.observations) for frame in frames]
+    frames = [exclude_unusable(frame, tuning.observations) for frame in frames]
     stated_inputs, active_frames = stack_frames(frames), np.arange(len(frames))
     frame_noise_scale, matches = np.ones(len(frames)), dict[int, Matches]()
     for passes_left in reversed(range(tuning.noise.passes)):

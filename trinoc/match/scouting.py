@@ -15,8 +15,8 @@ from jaxtyping import Bool, Int
 from trinoc.match.candidates.learned import SearchPrior, bound_region
 from trinoc.match.candidates.search import prepare_orders
 from trinoc.match.candidates.table import Candidates, in_depth_range, prior_log_odds
-from trinoc.match.candidates.triples import candidates_among
-from trinoc.match.evidence.endpoints import reach_of_ends
+from trinoc.match.candidates.triples import search_candidates
+from trinoc.match.evidence.endpoints import end_search_radius_px
 from trinoc.match.evidence.mixture import probability
 from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.observations.match_input import MatchInput
@@ -58,19 +58,19 @@ def scout_candidates(
     numbers = [counts[view] for view in views]
     orders = prepare_orders(lines, views, counts, clutter, tuning)
     if lines.frame is not None or min(numbers) <= tuning.scouting.above:
-        return candidates_among(orders, tuning)
+        return search_candidates(orders, tuning)
     all_rows = tuple(np.arange(number) for number in numbers)
     sample_rows = tuple(_spread(number, tuning.scouting.sample) for number in numbers)
-    sampled = candidates_among(orders, tuning, rows=(sample_rows, all_rows))
+    sampled = search_candidates(orders, tuning, rows=(sample_rows, all_rows))
     search_prior = _learn_prior(sampled, float(np.mean(numbers)), clutter, tuning)
     if search_prior is None:
-        return candidates_among(orders, tuning)
-    regional = candidates_among(orders, tuning, learned=search_prior)
+        return search_candidates(orders, tuning)
+    regional = search_candidates(orders, tuning, prior=search_prior)
     is_unexplained = _find_unexplained(regional, views, numbers, search_prior, tuning)
     remaining_rows = tuple(np.flatnonzero(mask) for mask in is_unexplained)
     unbounded_prior = search_prior._replace(region=None, ends_px=None)
-    remaining = candidates_among(
-        orders, tuning, learned=unbounded_prior, rows=(remaining_rows, remaining_rows)
+    remaining = search_candidates(
+        orders, tuning, prior=unbounded_prior, rows=(remaining_rows, remaining_rows)
     )
     union = concatenate_rows([regional, remaining])
     # Each once, in their order.
@@ -97,7 +97,9 @@ def _learn_prior(
     log_count = mixture.log_count + np.log(count / rules.sample)
     least_log_odds = tuning.selection.prune_log_odds - rules.slack_log_odds
     mixture = mixture._replace(log_count=log_count)
-    ends_px = reach_of_ends(mixture.ends, float(np.asarray(clutter.typical_px)), rules, tuning.ends)
+    ends_px = end_search_radius_px(
+        mixture.ends, float(np.asarray(clutter.typical_px)), rules, tuning.ends
+    )
     return SearchPrior(region, mixture, least_log_odds, ends_px)
 
 

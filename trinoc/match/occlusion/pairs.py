@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates.table import Candidates, in_depth_range
-from trinoc.match.evidence.endpoints import reach_of_ends
+from trinoc.match.evidence.endpoints import end_search_radius_px
 from trinoc.match.evidence.mixture import MixtureParameters, prior_parameters, probability
 from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.observations.match_input import MatchInput
@@ -104,7 +104,7 @@ def occluded_pairs(
         # Where ends meet others, a pair may be right whose own ends do not agree.
         if not np.any(junctions.end_at_junction >= tuning.junctions.min_at_junction):
             typical_px = float(np.asarray(clutter.typical_px))
-            reach_px = reach_of_ends(mixture.ends, typical_px, tuning.scouting, tuning.ends)
+            reach_px = end_search_radius_px(mixture.ends, typical_px, tuning.scouting, tuning.ends)
             agree_px = None if reach_px is None else tuning.occlusion.ends_reach * reach_px
 
     def keep_likely(found: Candidates) -> Candidates:
@@ -244,7 +244,9 @@ def pairs_beside_lines(
             )
             gain = np.where(helped, gain[len(known) :], 0.0)
     of_share = broadcast_groups(np.log(share), frame)
-    missed = np.where(candidates.expected > 0, candidates.expected * log_missed + of_share, 0.0)
+    missed = np.where(
+        candidates.expected_views > 0, candidates.expected_views * log_missed + of_share, 0.0
+    )
     posterior_log_odds = with_log_share(posterior_log_odds, log_share)
     chosen = choose_greedily(posterior_log_odds, graph)
     bodies = Bodies(*(broadcast_groups(each, frame) for each in bodies))

@@ -23,7 +23,7 @@ from trinoc.match.evidence.mixture import (
     MixtureParameters,
     Volume,
     fit_volume,
-    log_place,
+    log_position_density,
     log_sides,
     probability,
     temper,
@@ -211,7 +211,7 @@ def pairs_alone(
     evidence = (
         found.log_density
         + log_sides(found.side_log, mixture, frame)
-        + found.expected * float(np.log(rules.missed))
+        + found.expected_views * float(np.log(rules.missed))
         + offset
     )
     frames, classes = np.shape(mixture.log_count), len(rules.length_classes_px) + 1
@@ -227,7 +227,7 @@ def pairs_alone(
         prior = broadcast_groups(rates.mixture.log_count, frame)
         place = rates.log_place
         if place is None:
-            place = log_place(c.ends_mm, rates.mixture.volume, tuning.evidence, frame)
+            place = log_position_density(c.ends_mm, rates.mixture.volume, tuning.evidence, frame)
         return evidence + ends + lengths + prior + place
 
     keep, log_share = likely_rows(found, matched, prior_odds(found, evidence, rates), tuning)
@@ -278,6 +278,6 @@ def pairs_alone(
     most = rules.most_alone * probability(tempered)
     in_images = candidates.side_log.any(axis=1)
     tempered = np.where(in_images, tempered, np.log(most) - np.log1p(-most))
-    expected = candidates.expected
+    expected = candidates.expected_views
     missed = np.where(expected > 0, expected * float(np.log(rules.missed)), 0.0)
     return Pairs(candidates, odds, tempered, chosen, missed)

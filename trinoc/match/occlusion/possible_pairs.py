@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates.table import Candidates, build_candidates
-from trinoc.match.evidence.mixture import MixtureParameters, log_place, log_sides
+from trinoc.match.evidence.mixture import MixtureParameters, log_position_density, log_sides
 from trinoc.match.evidence.triple_position import pair_evidence
 from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.observations.table import TRIPLES_IN_BLOCK, SegmentTable, block_size
@@ -23,8 +23,8 @@ from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.evidence import EndTuning, EvidenceTuning
 from trinoc.match.two_view.epipolar_pencil import (
     Pencil,
+    build_pencil,
     pairs_sharing_planes,
-    pencil,
     take_pencil,
     take_segments,
 )
@@ -64,7 +64,7 @@ def possible_pairs(
 ) -> Iterator[Candidates]:
     """All pairs of free segments of two views that can be one line, and may be likely as far as a
     `bound` tells, and of which an end agrees by `ends_px`, if that is given, block by block."""
-    planes = pencil(lines, *views.tolist())
+    planes = build_pencil(lines, *views.tolist())
     rows = free[views[0]], free[views[1]]
     for pair in pairs_sharing_planes(lines, views, planes, rows, PAIRS_AT_A_TIME, ends_px):
         segments = np.stack(pair, axis=1).astype(np.int64)
@@ -114,7 +114,7 @@ def _pair_evidence(
     found = pair_evidence(lines, views, of_pencil, rows, segments, clutter, tuning, ends)
     columns = (
         *(found.interval, found.ends_mm, found.log_density, found.end_log, found.union_ends_mm),
-        *(found.union_covariance_mm2, found.px_per_mm, found.expected),
+        *(found.union_covariance_mm2, found.px_per_mm, found.expected_views),
         found.crossing_sine,
     )
     return found.possible, as_columns(columns)
@@ -213,8 +213,10 @@ def evidence_beside_lines(
     ends += log_sides(candidates.side_log, mixture, frame)
     in_images = candidates.side_log.any(axis=1)
     offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset)
-    evidence = candidates.log_density + ends + candidates.expected * float(np.log(rules.missed))
-    place = log_place(candidates.ends_mm, mixture.volume, tuning.evidence, frame)
+    evidence = (
+        candidates.log_density + ends + candidates.expected_views * float(np.log(rules.missed))
+    )
+    place = log_position_density(candidates.ends_mm, mixture.volume, tuning.evidence, frame)
     return evidence + offset + broadcast_groups(mixture.log_count, frame) + place
 
 

@@ -113,7 +113,7 @@ def fragments_abreast(
     column = [views.index(name) for name in seen.names]
     own = np.full(index.shape, -1)
     for view, at in enumerate(column):
-        back = np.full(len(seen.frames[0].left_out[view]), -1)
+        back = np.full(len(seen.frames[0].exclusion_reasons[view]), -1)
         back[seen.order[view]] = np.arange(len(seen.order[view]))
         own[:, view] = np.where(index[:, at] >= 0, back[np.maximum(index[:, at], 0)], -1)
     here = view_ends_line(seen, own, lines_mm)

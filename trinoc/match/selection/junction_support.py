@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from trinoc.match.candidates.table import Candidates
-from trinoc.match.evidence.junction_geometry import log_gap_density, passing
+from trinoc.match.evidence.junction_geometry import closest_approach, log_gap_density
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import EvidenceTuning
 from trinoc.match.tuning.selection import JunctionTuning
@@ -150,7 +150,7 @@ def _log_ratio(
     direction = step / np.linalg.norm(step, axis=1, keepdims=True)
     ends = candidates.union_ends_mm.reshape(-1, 3)
     m, n = pairs[:, 0] // 2, pairs[:, 1] // 2
-    distance, unit, sine, gap_mm = passing(
+    distance, unit, sine, gap_mm = closest_approach(
         ends[pairs[:, 0]], direction[m], ends[pairs[:, 1]], direction[n]
     )
     px_per_mm = np.stack([candidates.px_per_mm[m], candidates.px_per_mm[n]], axis=1)

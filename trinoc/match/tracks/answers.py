@@ -61,7 +61,7 @@ def _fold_notes(frame: FrameInput) -> tuple[str, ...]:
     """Warning if segments beyond the fold of a lens are excluded."""
     counts = {
         name: int((left_out == BEYOND_FOLD).sum())
-        for name, left_out in zip(frame.names, frame.left_out, strict=True)
+        for name, left_out in zip(frame.names, frame.exclusion_reasons, strict=True)
     }
     counts = {name: counts[name] for name in sorted(counts) if counts[name]}
     if not counts:
@@ -378,7 +378,7 @@ def _reasons_in_caller_order(
     """
     starts, result = inputs.starts, []
     for number, frame in enumerate(inputs.frames):
-        result.append([column.astype("U40") for column in frame.left_out])
+        result.append([column.astype("U40") for column in frame.exclusion_reasons])
         for view, order in enumerate(frame.order):
             reasons_in_view = reasons[view][slice(*starts[number : number + 2, view])]
             result[-1][view][order] = reasons_in_view
