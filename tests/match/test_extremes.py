@@ -13,11 +13,11 @@ from trinoc.geometry.segments import Segments, covariance_of_ends
 from trinoc.match.candidates.index import LAYERS, spatial_index
 from trinoc.match.matcher import match_segments
 from trinoc.match.observations.unusable import DUPLICATE, POSITION_UNKNOWN, first_of_duplicates
-from trinoc.match.selection.junction_support import _near_ends
+from trinoc.match.selection.junction_support import _pairs_of_near_ends
 from trinoc.match.selection.messages import (
-    affordable,
     conflict_graph,
-    log_share_kept,
+    log_kept_share,
+    rows_within_memory,
     with_log_share,
 )
 from trinoc.match.tracks.answers import DISCARDED_TRIPLES
@@ -86,7 +86,7 @@ def test_copies_that_differ_by_less_than_their_sigmas_make_nothing_sure():
     tracemalloc.stop()
     assert matches.counts[DISCARDED_TRIPLES] > 0
     assert (matches.posterior < 0.5).all()
-    assert any("repeat themselves" in note for note in matches.notes)
+    assert any("repeated structure" in note for note in matches.notes)
     assert peak < MOST_BYTES
 
 
@@ -137,7 +137,7 @@ def test_a_share_gives_the_posterior_of_all_to_the_kept():
     kept = np.flatnonzero(rng.random(30) < 0.4)
     odds = np.exp(log_odds)
     alone = odds[kept] / (1 + odds[kept].sum())
-    share = log_share_kept(log_odds, index, kept)
+    share = log_kept_share(log_odds, index, kept)
     found = with_log_share(np.log(alone) - np.log1p(-alone), share)
     np.testing.assert_allclose(1 / (1 + np.exp(-found)), odds[kept] / (1 + odds.sum()), rtol=1e-9)
 
@@ -149,7 +149,7 @@ def test_what_is_kept_has_no_more_conflicts_than_memory_bears():
     log_odds = np.round(rng.normal(0, 2, 400))
     for most in (0, 10, 3000, 10**6):
         rules = SelectionTuning(most_conflicts=most)
-        kept = affordable(log_odds, index, -np.inf, rules)
+        kept = rows_within_memory(log_odds, index, -np.inf, rules)
         interval = np.tile([0.0, 1.0], (len(kept), 3, 1))
         assert len(conflict_graph(index[kept], interval).slot) <= most
         assert log_odds[kept].min(initial=np.inf) > np.delete(log_odds, kept).max(initial=-np.inf)
@@ -160,8 +160,8 @@ def test_meetings_are_counted_before_they_are_listed():
     ends, log_odds = rng.uniform(0, 10, (200, 3)), rng.normal(size=100)
     apart = np.linalg.norm(ends[:, None] - ends, axis=-1) <= 2
     every = {tuple(pair) for pair in np.argwhere(np.triu(apart, 1))}
-    assert {tuple(pair) for pair in _near_ends(ends, log_odds, 2.0, 10**6)} == every
-    few = _near_ends(ends, log_odds, 2.0, 100)
+    assert {tuple(pair) for pair in _pairs_of_near_ends(ends, log_odds, 2.0, 10**6)} == every
+    few = _pairs_of_near_ends(ends, log_odds, 2.0, 100)
     assert 0 < len(few) <= 100
     assert {tuple(pair) for pair in few} <= every
     own = np.unique(few // 2)

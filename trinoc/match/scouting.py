@@ -22,7 +22,7 @@ from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.selection.marginals import select
-from trinoc.match.selection.messages import affordable, conflict_graph, sum_product
+from trinoc.match.selection.messages import conflict_graph, rows_within_memory, sum_product
 from trinoc.match.tracks.multiview import view_triplets
 from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.numerics.tables import concatenate_rows
@@ -88,7 +88,7 @@ def _learn_prior(
     """Search prior estimated from the triples of a sample; None if too few of them are sure."""
     rules = tuning.scouting
     selection = select(candidates, float(rules.sample), neighbours=False, tuning=tuning)
-    is_sure = selection.taken & (probability(selection.posterior_log_odds) > rules.sure)
+    is_sure = selection.is_accepted & (probability(selection.posterior_log_odds) > rules.sure)
     if is_sure.sum() < max(rules.fewest, 2):
         return None
     region = bound_region(selection.candidates.union_ends_mm[is_sure], rules)
@@ -116,7 +116,7 @@ def _find_unexplained(
     """
     odds = prior_log_odds(candidates, search_prior.mixture, tuning.evidence)
     rules = tuning.selection
-    kept_rows = affordable(odds, candidates.index, rules.learn_log_odds, rules)
+    kept_rows = rows_within_memory(odds, candidates.index, rules.learn_log_odds, rules)
     index, interval, odds = (
         candidates.index[kept_rows],
         candidates.interval[kept_rows],

@@ -161,7 +161,11 @@ def likely_triples(
         constant += 2 * np.log(2)
 
     def evaluate(rows: np.ndarray) -> ArrayLike:
-        tunings = {"tuning": tuning.candidates, "of_ends": tuning.ends, "evidence": tuning.evidence}
+        tunings = {
+            "tuning": tuning.candidates,
+            "end_tuning": tuning.ends,
+            "evidence_tuning": tuning.evidence,
+        }
         return _log_odds(*screen, rows, (log_tail, log_ends), **tunings)
 
     log_odds = in_blocks(evaluate, block_size(screen[0], TRIPLES_IN_BLOCK), triple)

@@ -95,15 +95,17 @@ def assemble(
         for selection in selections
     ]
     repetition = concatenate_rows([NO_REPETITION, *repeating])
-    lines, unlocated = _build_lines(inputs, tracks, pairs.take(pairs.taken), repetition, tuning)
+    lines, unlocated = _build_lines(
+        inputs, tracks, pairs.take(pairs.is_accepted), repetition, tuning
+    )
     reasons = _reasons(inputs, selections, pairs, out_of_range, unlocated, lines, tuning.tracks)
     counted_groups = {
         "triples considered": [selection.candidates.index for selection in selections],
         "triples outside depth": out_of_range,
-        DISCARDED_TRIPLES: [selection.let_go for selection in selections],
+        DISCARDED_TRIPLES: [selection.discarded_index for selection in selections],
         "tracks in three views or more": [tracks.candidates.index],
         "pairs considered": [pairs.candidates.index],
-        "tracks in two views": [pairs.candidates.index[pairs.taken]],
+        "tracks in two views": [pairs.candidates.index[pairs.is_accepted]],
         UNLOCATED_TRACKS: [unlocated],
         "tracks that seem to move with the viewpoint": [lines.index[lines.viewpoint_dependent]],
         SURE: [lines.index_likelier_than(tuning.decoys.sure)],
@@ -145,7 +147,7 @@ def _build_lines(
     is_in_pattern = pattern_limit < np.minimum(log_odds, tuning.repetition.likely_log_odds)
     track_tuning = tuning.tracks
     rival_posterior = np.concatenate(
-        [tracks.rival_posterior, np.full(len(accepted.taken), -np.inf)]
+        [tracks.rival_posterior, np.full(len(accepted.is_accepted), -np.inf)]
     )
     track_members = tracks.member_posterior
     members = np.full((len(index), index.shape[1]), np.nan)
@@ -247,7 +249,7 @@ def _reasons(
         for index_outside in out_of_range:
             is_out_of_range[index_outside[index_outside[:, view] >= 0, view]] = True
         is_along_epipolar[unlocated[unlocated[:, view] >= 0, view]] = True
-        is_rejected_by_third = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.missed)
+        is_rejected_by_third = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.miss_log_odds)
         segment = pairs.candidates.index[is_rejected_by_third, view]
         is_missing_in_third[segment[segment >= 0]] = True
         kinds = is_out_of_range, is_along_epipolar, is_matched, is_missing_in_third, is_in_pattern

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from trinoc.match.candidates.table import no_candidates
 from trinoc.match.observations.match_input import MatchInput, with_noise_scale
-from trinoc.match.selection.marginals import Selection, Tracks, take_tracks
+from trinoc.match.selection.marginals import Selection, Tracks, selected_tracks
 from trinoc.match.tracks.assembly import typical_misfit
 from trinoc.match.tracks.line_fit import (
     FittedTracks,
@@ -59,7 +59,7 @@ def tracks_through_views(
     if not selections:
         no_tracks = no_candidates(len(inputs.ends_px), inputs.lines.frame is not None)
         return Tracks(no_tracks, np.zeros(0), np.zeros(0)), 1.0
-    tracks = concatenate_rows([take_tracks(selection) for selection in selections])
+    tracks = concatenate_rows([selected_tracks(selection) for selection in selections])
     if len(selections) == 1:
         return tracks, 1.0
     return consolidate_tracks(inputs, merge_triplets(inputs.lines, tracks, tuning), tuning)
