@@ -214,7 +214,7 @@ def steps(problem: Problem) -> dict[str, MatchScore]:
 
 
 def _groups(seen: MatchInput, chosen: Selection) -> list[tuple[tuple[int, int], ...]]:
-    rows = chosen.candidates.index[chosen.taken]
+    rows = chosen.candidates.index[chosen.is_accepted]
     return [tuple((v, int(seen.order[v][s])) for v, s in enumerate(row)) for row in rows]
 
 

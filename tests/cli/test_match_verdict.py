@@ -48,7 +48,7 @@ def test_match_has_one_verdict_everywhere(kind, doubts, tmp_path, capsys, monkey
     assert main(command) == (1 if is_refused else 0)
     text, error = capsys.readouterr()
     assert assessment.sentence in text
-    assert error == (f"trinoc: {assessment.deciding.words}\n" if is_refused else "")
+    assert error == (f"trinoc: {assessment.deciding.explanation}\n" if is_refused else "")
     assert main([*command, "--json"]) == (1 if is_refused else 0)
     record = json.loads(capsys.readouterr().out)
     assert record["status"] == assessment.status.name.lower()

@@ -33,7 +33,7 @@ from trinoc.match.explanations import (
 from trinoc.match.matcher import check_verification, match_segments
 from trinoc.match.observations.match_input import prepare_frame
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, MatchStatus
-from trinoc.match.tracks.reliability import say_excluded_depths
+from trinoc.match.tracks.reliability import depth_range_remedy
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.synth import table1_rig
 
@@ -102,8 +102,8 @@ def test_lines_that_are_next_to_certain_clear_a_cluttered_set_without_another_ma
     frame = prepare_frame(cluttered, RIG, None)
     matches = match_segments(cluttered, RIG, verify="off")
     sure = count_sure(matches)
-    assert sure.in_three < DEFAULT.decoys.clear_share * min(map(len, cluttered.values()))
-    assert sure.certain >= DEFAULT.decoys.clear_certain
+    assert sure.three_view < DEFAULT.decoys.clear_share * min(map(len, cluttered.values()))
+    assert sure.near_certain >= DEFAULT.decoys.clear_certain
 
     def match(frame, **kwargs):
         raise AssertionError("matched again")
@@ -132,7 +132,7 @@ def test_depths_that_leave_out_the_scene_are_named_and_not_the_rig(boxes):
     matches = match_segments(boxes, RIG, depth_range_mm=(0.3, 0.6))
     assert matches.status is MatchStatus.SUSPECT
     assert "check depth_range_mm" in matches.notes[0]
-    assert say_excluded_depths(match_segments(boxes, RIG)) is None
+    assert depth_range_remedy(match_segments(boxes, RIG)) is None
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_a_view_that_is_turned_is_suspect_by_name(boxes, matrix):
     matches = match_segments(boxes | {"right": Segments.from_endpoints(ends)}, RIG)
     assert matches.status is MatchStatus.SUSPECT
     word = "mirrored" if np.linalg.det(matrix) < 0 else "upside down"
-    assert f'the picture of "right" is {word}' in matches.notes[0]
+    assert f'the image of "right" is {word}' in matches.notes[0]
 
 
 def changed(segments, scale, shift_px):
@@ -171,7 +171,7 @@ def test_a_shifted_view_is_suspect_by_name_and_by_how_much(boxes, shift_px):
 def test_segments_of_a_picture_of_half_the_size_are_suspect_by_name(boxes):
     matches = match_segments(boxes | {"left": changed(boxes["left"], 0.5, -0.25)}, RIG)
     assert matches.status is MatchStatus.SUSPECT
-    assert '"left" are of a picture of half the size' in matches.notes[0]
+    assert '"left" come from an image of half the size' in matches.notes[0]
     assert (matches.posterior <= 0.5).all()
 
 
@@ -239,7 +239,7 @@ def test_a_few_tracks_that_are_next_to_certain_tell_where_chance_gives_none():
         assert is_above_chance(found, chance, 0.2, DEFAULT.decoys) is above
     assert is_above_chance(SureTracks(60, 0), chance, 0.6, DEFAULT.decoys)
     # The same number is no more than chance where decoys have as many.
-    as_many = [each._replace(certain=10) for each in chance]
+    as_many = [each._replace(near_certain=10) for each in chance]
     assert not is_above_chance(SureTracks(11, 10), as_many, 0.2, DEFAULT.decoys)
 
 

@@ -115,7 +115,7 @@ ERRORS = {
             {n: flipped(e) for n, e in seen(RIG, loose_lines(COUNT, 3)).items()},
             mirrored(RIG.names),
         ),
-        "give the matrices of unmirrored pictures in a right-handed world.",
+        "Give the matrices of unmirrored images in a right-handed world.",
     ),
     "one mirrored camera": (
         lambda: matched(mirrored(["upper"]), loose_lines(COUNT, 3)),
@@ -140,12 +140,12 @@ def test_tracks_of_views_at_nearly_one_place_are_noted(apart_mm, noise_px):
     rig, lines = nearly_at_one_place(apart_mm), loose_lines(COUNT, 3)
     pair = {name: ends for name, ends in seen(rig, lines, noise_px).items() if name != "c"}
     for given in (pair, seen(rig, lines, noise_px)):
-        notes = [n for n in trinoc.match_segments(given, rig).notes if "nearly at one place" in n]
+        notes = [n for n in trinoc.match_segments(given, rig).notes if "gives no depth" in n]
         assert len(notes) == (apart_mm < 1.0)
-        where = f'The cameras "a" and "b" stand nearly at one place, {apart_mm:g} mm apart'
+        where = f'The cameras "a" and "b" are only {apart_mm:g} mm apart'
         assert all(note.startswith(where) for note in notes)
     others = {name: ends for name, ends in seen(rig, lines, noise_px).items() if name != "a"}
-    assert not any("at one place" in note for note in trinoc.match_segments(others, rig).notes)
+    assert not any("gives no depth" in note for note in trinoc.match_segments(others, rig).notes)
 
 
 def mirrored(names):

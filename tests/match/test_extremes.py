@@ -12,15 +12,15 @@ from tests.match.made import loose_lines, pictures, rig_of
 from trinoc.geometry.segments import Segments, covariance_of_ends
 from trinoc.match.candidates.index import LAYERS, spatial_index
 from trinoc.match.matcher import match_segments
-from trinoc.match.observations.unusable import EQUAL, UNPLACED, first_of_equals
-from trinoc.match.selection.junction_support import _near_ends
+from trinoc.match.observations.unusable import DUPLICATE, POSITION_UNKNOWN, first_of_duplicates
+from trinoc.match.selection.junction_support import _pairs_of_near_ends
 from trinoc.match.selection.messages import (
-    affordable,
     conflict_graph,
-    log_share_kept,
+    log_kept_share,
+    rows_within_memory,
     with_log_share,
 )
-from trinoc.match.tracks.answers import LET_GO
+from trinoc.match.tracks.answers import DISCARDED_TRIPLES
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.selection import SelectionTuning
 from trinoc.numerics.tables import with_field
@@ -66,9 +66,9 @@ def test_segments_that_say_nothing_change_no_other_match():
     np.testing.assert_allclose(*places, rtol=0, atol=1e-4)
     np.testing.assert_allclose(found.posterior, alone.posterior, atol=1e-6)
     for view in VIEWS:
-        assert set(found.reasons[view][40:60]) == {UNPLACED}
-        assert set(found.reasons[view][60:]) == {EQUAL}
-    assert found.counts[f"segments {UNPLACED}"] == 60
+        assert set(found.reasons[view][40:60]) == {POSITION_UNKNOWN}
+        assert set(found.reasons[view][60:]) == {DUPLICATE}
+    assert found.counts[f"segments {POSITION_UNKNOWN}"] == 60
     assert peak < MOST_BYTES
 
 
@@ -84,9 +84,9 @@ def test_copies_that_differ_by_less_than_their_sigmas_make_nothing_sure():
     matches = match_segments(segments, RIG, tuning=few)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert matches.counts[LET_GO] > 0
+    assert matches.counts[DISCARDED_TRIPLES] > 0
     assert (matches.posterior < 0.5).all()
-    assert any("repeat themselves" in note for note in matches.notes)
+    assert any("repeated structure" in note for note in matches.notes)
     assert peak < MOST_BYTES
 
 
@@ -101,7 +101,7 @@ def test_of_equal_segments_the_first_is_left(count, others, seed):
     one = rng.uniform(0, 400, (1, 2, 2))
     equal = one + 1e-3 * rng.uniform(-1, 1, (count, 2, 2))
     apart = one + 20 + 10 * np.arange(others)[:, None, None]
-    rows = first_of_equals(
+    rows = first_of_duplicates(
         np.concatenate([equal, apart]), np.full(count + others, 0.3), np.ones(count + others, int)
     )
     assert rows.tolist() == [0, *range(count, count + others)]
@@ -109,7 +109,7 @@ def test_of_equal_segments_the_first_is_left(count, others, seed):
 
 def test_edges_of_both_polarities_are_two():
     ends = np.tile(np.array([[[10.0, 10.0], [90.0, 40.0]]]), (3, 1, 1))
-    assert first_of_equals(ends, np.full(3, 0.3), np.array([1, -1, 1])).tolist() == [0, 1]
+    assert first_of_duplicates(ends, np.full(3, 0.3), np.array([1, -1, 1])).tolist() == [0, 1]
 
 
 @given(sigma_px=st.floats(1.0, 1e6), far_px=st.floats(0.0, 1e6))
@@ -120,7 +120,9 @@ def test_a_segment_enters_no_more_cells_than_there_are(sigma_px, far_px):
     size = np.array([512.0, 480.0])
     table = spatial_index(ends, slack, margins, size, 9.0, 1.0)
     cells = sum(
-        np.ceil(512 / (9 * layer.cell)) * np.ceil(480 / (9 * layer.cell)) * layer.sectors
+        np.ceil(512 / (9 * layer.cell_scale))
+        * np.ceil(480 / (9 * layer.cell_scale))
+        * layer.sectors
         for layer in LAYERS
     )
     assert len(table.segment) <= 2 * cells
@@ -135,7 +137,7 @@ def test_a_share_gives_the_posterior_of_all_to_the_kept():
     kept = np.flatnonzero(rng.random(30) < 0.4)
     odds = np.exp(log_odds)
     alone = odds[kept] / (1 + odds[kept].sum())
-    share = log_share_kept(log_odds, index, kept)
+    share = log_kept_share(log_odds, index, kept)
     found = with_log_share(np.log(alone) - np.log1p(-alone), share)
     np.testing.assert_allclose(1 / (1 + np.exp(-found)), odds[kept] / (1 + odds.sum()), rtol=1e-9)
 
@@ -147,7 +149,7 @@ def test_what_is_kept_has_no_more_conflicts_than_memory_bears():
     log_odds = np.round(rng.normal(0, 2, 400))
     for most in (0, 10, 3000, 10**6):
         rules = SelectionTuning(most_conflicts=most)
-        kept = affordable(log_odds, index, -np.inf, rules)
+        kept = rows_within_memory(log_odds, index, -np.inf, rules)
         interval = np.tile([0.0, 1.0], (len(kept), 3, 1))
         assert len(conflict_graph(index[kept], interval).slot) <= most
         assert log_odds[kept].min(initial=np.inf) > np.delete(log_odds, kept).max(initial=-np.inf)
@@ -158,8 +160,8 @@ def test_meetings_are_counted_before_they_are_listed():
     ends, log_odds = rng.uniform(0, 10, (200, 3)), rng.normal(size=100)
     apart = np.linalg.norm(ends[:, None] - ends, axis=-1) <= 2
     every = {tuple(pair) for pair in np.argwhere(np.triu(apart, 1))}
-    assert {tuple(pair) for pair in _near_ends(ends, log_odds, 2.0, 10**6)} == every
-    few = _near_ends(ends, log_odds, 2.0, 100)
+    assert {tuple(pair) for pair in _pairs_of_near_ends(ends, log_odds, 2.0, 10**6)} == every
+    few = _pairs_of_near_ends(ends, log_odds, 2.0, 100)
     assert 0 < len(few) <= 100
     assert {tuple(pair) for pair in few} <= every
     own = np.unique(few // 2)

@@ -11,7 +11,7 @@ from trinoc.errors import InputError, MatchError
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.match.matcher import match_segments
-from trinoc.match.tracks.answers import reasons
+from trinoc.match.tracks.answers import unmatched_reasons
 from trinoc.synth import table1_rig
 
 VIEWS = ("upper", "left", "right")
@@ -206,7 +206,7 @@ def test_depth_range_excludes_and_says_so(noisy) -> None:
 def test_what_a_third_view_should_show_and_does_not_is_marked() -> None:
     # Segment 0 in nothing, 1 in a weak pair, 2 in one that the third view turned down, 3 matched.
     no, third = np.zeros(4, dtype=bool), np.array([False, False, True, True])
-    words = reasons(
+    words = unmatched_reasons(
         np.array([1, 2, 3]), np.array([-2.0, -1.0, 2.0]), no, no, np.arange(4) == 3, third, no
     )
     assert words.tolist() == [

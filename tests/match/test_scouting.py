@@ -8,7 +8,7 @@ from trinoc.match import MatchTuning
 from trinoc.match.candidates.learned import Region, SearchPrior, bound_region
 from trinoc.match.candidates.search import prepare_orders
 from trinoc.match.candidates.table import prior_log_odds
-from trinoc.match.candidates.triples import candidates_among
+from trinoc.match.candidates.triples import search_candidates
 from trinoc.match.evidence.mixture import prior_parameters
 from trinoc.match.matcher import match_segments
 from trinoc.match.observations.clutter import fit_clutter
@@ -101,7 +101,7 @@ def test_the_number_of_lines_does_not_depend_on_the_size_of_the_sample(
     tuning = with_field(scouting(), "scouting.sample", sample)
     rows = tuple(_spread(110, sample) for _ in VIEWS)
     every = tuple(np.arange(110) for _ in VIEWS)
-    found = candidates_among(orders_of(seen), tuning, rows=(rows, every))
+    found = search_candidates(orders_of(seen), tuning, rows=(rows, every))
     learned = _learn_prior(found, 110.0, clutter, tuning)
     assert learned is not None
     assert np.exp(float(learned.mixture.log_count)) == pytest.approx(110, rel=0.4)
@@ -110,11 +110,11 @@ def test_the_number_of_lines_does_not_depend_on_the_size_of_the_sample(
 @in_float64
 def test_the_search_within_a_box_finds_what_has_its_common_part_there(seen: dict) -> None:
     orders = orders_of(seen)
-    every = candidates_among(orders)
+    every = search_candidates(orders)
     # A box whose walls are far from all ends, so that the fit to three views crosses none.
     region = Region(np.eye(3), np.array([-200.0, -200.0, -50.0]), np.array([200.0, 200.0, 100.0]))
     learned = SearchPrior(region, prior_parameters(every.ends_mm, 110.0), -np.inf)
-    found = candidates_among(orders, learned=learned)
+    found = search_candidates(orders, prior=learned)
     assert {tuple(row) for row in found.index} <= {tuple(row) for row in every.index}
     true = {(n, n, n) for n in range(107)}
     numbers = np.stack([order[found.index[:, v]] for v, order in enumerate(orders_seen(seen))], 1)
@@ -124,13 +124,13 @@ def test_the_search_within_a_box_finds_what_has_its_common_part_there(seen: dict
 @in_float64
 def test_what_is_dropped_at_sight_is_unlikely(seen: dict) -> None:
     orders = orders_of(seen)
-    every = candidates_among(orders)
+    every = search_candidates(orders)
     mixture = prior_parameters(every.ends_mm, 110.0)
     anywhere = mixture._replace(volume=mixture.volume._replace(precision=np.zeros((3, 3))))
     odds = prior_log_odds(every, anywhere)
     slack = DEFAULT.scouting.slack_log_odds
     for least in (-5.0, 0.0, 5.0):
-        found = candidates_among(orders, learned=SearchPrior(None, mixture, least))
+        found = search_candidates(orders, prior=SearchPrior(None, mixture, least))
         likely = every.index[odds > least + slack]
         kept = {tuple(row) for row in found.index.tolist()}
         missing = {tuple(row) for row in likely.tolist()} - kept

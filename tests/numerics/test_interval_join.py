@@ -5,7 +5,7 @@ import jax
 import numpy as np
 from hypothesis import given
 
-from trinoc.match.candidates.index import LAYERS, find_keys, look_up_segments, spatial_index
+from trinoc.match.candidates.index import LAYERS, look_up_segments, search_keys, spatial_index
 from trinoc.numerics.joins import (
     blocks_of_overlapping,
     expand_ranges,
@@ -77,7 +77,7 @@ def test_the_table_holds_every_segment_near_a_point_and_a_direction(seed: int) -
     point = np.clip(point, 0.0, 199.9)
     asked = angle + rng.uniform(-1, 1, 30) * (known_rad + 0.05)
     direction = np.cos(asked), np.sin(asked)
-    keys = jax.vmap(lambda p, *known: find_keys(table.grid, [(p[0], p[1])], *known)[0])(
+    keys = jax.vmap(lambda p, *known: search_keys(table.grid, [(p[0], p[1])], *known)[0])(
         point, direction, known_rad, known_px
     )
     query, segment = look_up_segments(table, np.asarray(keys))

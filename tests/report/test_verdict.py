@@ -115,7 +115,7 @@ def test_the_page_has_the_verdict_of_the_matches_and_every_finding(matches: Matc
         assert (verdict.sentence, verdict.level) == (status.value, LEVEL_OF_STATUS[status])
         assert verdict.reason == assessment.deciding.reason
         rows = [(check.figure, check.words, check.remedy) for check in verdict.checks]
-        assert rows == [(f.figure, f.words, f.remedy) for f in assessment.findings]
+        assert rows == [(f.figure, f.explanation, f.remedy) for f in assessment.findings]
 
 
 def test_coverage_is_the_share_that_the_circles_surround(

@@ -86,7 +86,7 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
         files = files_of_rig(self.images, rig.names)
         check_views(files, rig, self.rig)
         for name in self.steps:
-            if STEPS[name].needs:
+            if STEPS[name].requirement:
                 _check_pictures(files, f"--steps {name}")
         if self.dry_run:
             sizes = {name: rig[name].image_size_px for name in files}
@@ -102,7 +102,7 @@ class MatchCommand(MatchOptions, DryRunOption, ReportOption, Command):
             arcs=lambda: {n: self.find_in(image, arcs=True) for n, image in images.items()},
             depth_range_mm=depths,
             response=settings["response"],
-            begin=lambda step: LOGGER.info(step.said),
+            begin=lambda step: LOGGER.info(step.description),
         )
         for kind, own in features.items():
             save(own, self.place_of(kind), overwrite=True)
@@ -147,7 +147,7 @@ def refusal_of(assessment: "MatchAssessment") -> str | None:
     """Why a matching counts as failed; None where it does not."""
     from trinoc.match.tracks.matches import MatchStatus
 
-    return assessment.deciding.words if assessment.status is MatchStatus.SUSPECT else None
+    return assessment.deciding.explanation if assessment.status is MatchStatus.SUSPECT else None
 
 
 def match_record(

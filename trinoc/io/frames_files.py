@@ -203,7 +203,7 @@ def _fate(result: FrameMatches) -> dict[str, Any]:
     stage = result.matches.stage
     assessment, reason = assess_matches(result.matches), {}
     if assessment.status is MatchStatus.SUSPECT:
-        reason = {"suspect": assessment.deciding.words}
+        reason = {"suspect": assessment.deciding.explanation}
     elif assessment.status is MatchStatus.UNCERTAIN:
         reason = {"uncertain": assessment.deciding.reason}
     return {

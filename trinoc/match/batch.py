@@ -1,4 +1,4 @@
-"""Many rigs, or many frames of one, matched in one call that no single failure ends."""
+"""Match many rigs, or many frames of one rig, in one call. A failure affects only its own item."""
 
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -15,7 +15,7 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.decoys import Verification
 from trinoc.match.matcher import (
     check_before_cameras,
-    check_together,
+    check_rig_consistency,
     check_verification,
     match_frames,
 )
@@ -34,15 +34,17 @@ from trinoc.numerics.programs import one_compiles
 from trinoc.numerics.values import Value
 
 OK = "ok"
-# numerical: frames with more segments in a view than this, or of more views, fill a problem
-# alone; a stack holds as many segments of a view as this at most.
-LARGEST_FRAME, LARGEST_STACK, MOST_VIEWS = 1 << 8, 1 << 13, 3
-# numerical: more threads than these would wait for the interpreter.
-MOST_THREADS = 4
+# numerical: a frame with more segments in a view than LARGEST_FRAME, or with more views than
+# MAX_VIEWS, is matched alone. LARGEST_STACK limits the segments of a view in a stack.
+LARGEST_FRAME, LARGEST_STACK, MAX_VIEWS = 1 << 8, 1 << 13, 3
+# numerical: more threads would wait for the interpreter.
+MAX_THREADS = 4
 
 
 class MatchBatch(Value):
-    """Matches of each item, None where there are none; `status` (n,) is "ok" or says why."""
+    """Matches of each item, or None if matching failed. `status` (n,) is "ok" or the error
+    message.
+    """
 
     matches: tuple[Matches | None, ...]
     status: Shaped[np.ndarray, "n"]
@@ -61,30 +63,43 @@ def match_many(
     verify: Verification = "full",
     tuning: MatchTuning = DEFAULT,
 ) -> MatchBatch:
-    """`match_segments` for each item: segments of one frame, with a rig each or one for all.
+    """Match the segments of many frames; the same as `match_segments` for each item.
 
-    An item that cannot be matched has its sentence for a status, and the others their
-    matches. Small frames are stacked and matched as one problem, up to 64 at a time, which gives
-    what each gives alone: every frame learns its own parameters. Stacks are matched on as many
-    threads as there are processors, up to four.
+    Parameters
+    ----------
+    segments : for each item, camera names to segments, as in `match_segments`.
+    rigs : one rig for all items, or one rig per item.
+    sigma_px, depth_range_mm, tuning : as in `match_segments`.
+    verify : as in `match_segments`. "full" searches for the mistake only in the first refused set
+        of each rig. Later sets of that rig are verified with "quick".
 
-    `verify` is as in `match_segments`. Of each rig the mistake is looked for in the first set that
-    is refused, and the others of that rig are checked quickly.
+    Returns
+    -------
+    MatchBatch
+        An item that cannot be matched has its error message as status.
 
-    Raises ValueError where there are not as many rigs as items.
+    Raises
+    ------
+    ValueError : the number of rigs differs from the number of items.
+
+    Notes
+    -----
+    Up to 64 small frames are stacked and matched as one problem. The result is the same as for
+    each frame alone, because every frame has its own parameters. Stacks run on one thread per
+    processor, at most four.
     """
     check_verification(verify)
-    each = [rigs] * len(segments) if isinstance(rigs, Rig) else list(rigs)
-    items = list(zip(segments, each, strict=True))
-    found: list[Matches | None] = [None] * len(items)
+    rig_of_item = [rigs] * len(segments) if isinstance(rigs, Rig) else list(rigs)
+    items = list(zip(segments, rig_of_item, strict=True))
+    item_matches: list[Matches | None] = [None] * len(items)
     status = [OK] * len(items)
     frames: dict[int, FrameInput] = {}
 
     def prepare_all() -> Iterator[tuple[int, FrameInput]]:
-        checked: dict[tuple[int, tuple[str, ...]], CamerasInput] = {}
+        camera_cache: dict[tuple[int, tuple[str, ...]], CamerasInput] = {}
         for number, (item, rig) in enumerate(items):
             try:
-                frames[number] = _prepare_item(item, rig, sigma_px, tuning, checked)
+                frames[number] = _prepare_item(item, rig, sigma_px, tuning, camera_cache)
             except TrinocError as error:
                 status[number] = str(error)
             else:
@@ -95,7 +110,7 @@ def match_many(
         return match_frames([frames[k] for k in stack], names, depth_range_mm, tuning)
 
     refused_rigs = set[int]()
-    for stack, results in _each_matched(_stacks(prepare_all()), frames, match_stack):
+    for stack, results in _match_stacks(_group_frames(prepare_all()), frames, match_stack):
         for number, matches in zip(stack, results, strict=True):
             item, rig = items[number]
             try:
@@ -105,44 +120,45 @@ def match_many(
             except TrinocError as error:
                 status[number] = str(error)
             else:
-                how = "quick" if verify == "full" and id(rig) in refused_rigs else verify
-                checked = check_together(
-                    frames[number], tuple(item), matches, depth_range_mm, tuning, how
+                verification = "quick" if verify == "full" and id(rig) in refused_rigs else verify
+                verified = check_rig_consistency(
+                    frames[number], tuple(item), matches, depth_range_mm, tuning, verification
                 )
-                found[number] = checked
-                if checked.status is MatchStatus.SUSPECT:
+                item_matches[number] = verified
+                if verified.status is MatchStatus.SUSPECT:
                     refused_rigs.add(id(rig))
-    return MatchBatch(tuple(found), np.array(status, dtype=np.str_))
+    return MatchBatch(tuple(item_matches), np.array(status, dtype=np.str_))
 
 
-def _each_matched(
+def _match_stacks(
     stacks: Iterable[list[int]],
     frames: Mapping[int, FrameInput],
-    matched: Callable[[list[int]], list[Matches]],
+    match_stack: Callable[[list[int]], list[Matches]],
 ) -> list[tuple[list[int], list[Matches]]]:
-    """Stacks and their matches: small frames on threads, while others are prepared.
+    """Match all stacks, and return each stack with its matches.
 
-    Large ones, whose programs have threads of their own and which take much memory, come after.
+    Small frames are matched on threads while others are prepared. Large frames follow one by
+    one: their programs use all processors and much memory.
     """
     config: Any = jax.config
-    device, large = config.jax_default_device, []
+    device, large_stacks = config.jax_default_device, []
 
     def on_thread(stack: list[int]) -> list[Matches]:
         numbers = [[len(ends) for ends in frames[k].ends_px] for k in stack]
         sizes = bucket(max(map(sum, zip(*numbers, strict=True)))), bucket(len(stack))
-        # Settings of JAX are each thread's own.
+        # Each thread has its own JAX settings.
         with jax.default_device(device), one_compiles("match_frames", len(numbers[0]), *sizes):
-            return in_float64(matched)(stack)
+            return in_float64(match_stack)(stack)
 
-    with ThreadPoolExecutor(min(multiprocessing.cpu_count(), MOST_THREADS)) as threads:
-        waiting = []
+    with ThreadPoolExecutor(min(multiprocessing.cpu_count(), MAX_THREADS)) as threads:
+        futures = []
         for stack in stacks:
             if _is_small(frames[stack[0]]):
-                waiting.append((stack, threads.submit(on_thread, stack)))
+                futures.append((stack, threads.submit(on_thread, stack)))
             else:
-                large.append(stack)
-        done = [(stack, results.result()) for stack, results in waiting]
-    return done + [(stack, matched(stack)) for stack in large]
+                large_stacks.append(stack)
+        small_results = [(stack, results.result()) for stack, results in futures]
+    return small_results + [(stack, match_stack(stack)) for stack in large_stacks]
 
 
 def _prepare_item(
@@ -150,39 +166,39 @@ def _prepare_item(
     rig: Rig,
     sigma_px: float | None,
     tuning: MatchTuning,
-    checked: dict[tuple[int, tuple[str, ...]], CamerasInput],
+    camera_cache: dict[tuple[int, tuple[str, ...]], CamerasInput],
 ) -> FrameInput:
-    """A frame; the cameras of a rig that many frames share are checked once."""
+    """Prepare one frame. The cameras of a rig are checked once for all frames that share it."""
     key = id(rig), tuple(segments)
-    if key not in checked and len(segments) > 1 and set(segments) <= set(rig.names):
-        checked[key] = prepare_cameras(rig, segments)
-    return prepare_frame(segments, rig, sigma_px, tuning.sides, checked.get(key))
+    if key not in camera_cache and len(segments) > 1 and set(segments) <= set(rig.names):
+        camera_cache[key] = prepare_cameras(rig, segments)
+    return prepare_frame(segments, rig, sigma_px, tuning.sides, camera_cache.get(key))
 
 
 def _size(frame: FrameInput) -> tuple[int, int]:
-    """(number of views, segments in the fullest of them)."""
+    """Number of views, and number of segments in the view that has most."""
     return len(frame.names), max(len(ends) for ends in frame.ends_px)
 
 
 def _is_small(frame: FrameInput) -> bool:
     views, size = _size(frame)
-    return views <= MOST_VIEWS and size <= LARGEST_FRAME
+    return views <= MAX_VIEWS and size <= LARGEST_FRAME
 
 
-def _stacks(frames: Iterable[tuple[int, FrameInput]]) -> Iterator[list[int]]:
-    """Numbers of the frames that are matched together."""
-    waiting: dict[int, list[int]] = {}
-    filled: dict[int, int] = {}
+def _group_frames(frames: Iterable[tuple[int, FrameInput]]) -> Iterator[list[int]]:
+    """Yield groups of frame numbers that are matched as one problem."""
+    open_stacks: dict[int, list[int]] = {}
+    segment_counts: dict[int, int] = {}
     for number, frame in frames:
         if not _is_small(frame):
             yield [number]
             continue
         views, size = _size(frame)
-        stack = waiting.setdefault(views, [])
-        if len(stack) == FRAMES_AT_ONCE or filled.get(views, 0) + size > LARGEST_STACK:
+        stack = open_stacks.setdefault(views, [])
+        if len(stack) == FRAMES_AT_ONCE or segment_counts.get(views, 0) + size > LARGEST_STACK:
             yield stack
-            stack = waiting[views] = []
-            filled[views] = 0
+            stack = open_stacks[views] = []
+            segment_counts[views] = 0
         stack.append(number)
-        filled[views] = filled.get(views, 0) + size
-    yield from (stack for stack in waiting.values() if stack)
+        segment_counts[views] = segment_counts.get(views, 0) + size
+    yield from (stack for stack in open_stacks.values() if stack)

@@ -1,16 +1,18 @@
-"""Do these segments and this rig belong together? Competition with decoys.
+"""Test whether segments and rig belong together, by comparison with decoys.
 
-Segments of pictures that a rig did not take meet by chance in two views, and now and then in three;
-how often depends on the scene. The same segments with one view mirrored or upside down are decoys:
-the tracks among them are what chance gives in this scene. Where the rig has hardly more, none of
-its tracks may be sure. Most sets have so many tracks in three views, or so many that are next to
-certain, that no decoy is needed; others are compared with up to three.
+Segments of images that the rig did not take meet by chance in two views, and sometimes in three.
+How often depends on the scene. Decoys are the same segments with one view mirrored or upside down.
+The number of tracks among decoys is the number by chance in this scene. If the rig has hardly more,
+no track is sure.
 
-A set is SUSPECT, too, where its errors are large and a shift of one view explains them, or where
-it has few lines and far more once a mistake is undone. Mistakes are undone on the longest segments:
-some 30 matchings, some 10 for a shift alone. `verify="quick"` leaves them out.
+Most sets need no decoy: a large share of their segments is on sure tracks of three views, or many
+of their tracks are nearly certain. Other sets are compared with up to three decoys.
 
-Source: Elias and Gygi, "Target-decoy search strategy", Nature Methods 4, 2007.
+A set is also SUSPECT if its errors are large and a shift of one view explains them. The same holds
+if a set has few lines and far more after a mistake is corrected. Mistakes are tested on the longest
+segments, with about 30 matchings, or 10 for a shift alone. `verify="quick"` skips these tests.
+
+Reference: Elias and Gygi, "Target-decoy search strategy", Nature Methods 4, 2007.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +22,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from trinoc.match import sentences
 from trinoc.match.explanations import (
     MIRRORED,
     UPSIDE_DOWN,
@@ -30,31 +33,28 @@ from trinoc.match.explanations import (
     undo_mistakes,
 )
 from trinoc.match.observations.match_input import BEYOND_FOLD, FrameInput
-from trinoc.match.observations.unusable import EQUAL, UNPLACED
+from trinoc.match.observations.unusable import DUPLICATE, POSITION_UNKNOWN
 from trinoc.match.tracks.answers import CERTAIN, SURE
-from trinoc.match.tracks.matches import EVEN, SUSPECT_SETS, Matches
-from trinoc.match.tracks.reliability import say_excluded_depths
+from trinoc.match.tracks.matches import EVEN_POSTERIOR, SUSPECT_SETS, Matches
+from trinoc.match.tracks.reliability import depth_range_remedy
 from trinoc.match.tuning.tracks import DecoyTuning
 
-UNKNOWN = (
-    "Check that this rig took these pictures of one scene at one time, in the size that it states, "
-    "and that each stands under its own camera's name."
-)
-
-
-# How thoroughly a set is checked: see `check_set`.
+# How thoroughly `check_set` tests a set.
 Verification = Literal["full", "quick", "off"]
 
-# Matches a frame; with `in_three=True` of lines in three views alone, which takes less time.
+# Function that matches a frame. With `three_views_only=True` it skips pairs, which takes less time.
 MatchFrame = Callable[..., Matches]
 
 
 class SureTracks(NamedTuple):
-    """Number of sure tracks through three views, and of those that are next to certain, as if no
-    pattern repeated."""
+    """Numbers of tracks in three views that are sure (`three_view`), and nearly certain
+    (`near_certain`).
 
-    in_three: int
-    certain: int
+    Both are counted without the reduction for repeated patterns.
+    """
+
+    three_view: int
+    near_certain: int
 
 
 def check_set(
@@ -65,60 +65,61 @@ def check_set(
     tuning: DecoyTuning,
     verify: Verification = "full",
 ) -> Matches:
-    """The matches, SUSPECT where chance gives about as many lines as the rig does, or where a view
-    is shifted.
+    """Return the matches, as SUSPECT if segments and rig do not seem to belong together.
+
+    A set is suspect if decoys have about as many sure lines as the rig, or if one view is shifted.
 
     Parameters
     ----------
-    frame : what was matched; `names` are the caller's views.
-    matches : of the frame. Only those of three views are checked.
-    match : matches a frame as if no pattern repeated: of patterns little is sure, and that says
-        nothing about the set.
-    verify : "full" looks for the mistake in a refused or very doubtful set, "quick" does not, "off"
-        checks nothing.
+    frame : the matched frame.
+    names : the caller's order of views.
+    matches : result for the frame. Sets of two views, or of more than three, are not tested.
+    match : function that matches a frame without the reduction for repeated patterns. Such a
+        pattern lowers all posteriors, but is no evidence against the set.
+    verify : "full" also searches for the mistake in a refused or very doubtful set. "quick" does
+        not. "off" tests nothing.
 
     Returns
     -------
-    Matches; of a suspect set no track is likelier than not, and of tracks that chance gives none.
-    The first note names the likeliest cause.
+    Matches
+        In a suspect set no posterior is above 0.5. The first note names the most likely cause.
     """
-    usable = [~np.isin(matches.reasons[name], (BEYOND_FOLD, UNPLACED, EQUAL)) for name in names]
-    fewest = min(int(of_view.sum()) for of_view in usable)
+    is_usable = [
+        ~np.isin(matches.reasons[name], (BEYOND_FOLD, POSITION_UNKNOWN, DUPLICATE))
+        for name in names
+    ]
+    fewest = min(int(of_view.sum()) for of_view in is_usable)
     if verify == "off" or len(names) != 3 or fewest < tuning.fewest_segments:
         return matches
     sure = count_sure(matches)
-    share, noise = sure.in_three / fewest, matches.noise_scale
+    share, noise = sure.three_view / fewest, matches.noise_scale
     is_clear = share >= tuning.clear_share
-    # However few of its segments they are, so many lines are no chance.
-    is_certain = sure.certain >= tuning.clear_certain
-    chance: list[SureTracks] = []
+    # So many nearly certain lines are no chance, even if they are a small share of the segments.
+    is_certain = sure.near_certain >= tuning.clear_certain
+    decoy_counts: list[SureTracks] = []
     if not (is_clear or is_certain):
-        chance = count_by_chance(frame, sure, share, match, tuning)
-    by_chance = bool(chance) and not is_above_chance(sure, chance, share, tuning)
-    cause = say_excluded_depths(matches) if by_chance else None
+        decoy_counts = count_by_chance(frame, sure, share, match, tuning)
+    is_chance = bool(decoy_counts) and not is_above_chance(sure, decoy_counts, share, tuning)
+    cause = depth_range_remedy(matches) if is_chance else None
     if cause is None and verify == "full":
-        every = by_chance or (share < tuning.few_share and not is_certain)
-        # Where most segments are sure, the tracks show a shift; elsewhere it is to be tried.
+        tries_all_mistakes = is_chance or (share < tuning.few_share and not is_certain)
+        # The residuals of the tracks show a shift only if most segments are sure.
         is_shifted = noise > (tuning.noisy_above if is_clear else tuning.shifted_above) and (
             not is_clear or seems_shifted(frame, _tracks_in_three(matches, frame), tuning)
         )
-        if every or is_shifted:
-            cause = find_cause(frame, match, tuning, every=every)
-    if by_chance or cause:
-        note = _note_of_set(sure, chance if by_chance else [], cause)
-        return _doubt(matches, sure, chance if by_chance else [], note)
+        if tries_all_mistakes or is_shifted:
+            cause = find_cause(frame, match, tuning, all_kinds=tries_all_mistakes)
+    if is_chance or cause:
+        note = _note_of_set(sure, decoy_counts if is_chance else [], cause)
+        return _doubt(matches, sure, decoy_counts if is_chance else [], note)
     if noise > tuning.moved_above and share < tuning.noisy_share:
-        note = (
-            f"Only {sure.in_three} of {fewest} segments are sure in three views, and their errors "
-            f"are {noise:.2g} times those stated: a camera was moved, or a picture is cut or "
-            "shifted; check the rig (check_rig) before you use these matches."
-        )
+        note = sentences.rig_has_changed(sure.three_view, fewest, noise)
         return _doubt(matches, sure, [], note)
     return matches
 
 
 def _tracks_in_three(matches: Matches, frame: FrameInput) -> Int[np.ndarray, "t 3"]:
-    """Segments of the tracks in three views, by the frame's views and its numbers of segments."""
+    """Segments (t, 3) of the tracks in three views, in the frame's order of views and segments."""
     columns = []
     for name, order in zip(frame.names, frame.order, strict=True):
         number = np.full(len(matches.reasons[name]), -1)
@@ -132,55 +133,58 @@ def _tracks_in_three(matches: Matches, frame: FrameInput) -> Int[np.ndarray, "t 
 def count_by_chance(
     frame: FrameInput, sure: SureTracks, share: float, match: MatchFrame, tuning: DecoyTuning
 ) -> list[SureTracks]:
-    """Sure tracks of the decoys, until one of them leaves no doubt that the rig has more."""
-    chance = []
+    """Sure tracks of each decoy. Stops early once the rig clearly has more."""
+    decoy_counts = []
     for decoy in decoys(frame):
-        chance.append(count_sure(match(decoy, in_three=True)))
-        if sure.in_three > 2 * least_above_chance([chance[-1].in_three], share, tuning):
+        decoy_counts.append(count_sure(match(decoy, three_views_only=True)))
+        if sure.three_view > 2 * least_above_chance([decoy_counts[-1].three_view], share, tuning):
             break
-    return chance
+    return decoy_counts
 
 
-def _note_of_set(sure: SureTracks, chance: Sequence[SureTracks], cause: str | None) -> str:
-    by_chance = ""
-    if chance:
-        mean = np.mean(chance, axis=0)[0]
-        by_chance = f", and {mean:.0f} where a picture is mirrored on purpose"
-    return (
-        "These segments and this rig do not seem to belong together: sure lines in three views "
-        f"number {sure.in_three}{by_chance}. {cause or UNKNOWN}"
+def _note_of_set(sure: SureTracks, decoy_counts: Sequence[SureTracks], cause: str | None) -> str:
+    by_chance = float(np.mean(decoy_counts, axis=0)[0]) if decoy_counts else None
+    return sentences.set_does_not_belong(
+        sure.three_view, by_chance, cause or sentences.CHECK_THE_SET
     )
 
 
 def count_sure(matches: Matches) -> SureTracks:
-    """Those of the matches."""
+    """Numbers of sure and of nearly certain tracks, from the counts of the matches."""
     return SureTracks(matches.counts[SURE], matches.counts[CERTAIN])
 
 
 def is_above_chance(
-    sure: SureTracks, chance: Sequence[SureTracks], share: float, tuning: DecoyTuning
+    sure: SureTracks, decoy_counts: Sequence[SureTracks], share: float, tuning: DecoyTuning
 ) -> bool:
-    """Whether the rig gives more sure tracks than decoys, or more that are next to certain, of
-    which chance gives hardly any: a few of these tell where views share little."""
-    few = _more_than([each.certain for each in chance], tuning.of_certain)
-    least = least_above_chance([each.in_three for each in chance], share, tuning)
-    return sure.in_three >= least or sure.certain >= few
+    """Test whether the rig has significantly more sure or nearly certain tracks than its decoys.
+
+    Chance gives hardly any nearly certain tracks. A few of them are therefore enough where the
+    views overlap little.
+    """
+    certain_limit = _more_than([counts.near_certain for counts in decoy_counts], tuning.of_certain)
+    limit = least_above_chance([counts.three_view for counts in decoy_counts], share, tuning)
+    return sure.three_view >= limit or sure.near_certain >= certain_limit
 
 
 def least_above_chance(counts: Sequence[int], share: float, tuning: DecoyTuning) -> float:
-    """How many sure tracks through three views are more than decoys, which have `counts`, give."""
+    """Smallest number of sure tracks in three views that is significant against decoys with
+    `counts`.
+    """
     return _more_than(counts, tuning.few if share < tuning.few_share else tuning.some)
 
 
 def _more_than(counts: Sequence[int], rule: tuple[float, float, float]) -> float:
-    """A multiple of the mean, so many standard deviations of a count of it, and so many more."""
-    times, deviations, more = rule
+    """Upper limit for a count: factor times the mean, plus some Poisson standard deviations,
+    plus a constant.
+    """
+    factor, sigmas, constant = rule
     mean = float(np.mean(counts))
-    return times * mean + deviations * float(np.sqrt(mean)) + more
+    return factor * mean + sigmas * float(np.sqrt(mean)) + constant
 
 
 def decoys(frame: FrameInput) -> Iterator[FrameInput]:
-    """Three wrong geometries of the same segments, each with one view mirrored or upside down."""
+    """Yield three decoys: the same segments with one view mirrored or upside down."""
     for view, change in enumerate((MIRRORED, UPSIDE_DOWN, MIRRORED)):
         yield change_view(frame, view, change)
 
@@ -190,48 +194,54 @@ def find_cause(
     match: MatchFrame,
     tuning: DecoyTuning,
     *,
-    every: bool,
+    all_kinds: bool,
 ) -> str | None:
-    """The mistake that best explains the segments, in a sentence; None where none does.
+    """Sentence on the mistake that best explains the segments; None if no mistake does.
 
-    Shifts are tried, and where `every` is true pictures exchanged, turned and of other sizes. Once
-    it is undone there are more sure lines by far, or as many whose errors are smaller by far.
+    Shifts are always tested. With `all_kinds`, exchanged, turned and resized images are tested
+    too. A mistake is the cause if its correction gives far more sure lines, or as many lines
+    with much smaller errors.
     """
     sample = take_longest(frame, tuning.tried_segments)
 
     shifts = list(find_shifts(sample, match, tuning))
-    if not (shifts or every):
+    if not (shifts or all_kinds):
         return None
 
-    def count(other: FrameInput) -> tuple[int, float]:
-        matches = match(other, in_three=True)
-        return count_sure(matches).in_three, matches.noise_scale
+    def count_lines(candidate: FrameInput) -> tuple[int, float]:
+        matches = match(candidate, three_views_only=True)
+        return count_sure(matches).three_view, matches.noise_scale
 
-    own, noise = count(sample)
-    # One of the decoys may be what undoes the mistake, and tells nothing of chance then.
-    chance = sorted(count(decoy)[0] for decoy in decoys(sample))[:-1]
-    # Of a set that shows next to nothing more is asked for than of one that shows a part.
-    least = max(own, least_above_chance(chance, 0.0 if every else 1.0, tuning))
-    times, more = tuning.explained
-    for kind in (*(undo_mistakes(sample) if every else ()), shifts):
-        tried = [(*count(undone), words) for words, undone in kind]
-        # Of shifts that explain about as many lines, the true one leaves the smallest errors.
-        number, scale, words = max(tried, key=lambda one: one[0] / one[1], default=(0, noise, ""))
+    sample_count, noise = count_lines(sample)
+    # One decoy may be the correction of the mistake, so the decoy with most lines is ignored.
+    decoy_counts = sorted(count_lines(decoy)[0] for decoy in decoys(sample))[:-1]
+    # The limit is stricter for a set with hardly any sure line.
+    limit = max(sample_count, least_above_chance(decoy_counts, 0.0 if all_kinds else 1.0, tuning))
+    factor, constant = tuning.explained
+    for mistakes in (*(undo_mistakes(sample) if all_kinds else ()), shifts):
+        trials = [(*count_lines(mistake.corrected), mistake.description) for mistake in mistakes]
+        # Several shifts may explain about as many lines. The true one leaves the smallest errors.
+        corrected_count, scale, description = max(
+            trials, key=lambda trial: trial[0] / trial[1], default=(0, noise, "")
+        )
         is_quieter = noise > tuning.noisy_above and scale < tuning.quieter * noise
-        if number > least and (is_quieter or number > times * own + more):
-            return (
-                f"Most likely {words}: with that undone, {number} lines of a sample are sure in "
-                f"place of {own}."
-            )
+        is_larger = corrected_count > factor * sample_count + constant
+        if corrected_count > limit and (is_quieter or is_larger):
+            return sentences.most_likely_mistake(description, corrected_count, sample_count)
     return None
 
 
-def _doubt(matches: Matches, sure: SureTracks, chance: Sequence[SureTracks], note: str) -> Matches:
-    """The matches as SUSPECT, with probabilities times the share that chance does not give, half
-    at most."""
-    by_chance = np.mean([each.in_three for each in chance]) if chance else 0.0
-    # A share of none would leave log odds that nothing can compare.
-    factor = float(np.clip(1 - by_chance / max(sure.in_three, 1), 1e-3, EVEN))
+def _doubt(
+    matches: Matches, sure: SureTracks, decoy_counts: Sequence[SureTracks], note: str
+) -> Matches:
+    """The matches as SUSPECT: all posteriors are multiplied by the share above chance, at most
+    0.5.
+    """
+    mean_by_chance = (
+        np.mean([counts.three_view for counts in decoy_counts]) if decoy_counts else 0.0
+    )
+    # A share of 0 would give log odds of -inf, which cannot be compared.
+    factor = float(np.clip(1 - mean_by_chance / max(sure.three_view, 1), 1e-3, EVEN_POSTERIOR))
     members = matches.member_posterior
     return replace(
         matches,

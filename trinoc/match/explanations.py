@@ -1,8 +1,8 @@
-"""What may be wrong with a set of segments, and the same set without it, to be matched again.
+"""Possible mistakes in a set of segments, each with the corrected set, to be matched again.
 
-Pictures may be exchanged, turned, of another size than the rig states, or shifted. A shift is
-estimated: where lines of the two other views should end in the picture, and where segments of it
-that are parallel to them do end, differ by the shift more often than by anything else.
+Images may be exchanged, turned, of another size than the rig states, or shifted. The shift is
+estimated. Two other views predict the ends of lines in the image. The most frequent difference
+between these and the ends of parallel segments is the shift.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,79 +14,85 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from trinoc.geometry.projection import project_by_matrix
+from trinoc.match import sentences
 from trinoc.match.observations.match_input import FrameInput, order_ends
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.tracks import DecoyTuning
 
-# numerical: what a picture is turned by about its middle: along u, along v, by half a turn.
+# numerical: matrices that reverse u, reverse v, or turn by 180 degrees, about the image's middle.
 MIRRORED, UPSIDE_DOWN, TURNED = (np.diag(signs) for signs in ((-1.0, 1), (1, -1.0), (-1.0, -1.0)))
-SAME = np.eye(2)  # numerical: neither turned nor of another size.
+SAME = np.eye(2)  # numerical: no change.
 
-# numerical: fewer residuals than these show no shift.
-FEWEST_RESIDUALS = 8
-
-
-class Explanation(NamedTuple):
-    """What is wrong with a frame, in words, and the frame without it."""
-
-    words: str
-    undone: FrameInput
+# numerical: a shift is not estimated from fewer residuals.
+MIN_RESIDUALS = 8
 
 
-def undo_mistakes(frame: FrameInput) -> Iterator[Iterator[Explanation]]:
-    """Kinds of mistakes that can be undone as they are, the commonest first."""
+class Mistake(NamedTuple):
+    """Description of a possible mistake, and the frame with it corrected."""
+
+    description: str
+    corrected: FrameInput
+
+
+def undo_mistakes(frame: FrameInput) -> Iterator[Iterator[Mistake]]:
+    """Yield groups of possible mistakes that need no estimation, the commonest group first."""
     yield _exchange_views(frame)
     yield _turn_views(frame)
     yield _resize_views(frame)
 
 
-def _exchange_views(frame: FrameInput) -> Iterator[Explanation]:
+def _exchange_views(frame: FrameInput) -> Iterator[Mistake]:
     for order in permutations(range(3)):
-        moved = [k for k in range(3) if order[k] != k]
-        if moved:
-            which = " and ".join(f'"{frame.names[k]}"' for k in moved)
+        exchanged = [k for k in range(3) if order[k] != k]
+        if exchanged:
             cameras = frame.cameras.take(list(order))
-            words = f"the pictures of {which} are exchanged"
-            yield Explanation(words, frame._replace(cameras=cameras))
+            description = sentences.images_exchanged(frame.names[k] for k in exchanged)
+            yield Mistake(description, frame._replace(cameras=cameras))
 
 
-def _turn_views(frame: FrameInput) -> Iterator[Explanation]:
+def _turn_views(frame: FrameInput) -> Iterator[Mistake]:
     for view, name in enumerate(frame.names):
-        for change, word in ((TURNED, "upside down"), (MIRRORED, "mirrored")):
-            words = f'the picture of "{name}" is {word}'
-            yield Explanation(words, change_view(frame, view, change))
+        for change, adjective in ((TURNED, "upside down"), (MIRRORED, "mirrored")):
+            description = sentences.image_turned(name, adjective)
+            yield Mistake(description, change_view(frame, view, change))
 
 
-def _resize_views(frame: FrameInput) -> Iterator[Explanation]:
-    """Segments of pictures, all of them or one, of half or twice the size that the rig states."""
-    for scale, word in ((2.0, "half"), (0.5, "twice")):
-        everywhere = frame
+def _resize_views(frame: FrameInput) -> Iterator[Mistake]:
+    """Images of half or twice the size that the rig states: one image, or all of them."""
+    for scale, size in ((2.0, "half"), (0.5, "twice")):
+        all_resized = frame
         for view in range(len(frame.names)):
-            # About the corner of the picture, half a pixel before the first centre.
+            # The fixed point is the corner of the image, half a pixel before the first centre.
             corner = (scale - 1) * np.asarray(frame.cameras.size_px[view]) / 2
-            everywhere = change_view(everywhere, view, scale * SAME, corner)
-            one = change_view(frame, view, scale * SAME, corner)
-            words = f'the segments of "{frame.names[view]}" are of a picture of {word} the size'
-            yield Explanation(f"{words} of its camera's", one)
-        words = f"the segments are of pictures of {word} the size of the cameras'"
-        yield Explanation(words, everywhere)
+            all_resized = change_view(all_resized, view, scale * SAME, corner)
+            one_resized = change_view(frame, view, scale * SAME, corner)
+            yield Mistake(sentences.image_resized(frame.names[view], size), one_resized)
+        yield Mistake(sentences.all_images_resized(size), all_resized)
 
 
 def seems_shifted(frame: FrameInput, index: Int[np.ndarray, "t 3"], tuning: DecoyTuning) -> bool:
-    """Whether a shift of one picture explains most of what its segments miss the lines of the two
-    other views by: all of them are then off by n . s, with normals n and one shift s."""
-    if len(index) < FEWEST_RESIDUALS:
+    """Test whether a shift of one image explains most of its residuals.
+
+    A residual is the offset of a segment's middle from the line that the two other views
+    predict. With a shift s, all offsets of lines with normals n are n . s.
+    """
+    if len(index) < MIN_RESIDUALS:
         return False
     for view in range(3):
-        normal, miss_px = _transfer(frame, index, view)
-        shift, weight = np.zeros(2), np.ones(len(miss_px))
+        normal, offset_px = _transfer(frame, index, view)
+        shift, weight = np.zeros(2), np.ones(len(offset_px))
         for _ in range(tuning.shift_rounds):
-            both = normal.T * weight
-            shift = np.linalg.lstsq(both @ normal, both @ miss_px, rcond=None)[0]
-            rest = np.abs(miss_px - normal @ shift)
-            weight = 1 / (1 + (rest / max(np.median(rest), 1e-9)) ** 2)
-        before, after = (np.median(np.abs(miss_px - normal @ s)) for s in (np.zeros(2), shift))
-        if np.linalg.norm(shift) > tuning.least_shift_px and after < tuning.quieter * before:
+            weighted = normal.T * weight
+            shift = np.linalg.lstsq(weighted @ normal, weighted @ offset_px, rcond=None)[0]
+            residual = np.abs(offset_px - normal @ shift)
+            weight = 1 / (1 + (residual / max(np.median(residual), 1e-9)) ** 2)
+        median_before, median_after = (
+            np.median(np.abs(offset_px - normal @ s)) for s in (np.zeros(2), shift)
+        )
+        if (
+            np.linalg.norm(shift) > tuning.least_shift_px
+            and median_after < tuning.quieter * median_before
+        ):
             return True
     return False
 
@@ -94,8 +100,10 @@ def seems_shifted(frame: FrameInput, index: Int[np.ndarray, "t 3"], tuning: Deco
 def _transfer(
     frame: FrameInput, index: Int[np.ndarray, "t 3"], view: int
 ) -> tuple[Float[np.ndarray, "t 2"], Float[np.ndarray, "t"]]:
-    """(unit normals of the lines in a view that the two other views predict, how far the middles
-    of the segments lie from them, px)."""
+    """Lines that the two other views predict in a view, and the offset of the segments from them.
+
+    Returns unit normals (t, 2), and signed distances (t,) of the segments' middles in px.
+    """
     planes = []
     for other in {0, 1, 2} - {view}:
         ends = np.pad(
@@ -103,10 +111,11 @@ def _transfer(
         )
         planes.append(np.cross(ends[:, 0], ends[:, 1]) @ frame.cameras.matrix_px[other])
     matrix, centre = frame.cameras.matrix_px[view], np.append(frame.cameras.centre_mm[view], 1.0)
-    # The plane of the pencil of both that holds this camera's centre is the line's image.
+    # Both planes contain the line. The plane of their pencil through this camera's centre gives
+    # the image of the line.
     first, second = planes
-    through = (second @ centre)[:, None] * first - (first @ centre)[:, None] * second
-    line = np.linalg.solve(matrix[:, :3].T, through[:, :3].T).T
+    plane = (second @ centre)[:, None] * first - (first @ centre)[:, None] * second
+    line = np.linalg.solve(matrix[:, :3].T, plane[:, :3].T).T
     line = line / np.linalg.norm(line[:, :2], axis=1, keepdims=True)
     middle = frame.ends_px[view][index[:, view]].mean(axis=1)
     return line[:, :2], (line[:, :2] * middle).sum(axis=1) + line[:, 2]
@@ -114,20 +123,16 @@ def _transfer(
 
 def find_shifts(
     frame: FrameInput, match: Callable[[FrameInput], Matches], tuning: DecoyTuning
-) -> Iterator[Explanation]:
-    """Each picture in turn shifted by what the lines of the two others say."""
-    for others in combinations(range(3), 2):
-        view = 3 - sum(others)
-        lines_mm = match(take_views(frame, list(others))).lines_mm
-        expected = project_by_matrix(frame.cameras.matrix_px[view], lines_mm)
-        shift = estimate_shift(expected, frame.ends_px[view], tuning)
+) -> Iterator[Mistake]:
+    """Yield a shift of each image in turn, estimated from the lines of the two other views."""
+    for pair in combinations(range(3), 2):
+        view = 3 - sum(pair)
+        lines_mm = match(take_views(frame, list(pair))).lines_mm
+        expected_px = project_by_matrix(frame.cameras.matrix_px[view], lines_mm)
+        shift = estimate_shift(expected_px, frame.ends_px[view], tuning)
         if shift is not None and np.hypot(*shift) > tuning.least_shift_px:
-            words = (
-                f'the picture of "{frame.names[view]}" is shifted by about '
-                f"({shift[0]:.0f}, {shift[1]:.0f}) px against its camera (it is cut, or its "
-                "principal point or the camera has moved)"
-            )
-            yield Explanation(words, change_view(frame, view, SAME, -shift))
+            description = sentences.image_shifted(frame.names[view], shift)
+            yield Mistake(description, change_view(frame, view, SAME, -shift))
 
 
 def estimate_shift(
@@ -135,25 +140,33 @@ def estimate_shift(
     segments_px: Float[np.ndarray, "n 2 2"],
     tuning: DecoyTuning,
 ) -> Float[np.ndarray, "2"] | None:
-    """By how much segments lie beside where lines are expected, most often; None where none of
-    them is parallel to any line within reach."""
-    way, turn = (np.diff(each, axis=1)[:, 0] for each in (expected_px, segments_px))
-    sizes = np.outer(*(np.linalg.norm(each, axis=1) for each in (way, turn)))
-    area = way[:, :1] * turn[:, 1] - way[:, 1:] * turn[:, 0]
-    parallel = np.abs(area) < np.sin(np.radians(tuning.parallel_deg)) * sizes
-    i, j = np.nonzero(parallel)
-    ends = np.where(
-        (way[i] * turn[j]).sum(axis=1)[:, None, None] < 0, segments_px[j, ::-1], segments_px[j]
+    """Most frequent offset between segments and the predicted lines parallel to them, px.
+
+    None if no segment within the search radius is parallel to a predicted line.
+    """
+    expected_step, segment_step = (
+        np.diff(ends, axis=1)[:, 0] for ends in (expected_px, segments_px)
     )
-    apart = (ends - expected_px[i]).reshape(-1, 2)
-    apart = apart[(np.abs(apart) < tuning.reach_px).all(axis=1)]
-    if len(apart) == 0:
+    length_products = np.outer(
+        *(np.linalg.norm(vector, axis=1) for vector in (expected_step, segment_step))
+    )
+    area = expected_step[:, :1] * segment_step[:, 1] - expected_step[:, 1:] * segment_step[:, 0]
+    is_parallel = np.abs(area) < np.sin(np.radians(tuning.parallel_deg)) * length_products
+    i, j = np.nonzero(is_parallel)
+    ends = np.where(
+        (expected_step[i] * segment_step[j]).sum(axis=1)[:, None, None] < 0,
+        segments_px[j, ::-1],
+        segments_px[j],
+    )
+    offset_px = (ends - expected_px[i]).reshape(-1, 2)
+    offset_px = offset_px[(np.abs(offset_px) < tuning.reach_px).all(axis=1)]
+    if len(offset_px) == 0:
         return None
-    tree = KDTree(apart)
-    number = tree.query_ball_point(apart, tuning.agree_px, return_length=True)
-    shift = apart[np.argmax(number)]
+    tree = KDTree(offset_px)
+    neighbours = tree.query_ball_point(offset_px, tuning.agree_px, return_length=True)
+    shift = offset_px[np.argmax(neighbours)]
     for _ in range(tuning.shift_rounds):
-        shift = np.median(apart[tree.query_ball_point(shift, tuning.agree_px)], axis=0)
+        shift = np.median(offset_px[tree.query_ball_point(shift, tuning.agree_px)], axis=0)
     return shift
 
 
@@ -163,54 +176,62 @@ def change_view(
     change: Float[np.ndarray, "2 2"],
     shift_px: Float[np.ndarray, "2"] | float = 0.0,
 ) -> FrameInput:
-    """The frame with the segments of a view changed about the picture's middle, then shifted."""
+    """The frame with one view transformed: a linear map about the image's middle, then a shift
+    in px.
+    """
     middle = (np.asarray(frame.cameras.size_px[view]) - 1) / 2
     ends = (frame.ends_px[view] - middle) @ change.T + middle + shift_px
-    both = np.kron(np.eye(2), change)
-    # Tables hold ends from left to right, and segments in the order of their places.
-    ends, covariance, swap = order_ends(ends, both @ frame.covariance_px2[view] @ both.T)
-    # The darker side changes with the ends, and with the handedness of the picture.
-    exchanged = swap ^ (np.linalg.det(change) < 0)
-    polarity = np.where(exchanged, -1, 1) * frame.polarity[view]
-    sides = np.where(
-        exchanged[:, None], frame.sides[view][:, [1, 0, 3, 2, 4, 5, 6]], frame.sides[view]
+    change_of_ends = np.kron(np.eye(2), change)
+    # Tables need ends from left to right, and segments sorted by position.
+    ends, covariance, swap = order_ends(
+        ends, change_of_ends @ frame.covariance_px2[view] @ change_of_ends.T
     )
-    changed = {
+    # Exchanged ends reverse the darker side, and so does a mirrored image.
+    sides_exchanged = swap ^ (np.linalg.det(change) < 0)
+    polarity = np.where(sides_exchanged, -1, 1) * frame.polarity[view]
+    sides = np.where(
+        sides_exchanged[:, None], frame.sides[view][:, [1, 0, 3, 2, 4, 5, 6]], frame.sides[view]
+    )
+    new_columns = {
         "ends_px": ends,
         "covariance_px2": covariance,
         "polarity": polarity,
         "sides": sides,
     }
     columns = {
-        name: [new if k == view else own for k, own in enumerate(getattr(frame, name))]
-        for name, new in changed.items()
+        name: [new if k == view else column for k, column in enumerate(getattr(frame, name))]
+        for name, new in new_columns.items()
     }
-    rows = [np.arange(len(own)) for own in frame.order]
+    rows = [np.arange(len(order)) for order in frame.order]
     rows[view] = np.lexsort(ends.reshape(-1, 4).T[::-1])
     return _take_segments(frame._replace(**columns), rows)
 
 
-def take_longest(frame: FrameInput, most: int) -> FrameInput:
-    """The frame with the longest segments of each view, the likeliest to be seen by all."""
+def take_longest(frame: FrameInput, limit: int) -> FrameInput:
+    """The frame with only the longest segments of each view. These are most often visible in all
+    views.
+    """
     length = [np.linalg.norm(np.diff(ends, axis=1)[:, 0], axis=1) for ends in frame.ends_px]
-    rows = [np.sort(np.argsort(-own, kind="stable")[:most]) for own in length]
-    # They are numbered anew: nobody asks what becomes of the others.
-    order = [np.arange(len(own)) for own in rows]
-    left_out = [np.full(len(own), "") for own in rows]
-    return _take_segments(frame, rows)._replace(order=order, left_out=left_out)
+    rows = [
+        np.sort(np.argsort(-length_of_view, kind="stable")[:limit]) for length_of_view in length
+    ]
+    # The sample has its own numbering, since its result is only counted.
+    order = [np.arange(len(row)) for row in rows]
+    exclusion_reasons = [np.full(len(row), "") for row in rows]
+    return _take_segments(frame, rows)._replace(order=order, exclusion_reasons=exclusion_reasons)
 
 
 def _take_segments(frame: FrameInput, rows: list[Int[np.ndarray, "_"]]) -> FrameInput:
-    """The frame with some segments of each view, in the order of `rows`."""
+    """The frame with the segments `rows` of each view, in that order."""
     columns = {
-        name: [own[of_view] for own, of_view in zip(getattr(frame, name), rows, strict=True)]
+        name: [column[of_view] for column, of_view in zip(getattr(frame, name), rows, strict=True)]
         for name in ("order", "ends_px", "covariance_px2", "polarity", "sides")
     }
     return frame._replace(**columns)
 
 
 def take_views(frame: FrameInput, views: list[int]) -> FrameInput:
-    """The frame with some of its views."""
+    """The frame with only the views of the given indices."""
     columns = {
         name: [column[view] for view in views]
         for name, column in frame._asdict().items()

@@ -1,4 +1,6 @@
-"""The matcher: segments of two or more pictures to lines in space."""
+"""Match segments of two or more views: steps 1 to 3 of the paper, repeated until the noise scale
+is stable.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import get_args
@@ -20,7 +22,7 @@ from trinoc.match.observations.match_input import (
     with_noise_scale,
 )
 from trinoc.match.observations.table import segments_per_view
-from trinoc.match.observations.unusable import leave_out_unusable
+from trinoc.match.observations.unusable import exclude_unusable
 from trinoc.match.occlusion.pairs import match_occluded
 from trinoc.match.scouting import find_triples
 from trinoc.match.selection.marginals import Selection, learn_noise_scale, select
@@ -43,102 +45,119 @@ def match_segments(
     verify: Verification = "full",
     tuning: MatchTuning = DEFAULT,
 ) -> Matches:
-    """Match line segments across the views of a rig, by geometry and the grey levels beside them.
+    """Match line segments across the views of a rig, by geometry and by the grey levels beside
+    them.
 
     Parameters
     ----------
     segments : camera names to Segments, or to arrays of x1 y1 x2 y2 from any detector, (n, 4) or
-        (n, 1, 4), in pixels of the picture. Two views give pairs only, three or more give triples,
-        and pairs of what the others do not show.
-    rig : holds a camera of every name in `segments`, and may hold more.
-    sigma_px : standard deviation of the ends across the segments, in place of their own.
-    depth_range_mm : least and greatest depth before every camera that sees a line; by default
-        lines lie anywhere before the cameras.
-    verify : how thoroughly three views are checked for belonging to the rig. "quick" compares
-        doubtful sets with what chance gives, which takes a part of the matching's own time;
-        "full" also looks for the mistake in a refused or very doubtful set, up to 30 matchings of
-        its longest segments; "off" checks nothing.
-    tuning : every tuned constant of the method; a benchmark or a study changes them.
+        (n, 1, 4), in pixels of the image. Two views give pairs only. Three or more give triples,
+        and pairs of segments that the other views do not show.
+    rig : the cameras. It contains every name in `segments` and may contain more.
+    sigma_px : standard deviation of the ends across the segments. It replaces the covariances of
+        the segments.
+    depth_range_mm : smallest and largest depth before every camera that sees a line. Default: any
+        positive depth.
+    verify : how thoroughly the matcher tests whether three views belong to the rig. "quick"
+        compares doubtful sets with chance, in a fraction of the matching time. "full" also searches
+        for the mistake in a refused or very doubtful set, with up to 30 matchings of its longest
+        segments. "off" tests nothing.
+    tuning : all tuned constants of the method.
 
     Returns
     -------
-    Matches; `posterior` is the probability of each, `rival_posterior` that of its best rival, and
-    `reasons` says of every unmatched segment why it is.
+    Matches
+        `posterior` is the probability of each match, `rival_posterior` that of its best rival.
+        `reasons` states for every unmatched segment why it has no match.
 
     Raises
     ------
-    MatchError, InputError : names without a camera, fewer than two views, coordinates that
-        are not finite, segments without length, mirrored cameras, depths that are no range.
+    MatchError, InputError
+        Names without a camera, fewer than two views, coordinates that are not finite, segments
+        without length, mirrored cameras, or an invalid depth range.
 
-    The order of segments, of their ends and of views changes nothing but the numbering.
+    Notes
+    -----
+    The order of segments, of their ends and of views changes only the numbering of the result.
 
-    Source: Yokoi, Medioni and Nevatia, "A segment-based matching algorithm in trinocular
-    vision", 1986: candidates, selection by neighbours, occluded segments.
+    References
+    ----------
+    Yokoi, Medioni and Nevatia, "A segment-based matching algorithm in trinocular vision", 1986.
     """
     check_depth_range(depth_range_mm)
     check_verification(verify)
     frame = prepare_frame(segments, rig, sigma_px, tuning.sides)
-    found = match_frames([frame], [tuple(segments)], depth_range_mm, tuning)[0]
-    check_before_cameras(frame, found, segments, rig, sigma_px, depth_range_mm, tuning)
-    return check_together(frame, tuple(segments), found, depth_range_mm, tuning, verify)
+    matches = match_frames([frame], [tuple(segments)], depth_range_mm, tuning)[0]
+    check_before_cameras(frame, matches, segments, rig, sigma_px, depth_range_mm, tuning)
+    return check_rig_consistency(frame, tuple(segments), matches, depth_range_mm, tuning, verify)
 
 
 def check_depth_range(depth_range_mm: tuple[float, float] | None) -> None:
-    """Raises InputError for what is no pair of depths, or holds none."""
+    """Raise InputError unless the range is two depths, 0 <= least < greatest, or None."""
     if depth_range_mm is None:
         return
-    near, far = depth_range_mm if np.shape(depth_range_mm) == (2,) else (np.nan, np.nan)
-    if not 0 <= near < far:
+    smallest, largest = depth_range_mm if np.shape(depth_range_mm) == (2,) else (np.nan, np.nan)
+    if not 0 <= smallest < largest:
         raise InputError(
-            f"depth_range_mm is {depth_range_mm}, which holds no depth: give the least, then the "
-            "greatest, in mm."
+            f"depth_range_mm is {depth_range_mm}, which contains no depth: give the smallest, then "
+            "the largest depth, in mm."
         )
 
 
 def check_verification(verify: str) -> None:
-    """Raises InputError for a word that names no verification."""
+    """Raise InputError for an unknown value of `verify`."""
     if verify not in get_args(Verification):
         raise InputError(f'verify is "{verify}": give "full", "quick" or "off".')
 
 
-def check_together(
+def check_rig_consistency(
     frame: FrameInput,
     names: tuple[str, ...],
-    found: Matches,
+    matches: Matches,
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning,
     verify: Verification,
 ) -> Matches:
-    """The matches with the status that competition with decoys gives."""
+    """Test whether the segments belong to the rig, and return the matches with the resulting
+    status.
 
-    def match(frame: FrameInput, *, in_three: bool = False) -> Matches:
-        # Chance is as sure of patterns as the rig: both are counted as if nothing repeated.
-        rules = with_field(tuning, "repetition.greatest_log_odds", np.inf)
-        if in_three:
-            # No segment is left for pairs, and wrong views learn no noise for long.
-            rules = with_field(rules, "occlusion.max_matched_share", 0.0)
-            rules = with_field(rules, "noise.passes", tuning.decoys.passes)
-        return match_frames([frame], [frame.names], depth_range_mm, rules)[0]
+    The test compares the number of sure tracks with that of decoys (`check_set`).
+    """
 
-    return check_set(frame, names, found, match, tuning.decoys, verify)
+    def match(frame: FrameInput, *, three_views_only: bool = False) -> Matches:
+        # Repeated patterns lower posteriors of rig and decoys alike, so both go without.
+        decoy_tuning = with_field(tuning, "repetition.greatest_log_odds", np.inf)
+        if three_views_only:
+            # No segment remains for pairs. Decoys need few passes over their noise.
+            decoy_tuning = with_field(decoy_tuning, "occlusion.max_matched_share", 0.0)
+            decoy_tuning = with_field(decoy_tuning, "noise.passes", tuning.decoys.passes)
+        return match_frames([frame], [frame.names], depth_range_mm, decoy_tuning)[0]
+
+    return check_set(frame, names, matches, match, tuning.decoys, verify)
 
 
 def check_before_cameras(
     frame: FrameInput,
-    found: Matches,
+    matches: Matches,
     segments: Mapping[str, Segments | ArrayLike],
     rig: Rig,
     sigma_px: float | None,
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning,
 ) -> None:
-    """Raise InputError where few lines lie before cameras that diverge, and more behind them."""
-    few = tuning.tracks.few_share * min(len(ends) for ends in frame.ends_px)
-    if len(found) < few and views_diverge({name: rig[name] for name in segments}):
-        turned = prepare_frame(segments, mirror_rig(rig), sigma_px, tuning.sides)
-        behind = len(match_frames([turned], [tuple(segments)], depth_range_mm, tuning)[0])
-        if behind > few:
-            raise mirrored_rig_error(segments, len(found), behind)
+    """Raise InputError if the rig is mirrored.
+
+    It is mirrored if the cameras diverge, few lines lie before them, and more lines lie behind
+    them.
+    """
+    few_lines = tuning.tracks.few_share * min(len(ends) for ends in frame.ends_px)
+    if len(matches) < few_lines and views_diverge({name: rig[name] for name in segments}):
+        mirrored_frame = prepare_frame(segments, mirror_rig(rig), sigma_px, tuning.sides)
+        count_behind = len(
+            match_frames([mirrored_frame], [tuple(segments)], depth_range_mm, tuning)[0]
+        )
+        if count_behind > few_lines:
+            raise mirrored_rig_error(segments, len(matches), count_behind)
 
 
 def match_frames(
@@ -147,53 +166,81 @@ def match_frames(
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning,
 ) -> list[Matches]:
-    """Matches of frames of as many views each, as one problem; `names` are the caller's views.
+    """Match several frames with the same number of views as one problem.
 
-    More than one frame have three views at most, and are FRAMES_AT_ONCE at most. Each learns the
-    errors of its own segments, in as many passes as that takes.
+    Several frames have at most three views, and at most FRAMES_AT_ONCE frames are matched at once.
+    The noise scale of each frame is estimated from its own segments, in as many passes as needed.
+
+    Parameters
+    ----------
+    frames : prepared segments and cameras of each frame.
+    names : the caller's order of view names, for each frame.
+
+    Returns
+    -------
+    Matches of each frame.
     """
-    frames = [leave_out_unusable(frame, tuning.observations) for frame in frames]
-    stated, left = stack_frames(frames), np.arange(len(frames))
-    scale, found = np.ones(len(frames)), dict[int, Matches]()
+    frames = [exclude_unusable(frame, tuning.observations) for frame in frames]
+    stated_inputs, active_frames = stack_frames(frames), np.arange(len(frames))
+    frame_noise_scale, matches = np.ones(len(frames)), dict[int, Matches]()
     for passes_left in reversed(range(tuning.noise.passes)):
-        seen = with_noise_scale(stated, scale[left])
-        clutter = fit_clutter(seen.lines, seen.counts, tuning.clutter)
+        inputs = with_noise_scale(stated_inputs, frame_noise_scale[active_frames])
+        clutter = fit_clutter(inputs.lines, inputs.counts, tuning.clutter)
         # The steps of the paper: 1 candidates, 2 selection by neighbours, 3 occluded segments.
-        triples = find_triples(seen, clutter, depth_range_mm, tuning)
-        selections, outside = _select_triples(seen, triples, tuning)
-        scale[left], again = learn_noise_scale(
-            selections, np.asarray(stated.lines.across_px2), scale[left], tuning.noise
+        triples = find_triples(inputs, clutter, depth_range_mm, tuning)
+        selections, out_of_range = _select_triples(inputs, triples, tuning)
+        frame_noise_scale[active_frames], needs_another_pass = learn_noise_scale(
+            selections,
+            np.asarray(stated_inputs.lines.across_px2),
+            frame_noise_scale[active_frames],
+            tuning.noise,
         )
-        again &= passes_left > 0
-        if not again.all():
-            seen = with_noise_scale(stated, scale[left])
-            tracks, larger = tracks_through_views(seen, selections, tuning)
-            seen = with_noise_scale(seen, np.full(len(left), larger))
-            scale[left] *= larger
+        needs_another_pass &= passes_left > 0
+        if not needs_another_pass.all():
+            inputs = with_noise_scale(stated_inputs, frame_noise_scale[active_frames])
+            tracks, noise_factor = tracks_through_views(inputs, selections, tuning)
+            inputs = with_noise_scale(inputs, np.full(len(active_frames), noise_factor))
+            frame_noise_scale[active_frames] *= noise_factor
             tracks, pairs = match_occluded(
-                seen, clutter, tracks, selections, depth_range_mm, tuning
+                inputs, clutter, tracks, selections, depth_range_mm, tuning
             )
-            tracks = with_view_support(seen, tracks, tuning)
-            called, judged = [names[k] for k in left.tolist()], (tracks, selections, pairs, outside)
-            results = assemble(seen, *judged, called, scale[left], tuning)
-            found |= {k: results[n] for n, k in enumerate(left.tolist()) if not again[n]}
-        if not again.any():
+            tracks = with_view_support(inputs, tracks, tuning)
+            results = assemble(
+                inputs,
+                tracks,
+                selections,
+                pairs,
+                out_of_range,
+                [names[k] for k in active_frames.tolist()],
+                frame_noise_scale[active_frames],
+                tuning,
+            )
+            matches |= {
+                k: results[n]
+                for n, k in enumerate(active_frames.tolist())
+                if not needs_another_pass[n]
+            }
+        if not needs_another_pass.any():
             break
-        left = left[again]
-        stated = stack_frames([frames[k] for k in left.tolist()])
-    return [found[k] for k in range(len(frames))]
+        active_frames = active_frames[needs_another_pass]
+        stated_inputs = stack_frames([frames[k] for k in active_frames.tolist()])
+    return [matches[k] for k in range(len(frames))]
 
 
 def _select_triples(
-    seen: MatchInput,
+    inputs: MatchInput,
     triples: Iterable[tuple[tuple[int, int, int], Candidates, np.ndarray]],
     tuning: MatchTuning,
 ) -> tuple[list[Selection], list[np.ndarray]]:
-    """(selection among the triples of each three of the views, segments of those out of range)."""
-    selections, outside = [], []
+    """Select among the triples of each view triplet.
+
+    Returns the selections, and the segments of triples outside the depth range, both per
+    triplet.
+    """
+    selections, out_of_range = [], []
     for views, candidates, index in triples:
-        counts = [seen.counts[view] if view in views else 0 for view in range(len(seen.counts))]
-        typical = segments_per_view(seen.lines, counts) * len(counts) / 3
-        selections.append(select(candidates, typical, tuning=tuning))
-        outside.append(index)
-    return selections, outside
+        counts = [inputs.counts[view] if view in views else 0 for view in range(len(inputs.counts))]
+        mean_count = segments_per_view(inputs.lines, counts) * len(counts) / 3
+        selections.append(select(candidates, mean_count, tuning=tuning))
+        out_of_range.append(index)
+    return selections, out_of_range

@@ -1,4 +1,6 @@
-"""The names of the steps after matching, which the command's help lists without importing them."""
+"""Names of the steps after matching. The help of the command lists them without importing the
+steps.
+"""
 
 from typing import Literal
 

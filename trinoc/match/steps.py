@@ -1,7 +1,7 @@
-"""The steps after matching, by their names, in the order in which they are taken.
+"""Steps after matching, by name, in the order in which they run.
 
-Python (`improve`) and the command have this one vocabulary. A step that finds features adds them to
-what is found, by their kind.
+Python (`improve`) and the command use the same names. A step that detects features in space adds
+them to the result under their kind.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,59 +25,61 @@ from trinoc.match.wire_frame.build import wireframe
 
 
 class StepResult(NamedTuple):
-    """What matching and the steps after it found.
+    """Result of matching and of the steps after it.
 
     Fields
     ------
-    matches : the tracks, with what the steps say of them.
-    segments : of each view, those that the matches number.
-    features : those that steps found, by their kind.
+    matches : the tracks, with the marks that the steps set on them.
+    segments : the segments of each view, in the numbering of the matches.
+    features : detected features in space, by kind.
     """
 
     matches: Matches
     segments: Mapping[str, Segments]
     features: Mapping[str, Feature] = {}
 
-    def with_features(self, own: Feature) -> "StepResult":
-        """The same and features of another kind."""
-        return self._replace(features={**self.features, own.KIND: own})
+    def with_features(self, feature: Feature) -> "StepResult":
+        """Return the same result with features of one more kind."""
+        return self._replace(features={**self.features, feature.KIND: feature})
 
 
 class StepInput(NamedTuple):
-    """What steps work with: see `improve`."""
+    """Inputs that the steps share; see `improve`."""
 
     rig: Rig
-    pictures: Mapping[str, Shaped[np.ndarray, "..."]]
+    images: Mapping[str, Shaped[np.ndarray, "..."]]
     arcs: Callable[[], Mapping[str, Segments]] | None
     depth_range_mm: tuple[float, float] | None
     response: ResponseLike
 
 
 class Step(NamedTuple):
-    """What a step does, in words; what it needs beside segments; and the step itself."""
+    """One step: description for the log, required input beside segments, and the function that
+    runs it.
+    """
 
-    said: str
-    needs: str
-    take: Callable[[StepResult, StepInput], StepResult]
+    description: str
+    requirement: str
+    run: Callable[[StepResult, StepInput], StepResult]
 
 
-def _measure(found: StepResult, given: StepInput) -> StepResult:
+def _measure(result: StepResult, inputs: StepInput) -> StepResult:
     measured = measure_lines(
-        found.matches, found.segments, given.rig, given.pictures, response=given.response
+        result.matches, result.segments, inputs.rig, inputs.images, response=inputs.response
     )
-    return found._replace(matches=measured)
+    return result._replace(matches=measured)
 
 
-def _rims(found: StepResult, given: StepInput) -> StepResult:
-    chords = given.arcs() if given.arcs is not None else {}
-    among = match_segments(chords, given.rig, depth_range_mm=given.depth_range_mm)
-    rims = find_rims(among, chords, given.rig)
-    joined = add_rims(found.matches, found.segments, rims, chords, given.rig)
-    return found._replace(matches=joined.matches, segments=joined.segments).with_features(rims)
+def _rims(result: StepResult, inputs: StepInput) -> StepResult:
+    chords = inputs.arcs() if inputs.arcs is not None else {}
+    chord_matches = match_segments(chords, inputs.rig, depth_range_mm=inputs.depth_range_mm)
+    rims = find_rims(chord_matches, chords, inputs.rig)
+    extended = add_rims(result.matches, result.segments, rims, chords, inputs.rig)
+    return result._replace(matches=extended.matches, segments=extended.segments).with_features(rims)
 
 
-def _wireframe(found: StepResult, given: StepInput) -> StepResult:
-    return found.with_features(wireframe(found.matches, given.rig))
+def _wireframe(result: StepResult, inputs: StepInput) -> StepResult:
+    return result.with_features(wireframe(result.matches, inputs.rig))
 
 
 STEPS: dict[StepName, Step] = {
@@ -99,35 +101,42 @@ def improve(
     response: ResponseLike = "linear",
     begin: Callable[[Step], None] = lambda step: None,
 ) -> StepResult:
-    """Take some of the steps after matching, in their own order.
+    """Run some of the steps after matching, in their fixed order.
 
     Parameters
     ----------
-    matches, segments : of `match_segments`, and the segments that were matched.
+    matches : result of `match_segments`.
+    segments : the matched segments, by view.
     rig : the cameras.
-    steps : of STEPS: "pixels" (`measure_lines`), "rims" (`find_rims`, `add_rims`), "wireframe"
-        (`wireframe`).
-    pictures : of each view; "pixels" needs them.
-    arcs : gives the segments with the chords of arcs (`find_segments(arcs=True)`), which "rims"
-        needs.
-    depth_range_mm : as the segments were matched.
-    response : how the cameras make grey levels of light, as `find_segments` has it.
-    begin : is called before each step.
+    steps : names from STEPS: "pixels" (`measure_lines`), "rims" (`find_rims`, `add_rims`),
+        "wireframe" (`wireframe`).
+    pictures : image of each view. Required by "pixels".
+    arcs : function that returns the segments with the chords of arcs (`find_segments(arcs=True)`).
+        Required by "rims".
+    depth_range_mm : depth range that was used for matching.
+    response : response of the cameras to light, as in `find_segments`.
+    begin : function that is called before each step.
 
-    Raises InputError for a name that no step has, and for steps that lack what they need.
+    Returns
+    -------
+    StepResult
+
+    Raises
+    ------
+    InputError : unknown step name, or a step without its required input.
     """
     unknown = [step for step in steps if step not in STEPS]
     if unknown:
         raise InputError(f'There is no step "{unknown[0]}": choose of {", ".join(STEPS)}.')
-    given = StepInput(rig, pictures or {}, arcs, depth_range_mm, response)
-    found = StepResult(matches, segments)
-    chosen = {name: step for name, step in STEPS.items() if name in steps}
-    for name, step in chosen.items():
-        if step.needs == "pictures" and not set(matches.views) <= set(given.pictures):
+    inputs = StepInput(rig, pictures or {}, arcs, depth_range_mm, response)
+    result = StepResult(matches, segments)
+    selected = {name: step for name, step in STEPS.items() if name in steps}
+    for name, step in selected.items():
+        if step.requirement == "pictures" and not set(matches.views) <= set(inputs.images):
             raise InputError(f'The step "{name}" needs the picture of each view: give `pictures`.')
-        if step.needs == "arcs" and arcs is None:
+        if step.requirement == "arcs" and arcs is None:
             raise InputError(f'The step "{name}" needs segments with arcs: give `arcs`.')
-    for step in chosen.values():
+    for step in selected.values():
         begin(step)
-        found = step.take(found, given)
-    return found
+        result = step.run(result, inputs)
+    return result

@@ -124,7 +124,7 @@ def _frame_fate(name: str, matches: Matches | None, failure: str) -> FrameFate:
         return FrameFate(name, np.nan, np.nan, np.nan, failure or "failed", "failed")
     in_three = np.asarray(matches.stage) == TRINOCULAR
     assessment = assess_matches(matches)
-    words = assessment.deciding.words
+    words = assessment.deciding.explanation
     return FrameFate(
         name,
         float(in_three.sum() if len(matches.views) > 2 else len(matches)),

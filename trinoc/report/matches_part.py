@@ -12,7 +12,7 @@ from trinoc.geometry.segments import Segments
 from trinoc.match.tracks.answers import MATCHED
 from trinoc.match.tracks.matches import (
     BINOCULAR,
-    EVEN,
+    EVEN_POSTERIOR,
     TRINOCULAR,
     Matches,
 )
@@ -300,7 +300,7 @@ def _track_rows(matches: Matches, colours: list[str], sigmas: LineSigmas) -> tup
                 colours[track],
                 str(matches.stage[track])
                 + (", moves" if viewpoint_dependent[track] else "")
-                + (", outline of a round body" if silhouette[track] > EVEN else ""),
+                + (", outline of a round body" if silhouette[track] > EVEN_POSTERIOR else ""),
                 members,
                 with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])),
                 with_decimals(float(sigmas.across_sigma_mm[track]), 3),

@@ -72,7 +72,7 @@ def find_verdict(subject: Subject) -> Verdict | None:
 def _check_of_finding(finding: MatchFinding) -> ReportCheck:
     question, part = QUESTION_ON_MATCHES[finding.topic]
     level = LEVEL_OF_STATUS[finding.status]
-    return ReportCheck(question, level, finding.figure, finding.words, finding.remedy, part)
+    return ReportCheck(question, level, finding.figure, finding.explanation, finding.remedy, part)
 
 
 def _answer_on_calibration(subject: Subject) -> Answer | None:

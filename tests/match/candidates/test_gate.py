@@ -10,13 +10,13 @@ from tests.match.scene import MadeScene
 from trinoc.match.candidates.index import (
     SAMPLES,
     find_segments_near_predictions,
-    lookup,
-    prediction_keys,
+    index_segments,
+    keys_of_prediction,
 )
 from trinoc.match.candidates.search import passes_third_view_gate
 from trinoc.match.candidates.third_view import Prediction, predict, third_view
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.match.two_view.epipolar_pencil import pencil, take_segments
+from trinoc.match.two_view.epipolar_pencil import build_pencil, take_segments
 
 ONE_SAMPLE_PX = DEFAULT.candidates.one_sample_px
 REACH = DEFAULT.candidates.reach_sigmas
@@ -42,7 +42,7 @@ class Dense(NamedTuple):
 
 @jax.jit
 def predicted_and_gated(lines, grid, ends_px, line):
-    planes = pencil(lines, np.array(FIRST), np.array(SECOND))
+    planes = build_pencil(lines, np.array(FIRST), np.array(SECOND))
     view = third_view(lines, planes, np.array(THIRD))
 
     def one(i, j):
@@ -50,7 +50,7 @@ def predicted_and_gated(lines, grid, ends_px, line):
         gate = jax.vmap(lambda *k: passes_third_view_gate(guess, *k))
         return (
             guess,
-            prediction_keys(grid, guess),
+            keys_of_prediction(grid, guess),
             gate(ends_px, line, lines.across_px2[THIRD, :COUNT]),
         )
 
@@ -60,7 +60,7 @@ def predicted_and_gated(lines, grid, ends_px, line):
 
 @pytest.fixture(scope="module")
 def table(noisy: MadeScene):
-    return lookup(noisy.seen.lines, THIRD, COUNT)
+    return index_segments(noisy.seen.lines, THIRD, COUNT)
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from trinoc.match.candidates.index import (
     CROWDED_LAYERS,
     LAYERS,
     SpatialIndex,
-    find_keys,
     look_up_segments,
+    search_keys,
     spatial_index,
 )
 
@@ -45,7 +45,7 @@ def table_of(segments: tuple[np.ndarray, np.ndarray], layers) -> SpatialIndex:
 def keys(grid, points, angle, slack, sigma):
     def one(point, angle, slack, sigma):
         direction = jnp.cos(angle), jnp.sin(angle)
-        return find_keys(grid, [(point[0], point[1])], direction, slack, sigma)[0]
+        return search_keys(grid, [(point[0], point[1])], direction, slack, sigma)[0]
 
     return jax.vmap(one)(points, angle, slack, sigma)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.match.scene import VIEWS, MadeScene, made_scene
-from trinoc.match.candidates.index import lookup
+from trinoc.match.candidates.index import index_segments
 from trinoc.match.candidates.search import gate_triples, passes_third_view_gate
 from trinoc.match.candidates.third_view import (
     predict,
@@ -14,7 +14,7 @@ from trinoc.match.candidates.third_view import (
 )
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.match.two_view.epipolar_pencil import pencil, take_segments
+from trinoc.match.two_view.epipolar_pencil import build_pencil, take_segments
 
 ORDER, COUNT = np.arange(3), 30
 
@@ -23,7 +23,7 @@ def found_triples(scene: MadeScene) -> set[tuple[int, ...]]:
     lines = scene.seen.lines
     inputs = prepare_order(lines, ORDER)[1]
     i, j = np.divmod(np.arange(COUNT * COUNT, dtype=np.int32), COUNT)
-    table = lookup(lines, 2, COUNT)
+    table = index_segments(lines, 2, COUNT)
     found = gate_triples(lines, inputs, table, i, j, DEFAULT.candidates)
     assert len(np.unique(found, axis=0)) == len(found)
     return {tuple(row) for row in found.tolist()}
@@ -31,7 +31,7 @@ def found_triples(scene: MadeScene) -> set[tuple[int, ...]]:
 
 @jax.jit
 def passes_gate(lines: SegmentTable, triple):
-    planes = pencil(lines, ORDER[0], ORDER[1])
+    planes = build_pencil(lines, ORDER[0], ORDER[1])
     view = third_view(lines, planes, ORDER[2])
 
     def one(index):

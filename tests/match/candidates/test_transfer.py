@@ -6,7 +6,7 @@ import numpy as np
 from tests.match.scene import MadeScene, image_px
 from trinoc.match.candidates.third_view import Prediction, predict, third_view
 from trinoc.match.observations.table import SegmentTable
-from trinoc.match.two_view.epipolar_pencil import pencil, take_segments
+from trinoc.match.two_view.epipolar_pencil import build_pencil, take_segments
 
 FIRST, SECOND, THIRD = 0, 1, 2
 
@@ -15,7 +15,7 @@ FIRST, SECOND, THIRD = 0, 1, 2
 def predictions(lines: SegmentTable, ends_px, pairs) -> Prediction:
     """What pairs of views 0 and 1 predict in view 2, with the ends of all segments replaced."""
     lines = lines._replace(ends_px=ends_px)
-    planes = pencil(lines, np.array(FIRST), np.array(SECOND))
+    planes = build_pencil(lines, np.array(FIRST), np.array(SECOND))
     view = third_view(lines, planes, np.array(THIRD))
 
     def one(pair):

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from trinoc.match.evidence.endpoints import END_COMPONENTS, end_evidence, reach_of_ends
+from trinoc.match.evidence.endpoints import END_COMPONENTS, end_evidence, end_search_radius_px
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.buckets import in_blocks
 
@@ -75,9 +75,9 @@ def test_ends_reach_as_far_as_the_widest_scale_that_counts(number: int) -> None:
     rules = DEFAULT.scouting
     shares = np.zeros(END_COMPONENTS)
     shares[[0, number, -1]] += 0.65, 0.9 * rules.ends_wider, 0.25
-    assert reach_of_ends(shares, 1e3, rules) == rules.ends_sigmas * AGREEING_PX[0]
+    assert end_search_radius_px(shares, 1e3, rules) == rules.ends_sigmas * AGREEING_PX[0]
     shares[number] += 0.2
-    reach_px = reach_of_ends(shares, 1e3, rules)
+    reach_px = end_search_radius_px(shares, 1e3, rules)
     assert reach_px is not None
     assert reach_px == rules.ends_sigmas * AGREEING_PX[number]
-    assert reach_of_ends(shares, 0.9 * reach_px / rules.ends_below, rules) is None
+    assert end_search_radius_px(shares, 0.9 * reach_px / rules.ends_below, rules) is None

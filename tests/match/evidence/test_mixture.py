@@ -10,7 +10,7 @@ from trinoc.match.evidence.mixture import (
     em_step,
     fit_volume,
     log_odds,
-    log_place,
+    log_position_density,
     prior_parameters,
     probability,
 )
@@ -167,7 +167,7 @@ def test_places_are_uniform_in_the_box_and_gaussian_outside():
     reach = np.array([0.5, 0.9 * corner, np.sqrt(corner**2 + 2), np.sqrt(corner**2 + 6)])
     ends = np.zeros((4, 2, 3))
     ends[:, 0, 0] = reach
-    inside, edge, near, far = log_place(ends, volume)
+    inside, edge, near, far = log_position_density(ends, volume)
     assert np.exp(inside) == pytest.approx(1 / 1000 / (2 * np.pi))
     assert edge == inside
     np.testing.assert_allclose([inside - near, inside - far], [1.0, 3.0])

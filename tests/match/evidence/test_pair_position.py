@@ -10,7 +10,7 @@ from tests.match.scene import MadeScene, image_px
 from trinoc.match.evidence.triple_position import PairEvidence, pair_evidence
 from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.tuning.every_group import DEFAULT
-from trinoc.match.two_view.epipolar_pencil import pencil, take_segments
+from trinoc.match.two_view.epipolar_pencil import build_pencil, take_segments
 
 AGREEING_PX = np.array(DEFAULT.ends.agreeing_px)
 
@@ -19,7 +19,7 @@ VIEWS = np.array([0, 2])
 
 @jax.jit
 def evidence_of(lines, views, segments, clutter) -> PairEvidence:
-    planes = pencil(lines, views[0], views[1])
+    planes = build_pencil(lines, views[0], views[1])
 
     def one(segments):
         rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])
@@ -102,7 +102,7 @@ def test_which_view_comes_first_means_nothing(
     np.testing.assert_allclose(ends_of(again.ends_mm), ends, atol=1e-6)
     np.testing.assert_allclose(again.px_per_mm, evidence.px_per_mm, rtol=1e-9)
     np.testing.assert_allclose(again.end_log, evidence.end_log[:, ::-1], atol=1e-7)
-    np.testing.assert_array_equal(again.expected, evidence.expected)
+    np.testing.assert_array_equal(again.expected_views, evidence.expected_views)
 
 
 def test_a_pair_is_expected_where_another_picture_would_show_it(
@@ -111,7 +111,7 @@ def test_a_pair_is_expected_where_another_picture_would_show_it(
     table, points = precise.table, ends_of(evidence.ends_mm)
     image = image_px(table.matrix_px[1], points)
     inside = ((image > 0) & (image < table.size_px[1])).all(axis=(1, 2))
-    np.testing.assert_array_equal(evidence.expected, inside.astype(float))
+    np.testing.assert_array_equal(evidence.expected_views, inside.astype(float))
 
 
 def test_ends_that_agree_are_likelier_than_strangers(

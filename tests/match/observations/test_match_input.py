@@ -12,7 +12,7 @@ from trinoc.errors import MatchError
 from trinoc.geometry import distort_pixels, undistort_pixels
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
-from trinoc.match.observations.match_input import MOST_SEGMENTS, MatchInput, prepare
+from trinoc.match.observations.match_input import MAX_SEGMENTS, MatchInput, prepare
 
 Pictures = dict[str, Segments]
 
@@ -131,6 +131,6 @@ def test_distortion_is_taken_out_and_put_back(noisy: MadeScene) -> None:
 
 
 def test_more_segments_than_memory_bears_are_refused() -> None:
-    many = np.random.default_rng(0).uniform(0, 400, (MOST_SEGMENTS + 1, 4))
+    many = np.random.default_rng(0).uniform(0, 400, (MAX_SEGMENTS + 1, 4))
     with pytest.raises(MatchError, match="40000 segments of a view at most"):
         prepare({"upper": many[:9], "left": many}, rig_of("upper", "left"), None)

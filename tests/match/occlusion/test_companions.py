@@ -10,8 +10,8 @@ from trinoc.match.occlusion.companions import (
     CONTINUES,
     Companions,
     companion_log_odds,
-    companions,
-    picture_neighbours,
+    find_companions,
+    image_neighbours,
 )
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import with_field
@@ -23,7 +23,7 @@ PICTURE = np.array(
 
 
 def neighbours_of(ends_px: np.ndarray, frame: np.ndarray | None = None) -> set[tuple[int, ...]]:
-    found = picture_neighbours(ends_px, DEFAULT, frame)
+    found = image_neighbours(ends_px, DEFAULT, frame)
     return set(zip(*(column.tolist() for column in found), strict=True))
 
 
@@ -36,7 +36,7 @@ def pairs_of(index: list[tuple[int, int]]) -> Candidates:
 
 
 def graph_of(index: list[tuple[int, int]], *pictures: np.ndarray) -> set[tuple[int, ...]]:
-    found = companions(pairs_of(index), np.arange(len(index)), np.stack(pictures), DEFAULT)
+    found = find_companions(pairs_of(index), np.arange(len(index)), np.stack(pictures), DEFAULT)
     return set(zip(*(column.tolist() for column in found), strict=True))
 
 
@@ -78,8 +78,8 @@ def test_a_pair_that_runs_against_its_segment_has_the_same_companions() -> None:
     second = PICTURE[:, ::-1]
     pairs = pairs_of([(0, 0), (1, 1), (2, 2)])
     pairs.interval[:, 1] = [1.0, 0.0]
-    found = companions(pairs, np.arange(3), np.stack([PICTURE, second]), DEFAULT)
-    expected = companions(
+    found = find_companions(pairs, np.arange(3), np.stack([PICTURE, second]), DEFAULT)
+    expected = find_companions(
         pairs_of([(0, 0), (1, 1), (2, 2)]), np.arange(3), np.stack([PICTURE] * 2), DEFAULT
     )
     for one, other in zip(found, expected, strict=True):

@@ -14,11 +14,11 @@ from trinoc.match.occlusion.pairs import occluded_pairs
 from trinoc.match.occlusion.possible_pairs import (
     Pairs,
     end_shares,
-    evidence_beside_lines,
+    log_odds_among_lines,
     pair_bound,
     possible_pairs,
 )
-from trinoc.match.selection.marginals import Selection, Tracks, select, take_tracks
+from trinoc.match.selection.marginals import Selection, Tracks, select, selected_tracks
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import with_field
 
@@ -46,7 +46,7 @@ def selection(triples: Candidates) -> Selection:
 @pytest.fixture(scope="module")
 def tracks(selection: Selection) -> Tracks:
     """All tracks but the first few, whose segments are left to pairs."""
-    every = take_tracks(selection)
+    every = selected_tracks(selection)
     return rows(every, np.arange(HIDDEN, len(every.posterior_log_odds)))
 
 
@@ -56,7 +56,7 @@ def pairs(noisy, clutter, tracks, selection) -> Pairs:
 
 
 def test_pairs_have_two_segments_that_are_not_matched(tracks: Tracks, pairs: Pairs) -> None:
-    assert len(pairs.taken) > 0
+    assert len(pairs.is_accepted) > 0
     assert ((pairs.candidates.index >= 0).sum(axis=1) == 2).all()
     whole = np.abs(np.diff(tracks.candidates.interval, axis=2))[..., 0] > 0.5
     for view in range(3):
@@ -65,12 +65,12 @@ def test_pairs_have_two_segments_that_are_not_matched(tracks: Tracks, pairs: Pai
 
 
 def test_pairs_that_are_taken_share_no_segment(pairs: Pairs) -> None:
-    assert (pairs.posterior_log_odds[pairs.taken] > 0).all()
+    assert (pairs.posterior_log_odds[pairs.is_accepted] > 0).all()
     for view in range(3):
-        used = pairs.candidates.index[pairs.taken, view]
+        used = pairs.candidates.index[pairs.is_accepted, view]
         used = used[used >= 0]
-        part = np.sort(pairs.candidates.interval[pairs.taken, view], axis=1)
-        part = part[pairs.candidates.index[pairs.taken, view] >= 0]
+        part = np.sort(pairs.candidates.interval[pairs.is_accepted, view], axis=1)
+        part = part[pairs.candidates.index[pairs.is_accepted, view] >= 0]
         for m, n in zip(*np.triu_indices(len(used), 1), strict=True):
             if used[m] == used[n]:
                 shared = part[[m, n], 1].min() - part[[m, n], 0].max()
@@ -95,16 +95,16 @@ def test_where_all_is_matched_there_are_no_pairs(noisy, clutter, tracks, selecti
         px_per_mm=np.full(count, 2.5),
     )
     every = Tracks(matched, np.full(count, 5.0), np.full(count, -np.inf))
-    assert len(pairs_beside(noisy, clutter, every, [selection]).taken) == 0
+    assert len(pairs_beside(noisy, clutter, every, [selection]).is_accepted) == 0
 
 
 def test_depths_bound_pairs_too(noisy, clutter, tracks, selection) -> None:
     near = pairs_beside(noisy, clutter, tracks, [selection], depth_range_mm=(10.0, 20.0))
-    assert len(near.taken) == 0
+    assert len(near.is_accepted) == 0
 
 
 def test_what_no_other_picture_could_show_costs_nothing(pairs: Pairs) -> None:
-    assert (pairs.missed <= 0).all()
+    assert (pairs.miss_log_odds <= 0).all()
 
 
 def test_hidden_lines_that_meet_matched_ones_are_paired(exact: MadeScene) -> None:
@@ -119,9 +119,9 @@ def test_hidden_lines_that_meet_matched_ones_are_paired(exact: MadeScene) -> Non
     found = trinocular_candidates(seen.lines, (0, 1, 2), seen.counts, clutter)
     selection = select(found, 33.0)
     beside = occluded_pairs(
-        seen.lines, seen.counts, clutter, take_tracks(selection), [selection], None
+        seen.lines, seen.counts, clutter, selected_tracks(selection), [selection], None
     )
-    index = beside.candidates.index[beside.taken]
+    index = beside.candidates.index[beside.is_accepted]
     # By the numbers of the lines, in the order of the rig.
     named = np.stack(
         [
@@ -148,8 +148,8 @@ def test_pairs_that_are_let_go_unseen_change_nothing(noisy, clutter, tracks, sel
     assert bound is not None
     (made,) = possible_pairs(seen.lines, views, free, clutter, DEFAULT)
     (left,) = possible_pairs(seen.lines, views, free, clutter, DEFAULT, bound)
-    odds = evidence_beside_lines(made, selection.mixture, DEFAULT)
-    likely = {tuple(row) for row in made.index[odds > bound.least].tolist()}
+    odds = log_odds_among_lines(made, selection.mixture, DEFAULT)
+    likely = {tuple(row) for row in made.index[odds > bound.min_log_odds].tolist()}
     kept = {tuple(row) for row in left.index.tolist()}
     assert likely <= kept
     assert len(kept) <= len(likely) + 1

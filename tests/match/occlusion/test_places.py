@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trinoc.match.evidence.mixture import fit_volume
-from trinoc.match.occlusion.pairs_alone import log_place_among
+from trinoc.match.occlusion.pairs_alone import log_position_density_among
 from trinoc.match.tuning.every_group import DEFAULT
 
 COUNT = 4000
@@ -19,7 +19,7 @@ def strewn(seed: int) -> np.ndarray:
 
 def placed(ends_mm: np.ndarray, posterior: np.ndarray) -> np.ndarray:
     volume = fit_volume(ends_mm, posterior)
-    return log_place_among(ends_mm, posterior, volume, DEFAULT)
+    return log_position_density_among(ends_mm, posterior, volume, DEFAULT)
 
 
 def test_in_an_even_box_the_density_is_that_of_the_box() -> None:
@@ -52,7 +52,7 @@ def test_frames_of_a_stack_are_profiled_each_for_itself() -> None:
     frame = np.arange(COUNT) % 2
     ends[frame == 1] *= 5.0
     volume = fit_volume(ends, posterior, frame=frame, frames=2)
-    both = log_place_among(ends, posterior, volume, DEFAULT, frame)
+    both = log_position_density_among(ends, posterior, volume, DEFAULT, frame)
     for number in range(2):
         own = frame == number
         np.testing.assert_allclose(both[own], placed(ends[own], posterior[own]), atol=1e-9)

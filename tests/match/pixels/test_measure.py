@@ -145,7 +145,7 @@ def test_a_line_whose_views_disagree_is_known_the_worse_for_it():
         rules = NoiseTuning(tail_of_pictures=PixelTuning().tail)
         sure = matches.posterior > PixelTuning().sure
         known = found.misfit[sure], degrees[sure]
-        tail = fit_tail(*known, of_pictures=True, tuning=rules)
+        tail = fit_tail(*known, has_images=True, tuning=rules)
         factor.append((variance_factor(found.misfit, degrees, tail), across(found, lines)[1]))
     (before, narrow), (after, wide) = factor
     assert after[7] > 1.5 * before[7]

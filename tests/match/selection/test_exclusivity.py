@@ -83,7 +83,7 @@ def test_messages_go_on_from_those_under_other_odds(odds: list[float], change: f
     graph = conflict_graph(index, np.broadcast_to(WHOLE, (4, 3, 2)))
     before = sum_product(np.array(odds), graph)
     log_odds = np.array(odds) + change * np.array([1, -1, 1, -1])
-    again = sum_product(log_odds, graph, before=before).log_odds
+    again = sum_product(log_odds, graph, previous=before).log_odds
     np.testing.assert_allclose(again, sum_product(log_odds, graph).log_odds, atol=0.05)
 
 

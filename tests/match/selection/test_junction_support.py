@@ -94,7 +94,9 @@ def test_meetings_are_those_of_all_pairs_of_ends(
                 log_ratio = meeting(candidates, site, other)
                 if log_ratio is not None and log_ratio.max() > -20:
                     expected[site, other] = log_ratio
-    found = dict(zip(zip(graph.site.tolist(), graph.other.tolist(), strict=True), graph.log_ratio))
+    found = dict(
+        zip(zip(graph.end.tolist(), graph.other_end.tolist(), strict=True), graph.log_ratio)
+    )
     assert len(expected) > 20
     assert found.keys() == expected.keys()
     for ends, log_ratio in found.items():
@@ -102,11 +104,13 @@ def test_meetings_are_those_of_all_pairs_of_ends(
 
 
 def test_meetings_are_the_same_both_ways(graph: EndpointPairs) -> None:
-    both = dict(zip(zip(graph.site.tolist(), graph.other.tolist(), strict=True), graph.log_ratio))
-    assert len(both) == len(graph.site)
+    both = dict(
+        zip(zip(graph.end.tolist(), graph.other_end.tolist(), strict=True), graph.log_ratio)
+    )
+    assert len(both) == len(graph.end)
     for (site, other), log_ratio in both.items():
         np.testing.assert_array_equal(both[other, site], log_ratio)
-    assert (np.diff(graph.site) >= 0).all()
+    assert (np.diff(graph.end) >= 0).all()
 
 
 def test_which_end_comes_first_means_nothing(candidates: Candidates, graph: EndpointPairs) -> None:
@@ -144,8 +148,8 @@ def test_no_round_of_learning_lowers_the_likelihood(graph: EndpointPairs) -> Non
     parameters, climbed = PRIOR_PARAMETERS, []
     for _ in range(15):
         at, shares = parameters.end_at_junction, parameters.gap_shares
-        terms = np.exp(graph.log_ratio + 9.0) @ shares * posterior[graph.other // 2]
-        density = np.bincount(graph.site, terms, minlength=2 * LINES)
+        terms = np.exp(graph.log_ratio + 9.0) @ shares * posterior[graph.other_end // 2]
+        density = np.bincount(graph.end, terms, minlength=2 * LINES)
         # Five pseudo-ends, of which a half are at a junction, with the usual gaps.
         prior = (1 - PRIOR_AT_JUNCTION) * np.log(1 - at) + PRIOR_AT_JUNCTION * (
             np.log(at) + PRIOR_GAPS @ np.log(shares)
@@ -159,6 +163,6 @@ def test_no_round_of_learning_lowers_the_likelihood(graph: EndpointPairs) -> Non
 
 def test_nothing_meets_nothing() -> None:
     graph = endpoint_pairs(no_candidates(3), np.zeros(0))
-    assert len(graph.site) == 0
+    assert len(graph.end) == 0
     gain, _ = junction_log_odds(graph, np.zeros(0), -9.0, PRIOR_PARAMETERS)
     assert len(gain) == 0

@@ -5,8 +5,8 @@ import pytest
 
 from tests.match.scene import MadeScene
 from trinoc.match.candidates.table import Candidates, no_candidates, prior_log_odds
-from trinoc.match.selection.marginals import Selection, select, take_tracks
-from trinoc.match.selection.messages import _capacities, sum_product
+from trinoc.match.selection.marginals import Selection, select, selected_tracks
+from trinoc.match.selection.messages import _padded_sizes, sum_product
 from trinoc.match.tuning.every_group import DEFAULT
 
 CONFLICT_OVERLAP = DEFAULT.selection.conflict_overlap
@@ -21,15 +21,15 @@ def selection(triples: Candidates) -> Selection:
 
 
 def test_true_triples_are_taken(noisy: MadeScene, selection: Selection) -> None:
-    taken = {tuple(row) for row in selection.candidates.index[selection.taken].tolist()}
+    taken = {tuple(row) for row in selection.candidates.index[selection.is_accepted].tolist()}
     true = {tuple(row) for row in noisy.true.tolist()}
     assert len(taken & true) >= 25
     assert len(taken - true) <= 2
 
 
 def test_no_part_of_a_segment_is_taken_twice(selection: Selection) -> None:
-    index = selection.candidates.index[selection.taken]
-    part = np.sort(selection.candidates.interval[selection.taken], axis=2)
+    index = selection.candidates.index[selection.is_accepted]
+    part = np.sort(selection.candidates.interval[selection.is_accepted], axis=2)
     for view in range(3):
         for m, n in zip(*np.triu_indices(len(index), 1), strict=True):
             if index[m, view] == index[n, view]:
@@ -54,15 +54,15 @@ def test_the_order_of_candidates_changes_nothing(triples: Candidates, selection:
     again = select(triples.take(turn), TYPICAL)
     one, other = (np.lexsort(each.candidates.index.T) for each in (selection, again))
     np.testing.assert_array_equal(selection.candidates.index[one], again.candidates.index[other])
-    np.testing.assert_array_equal(selection.taken[one], again.taken[other])
+    np.testing.assert_array_equal(selection.is_accepted[one], again.is_accepted[other])
     np.testing.assert_allclose(
         selection.posterior_log_odds[one], again.posterior_log_odds[other], atol=1e-6
     )
 
 
 def test_the_rival_of_a_track_is_the_best_that_it_excludes(selection: Selection) -> None:
-    tracks = take_tracks(selection)
-    taken = np.flatnonzero(selection.taken)
+    tracks = selected_tracks(selection)
+    taken = np.flatnonzero(selection.is_accepted)
     np.testing.assert_array_equal(tracks.candidates.index, selection.candidates.index[taken])
     np.testing.assert_array_equal(tracks.posterior_log_odds, selection.posterior_log_odds[taken])
     edges = list(zip(selection.graph.slot // 3, selection.graph.rival_slot // 3, strict=True))
@@ -73,8 +73,8 @@ def test_the_rival_of_a_track_is_the_best_that_it_excludes(selection: Selection)
 
 def test_nothing_is_selected_from_nothing() -> None:
     nothing = select(no_candidates(3), TYPICAL)
-    assert len(nothing.taken) == 0
-    assert len(take_tracks(nothing).posterior_log_odds) == 0
+    assert len(nothing.is_accepted) == 0
+    assert len(selected_tracks(nothing).posterior_log_odds) == 0
 
 
 def test_few_programs_serve_candidates_and_conflicts_of_any_number() -> None:
@@ -83,6 +83,6 @@ def test_few_programs_serve_candidates_and_conflicts_of_any_number() -> None:
     candidates = np.exp(random.uniform(np.log(10), np.log(6000), 2000)).astype(int)
     conflicts = (candidates * random.uniform(1, 50, 2000)).astype(int)
     needs = np.stack([candidates, conflicts], axis=1)
-    sizes = [_capacities(*need) for need in needs.tolist()]
+    sizes = [_padded_sizes(*need) for need in needs.tolist()]
     assert (np.array(sizes) >= needs).all()
     assert len(set(sizes)) <= 18

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trinoc.match.selection.junction_support import _near_in_frames
+from trinoc.match.selection.junction_support import _pairs_of_near_ends_in_frames
 from trinoc.match.selection.marginals import residual_scale
 
 
@@ -12,7 +12,7 @@ def test_places_within_the_reach_are_those_that_a_full_table_of_distances_has():
     places, frame = random.uniform(0, 6, size=(200, 3)), random.integers(0, 2, size=200)
     distance = np.linalg.norm(places[:, None] - places, axis=2)
     near = (distance <= 1) & (frame[:, None] == frame)
-    found = {frozenset(pair) for pair in _near_in_frames(places, frame).tolist()}
+    found = {frozenset(pair) for pair in _pairs_of_near_ends_in_frames(places, frame).tolist()}
     assert found == {frozenset(pair) for pair in np.argwhere(np.triu(near, 1)).tolist()}
 
 

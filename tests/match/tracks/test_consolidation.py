@@ -10,7 +10,7 @@ from tests.match.tracks.test_multiview import appended, tracks_from, triples_of
 from trinoc.match.matcher import match_segments
 from trinoc.match.selection.marginals import Tracks
 from trinoc.match.tracks.consolidation import consolidate_tracks
-from trinoc.match.tracks.line_fit import consistent, fit_tracks
+from trinoc.match.tracks.line_fit import are_consistent, fit_tracks
 from trinoc.match.tracks.multiview import merge_triplets
 
 VIEWS = ("upper", "left", "right", "low", "east")
@@ -38,11 +38,11 @@ def test_a_member_that_does_not_fit_is_split_off_and_the_right_one_put_in(scene:
     wrong[:4, 3] = np.roll(wrong[:4, 3], 1)
     tracks = tracks_from(wrong, np.tile([0.0, 1.0], (len(wrong), 5, 1)), scene.lines_mm)
     before = fit_tracks(scene.seen, wrong, scene.lines_mm)
-    np.testing.assert_array_equal(consistent(scene.seen, before), np.arange(len(wrong)) >= 4)
+    np.testing.assert_array_equal(are_consistent(scene.seen, before), np.arange(len(wrong)) >= 4)
     kept, _ = consolidate_tracks(scene.seen, tracks)
     index = kept.candidates.index
     after = fit_tracks(scene.seen, index, kept.candidates.ends_mm)
-    assert consistent(scene.seen, after).all()
+    assert are_consistent(scene.seen, after).all()
     for row in index:
         line = np.argwhere(scene.true[:, 0] == row[0])[0, 0]
         assert set(row) <= {*scene.true[line], -1}

@@ -5,9 +5,9 @@ import numpy as np
 from tests.match.made import pictures
 from tests.match.scene import MadeScene, image_px, place_on, seen_by
 from trinoc.match.tracks.line_fit import (
+    line_end_positions,
     points_on_lines,
-    segment_reaches,
-    track_intervals,
+    segment_extents,
     two_view_span,
 )
 
@@ -36,8 +36,8 @@ def test_lines_reach_as_far_as_the_second_furthest_view(exact: MadeScene) -> Non
         lines_mm, np.stack([np.nanmax(by_view[..., 0], 0), np.nanmin(by_view[..., 1], 0)], axis=1)
     )
     for ends_mm, expected in ((common_mm, expected_mm), (common_mm[:, ::-1], expected_mm[:, ::-1])):
-        span = two_view_span(segment_reaches(scene.seen, index, ends_mm))
-        found = track_intervals(scene.seen, index, points_on_lines(ends_mm, span))
+        span = two_view_span(segment_extents(scene.seen, index, ends_mm))
+        found = line_end_positions(scene.seen, index, points_on_lines(ends_mm, span))
         for view in range(3):
             on = index[:, view] >= 0
             image = image_px(scene.table.matrix_px[view], expected[on])

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from trinoc.match.tracks.line_fit import _of_parts
+from trinoc.match.tracks.line_fit import _part_covariance
 
 
 def test_a_fragment_errs_as_the_means_of_its_segment_s_ends_that_it_is():
     random = np.random.default_rng(0)
     root = random.normal(size=(7, 4, 4))
     covariance, interval = root @ root.mT, random.uniform(0, 1, size=(7, 2))
-    found = _of_parts(covariance, interval).reshape(4, 4, 7)
+    found = _part_covariance(covariance, interval).reshape(4, 4, 7)
     for row in range(7):
         share = interval[row]
         mean = np.kron(np.stack([1 - share, share], axis=1), np.eye(2))

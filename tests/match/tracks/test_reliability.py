@@ -94,7 +94,7 @@ def test_few_sure_lines_are_not_usable_however_exact():
         assert (assessment.status is MatchStatus.MATCHED) is (count >= fewest)
         if count < fewest:
             assert assessment.deciding.figure == f"{count} sure lines in three views or more"
-            assert "check that this rig took these pictures" in assessment.sentence
+            assert "check that this rig took these images" in assessment.sentence
 
 
 def test_two_views_are_never_more_than_usable_with_care():

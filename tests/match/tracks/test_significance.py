@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from tests.match.scene import MadeScene
-from trinoc.match.tracks.assembly import flag_viewpoint_dependent, lines_in_space, typical_misfit
+from trinoc.match.tracks.assembly import fit_lines, flag_viewpoint_dependent, typical_misfit
 from trinoc.match.tuning.every_group import DEFAULT
 
 SIGNIFICANCE = DEFAULT.tracks.significance
@@ -21,7 +21,7 @@ def fitted(exact: MadeScene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         noise = [0.3 * rng.normal(size=ends.shape) for ends in exact.seen.ends_px]
         ends_px = [ends + n for ends, n in zip(exact.seen.ends_px, noise, strict=True)]
         seen = exact.seen._replace(ends_px=ends_px)
-        ends_mm, _, misfit = lines_in_space(seen, exact.true, exact.lines_mm)
+        ends_mm, _, misfit = fit_lines(seen, exact.true, exact.lines_mm)
         found.append((exact.true, ends_mm, misfit))
     index, ends, misfit = (np.concatenate(column) for column in zip(*found, strict=True))
     return index, ends, misfit

@@ -41,7 +41,7 @@ def test_ellipsoids_of_unequal_errors_hold(freedom: float, views: int) -> None:
     rng, count = np.random.default_rng(7), 20_000
     factor = freedom / rng.chisquare(freedom, count)
     three = np.full(count, 2)
-    learned = fit_tail(drawn(factor, three, rng)[0], three, of_pictures=True)
+    learned = fit_tail(drawn(factor, three, rng)[0], three, has_images=True)
     np.testing.assert_allclose(learned, 1 / freedom, rtol=0.15)
     degrees = np.full(count, 2 * (views - 2))
     misfit, square = drawn(factor, degrees, rng)
@@ -80,7 +80,7 @@ def test_normal_errors_leave_ellipsoids_as_they_are(of_pictures: bool, most: flo
     for _ in range(5):
         degrees = np.full(400, 2)
         misfit, square = drawn(np.ones(400), degrees, rng)
-        tail = fit_tail(misfit, degrees, of_pictures=of_pictures)
+        tail = fit_tail(misfit, degrees, has_images=of_pictures)
         assert tail < most
         before = float(np.mean(square < LIMIT))
         assert before <= held(misfit, degrees, square, tail) <= before + 0.6 * most
@@ -91,7 +91,7 @@ def test_a_mixture_that_is_no_student_distribution_is_held_all_the_same() -> Non
     factor = np.where(rng.random(count) < 0.12, 9.0, 1.0)
     degrees = np.full(count, 2)
     misfit, square = drawn(factor, degrees, rng)
-    tail = fit_tail(misfit, degrees, of_pictures=False)
+    tail = fit_tail(misfit, degrees, has_images=False)
     assert np.mean(square < LIMIT) < 0.89
     assert 0.935 < held(misfit, degrees, square, tail) < 0.965
     # The worse the views agree, the larger is what is claimed.
@@ -101,7 +101,7 @@ def test_a_mixture_that_is_no_student_distribution_is_held_all_the_same() -> Non
 
 def test_without_observations_what_is_known_before_holds() -> None:
     none = np.zeros(0), np.zeros(0, dtype=np.int64)
-    in_pictures, otherwise = (fit_tail(*none, of_pictures=known) for known in (True, False))
+    in_pictures, otherwise = (fit_tail(*none, has_images=known) for known in (True, False))
     assert 0.2 < in_pictures < 0.3
     assert 0.005 < otherwise < 0.015
     misfit = np.array([0.0, 3.0, 40.0])

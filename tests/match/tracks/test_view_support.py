@@ -6,12 +6,12 @@ import pytest
 from tests.match.made import loose_lines, pictures, rig_of
 from tests.match.scene import MadeScene, made_scene, seen_by
 from trinoc.match.matcher import match_segments
-from trinoc.match.tracks.line_fit import consistent, fit_tracks
+from trinoc.match.tracks.line_fit import are_consistent, fit_tracks
 from trinoc.match.tracks.unequal_errors import student_log_density
 from trinoc.match.tracks.view_support import (
     HitRates,
     chance_rates,
-    lines_in_pictures,
+    lines_in_images,
     member_posteriors,
     misfit_evidence,
     right_rates,
@@ -73,10 +73,10 @@ def test_the_rate_of_chance_grows_with_clutter(scene: MadeScene) -> None:
 
 
 def test_a_line_lies_in_the_pictures_whose_cameras_look_at_it(scene: MadeScene) -> None:
-    inside = lines_in_pictures(scene.seen.lines, scene.lines_mm)
+    inside = lines_in_images(scene.seen.lines, scene.lines_mm)
     assert inside.all()
     behind = scene.lines_mm + 1e4 * np.asarray(scene.seen.lines.centre_mm).mean(axis=0)
-    assert not lines_in_pictures(scene.seen.lines, behind).any()
+    assert not lines_in_images(scene.seen.lines, behind).any()
 
 
 def test_segments_that_fit_as_chance_has_it_count_against_a_track() -> None:
@@ -130,7 +130,7 @@ def test_no_segment_is_far_from_its_line_however_unequal_errors_are(scene: MadeS
         seen["low"] = seen["low"] + off_px * normal[:, None]
         made = seen_by(rig, scene.lines_mm, seen, sigma_px)
         tracks = fit_tracks(made.seen, made.true, scene.lines_mm)
-        fits = consistent(made.seen, tracks, DEFAULT, tail)
+        fits = are_consistent(made.seen, tracks, DEFAULT, tail)
         assert (fits == near).mean() > 0.9
 
 

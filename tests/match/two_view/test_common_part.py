@@ -11,9 +11,9 @@ from trinoc.geometry import fundamental_matrix
 from trinoc.match.observations.table import SegmentTable
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.two_view.epipolar_pencil import (
+    build_pencil,
     common_ends_mm,
     cut_pair,
-    pencil,
     take_segments,
 )
 
@@ -25,7 +25,7 @@ between_views = jax.jit(fundamental_matrix)
 @jax.jit
 def cut(lines: SegmentTable, a, b, pairs):
     """(ends in space, whether possible) of pairs of segments of views a and b."""
-    planes = pencil(lines, a, b)
+    planes = build_pencil(lines, a, b)
 
     def one(pair):
         rows = take_segments(planes.first, pair[0]), take_segments(planes.second, pair[1])

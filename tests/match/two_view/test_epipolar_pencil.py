@@ -13,8 +13,8 @@ from trinoc.match.observations.match_input import prepare
 from trinoc.match.two_view.epipolar_pencil import (
     Pencil,
     PencilSegments,
+    build_pencil,
     end_angles,
-    pencil,
     plane_angles,
 )
 
@@ -23,7 +23,7 @@ FIRST, SECOND = np.array(0), np.array(1)
 
 @pytest.fixture(scope="module")
 def planes(exact: MadeScene) -> Pencil:
-    return pencil(exact.seen.lines, FIRST, SECOND)
+    return build_pencil(exact.seen.lines, FIRST, SECOND)
 
 
 def rows(segments: PencilSegments, index: np.ndarray) -> Any:
@@ -69,7 +69,9 @@ def test_variances_are_those_of_moved_ends(exact: MadeScene, planes: Pencil) -> 
     def with_end(end: int, way: np.ndarray) -> Any:
         ends = lines.ends_px.copy()
         ends[:, :, end] += step * way
-        return rows(pencil(exact.seen.lines._replace(ends_px=ends), FIRST, SECOND).first, true)
+        return rows(
+            build_pencil(exact.seen.lines._replace(ends_px=ends), FIRST, SECOND).first, true
+        )
 
     # The ends by plane angle: `low` is that of the first end, or of the second.
     moved = [with_end(end, along) for end in (0, 1)]
@@ -101,7 +103,7 @@ def test_a_rigid_motion_of_the_world_changes_nothing(exact: MadeScene, planes: P
     matrices = dict(zip(exact.rig.names, exact.rig.matrices_px @ to_old, strict=True))
     moved = prepare(exact.pictures_px, Rig.from_matrices(matrices, (512, 480)), 0.3)
     assert moved.names == exact.seen.names
-    again = pencil(moved.lines, FIRST, SECOND)
+    again = build_pencil(moved.lines, FIRST, SECOND)
     np.testing.assert_allclose(again.frame, np.asarray(planes.frame) @ turn.T, atol=1e-12)
     for old, new in ((planes.first, again.first), (planes.second, again.second)):
         for column, other in zip(old, new, strict=True):
@@ -114,7 +116,7 @@ def test_ranges_about_ends_hold_partners_and_reach_as_far_as_asked(
     noisy: MadeScene, exact: MadeScene
 ) -> None:
     def ranges(scene: MadeScene, reach_px: float) -> list[np.ndarray]:
-        lines, both = scene.seen.lines, pencil(scene.seen.lines, FIRST, SECOND)
+        lines, both = scene.seen.lines, build_pencil(scene.seen.lines, FIRST, SECOND)
         found = []
         for view, segments in enumerate((both.first, both.second)):
             angles = plane_angles(lines, view, segments)

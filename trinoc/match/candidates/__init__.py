@@ -1,4 +1,6 @@
-"""Step 1: triples of segments that can be one line.
+"""Step 1 of the paper: triples of segments that can be images of one line.
 
-third_view (what a pair predicts there) -> index (who is there) -> search (who
-passes the gate) -> triples: the value of `table`, from all three orderings."""
+`third_view` predicts the image of a pair. `index` lists the segments near a prediction. `search`
+applies the gate. `triples` runs this for all three orderings of the views and returns the value
+of `table`.
+"""

@@ -1,13 +1,11 @@
-"""Which segments of a picture pass a point in about a direction: a table of cells.
+"""Spatial index of the segments of one view, by position and direction.
 
-The place that a pair predicts in a third view is known to a fraction of a pixel, the direction
-of a short pair only to degrees: so the table goes by place first, in square cells that a
-segment enters wherever it passes, and by direction in sectors second. It has three layers: fine
-sectors for predictions that are known well, coarse ones with wider margins for others, and one
-of all directions for the rest. Crowded pictures have a finer one: there, what is looked up in vain
-takes longer than the entries.
-
-Segments of the third view near a prediction, by the table of cells.
+The predicted position in a third view is accurate to a fraction of a pixel, but the direction of
+a short pair only to degrees. So the index sorts by position first, in square cells that a
+segment enters wherever it passes. Inside a cell it sorts by direction, in sectors. It has
+several layers: fine sectors for precise predictions, coarse sectors with wider margins for
+others, and one layer for all directions. Images with many segments have one finer layer, because
+rejecting wrong entries takes longer there than building the index.
 """
 
 import functools
@@ -35,26 +33,28 @@ from trinoc.numerics.vectors import Scalar, Vector2
 
 
 class IndexLayer(NamedTuple):
-    """Which predictions look into a layer of the table, and how fine it is.
+    """Resolution of one layer of the index, and the predictions that use it.
 
-    sectors : in half a turn. slack_rad, sigmas : the largest error allowed of the direction of
-        a prediction, and of its place, in typical standard deviations of the segments.
-    cell : side of the cells, over that of the table.
+    sectors : number of sectors in 180 degrees.
+    slack_rad : largest error of a prediction's direction.
+    sigmas : largest standard deviation of a prediction's position, in units of the typical one of
+        the segments.
+    cell_scale : side of the cells over that of the index.
     """
 
     sectors: int
     slack_rad: float
     sigmas: float
-    cell: float
+    cell_scale: float
 
 
-# numerical: no answer depends on them.
+# numerical: the layers do not affect the result.
 LAYERS = (
     IndexLayer(24, math.radians(3.0), 1.5, 1),
     IndexLayer(6, math.radians(15.0), 3.0, 2),
     IndexLayer(1, math.pi, 6.0, 4),
 )
-# numerical: as above, finer.
+# numerical: layers for many segments.
 CROWDED_LAYERS = (
     IndexLayer(36, math.radians(2.0), 1.2, 0.75),
     IndexLayer(24, math.radians(4.0), 1.5, 1),
@@ -63,11 +63,14 @@ CROWDED_LAYERS = (
 
 
 class Grid(NamedTuple):
-    """Square cells over a picture, in rows; fields of length l are of the layers.
+    """Square cells over an image, row by row; fields of length l have one value per layer.
 
-    sigma_px : typical standard deviation of the segments. cell_px : sides of the cells.
-    first : number of the first key of each layer; the last number is of a key without entries.
-    Of each frame of a stack, as all fields are.
+    sigma_px : typical standard deviation of the segments.
+    cell_px : side of the cells.
+    columns, rows : number of cells.
+    first : first key of each layer. The last value is a key without entries.
+
+    All fields have one value per frame of a stack.
     """
 
     sigma_px: Float[ArrayLike, "*f"]
@@ -80,7 +83,8 @@ class Grid(NamedTuple):
 class SpatialIndex(NamedTuple):
     """Segments sorted by key = first of layer + cell * sectors + sector.
 
-    start, count : first entry and number of entries of each key. segment : the entries.
+    start, count : first entry and number of entries of each key.
+    segment : the entries.
     """
 
     grid: Grid
@@ -99,50 +103,67 @@ def spatial_index(
     frame: Int[np.ndarray, "n"] | None = None,
     layers: tuple[IndexLayer, ...] = LAYERS,
 ) -> SpatialIndex:
-    """Enter each segment, in each layer, in every cell that it passes within the margin, and
-    in each sector that holds a direction within `slack_rad` and the layer's slack of its own.
+    """Build the index of the segments of a view.
 
-    Segments of a stack are entered in the cells of their own `frame`."""
+    Each segment enters, in each layer, every cell that it passes within the margin. There it enters
+    each sector within `slack_rad` plus the layer's slack of its direction.
+
+    Parameters
+    ----------
+    ends_px : ends of the segments, (n, 2, 2).
+    slack_rad : direction error of each segment, (n,).
+    margins_px : margin of each segment in each layer, (l, n).
+    size_px : width and height of the image, of each frame.
+    cell_px : side of the cells of the finest layer.
+    sigma_px : typical standard deviation of the segments.
+    frame : frame of each segment in a stack. Each frame has its own cells.
+    """
     grid = _grid(size_px, np.asarray(cell_px, dtype=np.float64), np.asarray(sigma_px), layers)
-    # Of each segment's own frame, or one for all.
-    owners = np.zeros(len(ends_px), np.int64) if frame is None else frame
-    cells_px, columns, rows, first_key = (np.atleast_2d(x)[owners] for x in grid[1:])
+    # Grid values of each segment's frame.
+    frame_of_segment = np.zeros(len(ends_px), np.int64) if frame is None else frame
+    cells_px, columns, rows, first_key = (np.atleast_2d(x)[frame_of_segment] for x in grid[1:])
     step = ends_px[:, 1] - ends_px[:, 0]
     angle = np.arctan2(step[:, 1], step[:, 0])
 
     def sector_number(angle: Float[np.ndarray, "n"], sectors: int) -> Int[np.ndarray, "n"]:
         turns = np.floor(angle / np.pi)
-        rest = angle - np.pi * turns
-        return np.floor((turns + _half_turns(np.cos(rest), np.sin(rest))) * sectors).astype(int)
+        remainder = angle - np.pi * turns
+        return np.floor(
+            (turns + _half_turn_fraction(np.cos(remainder), np.sin(remainder))) * sectors
+        ).astype(int)
 
     entries = []
-    for number, layer in enumerate(layers):
-        shape = np.stack([columns[:, number], rows[:, number]], axis=1)
-        owner, column, row = _cells_passed(ends_px, margins_px[number], cells_px[:, number], shape)
-        cell = row * columns[owner, number] + column
+    for layer_number, layer in enumerate(layers):
+        shape = np.stack([columns[:, layer_number], rows[:, layer_number]], axis=1)
+        segment, column, row = _cells_near_segments(
+            ends_px, margins_px[layer_number], cells_px[:, layer_number], shape
+        )
+        cell = row * columns[segment, layer_number] + column
         slack = slack_rad + layer.slack_rad
         first, last = (sector_number(angle + side * slack, layer.sectors) for side in (-1, 1))
         last = np.minimum(last, first + layer.sectors - 1)
-        entry, turned = expand_ranges(first[owner], last[owner] + 1)
-        key = first_key[owner, number] + cell * layer.sectors
-        key = key[entry] + np.mod(turned, layer.sectors)
-        # Key and segment in one number: sorting it is several times faster than by key.
-        entries.append((key.astype(np.int64) << 32) | owner[entry])
+        entry, sector = expand_ranges(first[segment], last[segment] + 1)
+        key = first_key[segment, layer_number] + cell * layer.sectors
+        key = key[entry] + np.mod(sector, layer.sectors)
+        # One number holds key and segment: sorting it is several times faster than an argsort.
+        entries.append((key.astype(np.int64) << 32) | segment[entry])
     ordered = np.sort(np.concatenate(entries))
     key = ordered >> 32
-    edge = np.flatnonzero(np.diff(key, prepend=-1))
-    each = np.diff(edge, append=len(key))
-    # Most keys have no entries. Counts are short numbers where they can be: every prediction
-    # looks here.
-    keys, small = int(np.max(grid.first)) + 1, each.max(initial=0) < 1 << 16
-    start, count = np.zeros(keys, np.int32), np.zeros(keys, np.uint16 if small else np.int32)
-    start[key[edge]], count[key[edge]] = edge, each
+    first_entry = np.flatnonzero(np.diff(key, prepend=-1))
+    entries_of_key = np.diff(first_entry, append=len(key))
+    # Most keys have no entries. Counts have 16 bits if possible, because every prediction reads
+    # them.
+    keys, fits_16_bit = int(np.max(grid.first)) + 1, entries_of_key.max(initial=0) < 1 << 16
+    start, count = np.zeros(keys, np.int32), np.zeros(keys, np.uint16 if fits_16_bit else np.int32)
+    start[key[first_entry]], count[key[first_entry]] = first_entry, entries_of_key
     return SpatialIndex(grid, start, count, (ordered & 0xFFFFFFFF).astype(np.int32))
 
 
-def _half_turns(u: Any, v: Any) -> Any:
-    """A direction from 0 to half a turn (v >= 0), as a number from 0 to 1 that grows with its
-    angle, though not evenly: it takes no arc tangent."""
+def _half_turn_fraction(u: Any, v: Any) -> Any:
+    """Monotonic function of a direction's angle from 0 to 180 degrees (v >= 0), from 0 to 1.
+
+    It needs no arc tangent, but is not linear in the angle.
+    """
     xp = array_namespace(u, v)
     share = v / (abs(u) + v) / 2
     return xp.where(u >= 0, share, 1 - share)
@@ -154,138 +175,160 @@ def _grid(
     sigma_px: Float[np.ndarray, "*f"],
     layers: tuple[IndexLayer, ...],
 ) -> Grid:
-    cells_px = cell_px[..., None] * np.array([layer.cell for layer in layers], dtype=np.float64)
+    cells_px = cell_px[..., None] * np.array(
+        [layer.cell_scale for layer in layers], dtype=np.float64
+    )
     columns, rows = np.ceil(np.moveaxis(size_px, -1, 0)[..., None] / cells_px).astype(np.int32)
     keys = columns * rows * np.array([layer.sectors for layer in layers], dtype=np.int32)
-    none = np.zeros_like(keys[..., :1])
-    first = np.concatenate([none, np.cumsum(keys, axis=-1, dtype=np.int32)], axis=-1)
+    zero = np.zeros_like(keys[..., :1])
+    first = np.concatenate([zero, np.cumsum(keys, axis=-1, dtype=np.int32)], axis=-1)
     if first.ndim > 1:
-        # The keys of each frame, and its one without entries, follow those of the one before.
-        every = first[:, -1] + 1
-        first = first + (np.cumsum(every) - every)[:, None].astype(np.int32)
+        # Keys of consecutive frames are consecutive, each with its key without entries last.
+        keys_of_frame = first[:, -1] + 1
+        first = first + (np.cumsum(keys_of_frame) - keys_of_frame)[:, None].astype(np.int32)
     return Grid(sigma_px, cells_px, columns, rows, first)
 
 
-def _cells_passed(
+def _cells_near_segments(
     ends_px: Float[np.ndarray, "n 2 2"],
     margin_px: Float[np.ndarray, "n"],
     cell_px: Float[np.ndarray, "n"],
     shape: Int[np.ndarray, "n 2"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(segment, column, row) of every cell within the margin of a segment, and of a few more.
+    """All cells within the margin of each segment, and a few more: (segment, column, row).
 
-    `shape` is how many columns and rows there are for each: cells outside are never counted, so
-    that a segment has no more than these, however wide its margin."""
+    `shape` is the number of columns and rows for each segment. Cells outside the image are never
+    listed.
+    """
     steep = np.abs(ends_px[:, 1, 1] - ends_px[:, 0, 1]) > np.abs(
         ends_px[:, 1, 0] - ends_px[:, 0, 0]
     )
-    # Walk along the longer side: u for a flat segment, v for a steep one.
-    walk = np.where(steep[:, None], ends_px[..., 1], ends_px[..., 0])
-    other = np.where(steep[:, None], ends_px[..., 0], ends_px[..., 1])
-    low, high = walk.min(axis=1), walk.max(axis=1)
-    slope = (other[:, 1] - other[:, 0]) / (walk[:, 1] - walk[:, 0])
-    lengths, widths = np.where(steep[:, None], shape[:, ::-1], shape).T
+    # Follow the coordinate of the longer side: u for a flat segment, v for a steep one.
+    along_px = np.where(steep[:, None], ends_px[..., 1], ends_px[..., 0])
+    across_px = np.where(steep[:, None], ends_px[..., 0], ends_px[..., 1])
+    low, high = along_px.min(axis=1), along_px.max(axis=1)
+    slope = (across_px[:, 1] - across_px[:, 0]) / (along_px[:, 1] - along_px[:, 0])
+    along_cells, across_cells = np.where(steep[:, None], shape[:, ::-1], shape).T
 
     def clip_cells(
-        least_px: np.ndarray, most_px: np.ndarray, side_px: np.ndarray, count: np.ndarray
+        low_px: np.ndarray, high_px: np.ndarray, side_px: np.ndarray, count: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        first, last = np.floor(least_px / side_px), np.floor(most_px / side_px)
-        inside = np.clip(first, 0, count), np.clip(last + 1, 0, count)
-        return expand_ranges(*(each.astype(int) for each in inside))
+        first, last = np.floor(low_px / side_px), np.floor(high_px / side_px)
+        clipped_range = np.clip(first, 0, count), np.clip(last + 1, 0, count)
+        return expand_ranges(*(bound.astype(int) for bound in clipped_range))
 
-    owner, along = clip_cells(low - margin_px, high + margin_px, cell_px, lengths)
+    segment, along_cell = clip_cells(low - margin_px, high + margin_px, cell_px, along_cells)
 
-    def other_coordinate(place: np.ndarray) -> np.ndarray:
-        reached = np.clip(place, low[owner], high[owner])
-        return other[owner, 0] + slope[owner] * (reached - walk[owner, 0])
+    def other_coordinate(position_px: np.ndarray) -> np.ndarray:
+        clipped_px = np.clip(position_px, low[segment], high[segment])
+        return across_px[segment, 0] + slope[segment] * (clipped_px - along_px[segment, 0])
 
-    side = cell_px[owner]
-    left, right = other_coordinate(along * side), other_coordinate((along + 1) * side)
-    # Across a slanting segment the margin is longer along the rows or columns.
-    margin = (margin_px * np.sqrt(1 + slope**2))[owner]
-    entry, across = clip_cells(
-        np.minimum(left, right) - margin, np.maximum(left, right) + margin, side, widths[owner]
+    side = cell_px[segment]
+    start_px, stop_px = (
+        other_coordinate(along_cell * side),
+        other_coordinate((along_cell + 1) * side),
     )
-    owner, along = owner[entry], along[entry]
-    return owner, np.where(steep[owner], across, along), np.where(steep[owner], along, across)
+    # The margin is measured along rows or columns, which lengthens it for a slanting segment.
+    margin = (margin_px * np.sqrt(1 + slope**2))[segment]
+    entry, across_cell = clip_cells(
+        np.minimum(start_px, stop_px) - margin,
+        np.maximum(start_px, stop_px) + margin,
+        side,
+        across_cells[segment],
+    )
+    segment, along_cell = segment[entry], along_cell[entry]
+    return (
+        segment,
+        np.where(steep[segment], across_cell, along_cell),
+        np.where(steep[segment], along_cell, across_cell),
+    )
 
 
-def find_layers(grid: Grid) -> tuple[IndexLayer, ...]:
-    """The layers of a table, by their number."""
+def layers_of_grid(grid: Grid) -> tuple[IndexLayer, ...]:
+    """Layers of an index, from the shape of its grid."""
     return LAYERS if np.shape(grid.cell_px)[-1] == len(LAYERS) else CROWDED_LAYERS
 
 
-def find_keys(
+def search_keys(
     grid: Grid,
     points_px: Sequence[Vector2],
     direction: Vector2,
     slack_rad: Scalar,
     sigma_px: Scalar,
 ) -> list[ArrayLike]:
-    """Where to look for a segment that passes each point, in about a direction.
+    """Keys under which to search for a segment that passes each point in a given direction.
 
-    The direction, either way along, is known to `slack_rad`, the points to `sigma_px`: the keys are
-    of the finest layer that allows for both, that without entries where none does, or where a
-    point lies outside the picture.
+    The keys belong to the finest layer that allows for the errors. The key without entries is
+    returned if no layer does, or if a point lies outside the image.
+
+    Parameters
+    ----------
+    points_px : points of the predicted segment.
+    direction : direction of the segment, with either sign.
+    slack_rad : direction error of the prediction.
+    sigma_px : standard deviation of the points.
     """
-    nowhere, every = grid.first[-1], find_layers(grid)
-    known = [
-        (slack_rad < layer.slack_rad) & (sigma_px < layer.sigmas * grid.sigma_px) for layer in every
+    empty_key, layers = grid.first[-1], layers_of_grid(grid)
+    fits_layer = [
+        (slack_rad < layer.slack_rad) & (sigma_px < layer.sigmas * grid.sigma_px)
+        for layer in layers
     ]
 
-    def of_layer(values: Sequence[ArrayLike]) -> ArrayLike:
-        chosen = jnp.asarray(values[-1])
-        for number in reversed(range(len(every) - 1)):
-            chosen = jnp.where(known[number], jnp.asarray(values[number]), chosen)
-        return chosen
+    def select_layer(values: Sequence[ArrayLike]) -> ArrayLike:
+        selected = jnp.asarray(values[-1])
+        for layer_number in reversed(range(len(layers) - 1)):
+            selected = jnp.where(
+                fits_layer[layer_number], jnp.asarray(values[layer_number]), selected
+            )
+        return selected
 
-    layers = range(len(every))
+    layer_numbers = range(len(layers))
     side, columns, rows, first = (
-        of_layer([column[number] for number in layers])
+        select_layer([column[layer_number] for layer_number in layer_numbers])
         for column in (grid.cell_px, grid.columns, grid.rows, grid.first)
     )
-    sectors = of_layer(list(np.array([layer.sectors for layer in every], dtype=np.int32)))
+    sectors = select_layer(list(np.array([layer.sectors for layer in layers], dtype=np.int32)))
     u, v = direction
-    turns = _half_turns(jnp.where(v < 0, -u, u), abs(v))
+    turns = _half_turn_fraction(jnp.where(v < 0, -u, u), abs(v))
     sector = jnp.floor(turns * sectors.astype(turns.dtype)).astype(jnp.int32)
     sector = jnp.minimum(sector, sectors - 1)
-    allowed = functools.reduce(operator.or_, known)
+    fits_any_layer = functools.reduce(operator.or_, fits_layer)
     keys: list[ArrayLike] = []
     for u_px, v_px in points_px:
         column, row = (jnp.floor(x / side).astype(jnp.int32) for x in (u_px, v_px))
-        inside = allowed & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        is_inside = fits_any_layer & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         key = first + (row * columns + column) * sectors + sector
-        keys.append(jnp.where(inside, key, nowhere))
+        keys.append(jnp.where(is_inside, key, empty_key))
     return keys
 
 
 def look_up_segments(
     index: SpatialIndex, key: Int[np.ndarray, "q"]
 ) -> tuple[Int[np.ndarray, "hits"], Int[np.ndarray, "hits"]]:
-    """(query, segment) for every segment entered where a query looks."""
+    """List all segments under the given keys: (position of the key, segment)."""
     count = index.count[key]
-    asked = np.flatnonzero(count).astype(np.int32)
-    count = count[asked].astype(np.int32)
+    queries = np.flatnonzero(count).astype(np.int32)
+    count = count[queries].astype(np.int32)
     stop = np.cumsum(count, dtype=np.int32)
     position = np.arange(stop[-1] if len(stop) else 0, dtype=np.int32)
-    position += np.repeat(index.start[key[asked]] - stop + count, count)
-    return np.repeat(asked, count), index.segment[position]
+    position += np.repeat(index.start[key[queries]] - stop + count, count)
+    return np.repeat(queries, count), index.segment[position]
 
 
-# numerical: where a prediction is looked up, as shares of its length: its middle first.
+# numerical: sample points of a prediction, as shares of its length, the middle first.
 SAMPLES = (0.5, 1 / 6, 5 / 6)
-# numerical: finest cell: at least CELL_SIGMAS standard deviations wide. Along the longer side of
-# the image there are CELLS sqrt(n) of them for n segments, and in small pictures, where the table
-# takes longer than the looking up, one for so many segments; clipped to FEWEST .. MOST.
-CELL_SIGMAS, CELLS, SEGMENTS_OF_CELL, FEWEST, MOST = 8.0, 3.0, 8, 8, 320
-# numerical: pictures with more segments than this have finer layers.
-CROWDED = 1 << 14
+# numerical: the finest cells are at least CELL_SIGMAS standard deviations wide. Their number along
+# the longer side of the image is CELLS sqrt(n) for n segments, at most n / SEGMENTS_OF_CELL because
+# building the table dominates for few segments, clipped to MIN_CELLS .. MAX_CELLS.
+CELL_SIGMAS, CELLS, SEGMENTS_OF_CELL, MIN_CELLS, MAX_CELLS = 8.0, 3.0, 8, 8, 320
+# numerical: images with more segments have a finer layer.
+MANY_SEGMENTS = 1 << 14
 
 
-def lookup(
+def index_segments(
     lines: SegmentTable, view: int, count: int, tuning: CandidateTuning = DEFAULT.candidates
 ) -> SpatialIndex:
-    """The segments of a view by place and direction."""
+    """Build the index of all segments of a view."""
     ends, size = np.asarray(lines.ends_px)[view, :count], np.asarray(lines.size_px)[..., view, :]
     length, across = np.asarray(lines.length_px), np.asarray(lines.across_px2)
     sigma = np.sqrt(across[view, :count, [0, 1], [0, 1]].max(axis=0))
@@ -295,39 +338,47 @@ def lookup(
     sigma = np.maximum(sigma, broadcast_groups(rounding, frame))
     typical = group_medians(sigma, frame, frames)
     typical = np.where(np.isfinite(typical), typical, 1.0)
-    reach = tuning.reach_sigmas
-    layers = LAYERS if count <= CROWDED or frame is not None else CROWDED_LAYERS
-    near = broadcast_groups(typical, frame) * np.array([[layer.sigmas] for layer in layers])
-    margins = reach * np.hypot(sigma, near)
-    slack = reach * np.sqrt(2) * sigma / length[view, :count]
-    number = group_sums(np.ones(count), frame, frames)
-    cells = np.minimum(CELLS * np.sqrt(number), number / SEGMENTS_OF_CELL)
-    cells = np.clip(cells, FEWEST, MOST)
-    cell = np.maximum(CELL_SIGMAS * typical, size.max(axis=-1) / cells)
-    return spatial_index(ends, slack, margins, size, cell, typical, frame, layers)
+    sigmas = tuning.reach_sigmas
+    layers = LAYERS if count <= MANY_SEGMENTS or frame is not None else CROWDED_LAYERS
+    prediction_sigma = broadcast_groups(typical, frame) * np.array(
+        [[layer.sigmas] for layer in layers]
+    )
+    margins = sigmas * np.hypot(sigma, prediction_sigma)
+    slack = sigmas * np.sqrt(2) * sigma / length[view, :count]
+    segment_count = group_sums(np.ones(count), frame, frames)
+    cell_count = np.minimum(CELLS * np.sqrt(segment_count), segment_count / SEGMENTS_OF_CELL)
+    cell_count = np.clip(cell_count, MIN_CELLS, MAX_CELLS)
+    cell_px = np.maximum(CELL_SIGMAS * typical, size.max(axis=-1) / cell_count)
+    return spatial_index(ends, slack, margins, size, cell_px, typical, frame, layers)
 
 
-def prediction_keys(
-    grid: Grid, guess: Prediction, tuning: CandidateTuning = DEFAULT.candidates
+def keys_of_prediction(
+    grid: Grid, prediction: Prediction, tuning: CandidateTuning = DEFAULT.candidates
 ) -> list[Int[ArrayLike, ""]]:
-    """Where in the table to look for each sample of a prediction."""
-    du, dv = guess.u1 - guess.u0, guess.v1 - guess.v0
+    """Keys under which to search for each sample point of a prediction."""
+    du, dv = prediction.u1 - prediction.u0, prediction.v1 - prediction.v0
     length = jnp.sqrt(du * du + dv * dv)
-    slack = tuning.reach_sigmas * jnp.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length
-    sigma = jnp.sqrt(jnp.maximum(guess.c00, guess.c11))
-    points = [(guess.u0 + sample * du, guess.v0 + sample * dv) for sample in SAMPLES]
-    keys = find_keys(grid, points, (du, dv), slack, sigma)
-    nowhere, asked = grid.first[-1], guess.possible
+    slack = (
+        tuning.reach_sigmas
+        * jnp.sqrt(prediction.c00 + prediction.c11 - 2 * prediction.c01)
+        / length
+    )
+    sigma = jnp.sqrt(jnp.maximum(prediction.c00, prediction.c11))
+    points = [(prediction.u0 + sample * du, prediction.v0 + sample * dv) for sample in SAMPLES]
+    keys = search_keys(grid, points, (du, dv), slack, sigma)
+    empty_key, is_possible = grid.first[-1], prediction.possible
     for k in range(1, len(SAMPLES)):
-        # What two samples find is found once.
-        fresh = jnp.stack([keys[k] != other for other in keys[:k]]).all(axis=0)
-        keys[k] = jnp.where(asked & fresh & (length > tuning.one_sample_px), keys[k], nowhere)
-    return [jnp.where(asked, keys[0], nowhere), *keys[1:]]
+        # Equal keys of two samples are searched once.
+        is_new = jnp.stack([keys[k] != earlier_key for earlier_key in keys[:k]]).all(axis=0)
+        keys[k] = jnp.where(
+            is_possible & is_new & (length > tuning.one_sample_px), keys[k], empty_key
+        )
+    return [jnp.where(is_possible, keys[0], empty_key), *keys[1:]]
 
 
 def find_segments_near_predictions(
     table: SpatialIndex, keys: Int[np.ndarray, "s p"]
 ) -> tuple[Int[np.ndarray, "hits"], Int[np.ndarray, "hits"]]:
-    """(prediction, segment) of what passes a sample of a prediction; some more than once."""
+    """Segments near a sample point of each prediction: (prediction, segment); some pairs repeat."""
     query, segment = look_up_segments(table, keys.reshape(-1))
     return query % keys.shape[1], segment

@@ -1,9 +1,9 @@
-"""What a sample of the segments tells of all: where lines lie, and which candidates are likely.
+"""Search prior from a sample of the segments: the box that contains the lines, and likely
+candidates.
 
-Where lines lie: a box in space that is learned from a sample of them.
-
-Most pairs of segments of two views would lie before or behind the scene, if they were one line. In
-a pencil of epipolar planes the box is a range of disparities, so that such pairs are never made.
+Most pairs of segments of two views would lie before or behind the scene if they were one line.
+In a pencil of epipolar planes, the box is a range of disparities. Pairs outside this range are
+never formed.
 """
 
 from functools import partial
@@ -43,7 +43,7 @@ from trinoc.numerics.vectors import add3, times_matrix, vector3
 
 
 class Region(NamedTuple):
-    """A box: low_mm < axes @ point < high_mm, with unit rows of `axes`."""
+    """Box in space: low_mm < axes @ point < high_mm, with orthonormal rows of `axes`."""
 
     axes: Float[np.ndarray, "3 3"]
     low_mm: Float[np.ndarray, "3"]
@@ -51,30 +51,35 @@ class Region(NamedTuple):
 
 
 def bound_region(ends_mm: Float[np.ndarray, "m 2 3"], tuning: ScoutTuning) -> Region:
-    """The box along the axes of their spread that holds nearly all ends of some lines, and more."""
+    """Box along the principal axes of the given ends that contains nearly all of them, plus a
+    margin.
+    """
     points = ends_mm.reshape(-1, 3)
     axes = np.linalg.eigh(np.cov(points.T))[1].T
-    places = points @ axes.T
-    low, high = np.quantile(places, [tuning.left_out, 1 - tuning.left_out], axis=0)
-    # A scene of one plane has lines beside it.
-    wider = np.maximum(tuning.margin * (high - low), tuning.thinnest * (high - low).max())
-    return Region(axes, low - wider, high + wider)
+    positions = points @ axes.T
+    low, high = np.quantile(positions, [tuning.left_out, 1 - tuning.left_out], axis=0)
+    # A planar scene has a few lines beside its plane.
+    margin = np.maximum(tuning.margin * (high - low), tuning.thinnest * (high - low).max())
+    return Region(axes, low - margin, high + margin)
 
 
 class RegionOfPencil(NamedTuple):
-    """A region as rays of a pencil meet it: of a point with homogeneous coordinates (slope, cos,
-    sin, 1 / radius), `turned` @ ray lies between `low` / radius and `high` / radius."""
+    """Region in the frame of a pencil.
 
-    turned: Float[ArrayLike, "3 3"]
+    For a point with homogeneous coordinates (slope, cos, sin, 1 / radius), `axes` @ ray lies
+    between `low` / radius and `high` / radius.
+    """
+
+    axes: Float[ArrayLike, "3 3"]
     low: Float[ArrayLike, "3"]
     high: Float[ArrayLike, "3"]
 
 
-def region_of_pencil(region: Region, planes: Pencil) -> RegionOfPencil:
-    """The region in the frame of a pencil."""
-    origin = region.axes @ np.asarray(planes.origin_mm)
-    turned = region.axes @ np.asarray(planes.frame).T
-    return RegionOfPencil(turned, region.low_mm - origin, region.high_mm - origin)
+def region_of_pencil(region: Region, pencil: Pencil) -> RegionOfPencil:
+    """Convert a region to the frame of a pencil."""
+    origin = region.axes @ np.asarray(pencil.origin_mm)
+    axes = region.axes @ np.asarray(pencil.frame).T
+    return RegionOfPencil(axes, region.low_mm - origin, region.high_mm - origin)
 
 
 def select_pairs_in_region(
@@ -85,14 +90,14 @@ def select_pairs_in_region(
     j: Int[np.ndarray, "p"],
     tuning: CandidateTuning,
 ) -> tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]:
-    """Those pairs that would be lines of which the common part lies in a region."""
+    """Return the pairs (i, j) whose common part lies in a region."""
     pair = inputs.view.baseline_mm, inputs.first, inputs.second
 
-    def inside(i: np.ndarray, j: np.ndarray) -> ArrayLike:
+    def lies_inside(i: np.ndarray, j: np.ndarray) -> ArrayLike:
         return _lies_in_region(region, *pair, i, j, tuning=tuning)
 
-    keep = np.flatnonzero(in_blocks(inside, block_size(lines, PAIRS_IN_BLOCK), i, j))
-    return i[keep], j[keep]
+    kept_rows = np.flatnonzero(in_blocks(lies_inside, block_size(lines, PAIRS_IN_BLOCK), i, j))
+    return i[kept_rows], j[kept_rows]
 
 
 @partial(kept_jit, static_argnames=("tuning",))
@@ -105,22 +110,27 @@ def _lies_in_region(
     j: Int[ArrayLike, "p"],
     tuning: CandidateTuning,
 ) -> Bool[ArrayLike, "p"]:
-    """Whether pairs have a common part of which both ends lie in a region."""
+    """Mask of the pairs with a common part whose two ends lie in a region."""
     part = cut_pair(baseline_mm, take_segments(first, i), take_segments(second, j), tuning)
-    inside = part.possible
-    for at in (part.at_low, part.at_high):
-        place = times_matrix(region.turned, at[:3])
-        below, above = (add3(place, vector3(bound), -at[3]) for bound in (region.low, region.high))
+    is_inside = part.possible
+    for bounding_plane in (part.at_low, part.at_high):
+        position = times_matrix(region.axes, bounding_plane[:3])
+        above_low, below_high = (
+            add3(position, vector3(bound), -bounding_plane[3])
+            for bound in (region.low, region.high)
+        )
         for k in range(3):
-            inside &= (below[k] > 0) & (above[k] < 0)
-    return jnp.asarray(inside)
+            is_inside &= (above_low[k] > 0) & (below_high[k] < 0)
+    return jnp.asarray(is_inside)
 
 
 class SearchPrior(NamedTuple):
-    """Where to search, everywhere where None, and the parameters of the evidence.
+    """Parameters of a restricted search.
 
-    least_log_odds : what is less likely than this, about, is no candidate.
-    ends_px : pairs of which no end agrees as nearly as this are left out; None leaves out none.
+    region : box to search, None for all space.
+    mixture : parameters of the evidence.
+    least_log_odds : candidates below these log odds are discarded.
+    ends_px : pairs must agree at one end within this distance. None means no such restriction.
     """
 
     region: Region | None
@@ -129,36 +139,40 @@ class SearchPrior(NamedTuple):
     ends_px: float | None = None
 
 
-# The segments of one order of the views: their table, the order, its pencil, and the clutter.
+# Data of one ordering of the views: tables, ordering, pencil, clutter model.
 Screen = tuple[SegmentTable, Int[ArrayLike, "3"], Pencil, ClutterModel]
 
 
 def likely_triples(
-    screen: Screen, triple: Int[np.ndarray, "h 3"], learned: SearchPrior, tuning: MatchTuning
+    screen: Screen, triple: Int[np.ndarray, "h 3"], prior: SearchPrior, tuning: MatchTuning
 ) -> Int[np.ndarray, "_ 3"]:
-    """Those triples of one frame that may be likely, wherever they lie.
+    """Return the triples of one frame that may be likely.
 
-    They are judged on the line of their pair, without the fit to all three, and as if darker sides
-    agreed. Where side levels are known, all may be.
+    The bound uses the line of their pair instead of the fit to all three, and assumes that
+    darker sides agree. With known side levels all triples may be likely.
     """
     if np.isfinite(np.asarray(screen[0].sides)).any():
         return triple
-    mixture = learned.mixture
-    tail, ends = (np.log(share) for share in (mixture.tail, mixture.ends))
-    prior = mixture.log_count - mixture.volume.log_size - np.log(2 * np.pi)
-    prior += tuning.evidence.log_odds_offset
+    mixture = prior.mixture
+    log_tail, log_ends = (np.log(share) for share in (mixture.tail, mixture.ends))
+    constant = mixture.log_count - mixture.volume.log_size - np.log(2 * np.pi)
+    constant += tuning.evidence.log_odds_offset
     if np.asarray(screen[0].polarity).any():
-        prior += 2 * np.log(2)
+        constant += 2 * np.log(2)
 
-    def odds(rows: np.ndarray) -> ArrayLike:
-        groups = {"tuning": tuning.candidates, "of_ends": tuning.ends, "evidence": tuning.evidence}
-        return _log_odds(*screen, rows, (tail, ends), **groups)
+    def evaluate(rows: np.ndarray) -> ArrayLike:
+        tunings = {
+            "tuning": tuning.candidates,
+            "end_tuning": tuning.ends,
+            "evidence_tuning": tuning.evidence,
+        }
+        return _log_odds(*screen, rows, (log_tail, log_ends), **tunings)
 
-    found = in_blocks(odds, block_size(screen[0], TRIPLES_IN_BLOCK), triple)
-    return triple[found + prior > learned.least_log_odds]
+    log_odds = in_blocks(evaluate, block_size(screen[0], TRIPLES_IN_BLOCK), triple)
+    return triple[log_odds + constant > prior.least_log_odds]
 
 
-@partial(kept_jit, static_argnames=("tuning", "of_ends", "evidence"))
+@partial(kept_jit, static_argnames=("tuning", "end_tuning", "evidence_tuning"))
 def _log_odds(
     lines: SegmentTable,
     order: Int[ArrayLike, "3"],
@@ -167,21 +181,21 @@ def _log_odds(
     triple: Int[ArrayLike, "h 3"],
     log_shares: tuple[Float[ArrayLike, "k"], Float[ArrayLike, "c"]],
     tuning: CandidateTuning,
-    of_ends: EndTuning,
-    evidence: EvidenceTuning,
+    end_tuning: EndTuning,
+    evidence_tuning: EvidenceTuning,
 ) -> Float[ArrayLike, "h"]:
-    """Log odds of each apart from the prior, -inf where it cannot be one line."""
+    """Log odds of each triple without the constant prior; -inf if it cannot be one line."""
     segments = triple.T
-    sight = segment_planes(lines, clutter, order, segments)
+    planes_of_triple = segment_planes(lines, clutter, order, segments)
     rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])
-    near_mm = common_ends_mm(planes, cut_pair(planes.baseline_mm, *rows, tuning))
-    found = triple_evidence(sight, near_mm, tuning)
+    line_mm = common_ends_mm(planes, cut_pair(planes.baseline_mm, *rows, tuning))
+    evidence = triple_evidence(planes_of_triple, line_mm, tuning)
     tail, shares = log_shares
-    total = found.log_density + _log_tail(found.chi_square, tail, evidence)
-    for terms in end_evidence(found.extent_px, of_ends):
-        mixed = [share + term for share, term in zip(shares, terms, strict=True)]
-        total += jax.nn.logsumexp(jnp.stack(mixed), axis=0)
-    return jnp.where(found.possible, total, -jnp.inf)
+    log_odds = evidence.log_density + _log_tail(evidence.chi_square, tail, evidence_tuning)
+    for terms in end_evidence(evidence.extent_px, end_tuning):
+        log_terms = [share + term for share, term in zip(shares, terms, strict=True)]
+        log_odds += jax.nn.logsumexp(jnp.stack(log_terms), axis=0)
+    return jnp.where(evidence.possible, log_odds, -jnp.inf)
 
 
 def _log_tail(

@@ -1,9 +1,4 @@
-"""Which segments of the third view are where pairs of the first two predict them.
-
-Whether a segment of the third view is near enough to what a pair predicts.
-
-What a search for triples in three views needs, prepared once for all that is asked of it.
-"""
+"""Search for segments of the third view at the positions that pairs of the first two predict."""
 
 from functools import partial
 from typing import NamedTuple
@@ -17,8 +12,8 @@ from trinoc.match.candidates.index import (
     Grid,
     SpatialIndex,
     find_segments_near_predictions,
-    lookup,
-    prediction_keys,
+    index_segments,
+    keys_of_prediction,
 )
 from trinoc.match.candidates.third_view import (
     Prediction,
@@ -44,7 +39,7 @@ def passes_third_view_gate(
     across_px2: Float[ArrayLike, "2 2"],
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> Bool[ArrayLike, ""]:
-    """Whether a segment overlaps the predicted one, and passes the gate where it does."""
+    """Test whether a segment overlaps the predicted one and passes the chi-square gate there."""
     p = prediction
     du, dv = p.u1 - p.u0, p.v1 - p.v0
     squared = du * du + dv * dv
@@ -55,26 +50,33 @@ def passes_third_view_gate(
     first, second = position(0), position(1)
     begin = jnp.maximum(0.0, jnp.minimum(first, second))
     end = jnp.minimum(1.0, jnp.maximum(first, second))
-    reach = second - first
-    overlaps = end - begin > tuning.smallest_overlap * jnp.minimum(1.0, jnp.abs(reach))
+    extent = second - first
+    overlaps = end - begin > tuning.smallest_overlap * jnp.minimum(1.0, jnp.abs(extent))
 
-    off0 = line[0] * p.u0 + line[1] * p.v0 + line[2]
-    off1 = line[0] * p.u1 + line[1] * p.v1 + line[2]
-    r0, r1 = off0 + begin * (off1 - off0), off0 + end * (off1 - off0)
-    predicted = (p.c00, p.c01, p.c11)
-    own = (across_px2[0, 0], across_px2[0, 1], across_px2[1, 1])
-    s, t = (begin - first) / reach, (end - first) / reach
-    v00 = interpolated_covariance(predicted, begin, begin) + interpolated_covariance(own, s, s)
-    v11 = interpolated_covariance(predicted, end, end) + interpolated_covariance(own, t, t)
-    v01 = interpolated_covariance(predicted, begin, end) + interpolated_covariance(own, s, t)
+    distance0 = line[0] * p.u0 + line[1] * p.v0 + line[2]
+    distance1 = line[0] * p.u1 + line[1] * p.v1 + line[2]
+    r0, r1 = distance0 + begin * (distance1 - distance0), distance0 + end * (distance1 - distance0)
+    line_covariance = (p.c00, p.c01, p.c11)
+    segment_covariance = (across_px2[0, 0], across_px2[0, 1], across_px2[1, 1])
+    s, t = (begin - first) / extent, (end - first) / extent
+    v00 = interpolated_covariance(line_covariance, begin, begin) + interpolated_covariance(
+        segment_covariance, s, s
+    )
+    v11 = interpolated_covariance(line_covariance, end, end) + interpolated_covariance(
+        segment_covariance, t, t
+    )
+    v01 = interpolated_covariance(line_covariance, begin, end) + interpolated_covariance(
+        segment_covariance, s, t
+    )
     determinant = v00 * v11 - v01 * v01
     chi_square = (v11 * r0 * r0 - 2 * v01 * r0 * r1 + v00 * r1 * r1) / determinant
     return p.possible & overlaps & (chi_square < tuning.gate_slack * tuning.gate)
 
 
 class Order(NamedTuple):
-    """An ordering of the views: the pencil of the first two, what predictions in the third need of
-    it, and the third by place and direction."""
+    """One ordering of the views: its pencil, the inputs of predictions, and the index of the
+    third view.
+    """
 
     order: Int[np.ndarray, "3"]
     planes: Pencil
@@ -83,17 +85,17 @@ class Order(NamedTuple):
 
 
 class Orders(NamedTuple):
-    """Tables of three of the views, `counts` of all of them, and the three orderings."""
+    """Tables of three of the views, and their three orderings. `counts` are of all views."""
 
     views: tuple[int, int, int]
     counts: list[int]
     lines: SegmentTable
     clutter: ClutterModel
-    each: list[Order]
+    orders: list[Order]
 
     @property
-    def numbers(self) -> list[int]:
-        """Segments of each of the three views."""
+    def counts_of_three(self) -> list[int]:
+        """Number of segments in each of the three views."""
         return [self.counts[view] for view in self.views]
 
 
@@ -104,17 +106,17 @@ def prepare_orders(
     clutter: ClutterModel,
     tuning: MatchTuning = DEFAULT,
 ) -> Orders:
-    """Three of the views of a table, ready to be searched."""
-    # Tables of three views, whichever and of how many, so that kernels compile once for all.
+    """Prepare the search for triples among three of the views."""
+    # Tables always have three views, so that kernels are compiled once.
     if views != tuple(range(len(counts))):
         lines, clutter = _take_views(lines, clutter, np.array(views))
-    each = []
+    orders = []
     for turn in range(3):
         order = np.roll(np.arange(3), turn)
         third = int(order[2])
-        table = lookup(lines, third, counts[views[third]], tuning.candidates)
-        each.append(Order(order, *prepare_order(lines, order), table))
-    return Orders(views, counts, lines, clutter, each)
+        table = index_segments(lines, third, counts[views[third]], tuning.candidates)
+        orders.append(Order(order, *prepare_order(lines, order), table))
+    return Orders(views, counts, lines, clutter, orders)
 
 
 @jax.jit
@@ -123,14 +125,16 @@ def _take_views(
 ) -> tuple[SegmentTable, ClutterModel]:
     densities = jnp.asarray(clutter.log_density)[views]
     cameras = ("matrix_px", "centre_mm", "inverse", "size_px")
-    shapes = {name: getattr(lines, name) for name in cameras}
+    camera_columns = {name: getattr(lines, name) for name in cameras}
     if lines.frame is not None:
-        shapes = {name: jnp.moveaxis(column, 1, 0) for name, column in shapes.items()}
-    three = jax.tree.map(lambda table: table[views], lines._replace(**shapes))
+        camera_columns = {
+            name: jnp.moveaxis(column, 1, 0) for name, column in camera_columns.items()
+        }
+    selected = jax.tree.map(lambda table: table[views], lines._replace(**camera_columns))
     if lines.frame is not None:
-        moved = {name: jnp.moveaxis(getattr(three, name), 0, 1) for name in cameras}
-        three = three._replace(**moved)
-    return three, ClutterModel(densities, clutter.typical_px)
+        restored = {name: jnp.moveaxis(getattr(selected, name), 0, 1) for name in cameras}
+        selected = selected._replace(**restored)
+    return selected, ClutterModel(densities, clutter.typical_px)
 
 
 def gate_triples(
@@ -142,27 +146,31 @@ def gate_triples(
     tuning: CandidateTuning,
     any_order: bool = False,
 ) -> Int[np.ndarray, "h 3"]:
-    """(segments in the views of an order) of what passes the gate in the third view; in
-    `any_order`, also of pairs that predict it worse than another pair of the three would."""
+    """Triples (h, 3) whose third segment passes the gate, in the order of views of `inputs`.
+
+    With `any_order`, pairs that predict worse than another pair of the triple are included.
+    """
     size = block_size(lines, PAIRS_IN_BLOCK)
-    found = [np.zeros((0, 3), dtype=np.int32)]
+    triples = [np.zeros((0, 3), dtype=np.int32)]
     for block in blocks(len(i), size):
         rows = pad_rows(i[block], size), pad_rows(j[block], size)
-        guess, keys = _predict_pairs(
+        prediction, keys = _predict_pairs(
             inputs, table.grid, *rows, np.asarray(any_order), tuning=tuning
         )
         keys = np.stack([np.asarray(key)[: block.stop - block.start] for key in keys])
         pair, k = find_segments_near_predictions(table, keys)
 
-        def passes(pair: np.ndarray, k: np.ndarray, guess: Prediction = guess) -> ArrayLike:
-            return _passes_gate(inputs.segments, guess, pair, k, tuning=tuning)
+        def passes(
+            pair: np.ndarray, k: np.ndarray, prediction: Prediction = prediction
+        ) -> ArrayLike:
+            return _passes_gate(inputs.segments, prediction, pair, k, tuning=tuning)
 
-        near_enough = in_blocks(passes, size, pair, k)
-        # Several samples of one prediction may find one segment.
-        both = np.unique((pair[near_enough].astype(np.int64) << 32) | k[near_enough])
-        pair, k = (both >> 32) + block.start, both & 0xFFFFFFFF
-        found.append(np.stack([i[pair], j[pair], k], axis=1).astype(np.int32))
-    return np.concatenate(found)
+        is_near = in_blocks(passes, size, pair, k)
+        # Several samples of one prediction may give the same segment.
+        hits = np.unique((pair[is_near].astype(np.int64) << 32) | k[is_near])
+        pair, k = (hits >> 32) + block.start, hits & 0xFFFFFFFF
+        triples.append(np.stack([i[pair], j[pair], k], axis=1).astype(np.int32))
+    return np.concatenate(triples)
 
 
 @partial(kept_jit, static_argnames=("tuning",))
@@ -177,12 +185,12 @@ def _predict_pairs(
     def predict_pair(
         i: ArrayLike, first: PencilSegments, second: PencilSegments
     ) -> tuple[Prediction, list[ArrayLike]]:
-        own = inputs.view, grid
+        cameras = inputs.view, grid
         if inputs.frame is not None:
             frame = inputs.frame[i]
-            own = jax.tree.map(lambda column: column[frame], own)
-        guess = predict(own[0], first, second, tuning, any_order)
-        return guess, prediction_keys(own[1], guess, tuning)
+            cameras = jax.tree.map(lambda column: column[frame], cameras)
+        prediction = predict(cameras[0], first, second, tuning, any_order)
+        return prediction, keys_of_prediction(cameras[1], prediction, tuning)
 
     pairs = take_segments(inputs.first, i), take_segments(inputs.second, j)
     return jax.vmap(predict_pair, in_axes=(0, 1, 1))(i, *pairs)
@@ -191,14 +199,14 @@ def _predict_pairs(
 @partial(kept_jit, static_argnames=("tuning",), optimized_from=0)
 def _passes_gate(
     segments: Float[ArrayLike, "n 11"],
-    guesses: Prediction,
+    predictions: Prediction,
     pair: Int[ArrayLike, "h"],
     k: Int[ArrayLike, "h"],
     tuning: CandidateTuning,
 ) -> Bool[ArrayLike, "h"]:
     def passes(pair: ArrayLike, k: ArrayLike) -> ArrayLike:
-        guess, own = jax.tree.map(lambda column: column[pair], guesses), segments[k]
-        columns = own[:4].reshape(2, 2), own[4:7], own[7:].reshape(2, 2)
-        return passes_third_view_gate(guess, *columns, tuning)
+        prediction, segment = jax.tree.map(lambda column: column[pair], predictions), segments[k]
+        columns = segment[:4].reshape(2, 2), segment[4:7], segment[7:].reshape(2, 2)
+        return passes_third_view_gate(prediction, *columns, tuning)
 
     return jax.vmap(passes)(pair, k)

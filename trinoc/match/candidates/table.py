@@ -1,4 +1,4 @@
-"""Candidates: groups of segments that can be one line, with the evidence for each."""
+"""Table of candidates: groups of segments that can be one line, with the evidence for each."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -16,15 +16,17 @@ from trinoc.numerics.tables import take_rows
 
 
 class Candidates(NamedTuple):
-    """Triples, or pairs, that can be one line; rows of each array belong together.
+    """Triples, or pairs, that can be one line; one row for each.
 
-    index : segment in each of the views (-1 in views that take no part).
-    interval : common part on each segment. ends_mm : ends in space.
-    chi_square, log_density, union_ends_mm, union_covariance_mm2, px_per_mm : see TripleEvidence.
-    end_log : see `end_evidence`. side_log : see `side_evidence`.
-    expected : in how many views a pair is not seen that should show it. crossing_sine : of a pair,
-        of the angle between its interpretation planes. Both are 0 for triples.
-    frame : of a stack, the frame of each.
+    index : (m, v) segment in each view, -1 in views that take no part.
+    interval : (m, v, 2) common part on each segment.
+    ends_mm : (m, 2, 3) ends in space, world frame.
+    chi_square, log_density, union_ends_mm, union_covariance_mm2, px_per_mm : as in TripleEvidence.
+    end_log : result of `end_evidence`.
+    side_log : result of `side_evidence`.
+    expected_views : number of views that should show a pair and do not; 0 for triples.
+    crossing_sine : sine of the angle between the interpretation planes of a pair; 0 for triples.
+    frame : frame of each candidate in a stack.
     """
 
     index: Int[np.ndarray, "m v"]
@@ -37,12 +39,12 @@ class Candidates(NamedTuple):
     union_covariance_mm2: Float[np.ndarray, "m 2 6"]
     px_per_mm: Float[np.ndarray, "m"]
     side_log: Float[np.ndarray, "m s"]
-    expected: Float[np.ndarray, "m"]
+    expected_views: Float[np.ndarray, "m"]
     crossing_sine: Float[np.ndarray, "m"]
     frame: Int[np.ndarray, "m"] | None = None
 
     def take(self, rows: np.ndarray) -> "Candidates":
-        """Those at the given indices, in that order, or where the mask is true."""
+        """Return the rows of the given indices, in that order, or where a mask is true."""
         return take_rows(self, rows)
 
 
@@ -50,25 +52,43 @@ def build_candidates(
     lines: SegmentTable,
     views: Int[np.ndarray, "k"],
     segments: Int[np.ndarray, "m k"],
-    place: Iterable[np.ndarray],
+    evidence_columns: Iterable[np.ndarray],
     tuning: MatchTuning,
 ) -> Candidates:
-    """Groups of segments in some views, by the evidence of their `place`: the fields from interval,
-    of these views alone, to px_per_mm, and then those of pairs."""
-    of_views, ends_mm, chi_square, log_density, end_log, outer_mm, spread, px_per_mm, *more = place
+    """Build the table of candidates from the result of the kernels.
+
+    Parameters
+    ----------
+    lines : tables of all views.
+    views : the views of the segments, (k,).
+    segments : (m, k) one segment per view.
+    evidence_columns : fields from `interval` (of these views) to `px_per_mm`, then those of
+        pairs.
+    """
+    (
+        view_interval,
+        ends_mm,
+        chi_square,
+        log_density,
+        end_log,
+        outer_mm,
+        spread,
+        px_per_mm,
+        *pair_columns,
+    ) = evidence_columns
     index = np.full((len(segments), len(lines.ends_px)), -1)
     interval = np.zeros((*index.shape, 2))
-    index[:, views], interval[:, views] = segments, of_views
+    index[:, views], interval[:, views] = segments, view_interval
     polarity = polarity_evidence(np.asarray(lines.polarity), index, interval, tuning.evidence)
-    evidence = ends_mm, chi_square, log_density + polarity, end_log
+    log_columns = ends_mm, chi_square, log_density + polarity, end_log
     sides = side_evidence(np.asarray(lines.sides), index, interval, tuning.sides)
-    expected, sine = more or np.zeros((2, len(index)))
-    of_line = outer_mm, spread, px_per_mm, sides, expected, sine
-    return Candidates(index, interval, *evidence, *of_line, look_up_frames(lines, index))
+    expected_views, sine = pair_columns or np.zeros((2, len(index)))
+    line_columns = outer_mm, spread, px_per_mm, sides, expected_views, sine
+    return Candidates(index, interval, *log_columns, *line_columns, look_up_frames(lines, index))
 
 
-def no_candidates(views: int, stacked: bool = False) -> Candidates:
-    """None at all, for as many views, of one frame or of a stack."""
+def no_candidates(views: int, is_stack: bool = False) -> Candidates:
+    """Empty table for the given number of views, of one frame or of a stack."""
     return Candidates(
         np.zeros((0, views), dtype=np.int64),
         np.zeros((0, views, 2)),
@@ -82,7 +102,7 @@ def no_candidates(views: int, stacked: bool = False) -> Candidates:
         np.zeros((0, len(SIDE_COMPONENTS))),
         np.zeros(0),
         np.zeros(0),
-        np.zeros(0, dtype=np.int32) if stacked else None,
+        np.zeros(0, dtype=np.int32) if is_stack else None,
     )
 
 
@@ -91,7 +111,7 @@ def prior_log_odds(
     mixture: MixtureParameters,
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Log odds of each on its own evidence, under the parameters of its own frame of a stack."""
+    """Log odds of each candidate from its own evidence, (m,), with the parameters of its frame."""
     c = candidates
     return log_odds(
         c.chi_square, c.log_density, c.end_log, c.ends_mm, c.side_log, mixture, tuning, c.frame
@@ -101,10 +121,13 @@ def prior_log_odds(
 def in_depth_range(
     candidates: Candidates, lines: SegmentTable, depth_range_mm: tuple[float, float] | None
 ) -> Bool[np.ndarray, "m"]:
-    """Whether the ends lie within a range of depths before every camera that sees them; without
-    a range, anywhere before them."""
+    """Mask of the candidates whose ends lie in the depth range of every camera that sees them,
+    (m,).
+
+    Without a range, any positive depth is allowed.
+    """
     matrix = take_matrices(lines, candidates.frame)
     depth = matrix[..., 2, :3] @ candidates.ends_mm.mT + matrix[..., 2, 3:]
-    near, far = (0.0, np.inf) if depth_range_mm is None else depth_range_mm
-    inside = ((depth > near) & (depth < far)).all(axis=2) | (candidates.index < 0)
-    return np.asarray(inside.all(axis=1))
+    smallest, largest = (0.0, np.inf) if depth_range_mm is None else depth_range_mm
+    is_inside = ((depth > smallest) & (depth < largest)).all(axis=2) | (candidates.index < 0)
+    return np.asarray(is_inside.all(axis=1))

@@ -1,9 +1,9 @@
-"""Step 1: triples of segments that can be one line, from all three orderings of the views.
+"""Step 1 of the paper: triples of segments that can be one line, from all three orderings of the
+views.
 
-Triples that passed the gate, evaluate by all of their evidence, in double precision.
-
-Two programs: the first looks the segments up and fits a line to all three; the second computes the
-evidence on that line, and serves pictures of any number of segments.
+Two compiled programs evaluate the triples that passed the gate, in double precision. The first
+fits a line to all three segments. The second computes the evidence on that line. It does not
+depend on the number of segments in the images.
 """
 
 from collections.abc import Iterator
@@ -49,8 +49,8 @@ from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.tables import concatenate_rows
 from trinoc.numerics.vectors import Vector3
 
-# numerical: what is kept of each triple: the shapes of interval, ends_mm, chi_square,
-# log_density, end_log, union_ends_mm, union_covariance_mm2, px_per_mm.
+# numerical: shapes of the columns of each triple: interval, ends_mm, chi_square, log_density,
+# end_log, union_ends_mm, union_covariance_mm2, px_per_mm.
 _SHAPES = ((3, 2), (2, 3), (), (), (2, END_COMPONENTS), (2, 3), (2, 6), ())
 
 
@@ -62,14 +62,18 @@ def evaluate_triples(
     clutter: ClutterModel,
     tuning: MatchTuning,
 ) -> Candidates:
-    """Those triples, segments in the views of an order, that can be one line."""
+    """Evaluate triples, given as segments in the views of an ordering, and return the possible
+    ones.
+    """
 
     def evaluate(triple: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
         fitted = _fit_triples(lines, order, planes, triple, clutter, tuning=tuning.candidates)
         return _triple_evidence(*fitted, tuning=tuning.candidates, ends=tuning.ends)
 
-    keep, columns = select_in_blocks(evaluate, block_size(lines, TRIPLES_IN_BLOCK), triple)
-    return build_candidates(lines, order, triple[keep], split_columns(columns, _SHAPES), tuning)
+    kept_rows, columns = select_in_blocks(evaluate, block_size(lines, TRIPLES_IN_BLOCK), triple)
+    return build_candidates(
+        lines, order, triple[kept_rows], split_columns(columns, _SHAPES), tuning
+    )
 
 
 @partial(kept_jit, static_argnames=("tuning",), few_rows_of="triple")
@@ -81,40 +85,44 @@ def _fit_triples(
     clutter: ClutterModel,
     tuning: CandidateTuning,
 ) -> tuple[SegmentPlanes, tuple[Vector3, Vector3], Bool[ArrayLike, "h"]]:
-    """(segments, ends of the line that is fitted to all three, whether it can be one)."""
+    """Fit a line to all three segments: (interpretation planes, ends of the line, mask of
+    possible ones).
+    """
     segments = triple.T
-    sight = segment_planes(lines, clutter, order, segments)
-    of_pencil = take_pencil(planes, lines, order[0], segments[0])
+    planes_of_triple = segment_planes(lines, clutter, order, segments)
+    pencil = take_pencil(planes, lines, order[0], segments[0])
     rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])
-    near_mm = common_ends_mm(of_pencil, cut_pair(of_pencil.baseline_mm, *rows, tuning))
-    return sight, *line_of_three(sight, near_mm, tuning)
+    line_mm = common_ends_mm(pencil, cut_pair(pencil.baseline_mm, *rows, tuning))
+    return planes_of_triple, *line_of_three(planes_of_triple, line_mm, tuning)
 
 
 @partial(kept_jit, static_argnames=("tuning", "ends"), few_rows_of="possible")
 def _triple_evidence(
-    sight: SegmentPlanes,
+    planes_of_triple: SegmentPlanes,
     fitted_mm: tuple[Vector3, Vector3],
     possible: Bool[ArrayLike, "h"],
     tuning: CandidateTuning,
     ends: EndTuning,
 ) -> tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]:
-    """(whether each can be one line, what is kept of it), on the line fitted to all three: it does
-    not matter which pair came first."""
-    found = triple_evidence(sight, fitted_mm, tuning)
+    """Evidence of each triple on the line fitted to all three: (mask of possible ones, columns).
+
+    The result does not depend on the pair that found the triple.
+    """
+    evidence = triple_evidence(planes_of_triple, fitted_mm, tuning)
     columns = (
-        *(found.interval, found.ends_mm, found.chi_square, found.log_density),
-        *(end_evidence(found.extent_px, ends), found.union_ends_mm),
-        *(found.union_covariance_mm2, found.px_per_mm),
+        *(evidence.interval, evidence.ends_mm, evidence.chi_square, evidence.log_density),
+        *(end_evidence(evidence.extent_px, ends), evidence.union_ends_mm),
+        *(evidence.union_covariance_mm2, evidence.px_per_mm),
     )
-    return possible & found.possible, as_columns(columns)
+    return possible & evidence.possible, as_columns(columns)
 
 
-# numerical: about as many pairs are held at a time.
+# numerical: approximate number of pairs in memory.
 PAIRS_AT_A_TIME = 1 << 19
-# numerical: triples whose evidence is held at a time, some 500 bytes for each.
+# numerical: number of triples whose evidence is in memory, about 500 bytes each.
 TRIPLES_AT_A_TIME = 1 << 17
 
-# Of each view, the segments that come first in a pair, and those that come second.
+# For each view: segments that may come first in a pair, and segments that may come second.
 Rows = tuple[tuple[Int[np.ndarray, "_"], ...], tuple[Int[np.ndarray, "_"], ...]]
 
 
@@ -125,98 +133,107 @@ def trinocular_candidates(
     clutter: ClutterModel,
     tuning: MatchTuning = DEFAULT,
 ) -> Candidates:
-    """All triples of three views; each is found from the pair of views that crosses best."""
-    return candidates_among(prepare_orders(lines, views, counts, clutter, tuning), tuning)
+    """All candidate triples of three views, each found from the pair of views that crosses best."""
+    return search_candidates(prepare_orders(lines, views, counts, clutter, tuning), tuning)
 
 
-def candidates_among(
+def search_candidates(
     orders: Orders,
     tuning: MatchTuning = DEFAULT,
     *,
-    learned: SearchPrior | None = None,
+    prior: SearchPrior | None = None,
     rows: Rows | None = None,
 ) -> Candidates:
-    """All triples, each found from the pair of views that crosses best.
+    """Search for the candidate triples of three views.
 
-    With `learned`, those in its region alone that may be likely. With `rows`, those of pairs of
-    certain segments.
+    Parameters
+    ----------
+    prior : restricts the search to its region and to likely candidates.
+    rows : for each view, the segments that may come first in a pair, and those that may come
+        second.
     """
-    numbers = orders.numbers
-    every = tuple(np.arange(number) for number in numbers)
-    first, second = (every, every) if rows is None else rows
-    parts, known = [no_candidates(3, orders.lines.frame is not None)], np.zeros(0, np.int64)
-    for own in orders.each:
-        here = [known]
-        pair = first[own.order[0]], second[own.order[1]]
-        for number, part in _in_order(orders, own, known, tuning, learned, pair):
-            here.append(number)
+    counts = orders.counts_of_three
+    all_rows = tuple(np.arange(number) for number in counts)
+    first, second = (all_rows, all_rows) if rows is None else rows
+    parts, triple_numbers = (
+        [no_candidates(3, orders.lines.frame is not None)],
+        np.zeros(0, np.int64),
+    )
+    for order in orders.orders:
+        number_parts = [triple_numbers]
+        pair = first[order.order[0]], second[order.order[1]]
+        for number, part in _search_ordering(orders, order, triple_numbers, tuning, prior, pair):
+            number_parts.append(number)
             parts.append(part)
-            if sum(len(found.index) for found in parts) > tuning.candidates.most_candidates:
-                every_part = concatenate_rows(parts)
-                odds = _odds_anywhere(every_part, float(np.mean(numbers)), tuning)
-                parts = [every_part.take(odds > np.median(odds))]
-        known = np.sort(np.concatenate(here))
-    found = concatenate_rows(parts)
-    found = found.take(np.argsort(_number_triples(found.index, numbers)))
-    index = np.full((len(found.index), len(orders.counts)), -1)
-    interval = np.zeros((len(found.index), len(orders.counts), 2))
-    index[:, orders.views], interval[:, orders.views] = found.index, found.interval
-    return found._replace(index=index, interval=interval)
+            if sum(len(part.index) for part in parts) > tuning.candidates.most_candidates:
+                all_parts = concatenate_rows(parts)
+                odds = _log_odds_without_position(all_parts, float(np.mean(counts)), tuning)
+                parts = [all_parts.take(odds > np.median(odds))]
+        triple_numbers = np.sort(np.concatenate(number_parts))
+    candidates = concatenate_rows(parts)
+    candidates = candidates.take(np.argsort(_number_triples(candidates.index, counts)))
+    index = np.full((len(candidates.index), len(orders.counts)), -1)
+    interval = np.zeros((len(candidates.index), len(orders.counts), 2))
+    index[:, orders.views], interval[:, orders.views] = candidates.index, candidates.interval
+    return candidates._replace(index=index, interval=interval)
 
 
 def _number_triples(index: Int[np.ndarray, "m 3"], counts: list[int]) -> Int[np.ndarray, "m"]:
-    """A number of its own for each triple."""
+    """Unique number of each triple."""
     i, j, k = index.T.astype(np.int64)
     return (i * counts[1] + j) * counts[2] + k
 
 
-def _in_order(
+def _search_ordering(
     orders: Orders,
-    own: Order,
-    known: Int[np.ndarray, "t"],
+    order_input: Order,
+    known_numbers: Int[np.ndarray, "t"],
     tuning: MatchTuning,
-    learned: SearchPrior | None,
+    prior: SearchPrior | None,
     pair: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "m"]],
 ) -> Iterator[tuple[Int[np.ndarray, "_"], Candidates]]:
-    """(numbers of triples, those that may be likely) of which the first two views predict the third
-    segment, but those `known`: two orderings find one triple where they cross about as well."""
-    lines, clutter, numbers = orders.lines, orders.clutter, orders.numbers
-    order, planes, inputs, table = own
-    typical = float(np.mean(numbers))
-    within, screen = None, None
-    if learned is not None:
+    """Yield blocks of candidates from one ordering: (numbers of the triples, candidates).
+
+    Triples in `known_numbers` are skipped: another ordering that crosses about as well has found
+    them.
+    """
+    lines, clutter, numbers = orders.lines, orders.clutter, orders.counts_of_three
+    order, planes, inputs, table = order_input
+    mean_count = float(np.mean(numbers))
+    region, screen = None, None
+    if prior is not None:
         screen = jax.device_put((lines, order, planes, clutter))
-        within = None if learned.region is None else region_of_pencil(learned.region, planes)
-    ends_px = None if learned is None else learned.ends_px
+        region = None if prior.region is None else region_of_pencil(prior.region, planes)
+    ends_px = None if prior is None else prior.ends_px
     for i, j in pairs_sharing_planes(lines, order[:2], planes, pair, PAIRS_AT_A_TIME, ends_px):
-        if within is not None:
-            i, j = select_pairs_in_region(lines, inputs, within, i, j, tuning.candidates)
-        # Of three ends two may agree whose pair crosses worse than another.
+        if region is not None:
+            i, j = select_pairs_in_region(lines, inputs, region, i, j, tuning.candidates)
+        # The pair whose ends agree need not be the pair that crosses best.
         any_order = ends_px is not None
         triple = gate_triples(lines, inputs, table, i, j, tuning.candidates, any_order)
-        if len(known):
+        if len(known_numbers):
             number = _number_triples(triple[:, np.argsort(order)], numbers)
-            place = np.minimum(np.searchsorted(known, number), len(known) - 1)
-            triple = triple[known[place] != number]
-        if learned is not None and screen is not None:
-            triple = likely_triples(screen, triple, learned, tuning)
+            position = np.minimum(np.searchsorted(known_numbers, number), len(known_numbers) - 1)
+            triple = triple[known_numbers[position] != number]
+        if prior is not None and screen is not None:
+            triple = likely_triples(screen, triple, prior, tuning)
         for part in blocks(len(triple), TRIPLES_AT_A_TIME):
-            found = evaluate_triples(lines, order, planes, triple[part], clutter, tuning)
-            # Most of what passes the gate is not likely, and takes memory. Frames of a stack are
-            # small.
-            many = lines.frame is None and learned is None
-            many = many and len(found.index) > tuning.candidates.prune_above
-            number = _number_triples(found.index, numbers)
-            if many:
-                odds = _odds_anywhere(found, typical, tuning)
-                found = found.take(odds > tuning.candidates.prune_log_odds)
-            yield number, found
+            candidates = evaluate_triples(lines, order, planes, triple[part], clutter, tuning)
+            # Most triples that pass the gate are unlikely, and they occupy memory. Frames of a
+            # stack are small, so they need no pruning.
+            is_large = lines.frame is None and prior is None
+            is_large = is_large and len(candidates.index) > tuning.candidates.prune_above
+            number = _number_triples(candidates.index, numbers)
+            if is_large:
+                odds = _log_odds_without_position(candidates, mean_count, tuning)
+                candidates = candidates.take(odds > tuning.candidates.prune_log_odds)
+            yield number, candidates
 
 
-def _odds_anywhere(
-    found: Candidates, typical_count: float, tuning: MatchTuning
+def _log_odds_without_position(
+    candidates: Candidates, typical_count: float, tuning: MatchTuning
 ) -> Float[np.ndarray, "m"]:
-    mixture = prior_parameters(found.ends_mm, typical_count, tuning)
-    # One block shows how large the volume is, but not yet where lines lie in it.
-    everywhere = mixture.volume._replace(precision=np.zeros((3, 3)))
-    return prior_log_odds(found, mixture._replace(volume=everywhere), tuning.evidence)
+    mixture = prior_parameters(candidates.ends_mm, typical_count, tuning)
+    # One block determines the size of the volume, but not the positions of lines in it.
+    flat_volume = mixture.volume._replace(precision=np.zeros((3, 3)))
+    return prior_log_odds(candidates, mixture._replace(volume=flat_volume), tuning.evidence)

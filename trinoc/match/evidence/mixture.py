@@ -1,7 +1,8 @@
-"""Prior log odds of a triple from its log likelihood ratios: the mixtures, fitted by EM.
+"""Prior log odds of candidates from their log likelihood ratios, with mixtures estimated by EM.
 
-Triples of a stack of frames have the parameters of their own `frame`: then all parameters have an
-axis of frames in front."""
+In a stack of frames, each candidate has the parameters of its own `frame`. All parameters then
+have a leading axis of frames.
+"""
 
 from typing import NamedTuple
 
@@ -17,9 +18,10 @@ Frame = Int[np.ndarray, "m"] | None
 
 
 class Volume(NamedTuple):
-    """Where lines are: uniform in a box about a centre, with a thin tail outside it.
+    """Density of lines in space: uniform in a box about a centre, with a thin tail outside.
 
-    precision : inverse of the covariance of places, 1/mm^2. log_size : of the box, mm^3.
+    precision : inverse covariance of the lines' middles, 1/mm^2.
+    log_size : log of the volume of the box, mm^3.
     """
 
     centre_mm: Float[np.ndarray, "*f 3"]
@@ -28,11 +30,13 @@ class Volume(NamedTuple):
 
 
 class MixtureParameters(NamedTuple):
-    """The mixture parameters, estimated from the images at hand.
+    """Mixture parameters, estimated from the images at hand.
 
-    tail : share of each of the tail's scales. ends : share of each end component.
-    volume : where lines are. log_count : log of their number. sides : share of each component
-    of the levels beside them.
+    tail : share of each scale of the error's tail.
+    ends : share of each end component.
+    volume : density of lines in space.
+    log_count : log of the number of lines.
+    sides : share of each component of the side levels.
     """
 
     tail: Float[np.ndarray, "*f k"]
@@ -48,38 +52,38 @@ def prior_parameters(
     tuning: MatchTuning = DEFAULT,
     frame: Frame = None,
 ) -> MixtureParameters:
-    """Before the first EM step: `count` lines among candidates that are all equally likely."""
+    """Parameters before the first EM step: `count` lines among equally likely candidates."""
     frames = np.size(count)
-    number = group_sums(np.ones(len(ends_mm)), frame, frames)
-    share = np.minimum(1.0, count / np.maximum(number, 1))
+    candidate_count = group_sums(np.ones(len(ends_mm)), frame, frames)
+    share = np.minimum(1.0, count / np.maximum(candidate_count, 1))
     posterior = np.broadcast_to(broadcast_groups(share, frame), len(ends_mm))
 
-    def of_all(shares: tuple[float, ...]) -> np.ndarray:
-        return np.broadcast_to(_normalise(shares), (*np.shape(number), len(shares)))
+    def broadcast_shares(shares: tuple[float, ...]) -> np.ndarray:
+        return np.broadcast_to(_normalise(shares), (*np.shape(candidate_count), len(shares)))
 
     return MixtureParameters(
-        of_all(tuning.evidence.prior_tail),
-        of_all(tuning.ends.prior_shares),
+        broadcast_shares(tuning.evidence.prior_tail),
+        broadcast_shares(tuning.ends.prior_shares),
         fit_volume(ends_mm, posterior, tuning.evidence, frame, frames),
-        np.log(np.maximum(share * number, 1.0)),
-        of_all(tuning.sides.prior_shares),
+        np.log(np.maximum(share * candidate_count, 1.0)),
+        broadcast_shares(tuning.sides.prior_shares),
     )
 
 
-def log_place(
+def log_position_density(
     ends_mm: Float[np.ndarray, "m 2 3"],
     volume: Volume,
     tuning: EvidenceTuning = DEFAULT.evidence,
     frame: Frame = None,
 ) -> Float[np.ndarray, "m"]:
-    """Log density of a line at each place, per volume (mm^3) and direction (of 2 pi)."""
+    """Log density of a line at each position, per volume (mm^3) and direction (of 2 pi), (m,)."""
     volume = Volume(*(broadcast_groups(field, frame) for field in volume))
     centred = ends_mm - np.expand_dims(volume.centre_mm, -2)
     square = np.zeros(len(ends_mm))
     for e in range(2):
-        own = centred[:, e]
-        square = np.maximum(square, (_times(own, volume.precision) * own).sum(axis=1))
-    # The corners of a box lie three standard deviations out; beyond is for the few.
+        end = centred[:, e]
+        square = np.maximum(square, (_multiply_rows(end, volume.precision) * end).sum(axis=1))
+    # The corners of a box lie three standard deviations from its centre. Few lines lie outside.
     outside = 0.5 * np.clip(square - tuning.box_corner_sigmas**2, 0.0, tuning.box_cost)
     return -volume.log_size - np.log(2 * np.pi) - outside
 
@@ -94,10 +98,10 @@ def log_odds(
     tuning: EvidenceTuning = DEFAULT.evidence,
     frame: Frame = None,
 ) -> Float[np.ndarray, "m"]:
-    """Log odds that each triple is one line rather than three segments of clutter."""
+    """Log odds that each candidate is one line rather than clutter, (m,)."""
     tail = np.log(np.exp(_tail_terms(chi_square, mixture.tail, tuning, frame)).sum(axis=1))
     ends = _log_mixture(end_log, broadcast_groups(mixture.ends, frame)).sum(axis=1)
-    prior = broadcast_groups(mixture.log_count, frame) + log_place(
+    prior = broadcast_groups(mixture.log_count, frame) + log_position_density(
         ends_mm, mixture.volume, tuning, frame
     )
     sides = log_sides(side_log, mixture, frame)
@@ -109,7 +113,7 @@ def temper(
     side_log: Float[np.ndarray, "m s"],
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Tempered log odds: times the temperature where side intensities are known."""
+    """Multiply log odds by the temperature where side levels are known."""
     tempered = tuning.temperature * posterior_log_odds
     return np.where(side_log.any(axis=1), tempered, posterior_log_odds)
 
@@ -117,7 +121,7 @@ def temper(
 def log_sides(
     side_log: Float[np.ndarray, "m s"], mixture: MixtureParameters, frame: Frame = None
 ) -> Float[np.ndarray, "m"]:
-    """Evidence of the levels beside the members, zero where they are not known."""
+    """Evidence of the side levels, (m,); zero where they are not known."""
     if not side_log.any():
         return np.zeros(len(side_log))
     mixed = _log_mixture(side_log[:, None], broadcast_groups(mixture.sides, frame))[:, 0]
@@ -134,10 +138,10 @@ def em_step(
     tuning: MatchTuning = DEFAULT,
     frame: Frame = None,
 ) -> MixtureParameters:
-    """One round of expectation maximisation, given the current posterior of each triple."""
+    """One step of expectation maximisation, given the current posterior of each candidate."""
     evidence, frames = tuning.evidence, np.size(mixture.log_count)
-    likely = np.flatnonzero(posterior > evidence.negligible)
-    weight, frame, side_log = posterior[likely], take_groups(frame, likely), side_log[likely]
+    rows = np.flatnonzero(posterior > evidence.negligible)
+    weight, frame, side_log = posterior[rows], take_groups(frame, rows), side_log[rows]
 
     def learn_shares(
         log_terms: Float[np.ndarray, "n e k"], weight: np.ndarray, prior: np.ndarray
@@ -149,17 +153,17 @@ def em_step(
     def log_shares(shares: np.ndarray) -> np.ndarray:
         return np.expand_dims(broadcast_groups(np.log(shares), frame), -2)
 
-    sides_known = weight * side_log.any(axis=1)
+    weight_of_sides = weight * side_log.any(axis=1)
     prior_sides = _normalise(tuning.sides.prior_shares)
-    tail = _tail_terms(chi_square[likely], mixture.tail, evidence, frame)
+    tail = _tail_terms(chi_square[rows], mixture.tail, evidence, frame)
     return MixtureParameters(
         learn_shares(tail[:, None], weight, np.array(evidence.prior_tail)),
         learn_shares(
-            end_log[likely] + log_shares(mixture.ends), weight, np.array(tuning.ends.prior_shares)
+            end_log[rows] + log_shares(mixture.ends), weight, np.array(tuning.ends.prior_shares)
         ),
-        fit_volume(ends_mm[likely], weight, evidence, frame, frames),
+        fit_volume(ends_mm[rows], weight, evidence, frame, frames),
         np.log(np.maximum(group_sums(weight, frame, frames), 1.0)),
-        learn_shares(side_log[:, None] + log_shares(mixture.sides), sides_known, prior_sides),
+        learn_shares(side_log[:, None] + log_shares(mixture.sides), weight_of_sides, prior_sides),
     )
 
 
@@ -170,7 +174,7 @@ def fit_volume(
     frame: Frame = None,
     frames: int = 1,
 ) -> Volume:
-    """The box that has the spread of the lines' middles."""
+    """Box with the spread of the lines' middles, weighted by posterior."""
     middles = (ends_mm[:, 0] + ends_mm[:, 1]) / 2
     count = np.expand_dims(group_sums(posterior, frame, frames) + 1e-9, -1)
     centre = group_sums(posterior[:, None] * middles, frame, frames) / count
@@ -183,14 +187,15 @@ def fit_volume(
     variance, axes = np.linalg.eigh(spread)
     largest = variance.max(axis=-1, keepdims=True)
     variance = np.maximum(variance, tuning.thinnest**2 * largest + 1e-30)
-    # Of a box, each side is sqrt(12) standard deviations.
+    # Each side of a box is sqrt(12) standard deviations.
     log_size = 0.5 * np.log(12 * variance).sum(axis=-1)
     return Volume(centre, (axes / variance[..., None, :]) @ axes.mT, log_size)
 
 
-def _times(rows: Float[np.ndarray, "m a"], matrix: Float[np.ndarray, "*m a b"]) -> np.ndarray:
-    """Each row times the matrix of all, or its own: one product, or sums of columns, and not as
-    many small products."""
+def _multiply_rows(
+    rows: Float[np.ndarray, "m a"], matrix: Float[np.ndarray, "*m a b"]
+) -> np.ndarray:
+    """Multiply each row by one common matrix, or by its own."""
     if matrix.ndim == 2:
         return rows @ matrix
     return np.einsum("ma,mab->mb", rows, matrix)
@@ -201,7 +206,7 @@ def _log_mixture(
 ) -> Float[np.ndarray, "m e"]:
     highest = log_terms.max(axis=2)
     terms = np.exp(log_terms - highest[..., None])
-    mixed = [_times(terms[:, e], shares[..., None])[:, 0] for e in range(terms.shape[1])]
+    mixed = [_multiply_rows(terms[:, e], shares[..., None])[:, 0] for e in range(terms.shape[1])]
     return highest + np.log(np.stack(mixed, axis=1))
 
 
@@ -219,7 +224,7 @@ def _tail_terms(
 def _shares(
     weights: Float[np.ndarray, "*f k"], prior: Float[np.ndarray, "k"], tuning: EvidenceTuning
 ) -> Float[np.ndarray, "*f k"]:
-    # The prior shares count as observations: a Dirichlet prior, for scenes of few lines.
+    # Dirichlet prior, which matters in scenes with few lines: prior shares count as observations.
     shares = weights + tuning.prior_observations * prior
     return np.maximum(shares / shares.sum(axis=-1, keepdims=True), tuning.min_share)
 
@@ -229,5 +234,5 @@ def _normalise(shares: tuple[float, ...]) -> np.ndarray:
 
 
 def probability(log_odds: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
-    """Odds to probability, without overflow."""
+    """Probability of log odds, without overflow."""
     return expit(log_odds)

@@ -1,10 +1,10 @@
-"""Levels beside a segment as evidence: in diffuse light a surface is as bright in all views.
+"""Evidence of the grey levels beside segments: in diffuse light, a surface is equally bright in all
+views.
 
-Of the two surfaces that meet in an edge both, one (where the other is a background that differs
-between views) or none look the same in all pictures. How often each happens, and how nearly the
-levels agree, is estimated from the images at hand by `em_step`.
-
-The darker side of a line in space is on one side in all pictures: evidence, never a gate.
+An edge separates two surfaces. Both look the same in all images, or one does (if the other is a
+background that differs between views), or none. `em_step` estimates the frequency of each case,
+and the precision of the agreement, from the images at hand. The darker side of a line in space
+is also the same in all images. It is evidence, never a gate.
 """
 
 from itertools import combinations_with_replacement
@@ -22,22 +22,25 @@ def polarity_evidence(
     interval: Float[np.ndarray, "m v 2"],
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Log likelihood ratio of the members' darker sides, as of one line over clutter's.
+    """Log likelihood ratio of the members' polarities, one line against clutter, (m,).
 
-    `polarity` is +1 or -1 along the way from a segment's first end, 0 where not known.
+    `polarity` is +1 or -1 relative to the direction from a segment's first end, 0 if not known.
     """
     views = np.arange(polarity.shape[0])
-    along = np.where(interval[..., 1] > interval[..., 0], 1.0, -1.0)
-    side = np.where(index >= 0, polarity[views, index] * along, 0.0)
-    right, left = (side > 0).sum(axis=1), (side < 0).sum(axis=1)
-    turned, straight = tuning.turned_share, 1 - tuning.turned_share
-    as_one = straight**right * turned**left + straight**left * turned**right
-    return np.log(as_one) + (right + left - 1) * np.log(2)
+    direction = np.where(interval[..., 1] > interval[..., 0], 1.0, -1.0)
+    side = np.where(index >= 0, polarity[views, index] * direction, 0.0)
+    right_count, left_count = (side > 0).sum(axis=1), (side < 0).sum(axis=1)
+    reversed_share, equal_share = tuning.turned_share, 1 - tuning.turned_share
+    likelihood = (
+        equal_share**right_count * reversed_share**left_count
+        + equal_share**left_count * reversed_share**right_count
+    )
+    return np.log(likelihood) + (right_count + left_count - 1) * np.log(2)
 
 
-_NONE = len(DEFAULT.sides.agreeing)
-# numerical: how the one side agrees and how the other; which is which does not matter.
-SIDE_COMPONENTS = list(combinations_with_replacement(range(_NONE + 1), 2))
+_DISAGREE = len(DEFAULT.sides.agreeing)
+# numerical: unordered pairs of agreement scales, one for each side.
+SIDE_COMPONENTS = list(combinations_with_replacement(range(_DISAGREE + 1), 2))
 
 
 def side_evidence(
@@ -46,38 +49,45 @@ def side_evidence(
     interval: Float[np.ndarray, "m v 2"],
     tuning: SideTuning = DEFAULT.sides,
 ) -> Float[np.ndarray, "m s"]:
-    """Log density of the members' levels under each of SIDE_COMPONENTS, over that of clutter.
+    """Log density of the members' levels under each of SIDE_COMPONENTS, over that of clutter, (m,
+    s).
 
-    Zero where the levels of fewer than two members are known, and the contrasts of fewer than two
-    others. `sides` is of `side_table`.
+    It is zero if fewer than two members have known levels, and fewer than two others have known
+    contrasts. `sides` is the result of `side_table`.
     """
-    by_levels = _of_levels(sides[..., :5], index, interval, tuning)
-    return by_levels + _of_contrasts(sides[..., 5:], index, tuning)
+    by_levels = _level_evidence(sides[..., :5], index, interval, tuning)
+    return by_levels + _contrast_evidence(sides[..., 5:], index, tuning)
 
 
-def _of_contrasts(
+def _contrast_evidence(
     contrasts: Float[np.ndarray, "v n 2"], index: Int[np.ndarray, "m v"], tuning: SideTuning
 ) -> Float[np.ndarray, "m s"]:
-    """The same of the step between both levels alone: where one differs, the step may be any."""
+    """The same evidence for the contrast alone. If one side differs, the contrast may have any
+    value.
+    """
     evidence = np.zeros((len(index), len(SIDE_COMPONENTS)))
     if np.isnan(contrasts[..., 0]).all():
         return evidence
-    own = contrasts[np.arange(len(contrasts)), index]
-    known = (index >= 0) & ~np.isnan(own[..., 0])
-    own = np.where(known[..., None], own, 0.0)
-    count = np.maximum(known.sum(axis=1), 1)
-    mean = own[..., 0].sum(axis=1) / count
-    scatter = (np.where(known, own[..., 0] - mean[:, None], 0.0) ** 2).sum(axis=1)
-    strange = own[..., 1].sum(axis=1) * (count - 1) / count
-    for column, (one, other) in enumerate(SIDE_COMPONENTS):
-        if other < _NONE:
-            variance = tuning.agreeing[one] ** 2 + tuning.agreeing[other] ** 2
-            alike = -0.5 * scatter / variance - (count - 1) / 2 * np.log(2 * np.pi * variance)
-            evidence[:, column] = alike - 0.5 * np.log(count) - strange
+    member_contrast = contrasts[np.arange(len(contrasts)), index]
+    is_available = (index >= 0) & ~np.isnan(member_contrast[..., 0])
+    member_contrast = np.where(is_available[..., None], member_contrast, 0.0)
+    count = np.maximum(is_available.sum(axis=1), 1)
+    mean = member_contrast[..., 0].sum(axis=1) / count
+    scatter = (np.where(is_available, member_contrast[..., 0] - mean[:, None], 0.0) ** 2).sum(
+        axis=1
+    )
+    log_clutter = member_contrast[..., 1].sum(axis=1) * (count - 1) / count
+    for column, (first, second) in enumerate(SIDE_COMPONENTS):
+        if second < _DISAGREE:
+            variance = tuning.agreeing[first] ** 2 + tuning.agreeing[second] ** 2
+            log_agreement = -0.5 * scatter / variance - (count - 1) / 2 * np.log(
+                2 * np.pi * variance
+            )
+            evidence[:, column] = log_agreement - 0.5 * np.log(count) - log_clutter
     return np.where((count > 1)[:, None], evidence, 0.0)
 
 
-def _of_levels(
+def _level_evidence(
     sides: Float[np.ndarray, "v n 5"],
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
@@ -85,38 +95,50 @@ def _of_levels(
 ) -> Float[np.ndarray, "m s"]:
     if np.isnan(sides[..., 0]).all():
         return np.zeros((len(index), len(SIDE_COMPONENTS)))
-    own = sides[np.arange(len(sides)), index]
-    against = interval[..., 1] < interval[..., 0]
-    own = np.where(against[..., None], own[..., [1, 0, 3, 2, 4]], own)
-    known = ((index >= 0) & ~np.isnan(own[..., 0]))[..., None]
-    own = np.where(known, own, 0.0)
-    count = np.maximum(known.sum(axis=1), 1)
-    mean = own[..., :2].sum(axis=1) / count
-    scatter = (np.where(known, own[..., :2] - mean[:, None], 0.0) ** 2).sum(axis=1)
+    member_level = sides[np.arange(len(sides)), index]
+    is_reversed = interval[..., 1] < interval[..., 0]
+    member_level = np.where(
+        is_reversed[..., None], member_level[..., [1, 0, 3, 2, 4]], member_level
+    )
+    is_available = ((index >= 0) & ~np.isnan(member_level[..., 0]))[..., None]
+    member_level = np.where(is_available, member_level, 0.0)
+    count = np.maximum(is_available.sum(axis=1), 1)
+    mean = member_level[..., :2].sum(axis=1) / count
+    scatter = (np.where(is_available, member_level[..., :2] - mean[:, None], 0.0) ** 2).sum(axis=1)
     # Under clutter every member draws its own level; under one line all share a single draw. So
     # the clutter density enters (count - 1) times.
-    strange = own[..., 2:].sum(axis=1) * (count - 1) / count
+    log_clutter = member_level[..., 2:].sum(axis=1) * (count - 1) / count
     agreeing = np.array(tuning.agreeing)
-    alike = (
+    log_agreement = (
         -0.5 * scatter[..., None] / agreeing**2
         - (count - 1)[..., None] * np.log(np.sqrt(2 * np.pi) * agreeing)
         - 0.5 * np.log(count)[..., None]
     )
-    right, left = alike[:, 0], alike[:, 1]
+    right_agreement, left_agreement = log_agreement[:, 0], log_agreement[:, 1]
     terms = []
-    for one, other in SIDE_COMPONENTS:
-        if other < _NONE:
+    for first, second in SIDE_COMPONENTS:
+        if second < _DISAGREE:
             terms.append(
-                _log_mean(right[:, one] + left[:, other], right[:, other] + left[:, one])
-                - strange[:, 2]
+                _log_mean(
+                    right_agreement[:, first] + left_agreement[:, second],
+                    right_agreement[:, second] + left_agreement[:, first],
+                )
+                - log_clutter[:, 2]
             )
-        elif one < _NONE:
-            terms.append(_log_mean(right[:, one] - strange[:, 0], left[:, one] - strange[:, 1]))
+        elif first < _DISAGREE:
+            terms.append(
+                _log_mean(
+                    right_agreement[:, first] - log_clutter[:, 0],
+                    left_agreement[:, first] - log_clutter[:, 1],
+                )
+            )
         else:
             terms.append(np.zeros(len(index)))
     return np.where(count > 1, np.stack(terms, axis=1), 0.0)
 
 
-def _log_mean(one: Float[np.ndarray, "m"], other: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
-    """Logarithm of the mean of two, from their logarithms."""
-    return np.logaddexp(one, other) - np.log(2)
+def _log_mean(
+    first: Float[np.ndarray, "m"], second: Float[np.ndarray, "m"]
+) -> Float[np.ndarray, "m"]:
+    """Log of the mean of two values, from their logs."""
+    return np.logaddexp(first, second) - np.log(2)

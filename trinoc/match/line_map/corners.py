@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from scipy.special import expit, log_expit, logit
 
-from trinoc.match.evidence.junction_geometry import log_gap_density, passing
+from trinoc.match.evidence.junction_geometry import closest_approach, log_gap_density
 from trinoc.match.line_map.collinearity import line_density
 from trinoc.match.line_map.lines import JoinedLines
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
@@ -96,7 +96,7 @@ def corner_candidates(
     pairs = pairs[pairs[:, 0] // 2 != pairs[:, 1] // 2]
     m, n = np.sort(pairs, axis=1).T
     px_per_mm = np.stack([ends.px_per_mm[m], ends.px_per_mm[n]], axis=1)
-    pass_by = passing(ends.point_mm[m], ends.way[m], ends.point_mm[n], ends.way[n])
+    pass_by = closest_approach(ends.point_mm[m], ends.way[m], ends.point_mm[n], ends.way[n])
     near = (np.abs(pass_by.gap_mm * px_per_mm) < rules.reach_px).all(axis=1)
     keep = (pass_by.sine > rules.smallest_sine) & near
     m, n, px_per_mm = m[keep], n[keep], px_per_mm[keep]

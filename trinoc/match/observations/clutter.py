@@ -1,4 +1,4 @@
-"""The clutter model: density and length of segments that belong to no line."""
+"""Clutter model: density and length of segments that belong to no line."""
 
 from typing import NamedTuple
 
@@ -12,16 +12,16 @@ from trinoc.match.tuning.evidence import ClutterTuning
 from trinoc.numerics.joins import group_medians, group_sums
 from trinoc.numerics.precision import ArrayLike
 
-# numerical: of frames with so many segments at most, all distances are computed: sooner than by a
-# tree.
+# numerical: up to this number of segments, computing all distances is faster than a k-d tree.
 _FEW = 512
 
 
 class ClutterModel(NamedTuple):
-    """How segments of no line are distributed.
+    """Distribution of segments that belong to no line.
 
-    log_density : about each segment, log of segments per pixel of area and per radian, N / (pi A).
-    typical_px : typical length; lengths are spread as t / (length + t)^2. Of each frame of a stack.
+    log_density : (v, n) about each segment, log of the number per px^2 and radian, N / (pi A).
+    typical_px : typical length t. Lengths have the density t / (length + t)^2. One value per
+        frame of a stack.
     """
 
     log_density: Float[ArrayLike, "v n"]
@@ -31,7 +31,9 @@ class ClutterModel(NamedTuple):
 def fit_clutter(
     lines: SegmentTable, counts: list[int], tuning: ClutterTuning = DEFAULT.clutter
 ) -> ClutterModel:
-    """The clutter model of all segments of a frame: most of them belong to other lines."""
+    """Fit the clutter model to all segments of a frame, since most of them belong to other
+    lines.
+    """
     sizes = np.asarray(lines.size_px)
     sizes = sizes[None] if lines.frame is None else sizes
     density, lengths, labels = [], [], []
@@ -41,57 +43,60 @@ def fit_clutter(
         label = label if lines.frame is None else np.asarray(lines.frame)[view]
         lengths.append(length[:count])
         labels.append(label[:count])
-        here = _everywhere(middle, label[:count], sizes[:, view].prod(axis=1))[label]
-        number = np.bincount(label[:count], minlength=len(sizes))
-        if (number > tuning.neighbours).any():
-            # Texture and the rims of shadows put much clutter in one place.
-            distance = _to_neighbour(middle, label[:count], number, tuning.neighbours)
+        view_density = _mean_density(middle, label[:count], sizes[:, view].prod(axis=1))[label]
+        segments_of_frame = np.bincount(label[:count], minlength=len(sizes))
+        if (segments_of_frame > tuning.neighbours).any():
+            # Texture and shadow borders cause locally dense clutter.
+            distance = _distance_to_neighbour(
+                middle, label[:count], segments_of_frame, tuning.neighbours
+            )
             local = tuning.neighbours / (np.pi * np.maximum(distance, 1.0) ** 2)
-            here[:count] = np.maximum(here[:count], local)
-        density.append(np.log(here / np.pi))
+            view_density[:count] = np.maximum(view_density[:count], local)
+        density.append(np.log(view_density / np.pi))
     label = None if lines.frame is None else np.concatenate(labels)
-    typical = group_medians(np.concatenate(lengths), label, len(sizes))
-    return ClutterModel(np.array(density), np.where(np.isfinite(typical), typical, 1.0))
+    median_length = group_medians(np.concatenate(lengths), label, len(sizes))
+    return ClutterModel(np.array(density), np.where(np.isfinite(median_length), median_length, 1.0))
 
 
-def _to_neighbour(
+def _distance_to_neighbour(
     middle_px: Float[np.ndarray, "n 2"],
     frame: Int[np.ndarray, "n"],
-    number: Int[np.ndarray, "f"],
+    segments_of_frame: Int[np.ndarray, "f"],
     neighbour: int,
 ) -> Float[np.ndarray, "n"]:
-    """Distance to the neighbour of that rank in the same frame; infinite where there are fewer.
+    """Distance to the neighbour of the given rank in the same frame, (n,) px; infinite if there is
+    none.
 
-    Segments of a frame follow those of the one before, as many as `number` says.
+    The segments of the frames follow each other, with `segments_of_frame` in each.
     """
-    most = int(number.max())
-    if most > _FEW:  # a frame alone
+    largest_count = int(segments_of_frame.max())
+    if largest_count > _FEW:  # a frame alone
         return np.asarray(KDTree(middle_px).query(middle_px, neighbour + 1)[0][:, -1])
-    place = np.arange(len(frame)) - (np.cumsum(number) - number)[frame]
-    # Places without a segment are not at any distance, and sort last. Single precision, which is
-    # good to a thousandth of a pixel, in place: the table is the larger part of the work.
-    u, v = table = np.full((2, len(number), most), np.nan, np.float32)
-    table[:, frame, place] = middle_px.T
-    square, other = u[:, :, None] - u[:, None], v[:, :, None] - v[:, None]
-    square *= square
-    other *= other
-    square += other
-    square.partition(neighbour, axis=2)
-    ranked = np.sqrt(square[frame, place, neighbour], dtype=np.float64)
+    slot = np.arange(len(frame)) - (np.cumsum(segments_of_frame) - segments_of_frame)[frame]
+    # Empty slots are NaN and sort last. Single precision is accurate to 0.001 px and halves the
+    # size of the table, which dominates the time.
+    u, v = table = np.full((2, len(segments_of_frame), largest_count), np.nan, np.float32)
+    table[:, frame, slot] = middle_px.T
+    squared, dv2 = u[:, :, None] - u[:, None], v[:, :, None] - v[:, None]
+    squared *= squared
+    dv2 *= dv2
+    squared += dv2
+    squared.partition(neighbour, axis=2)
+    ranked = np.sqrt(squared[frame, slot, neighbour], dtype=np.float64)
     return np.where(np.isnan(ranked), np.inf, ranked)
 
 
-def _everywhere(
+def _mean_density(
     middle_px: Float[np.ndarray, "n 2"], frame: Int[np.ndarray, "n"], area_px2: np.ndarray
 ) -> Float[np.ndarray, "f"]:
-    """Segments per pixel of each frame."""
+    """Mean number of segments per px^2, for each frame, (f,)."""
     frames = len(area_px2)
     count = np.bincount(frame, minlength=frames)[:, None]
     mean = group_sums(middle_px, frame, frames) / np.maximum(count, 1)
     u, v = (middle_px - mean[frame]).T
     square = group_sums(np.column_stack([u * u, u * v, v * v]), frame, frames)
     uu, uv, vv = (square / np.maximum(count - 1, 1)).T
-    # Segments often fill only a part of the picture: that of a box with their spread.
+    # Segments often occupy only a part of the image: a box with the spread of their middles.
     box = 12 * np.sqrt(np.maximum(uu * vv - uv**2, 0.0))
-    filled = np.minimum(area_px2, np.maximum(box, 1e-3 * area_px2))
-    return np.maximum(count[:, 0], 1) / np.where(count[:, 0] > 2, filled, area_px2)
+    occupied_px2 = np.minimum(area_px2, np.maximum(box, 1e-3 * area_px2))
+    return np.maximum(count[:, 0], 1) / np.where(count[:, 0] > 2, occupied_px2, area_px2)

@@ -1,9 +1,8 @@
-"""The caller's segments and rig, checked, undistorted and put in an order of their own.
+"""Check, undistort and sort the caller's segments and rig.
 
-Everything after this works on views sorted by name, segments sorted by place and ends sorted
-within a segment, so that no answer depends on the order in which the caller gave any of them.
-
-The same segments with errors across them that are larger or smaller than they state.
+All later steps work on views sorted by content, segments sorted by position, and sorted ends of
+each segment. So no result depends on the caller's order. `with_noise_scale` gives the same
+segments with larger or smaller errors.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -36,18 +35,16 @@ from trinoc.match.tuning.evidence import SideTuning
 from trinoc.numerics.buckets import bucket, pad_rows
 from trinoc.numerics.precision import ArrayLike
 
-# Two views of a scene may have one segment at the same place by chance, but not all of so many.
-# numerical: a count, not a threshold: below it nothing can be told.
-FEWEST_TO_TELL = 3
-# More candidates than memory bears are let go; of so many segments, too few would be left.
-# numerical: it bounds the memory.
-MOST_SEGMENTS = 40_000
-# The reason of a segment that has no rays at an end.
+# numerical: two views with fewer segments may be equal by chance.
+MIN_COMPARED_SEGMENTS = 3
+# numerical: limits the memory. With more segments, too many likely candidates would be discarded.
+MAX_SEGMENTS = 40_000
+# Reason of an excluded segment: an end without a viewing ray.
 BEYOND_FOLD = "beyond the fold of the lens"
 
 
 class CamerasInput(NamedTuple):
-    """Projection matrices, centres, sizes of the pictures and intrinsics, in order of the views."""
+    """Projection matrices, centres, image sizes and intrinsics, in the order of the views."""
 
     matrix_px: Float[np.ndarray, "v 3 4"]
     centre_mm: Float[np.ndarray, "v 3"]
@@ -55,7 +52,7 @@ class CamerasInput(NamedTuple):
     intrinsics: tuple[Intrinsics, ...]
 
     def take(self, views: list[int]) -> "CamerasInput":
-        """Those of some views, in that order."""
+        """The cameras of the given views, in that order."""
         intrinsics = tuple(self.intrinsics[view] for view in views)
         return CamerasInput(
             self.matrix_px[views], self.centre_mm[views], self.size_px[views], intrinsics
@@ -63,12 +60,16 @@ class CamerasInput(NamedTuple):
 
 
 class FrameInput(NamedTuple):
-    """Views in an order that depends on what they show, not on what they are called.
+    """Segments and cameras of one frame, with views in an order that does not depend on their
+    names.
 
-    names : of the views. order : (n,) per view, the caller's number of each segment.
-    ends_px : (n, 2, 2) per view, undistorted. covariance_px2 : (n, 4, 4) per view.
-    polarity, sides : per view, as in SegmentTable. cameras : their matrices, sizes and lenses.
-    left_out : per view, of each of the caller's segments, why it is in no table; "" where it is.
+    names : names of the views.
+    order : (n,) per view, the caller's number of each segment.
+    ends_px : (n, 2, 2) per view, undistorted.
+    covariance_px2 : (n, 4, 4) per view.
+    polarity, sides : per view, as in SegmentTable.
+    cameras : their matrices, sizes and lenses.
+    exclusion_reasons : per view, one string for each of the caller's segments, "" if it is used.
     """
 
     names: tuple[str, ...]
@@ -78,14 +79,15 @@ class FrameInput(NamedTuple):
     polarity: list[Int[np.ndarray, "_"]]
     sides: list[Float[np.ndarray, "_ 7"]]
     cameras: CamerasInput
-    left_out: list[Shaped[np.ndarray, "_"]]
+    exclusion_reasons: list[Shaped[np.ndarray, "_"]]
 
 
 class MatchInput(NamedTuple):
-    """One frame, or a stack of frames of as many views each, as one table per view.
+    """One frame, or a stack of frames with the same number of views, as one table per view.
 
-    ends_px : (n, 2, 2) per view, undistorted, the segments of each frame after those of the one
-    before. covariance_px2 : (n, 4, 4) per view. lines : the padded tables of all views.
+    ends_px : (n, 2, 2) per view, undistorted; the frames follow each other.
+    covariance_px2 : (n, 4, 4) per view.
+    lines : the padded tables of all views.
     """
 
     frames: tuple[FrameInput, ...]
@@ -100,13 +102,15 @@ class MatchInput(NamedTuple):
 
     @property
     def starts(self) -> Int[np.ndarray, "_ v"]:
-        """Where each frame's segments begin in every view, and where the last one's end."""
+        """First segment of each frame in every view, and the total count in the last row, (f +
+        1, v).
+        """
         counts = np.array([[len(ends) for ends in frame.ends_px] for frame in self.frames])
         return np.concatenate([np.zeros_like(counts[:1]), np.cumsum(counts, axis=0)])
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the views of a single frame."""
+        """Names of the views of a single frame."""
         return self.frames[0].names
 
     @property
@@ -121,19 +125,22 @@ def prepare(
     sigma_px: float | None,
     tuning: SideTuning = DEFAULT.sides,
 ) -> MatchInput:
-    """Check and prepare one frame; raises MatchError and InputError in one sentence."""
+    """Check and prepare one frame. Raises MatchError or InputError."""
     return stack_frames([prepare_frame(segments, rig, sigma_px, tuning)])
 
 
 def prepare_cameras(rig: Rig, names: Iterable[str]) -> CamerasInput:
-    """What is needed of a rig's cameras.
+    """Check the cameras of a rig and return the data that the matcher needs.
 
-    Raises InputError where one is mirrored, MatchError where two stand at one place or the fold of
-    a lens leaves too little of its picture.
+    Raises
+    ------
+    InputError : a camera is mirrored.
+    MatchError : two cameras have the same centre, or the fold of a lens leaves too little of its
+        image.
     """
     cameras = {name: rig[name] for name in names}
     check_not_mirrored(cameras)
-    _check_apart(cameras, rig)
+    _check_distinct_centres(cameras, rig)
     _check_lenses(cameras, rig)
     return CamerasInput(
         np.stack([camera.matrix_px for camera in cameras.values()]),
@@ -150,34 +157,38 @@ def prepare_frame(
     tuning: SideTuning = DEFAULT.sides,
     cameras: CamerasInput | None = None,
 ) -> FrameInput:
-    """The same without tables; `cameras` are those of `prepare_cameras`, if at hand."""
+    """Check and prepare the segments of one frame. `cameras` is the result of `prepare_cameras`,
+    if available.
+    """
     _check_names(segments, rig)
     _check_counts(segments)
     cameras = prepare_cameras(rig, segments) if cameras is None else cameras
     prepared = {
-        name: _view(segments[name], lens, sigma_px)
+        name: _prepare_view(segments[name], lens, sigma_px)
         for name, lens in zip(segments, cameras.intrinsics, strict=True)
     }
     _check_different(prepared)
-    # Views that show the same, which only those with hardly a segment may, are left to their names.
-    names = tuple(sorted(prepared, key=lambda name: (_content(prepared[name]), name)))
+    # Views with equal content are sorted by name. Only views with very few segments may be equal.
+    names = tuple(sorted(prepared, key=lambda name: (_sort_key(prepared[name]), name)))
     views = [prepared[name] for name in names]
     order, ends, covariances, polarities, levels, contrasts = (
         list(column) for column in zip(*views, strict=True)
     )
-    sides = side_table(levels, contrasts, [each.mean(axis=1) for each in ends], tuning)
-    given = list(segments)
-    own = cameras.take([given.index(name) for name in names])
-    left_out = []
-    for name, kept in zip(names, order, strict=True):
-        given_count = len(np.asarray(_endpoints(segments[name])))
-        left_out.append(np.full(given_count, BEYOND_FOLD, dtype="U40"))
-        left_out[-1][kept] = ""
-    return FrameInput(names, order, ends, covariances, polarities, sides, own, left_out)
+    sides = side_table(levels, contrasts, [view_ends.mean(axis=1) for view_ends in ends], tuning)
+    given_names = list(segments)
+    ordered_cameras = cameras.take([given_names.index(name) for name in names])
+    exclusion_reasons = []
+    for name, used_rows in zip(names, order, strict=True):
+        count = len(np.asarray(_endpoints(segments[name])))
+        exclusion_reasons.append(np.full(count, BEYOND_FOLD, dtype="U40"))
+        exclusion_reasons[-1][used_rows] = ""
+    return FrameInput(
+        names, order, ends, covariances, polarities, sides, ordered_cameras, exclusion_reasons
+    )
 
 
 def stack_frames(frames: Sequence[FrameInput]) -> MatchInput:
-    """Frames of as many views each as one problem."""
+    """Stack frames with the same number of views to one problem."""
     ends, covariances, polarities, sides = (
         [np.concatenate(column) for column in zip(*columns, strict=True)]
         for columns in zip(*(frame[2:6] for frame in frames), strict=True)
@@ -187,13 +198,17 @@ def stack_frames(frames: Sequence[FrameInput]) -> MatchInput:
     if len(frames) == 1:
         lines = segment_table(matrices[0], sizes[0], ends, covariances, polarities, sides)
     else:
-        of_view = zip(*(frame.ends_px for frame in frames), strict=True)
-        owners = [
-            np.repeat(np.arange(len(frames)), [len(own) for own in column]) for column in of_view
+        view_columns = zip(*(frame.ends_px for frame in frames), strict=True)
+        frame_labels = [
+            np.repeat(np.arange(len(frames)), [len(view_ends) for view_ends in column])
+            for column in view_columns
         ]
-        most = bucket(len(frames))
-        matrices, sizes = pad_rows(matrices, most, matrices[0]), pad_rows(sizes, most, sizes[0])
-        lines = segment_table(matrices, sizes, ends, covariances, polarities, sides, owners)
+        frame_capacity = bucket(len(frames))
+        matrices, sizes = (
+            pad_rows(matrices, frame_capacity, matrices[0]),
+            pad_rows(sizes, frame_capacity, sizes[0]),
+        )
+        lines = segment_table(matrices, sizes, ends, covariances, polarities, sides, frame_labels)
     return MatchInput(tuple(frames), ends, covariances, lines)
 
 
@@ -206,54 +221,58 @@ class _PreparedView(NamedTuple):
     contrast: Float[np.ndarray, "n"]
 
 
-def _view(given: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None) -> _PreparedView:
-    """Segments without distortion, from left to right, in order of their coordinates.
+def _prepare_view(
+    segments: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None
+) -> _PreparedView:
+    """Undistort the segments of a view and sort them by coordinates, each from left to right.
 
-    Those with an end beyond the fold of the lens are left out.
+    Segments with an end beyond the fold of the lens are excluded.
     """
-    segments = _as_segments(given, sigma_px)
-    flat = undistort_pixels(lens, np.asarray(segments.endpoints_px))
-    covariance = np.asarray(segments.covariance_px2, dtype=np.float64)
-    flat, covariance, swap = order_ends(flat, covariance)
-    polarity = np.where(swap, -1, 1) * np.asarray(segments.polarity)
-    levels = np.full((len(flat), 2), np.nan)
-    if segments.side_levels is not None:
-        levels = np.asarray(segments.side_levels, dtype=np.float64)
-        levels = np.where(swap[:, None], levels[:, ::-1], levels)
-        # Which side is darker follows from the levels: it is no evidence of its own.
+    checked = _as_segments(segments, sigma_px)
+    undistorted = undistort_pixels(lens, np.asarray(checked.endpoints_px))
+    covariance = np.asarray(checked.covariance_px2, dtype=np.float64)
+    undistorted, covariance, is_swapped = order_ends(undistorted, covariance)
+    polarity = np.where(is_swapped, -1, 1) * np.asarray(checked.polarity)
+    levels = np.full((len(undistorted), 2), np.nan)
+    if checked.side_levels is not None:
+        levels = np.asarray(checked.side_levels, dtype=np.float64)
+        levels = np.where(is_swapped[:, None], levels[:, ::-1], levels)
+        # The polarity follows from the levels, so it is not independent evidence.
         polarity = np.where(np.isfinite(levels).all(axis=1), 0, polarity)
-    contrast = np.abs(np.asarray(segments.contrast, dtype=np.float64))
-    rank = np.lexsort(flat.reshape(-1, 4).T[::-1])
-    rank = rank[np.isfinite(flat[rank]).all(axis=(1, 2))]
+    contrast = np.abs(np.asarray(checked.contrast, dtype=np.float64))
+    rank = np.lexsort(undistorted.reshape(-1, 4).T[::-1])
+    rank = rank[np.isfinite(undistorted[rank]).all(axis=(1, 2))]
     return _PreparedView(
-        rank, flat[rank], covariance[rank], polarity[rank], levels[rank], contrast[rank]
+        rank, undistorted[rank], covariance[rank], polarity[rank], levels[rank], contrast[rank]
     )
 
 
 def order_ends(
     ends_px: Float[np.ndarray, "n 2 2"], covariance_px2: Float[np.ndarray, "n 4 4"]
 ) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 4 4"], Bool[np.ndarray, "n"]]:
-    """(ends from left to right, or from the top where they are one above the other; their
-    covariance; which segments were the other way round)."""
+    """Sort the ends of each segment from left to right, vertical ones from top to bottom.
+
+    Returns the ends, their covariance, and the mask of segments whose ends were exchanged.
+    """
     (u0, v0), (u1, v1) = np.moveaxis(ends_px, 0, -1)
-    swap = (u0 > u1) | ((u0 == u1) & (v0 > v1))
+    is_swapped = (u0 > u1) | ((u0 == u1) & (v0 > v1))
     swapped = covariance_px2.reshape(-1, 2, 2, 2, 2)[:, ::-1, :, ::-1].reshape(-1, 4, 4)
-    which = swap[:, None, None]
+    swap_mask = is_swapped[:, None, None]
     return (
-        np.where(which, ends_px[:, ::-1], ends_px),
-        np.where(which, swapped, covariance_px2),
-        swap,
+        np.where(swap_mask, ends_px[:, ::-1], ends_px),
+        np.where(swap_mask, swapped, covariance_px2),
+        is_swapped,
     )
 
 
-def _content(view: _PreparedView) -> tuple[int, list[float]]:
+def _sort_key(view: _PreparedView) -> tuple[int, list[float]]:
     return len(view.ends_px), view.ends_px.reshape(-1).tolist()
 
 
 def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None:
     check_kind(rig, Rig, "rig", A_RIG)
-    each = "a dictionary of each camera's name and segments, such as find_segments finds"
-    check_kind(segments, Mapping, "set of segments", each)
+    expected = "a dictionary of each camera's name and segments, such as find_segments finds"
+    check_kind(segments, Mapping, "set of segments", expected)
     missing = [name for name in segments if name not in rig.names]
     if missing:
         raise MatchError(
@@ -267,7 +286,7 @@ def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None
         )
 
 
-def _check_apart(names: Iterable[str], rig: Rig) -> None:
+def _check_distinct_centres(names: Iterable[str], rig: Rig) -> None:
     pair = find_equal_centres({name: rig[name] for name in names})
     if pair is not None:
         raise MatchError(
@@ -284,10 +303,10 @@ def _check_lenses(names: Iterable[str], rig: Rig) -> None:
 
 
 def _check_different(views: Mapping[str, _PreparedView]) -> None:
-    """Raise MatchError for the segments of one picture under two names."""
+    """Raise MatchError if two views have the same segments."""
     for first, second in combinations(views, 2):
         ends = views[first].ends_px
-        if len(ends) >= FEWEST_TO_TELL and np.array_equal(ends, views[second].ends_px):
+        if len(ends) >= MIN_COMPARED_SEGMENTS and np.array_equal(ends, views[second].ends_px):
             raise MatchError(
                 f'Views "{first}" and "{second}" have the same segments: give those of the '
                 "picture that each camera took."
@@ -295,66 +314,74 @@ def _check_different(views: Mapping[str, _PreparedView]) -> None:
 
 
 def _check_counts(segments: Mapping[str, Segments | ArrayLike]) -> None:
-    for name, given in segments.items():
-        count = len(_endpoints(given))
-        if count > MOST_SEGMENTS:
+    for name, view_segments in segments.items():
+        count = len(_endpoints(view_segments))
+        if count > MAX_SEGMENTS:
             raise MatchError(
-                f"Matching takes {MOST_SEGMENTS} segments of a view at most, but "
+                f"Matching takes {MAX_SEGMENTS} segments of a view at most, but "
                 f'"{name}" has {count}: leave out the shortest, or match parts of the picture.'
             )
 
 
-def _endpoints(given: Segments | ArrayLike) -> Float[np.ndarray, "n 2 2"]:
-    return np.asarray(given.endpoints_px) if isinstance(given, Segments) else as_endpoints(given)
+def _endpoints(segments: Segments | ArrayLike) -> Float[np.ndarray, "n 2 2"]:
+    return (
+        np.asarray(segments.endpoints_px)
+        if isinstance(segments, Segments)
+        else as_endpoints(segments)
+    )
 
 
-def _as_segments(given: Segments | ArrayLike, sigma_px: float | None) -> Segments:
-    if not isinstance(given, Segments):
-        stated = DEFAULT_SIGMA_PX if sigma_px is None else sigma_px
-        return Segments.from_endpoints(given, sigma_px=stated)
+def _as_segments(segments: Segments | ArrayLike, sigma_px: float | None) -> Segments:
+    if not isinstance(segments, Segments):
+        sigma = DEFAULT_SIGMA_PX if sigma_px is None else sigma_px
+        return Segments.from_endpoints(segments, sigma_px=sigma)
     if sigma_px is None:
-        return given
+        return segments
     if not real_number(sigma_px, "sigma_px") > 0:
         raise InputError(f"sigma_px is {sigma_px}, but must be positive: no end is exact.")
-    ends = np.asarray(given.endpoints_px)
+    ends = np.asarray(segments.endpoints_px)
     covariance = covariance_of_ends(ends, sigma_px, 4 * sigma_px)
-    return eqx.tree_at(lambda s: s.covariance_px2, given, covariance)
+    return eqx.tree_at(lambda s: s.covariance_px2, segments, covariance)
 
 
-def with_noise_scale(seen: MatchInput, scale: Float[np.ndarray, "f"]) -> MatchInput:
-    """Covariances with standard deviations across the segments times their frame's `scale`.
+def with_noise_scale(inputs: MatchInput, scale: Float[np.ndarray, "f"]) -> MatchInput:
+    """Scale the standard deviations across the segments by the `scale` of their frame.
 
-    Along a segment nothing changes: where a detector stops is no matter of noise. Nor does a scale
-    below 1 narrow what is common to both ends (`common_error_variance`): misfits do not show it.
+    The errors along a segment stay: they depend on where the detector stops, not on noise. A
+    scale below 1 does not reduce the error that is common to both ends
+    (`common_error_variance`), because misfits do not show it.
     """
     if (scale == 1.0).all():
-        return seen
-    counts = np.diff(seen.starts, axis=0)
-    each = [np.repeat(scale, counts[:, view]) for view in range(len(seen.ends_px))]
-    across = np.array(seen.lines.across_px2)
+        return inputs
+    counts = np.diff(inputs.starts, axis=0)
+    scale_of_segment = [np.repeat(scale, counts[:, view]) for view in range(len(inputs.ends_px))]
+    across = np.array(inputs.lines.across_px2)
     covariance = []
-    for view, (ends, own, factor) in enumerate(
-        zip(seen.ends_px, seen.covariance_px2, each, strict=True)
+    for view, (ends, view_covariance, factor) in enumerate(
+        zip(inputs.ends_px, inputs.covariance_px2, scale_of_segment, strict=True)
     ):
-        kept = common_error_variance(across[view, : len(factor)])
-        kept = kept * np.maximum(1 - factor**2, 0.0)
-        covariance.append(_scale_covariance_across(ends, own, factor, kept))
+        common_remainder = common_error_variance(across[view, : len(factor)])
+        common_remainder = common_remainder * np.maximum(1 - factor**2, 0.0)
+        covariance.append(_scale_covariance_across(ends, view_covariance, factor, common_remainder))
         across[view, : len(factor)] *= factor[:, None, None] ** 2
-        across[view, : len(factor)] += kept[:, None, None]
-    return seen._replace(covariance_px2=covariance, lines=seen.lines._replace(across_px2=across))
+        across[view, : len(factor)] += common_remainder[:, None, None]
+    return inputs._replace(
+        covariance_px2=covariance, lines=inputs.lines._replace(across_px2=across)
+    )
 
 
 def common_error_variance(across_px2: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
-    """Variance of what moves each segment as a whole, where that is more than what noise does.
+    """Variance of the error that moves each segment as a whole, beyond the effect of noise, (n,)
+    px^2.
 
-    A neighbour or saturation moves an edge toward the same side in all pictures of it: they agree
-    on a place that is wrong. Noise of variance v moves the middle of a line and turns it, so that
-    its ends vary by 4 v and their errors have covariance -2 v; with c from what moves it as a
-    whole these are 4 v + c and c - 2 v. Ends that err independently leave none.
+    A neighbouring edge or saturation moves an edge toward the same side in all its images. The
+    images then agree on a wrong position. Noise of variance v moves the middle of a segment and
+    turns it: its ends have variance 4 v and covariance -2 v. A common error of variance c makes
+    these 4 v + c and c - 2 v. The result is 0 for ends that err independently.
     """
-    between = across_px2[:, 0, 1]
-    least = np.minimum(across_px2[:, 0, 0], across_px2[:, 1, 1])
-    return np.where(between > 0, (least + 2 * between) / 3, 0.0)
+    end_covariance = across_px2[:, 0, 1]
+    smaller_variance = np.minimum(across_px2[:, 0, 0], across_px2[:, 1, 1])
+    return np.where(end_covariance > 0, (smaller_variance + 2 * end_covariance) / 3, 0.0)
 
 
 def _scale_covariance_across(

@@ -1,4 +1,4 @@
-"""What steps that go back to the pictures need of every view."""
+"""Check the images and segments of all views, for steps that use the images again."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,27 +10,26 @@ from trinoc.geometry.segments import Segments
 from trinoc.numerics.precision import ArrayLike
 
 
-def as_segments(given: Segments | ArrayLike) -> Segments:
-    """Segments, whether or not they were given as their ends alone."""
-    return given if isinstance(given, Segments) else Segments.from_endpoints(given)
+def as_segments(segments: Segments | ArrayLike) -> Segments:
+    """Convert an array of ends to Segments; Segments stay as they are."""
+    return segments if isinstance(segments, Segments) else Segments.from_endpoints(segments)
 
 
 def segments_of_views(
-    doing: str, views: Sequence[str], segments: Mapping[str, Segments | ArrayLike]
+    task: str, views: Sequence[str], segments: Mapping[str, Segments | ArrayLike]
 ) -> dict[str, Segments]:
-    """The segments of every view. Raises InputError where one has none; `doing` needs them."""
-    _expect_all(doing, views, "segments", segments)
+    """Segments of every view. Raises InputError if a view has none; `task` begins the message."""
+    _expect_all(task, views, "segments", segments)
     return {name: as_segments(segments[name]) for name in views}
 
 
 def check_pictures(
-    doing: str, views: Sequence[str], rig: Rig, pictures: Mapping[str, np.ndarray]
+    task: str, views: Sequence[str], rig: Rig, pictures: Mapping[str, np.ndarray]
 ) -> None:
-    """Raise InputError for views without a picture, or a picture of another size.
-
-    doing : what needs them, as a sentence begins.
+    """Raise InputError if a view has no image, or one of another size. `task` begins the
+    message.
     """
-    _expect_all(doing, views, "picture", pictures)
+    _expect_all(task, views, "picture", pictures)
     for name in views:
         width, height = rig[name].image_size_px
         shape = np.shape(pictures[name])[:2]
@@ -41,10 +40,10 @@ def check_pictures(
             )
 
 
-def _expect_all(doing: str, views: Sequence[str], what: str, held: Mapping[str, object]) -> None:
-    missing = [name for name in views if name not in held]
+def _expect_all(task: str, views: Sequence[str], kind: str, values: Mapping[str, object]) -> None:
+    missing = [name for name in views if name not in values]
     if missing:
         raise InputError(
-            f'{doing} needs the {what} of every view, but "{missing[0]}" has none: give what was '
+            f'{task} needs the {kind} of every view, but "{missing[0]}" has none: give what was '
             f"matched of {list_names(views)}."
         )

@@ -1,4 +1,4 @@
-"""Grey levels beside the segments, and their density among all segments of their image."""
+"""Grey levels beside the segments, and their density among all segments of the image."""
 
 from collections.abc import Sequence
 
@@ -10,10 +10,10 @@ from scipy.spatial import KDTree
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import SideTuning
 
-# numerical: ends of the histogram, in hundredths of the range of all levels; what lies beyond
-# counts there.
-_LEAST, _MOST = -10.0, 110.0
-# numerical: columns of a table: five of levels, two of contrasts.
+# numerical: range of the histogram, in hundredths of the range of all levels. Values outside count
+# in the first or last bin.
+_LOWEST_LEVEL, _HIGHEST_LEVEL = -10.0, 110.0
+# numerical: number of columns: five for levels, two for contrasts.
 SIDE_COLUMNS = 7
 
 
@@ -23,27 +23,27 @@ def side_table(
     middles_px: Sequence[Float[np.ndarray, "_ 2"]],
     tuning: SideTuning = DEFAULT.sides,
 ) -> list[Float[np.ndarray, "_ 7"]]:
-    """Per view: what is known of the grey levels beside each segment, NaN where nothing is.
+    """Table of the grey levels beside the segments of each view, (n, 7), NaN where not known.
 
-    Columns are the levels on the right and on the left, in hundredths of the range of all, and the
-    log densities under clutter of the right, of the left and of both together; then, of segments
-    whose levels are not known, the size of the step between the two, in hundredths of the largest,
-    and its log density. About each segment, a density is that of the nearby segments or of the
-    image, whichever is larger.
+    Columns 0, 1: level on the right and on the left, in hundredths of the range of all levels.
+    Columns 2 to 4: log density under clutter of the right level, of the left one, and of both
+    together. Columns 5, 6: for segments without levels, the contrast in hundredths of the
+    largest, and its log density. Each density is that of the nearby segments or of the image,
+    whichever is larger.
     """
-    known = (np.isfinite(view).any() for view in (*levels, *contrasts))
-    if not any(known):
+    has_values = (np.isfinite(view).any() for view in (*levels, *contrasts))
+    if not any(has_values):
         return [np.full((len(view), SIDE_COLUMNS), np.nan) for view in levels]
-    unknown = [
-        np.where(_are_known(own), np.nan, np.abs(contrast))
-        for own, contrast in zip(levels, contrasts, strict=True)
+    contrasts_without_levels = [
+        np.where(_are_known(view_levels), np.nan, np.abs(contrast))
+        for view_levels, contrast in zip(levels, contrasts, strict=True)
     ]
-    both = zip(
+    table_pairs = zip(
         _level_tables(levels, middles_px, tuning),
-        _contrast_tables(unknown, middles_px, tuning),
+        _contrast_tables(contrasts_without_levels, middles_px, tuning),
         strict=True,
     )
-    return [np.concatenate(tables, axis=1) for tables in both]
+    return [np.concatenate(tables, axis=1) for tables in table_pairs]
 
 
 def _level_tables(
@@ -51,17 +51,20 @@ def _level_tables(
     middles_px: Sequence[Float[np.ndarray, "_ 2"]],
     tuning: SideTuning,
 ) -> list[Float[np.ndarray, "_ 5"]]:
-    every = np.concatenate([view[_are_known(view)] for view in levels])
-    if len(every) == 0:
+    all_levels = np.concatenate([view[_are_known(view)] for view in levels])
+    if len(all_levels) == 0:
         return [np.full((len(view), 5), np.nan) for view in levels]
-    low, high = np.percentile(every, tuning.percentiles)
+    low, high = np.percentile(all_levels, tuning.percentiles)
     unit = max(float(high - low), 1e-9) / 100
     tables = []
     for view, middle in zip(levels, middles_px, strict=True):
-        table, known = np.full((len(view), 5), np.nan), _are_known(view)
-        own = (view[known] - low) / unit
-        usual = np.maximum(_in_image(own, tuning), _nearby(own, middle[known], tuning))
-        table[known] = np.column_stack([own, np.log(usual)])
+        table, is_known = np.full((len(view), 5), np.nan), _are_known(view)
+        scaled = (view[is_known] - low) / unit
+        density = np.maximum(
+            _level_density_in_image(scaled, tuning),
+            _level_density_nearby(scaled, middle[is_known], tuning),
+        )
+        table[is_known] = np.column_stack([scaled, np.log(density)])
         tables.append(table)
     return tables
 
@@ -71,16 +74,19 @@ def _contrast_tables(
     middles_px: Sequence[Float[np.ndarray, "_ 2"]],
     tuning: SideTuning,
 ) -> list[Float[np.ndarray, "_ 2"]]:
-    every = np.concatenate([view[np.isfinite(view)] for view in contrasts])
+    all_contrasts = np.concatenate([view[np.isfinite(view)] for view in contrasts])
     tables = [np.full((len(view), 2), np.nan) for view in contrasts]
-    if len(every) == 0:
+    if len(all_contrasts) == 0:
         return tables
-    unit = max(float(np.percentile(every, tuning.percentiles[1])), 1e-9) / 100
+    unit = max(float(np.percentile(all_contrasts, tuning.percentiles[1])), 1e-9) / 100
     for table, view, middle in zip(tables, contrasts, middles_px, strict=True):
-        known = np.isfinite(view)
-        own = view[known] / unit
-        usual = np.maximum(_steps_in_image(own, tuning), _steps_nearby(own, middle[known], tuning))
-        table[known] = np.column_stack([own, np.log(usual)])
+        is_known = np.isfinite(view)
+        scaled = view[is_known] / unit
+        density = np.maximum(
+            _contrast_density_in_image(scaled, tuning),
+            _contrast_density_nearby(scaled, middle[is_known], tuning),
+        )
+        table[is_known] = np.column_stack([scaled, np.log(density)])
     return tables
 
 
@@ -88,70 +94,74 @@ def _are_known(levels: Float[np.ndarray, "n 2"]) -> np.ndarray:
     return np.isfinite(levels[:, 0] + levels[:, 1])
 
 
-def _in_image(levels: Float[np.ndarray, "n 2"], tuning: SideTuning) -> Float[np.ndarray, "n 3"]:
-    """Density of the right, of the left and of both, among the segments of one picture."""
+def _level_density_in_image(
+    levels: Float[np.ndarray, "n 2"], tuning: SideTuning
+) -> Float[np.ndarray, "n 3"]:
+    """Density of the right level, the left level and both, among the segments of one image, (n,
+    3).
+    """
     if len(levels) == 0:
         return np.zeros((0, 3))
     width, any_level = tuning.bin_width, tuning.any_level_share
-    bins = np.arange(_LEAST, _MOST + width, width)
-    inside = np.clip(levels, _LEAST, _MOST - 1e-6)
-    counts = np.histogram2d(inside[:, 0], inside[:, 1], bins=[bins, bins])[0]
-    # Either way round: which of its ends comes first means nothing.
-    both = _smooth(counts + counts.T)
-    even = (_MOST - _LEAST) ** -2
-    both = (1 - any_level) * both / (both.sum() * width**2) + any_level * even
-    one = both.sum(axis=0) * width
-    right, left = ((inside - _LEAST) // width).astype(np.int64).T
-    return np.column_stack([one[right], one[left], both[right, left]])
+    bins = np.arange(_LOWEST_LEVEL, _HIGHEST_LEVEL + width, width)
+    clipped = np.clip(levels, _LOWEST_LEVEL, _HIGHEST_LEVEL - 1e-6)
+    counts = np.histogram2d(clipped[:, 0], clipped[:, 1], bins=[bins, bins])[0]
+    # Symmetric, because the order of a segment's ends has no meaning here.
+    joint = _smooth(counts + counts.T)
+    uniform = (_HIGHEST_LEVEL - _LOWEST_LEVEL) ** -2
+    joint = (1 - any_level) * joint / (joint.sum() * width**2) + any_level * uniform
+    marginal = joint.sum(axis=0) * width
+    right_bin, left_bin = ((clipped - _LOWEST_LEVEL) // width).astype(np.int64).T
+    return np.column_stack([marginal[right_bin], marginal[left_bin], joint[right_bin, left_bin]])
 
 
 def _smooth(counts: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """A histogram under a Gaussian of one bin, as `scipy.ndimage` has it, whose import takes a
-    tenth of a second."""
+    """Smooth a histogram by a Gaussian of one bin. SciPy's version takes 0.1 s to import."""
     return cv2.GaussianBlur(counts, (9, 9), 1.0, borderType=cv2.BORDER_REPLICATE)
 
 
-def _nearby(
+def _level_density_nearby(
     levels: Float[np.ndarray, "n 2"], middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> Float[np.ndarray, "n 3"]:
-    """The same among the nearest segments of each."""
-    near = _nearest(middles_px, tuning)
-    if near.shape[1] == 0:
+    """The same densities among the nearest segments of each segment, (n, 3)."""
+    nearest = _nearest(middles_px, tuning)
+    if nearest.shape[1] == 0:
         return np.zeros((len(levels), 3))
-    apart = levels[:, None, :, None] - levels[near][:, :, None, :]
-    # As narrow as levels can agree, so that levels which are the same everywhere say nothing.
+    difference = levels[:, None, :, None] - levels[nearest][:, :, None, :]
+    # The kernel has the smallest agreement scale. Levels that are equal everywhere then give no
+    # evidence.
     width = tuning.agreeing[0]
-    kernel = np.exp(-0.5 * (apart / width) ** 2) / (np.sqrt(2 * np.pi) * width)
-    both = kernel[..., 0, 0] * kernel[..., 1, 1] + kernel[..., 0, 1] * kernel[..., 1, 0]
-    one = kernel.sum(axis=3)
-    return np.column_stack([one.mean(axis=1), both.mean(axis=1)]) / 2
+    kernel = np.exp(-0.5 * (difference / width) ** 2) / (np.sqrt(2 * np.pi) * width)
+    joint = kernel[..., 0, 0] * kernel[..., 1, 1] + kernel[..., 0, 1] * kernel[..., 1, 0]
+    marginal = kernel.sum(axis=3)
+    return np.column_stack([marginal.mean(axis=1), joint.mean(axis=1)]) / 2
 
 
-def _steps_in_image(contrast: Float[np.ndarray, "n"], tuning: SideTuning) -> np.ndarray:
-    """Density of each contrast among the segments of one picture."""
+def _contrast_density_in_image(contrast: Float[np.ndarray, "n"], tuning: SideTuning) -> np.ndarray:
+    """Density of each contrast among the segments of one image, (n,)."""
     if len(contrast) == 0:
         return np.zeros(0)
     width, any_level = tuning.bin_width, tuning.any_level_share
-    bins = np.arange(0.0, _MOST + width, width)
-    inside = np.clip(contrast, 0.0, _MOST - 1e-6)
-    counts = _smooth(np.histogram(inside, bins)[0].astype(float)[:, None])[:, 0]
-    density = (1 - any_level) * counts / (counts.sum() * width) + any_level / _MOST
-    return density[(inside // width).astype(np.int64)]
+    bins = np.arange(0.0, _HIGHEST_LEVEL + width, width)
+    clipped = np.clip(contrast, 0.0, _HIGHEST_LEVEL - 1e-6)
+    counts = _smooth(np.histogram(clipped, bins)[0].astype(float)[:, None])[:, 0]
+    density = (1 - any_level) * counts / (counts.sum() * width) + any_level / _HIGHEST_LEVEL
+    return density[(clipped // width).astype(np.int64)]
 
 
-def _steps_nearby(
+def _contrast_density_nearby(
     contrast: Float[np.ndarray, "n"], middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> np.ndarray:
-    """The same among the nearest segments of each."""
-    near = _nearest(middles_px, tuning)
-    # Two levels differ by as much as each of them may.
+    """The same density among the nearest segments of each segment, (n,)."""
+    nearest = _nearest(middles_px, tuning)
+    # The difference of two levels has twice the variance of one.
     width = np.sqrt(2) * tuning.agreeing[0]
-    kernel = np.exp(-0.5 * ((contrast[:, None] - contrast[near]) / width) ** 2)
-    return kernel.sum(axis=1) / (max(near.shape[1], 1) * np.sqrt(2 * np.pi) * width)
+    kernel = np.exp(-0.5 * ((contrast[:, None] - contrast[nearest]) / width) ** 2)
+    return kernel.sum(axis=1) / (max(nearest.shape[1], 1) * np.sqrt(2 * np.pi) * width)
 
 
 def _nearest(middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning) -> np.ndarray:
-    """Numbers of the segments nearest to each; none where there are hardly any."""
+    """Indices of the nearest segments of each segment; no columns if there are fewer than two."""
     count = min(tuning.neighbours, len(middles_px) - 1)
     if count < 2:
         return np.zeros((len(middles_px), 0), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""What the matcher needs of every segment, prepared once, in padded tables over all views."""
+"""Padded tables of all views with the derived quantities of every segment."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,32 +13,36 @@ from trinoc.numerics.precision import ArrayLike
 
 
 class BlockSize(NamedTuple):
-    """Rows handed to a kernel at a time: so many for each segment of a view, up to a limit."""
+    """Rows that a kernel receives at a time: `per_segment` for each segment of a view, at most
+    `limit`.
+    """
 
     per_segment: int
-    most: int
+    limit: int
 
 
-# numerical: of pairs as many as make the handing over cheap, of triples few enough for a
-# processor's cache.
+# numerical: blocks of pairs make the transfer cheap, blocks of triples fit into a cache.
 PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK = BlockSize(16, 1 << 16), BlockSize(4, 1 << 11)
 
 
 class SegmentTable(NamedTuple):
-    """Segments of all views on undistorted pixels; rows beyond a view's count are padding.
+    """Segments of all views in undistorted pixels; rows beyond a view's count are padding.
 
-    Of one frame, or of a stack of frames of as many views each: then their segments follow one
-    another, and what belongs to cameras has an axis of frames in front.
+    The table is of one frame, or of a stack of frames with the same number of views. In a stack,
+    the segments of the frames follow each other, and camera fields have a leading axis of frames.
 
     matrix_px : projection matrices, scaled so that the third row gives the depth.
-    centre_mm : centres of projection. inverse : of the left 3x3 part of each matrix.
-    size_px : width and height of each picture.
-    ends_px : ends of each segment. line : through them, with unit normal.
+    centre_mm : centres of projection.
+    inverse : inverse of the left 3x3 block of each matrix.
+    size_px : width and height of each image.
+    ends_px : ends of each segment.
+    line : line through the ends, with unit normal.
     across_px2 : covariance of the two ends' errors across the segment.
     length_px : distance between the ends.
-    polarity : +1, -1, or 0 where not known. sides : see `side_intensity.side_table`.
+    polarity : +1, -1, or 0 if not known.
+    sides : result of `side_intensity.side_table`.
     rays : viewing rays of both ends, world frame, of any length.
-    frame : of a stack, the frame of each segment.
+    frame : frame of each segment in a stack.
     """
 
     matrix_px: Float[ArrayLike, "*f v 3 4"]
@@ -64,9 +68,11 @@ def segment_table(
     sides: Sequence[Float[np.ndarray, "_ 7"]],
     frames: Sequence[Int[np.ndarray, "_"]] | None = None,
 ) -> SegmentTable:
-    """Tables for all views, padded to one bucket; `frames` are those of a stack's segments."""
+    """Build the tables of all views, padded to one size. `frames` are the frames of a stack's
+    segments.
+    """
     size = bucket(max(len(ends) for ends in ends_px))
-    # Rows of padding are a segment like any other, so that nothing divides by zero.
+    # Rows of padding are a valid segment, which avoids division by zero.
     filler = np.array([[0.0, 0.0], [1.0, 0.0]])
     prepared = _build_table(
         np.asarray(matrices_px),
@@ -77,7 +83,7 @@ def segment_table(
         np.stack([pad_rows(table, size, np.full(SIDE_COLUMNS, np.nan)) for table in sides]),
         None if frames is None else np.stack([pad_rows(f.astype(np.int32), size) for f in frames]),
     )
-    # Kernels take the tables many times: they are handed over once.
+    # Kernels read the tables many times, so they are transferred once.
     return jax.device_put(prepared)
 
 
@@ -121,7 +127,9 @@ def _build_table(
 def look_up_frames(
     lines: SegmentTable, index: Int[np.ndarray, "m v"]
 ) -> Int[np.ndarray, "m"] | None:
-    """The frame of each group of segments, -1 where it has none in a view; None without frames."""
+    """Frame of each group of segments, (m,); None for a single frame. Views with index -1 are
+    ignored.
+    """
     if lines.frame is None:
         return None
     view = np.argmax(index >= 0, axis=1)
@@ -129,18 +137,23 @@ def look_up_frames(
 
 
 def segments_per_view(lines: SegmentTable, counts: list[int]) -> Float[np.ndarray, "*f"] | float:
-    """Mean number of segments of a view, of each frame."""
+    """Mean number of segments per view, for each frame."""
     if lines.frame is None:
         return float(np.mean(counts))
     frame, frames = np.asarray(lines.frame), len(lines.matrix_px)
-    each = [np.bincount(own[:n], minlength=frames) for own, n in zip(frame, counts, strict=True)]
-    return np.mean(each, axis=0)
+    view_counts = [
+        np.bincount(view_frames[:n], minlength=frames)
+        for view_frames, n in zip(frame, counts, strict=True)
+    ]
+    return np.mean(view_counts, axis=0)
 
 
 def take_matrices(
     lines: SegmentTable, frame: Int[np.ndarray, "m"] | None
 ) -> Float[np.ndarray, "_ v 3 4"]:
-    """Projection matrices of each group's frame; one row for all without frames."""
+    """Projection matrices of the frame of each group; one row for all if there is a single
+    frame.
+    """
     matrix = np.asarray(lines.matrix_px)
     return matrix[None] if frame is None else matrix[frame]
 
@@ -148,12 +161,12 @@ def take_matrices(
 def project_covariance_across(
     normal: Float[np.ndarray, "*n 2"], covariance_px2: Float[np.ndarray, "*n 4 4"]
 ) -> Float[np.ndarray, "*n 2 2"]:
-    """Covariance of the two ends' displacements along the normal of their line."""
+    """Covariance of the two ends' displacements along the normal of their line, (n, 2, 2)."""
     blocks = covariance_px2.reshape(*normal.shape[:-1], 2, 2, 2, 2)
     across = (blocks * normal[..., None, None, None, :]).sum(-1)
     return (across * normal[..., None, :, None]).sum(-2)
 
 
 def block_size(lines: SegmentTable, block: BlockSize) -> int:
-    """Rows to hand over at a time: fewer where pictures hold little."""
-    return min(block.most, block.per_segment * lines.ends_px.shape[1])
+    """Number of rows to pass to a kernel at a time; fewer for images with few segments."""
+    return min(block.limit, block.per_segment * lines.ends_px.shape[1])

@@ -1,8 +1,8 @@
-"""Segments that are left out before anything is matched: no matcher can tell what they say.
+"""Exclude segments that carry no information, before matching.
 
-A segment whose place across itself is hardly known, as that of a saturated edge may be, passes the
-gates of every line. Equal segments of one view are one observation that was stated more than once:
-n of them in each of three views make n^3 candidates, none of which can be told from the others.
+A segment with a very uncertain position across itself passes the gates of every line. Saturated
+edges may give such segments. Equal segments of one view are one observation stated several
+times: n of them in each of three views give n^3 indistinguishable candidates.
 """
 
 import numpy as np
@@ -15,46 +15,50 @@ from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import ObservationTuning
 from trinoc.numerics.joins import group_labels
 
-UNPLACED = "not placed across itself"
-EQUAL = "equal to another segment"
-# numerical: the nearest of each that are compared at a time; where more are equal, in more rounds.
+POSITION_UNKNOWN = "not placed across itself"
+DUPLICATE = "equal to another segment"
+# numerical: number of neighbours compared per round. More duplicates need more rounds.
 _NEAREST = 8
 
 
-def leave_out_unusable(
+def exclude_unusable(
     frame: FrameInput, tuning: ObservationTuning = DEFAULT.observations
 ) -> FrameInput:
-    """The frame without such segments; `left_out` says of the caller's segments why."""
-    kept, words = [], []
-    for order, ends, covariance, polarity, left_out in zip(
+    """The frame without unusable segments. `exclusion_reasons` states the reason for each of
+    them.
+    """
+    kept_rows, all_reasons = [], []
+    for order, ends, covariance, polarity, view_reasons in zip(
         frame.order,
         frame.ends_px,
         frame.covariance_px2,
         frame.polarity,
-        frame.left_out,
+        frame.exclusion_reasons,
         strict=True,
     ):
         sigma = sigma_across_px(ends, covariance)
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        placed = np.flatnonzero(sigma < np.minimum(tuning.largest_across_px, length))
-        single = placed[first_of_equals(ends[placed], sigma[placed], polarity[placed], tuning)]
-        why = np.full(len(ends), UNPLACED, dtype="U40")
-        why[placed], why[single] = EQUAL, ""
-        kept.append(single)
-        of_given = left_out.astype("U40")
-        of_given[order] = why
-        words.append(of_given)
+        located = np.flatnonzero(sigma < np.minimum(tuning.largest_across_px, length))
+        distinct = located[
+            first_of_duplicates(ends[located], sigma[located], polarity[located], tuning)
+        ]
+        reasons = np.full(len(ends), POSITION_UNKNOWN, dtype="U40")
+        reasons[located], reasons[distinct] = DUPLICATE, ""
+        kept_rows.append(distinct)
+        reasons_of_view = view_reasons.astype("U40")
+        reasons_of_view[order] = reasons
+        all_reasons.append(reasons_of_view)
     columns = {
-        name: [column[rows] for column, rows in zip(getattr(frame, name), kept, strict=True)]
+        name: [column[rows] for column, rows in zip(getattr(frame, name), kept_rows, strict=True)]
         for name in ("order", "ends_px", "covariance_px2", "polarity", "sides")
     }
-    return frame._replace(**columns, left_out=words)
+    return frame._replace(**columns, exclusion_reasons=all_reasons)
 
 
 def sigma_across_px(
     ends_px: Float[np.ndarray, "n 2 2"], covariance_px2: Float[np.ndarray, "n 4 4"]
 ) -> Float[np.ndarray, "n"]:
-    """Standard deviation of each segment across itself, px, at the end where it is larger."""
+    """Standard deviation of each segment across itself, at its less precise end, (n,) px."""
     step = ends_px[:, 1] - ends_px[:, 0]
     length = np.linalg.norm(step, axis=1, keepdims=True)
     normal = np.stack([-step[:, 1], step[:, 0]], axis=1) / length
@@ -62,17 +66,20 @@ def sigma_across_px(
     return np.sqrt(variance.max(axis=1))
 
 
-def first_of_equals(
+def first_of_duplicates(
     ends_px: Float[np.ndarray, "n 2 2"],
     sigma_px: Float[np.ndarray, "n"],
     polarity: Int[np.ndarray, "n"],
     tuning: ObservationTuning = DEFAULT.observations,
 ) -> Int[np.ndarray, "k"]:
-    """Rows without those whose ends agree, within a share of their sigma across, with those of an
-    earlier one of the same or of no polarity."""
+    """Rows of the segments that do not duplicate an earlier one, (k,).
+
+    Two segments are equal if their ends agree within a share of their sigma across, and their
+    polarities do not differ.
+    """
     rows = np.arange(len(ends_px))
     while len(rows) > 1:
-        first, second = _equal_pairs(
+        first, second = _duplicate_pairs(
             ends_px[rows].reshape(-1, 4), tuning.equal_sigmas * sigma_px[rows], polarity[rows]
         )
         label = group_labels(len(rows), first, second)
@@ -82,16 +89,20 @@ def first_of_equals(
     return rows
 
 
-def _equal_pairs(
-    places: Float[np.ndarray, "n 4"], reach: Float[np.ndarray, "n"], polarity: Int[np.ndarray, "n"]
+def _duplicate_pairs(
+    positions: Float[np.ndarray, "n 4"],
+    radius: Float[np.ndarray, "n"],
+    polarity: Int[np.ndarray, "n"],
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
-    """(i, j) of some of the equal rows: of each, among the nearest."""
-    most = min(_NEAREST, len(places))
-    distance, near = KDTree(places).query(places, k=most, distance_upper_bound=reach.max())
-    i, slot = np.nonzero(np.isfinite(np.asarray(distance)))
-    j = np.asarray(near)[i, slot]
-    are_equal: Bool[np.ndarray, "p"] = np.asarray(distance)[i, slot] <= np.minimum(
-        reach[i], reach[j]
+    """Some of the pairs of equal rows: those among the nearest rows of each."""
+    neighbours = min(_NEAREST, len(positions))
+    distance, nearest = KDTree(positions).query(
+        positions, k=neighbours, distance_upper_bound=radius.max()
     )
-    are_equal &= (i != j) & (polarity[i] * polarity[j] >= 0)
-    return i[are_equal], j[are_equal]
+    i, slot = np.nonzero(np.isfinite(np.asarray(distance)))
+    j = np.asarray(nearest)[i, slot]
+    is_duplicate: Bool[np.ndarray, "p"] = np.asarray(distance)[i, slot] <= np.minimum(
+        radius[i], radius[j]
+    )
+    is_duplicate &= (i != j) & (polarity[i] * polarity[j] >= 0)
+    return i[is_duplicate], j[is_duplicate]

@@ -1,1 +1,1 @@
-"""Step 3: segments that two views show and the others do not."""
+"""Step 3 of the paper: segments that only two views show."""

@@ -1,11 +1,9 @@
-"""Neighbours of pairs whose ends do not meet at an angle: the sides of a bar, pieces of a curve.
+"""Companions of pairs: sides of a bar, and consecutive pieces of a curve.
 
-Two sides of a bar lie beside each other in all pictures, each on its side, and pieces of a curve
-go on from each other. So the neighbour of a segment in one view is matched with the neighbour of
-its partner in the other. Right pairs have such a companion more often than wrong ones do, as far
-as there are bars and curves at all: how often is learned from the pairs.
-
-Segments of one picture that may be sides of one bar, or pieces of one curve.
+Two sides of a bar lie beside each other in all images, in the same order. Pieces of a curve
+continue each other. So the neighbour of a segment in one view is matched with the neighbour of
+its partner in the other. Right pairs have such a companion more often than wrong ones, if the
+scene has bars and curves. The frequency is estimated from the pairs.
 """
 
 from typing import NamedTuple
@@ -18,37 +16,44 @@ from trinoc.match.candidates.table import Candidates
 from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.numerics.joins import broadcast_groups, expand_ranges, group_sums
 
-# numerical: what a neighbour is: parallel and beside, or going on from an end.
+# numerical: kinds of neighbours: parallel and beside, or continuing an end.
 BESIDE, CONTINUES = 0, 1
 
-# numerical: further apart than pictures are wide, so that frames of a stack are no neighbours.
+# numerical: offset between frames, wider than any image, so that segments of different frames are
+# no neighbours.
 _FRAME_APART_PX = 1e6
 
 
-class PictureNeighbours(NamedTuple):
-    """Directed. way : seen along `first` from its first end to its second, 1 where `second` lies
-    on the right, or goes on from the second end; else 0."""
+class ImageNeighbours(NamedTuple):
+    """Directed pairs of neighbouring segments in one image.
+
+    side : 1 if `second` lies on the right of `first`, seen from its first end to its second, or
+        continues its second end. Otherwise 0.
+    """
 
     first: Int[np.ndarray, "e"]
     second: Int[np.ndarray, "e"]
     kind: Int[np.ndarray, "e"]
-    way: Int[np.ndarray, "e"]
+    side: Int[np.ndarray, "e"]
 
 
-def picture_neighbours(
+def image_neighbours(
     ends_px: Float[np.ndarray, "n 2 2"],
     tuning: MatchTuning,
     frame: Int[np.ndarray, "n"] | None = None,
-) -> PictureNeighbours:
-    """Both kinds, among the segments of each frame."""
+) -> ImageNeighbours:
+    """Parallel and continuing neighbours among the segments of each frame."""
     if frame is not None:
         ends_px = ends_px + np.stack([frame * _FRAME_APART_PX, 0.0 * frame], axis=1)[:, None]
     step = ends_px[:, 1] - ends_px[:, 0]
     length = np.hypot(*step.T)
     unit = step / length[:, None]
-    found = _find_parallels(ends_px, unit, length, tuning), _continuing(ends_px, unit, tuning)
-    columns = zip(*found, strict=True)
-    return PictureNeighbours(*(np.concatenate(column) for column in columns))
+    neighbours = (
+        _find_parallels(ends_px, unit, length, tuning),
+        _find_continuations(ends_px, unit, tuning),
+    )
+    columns = zip(*neighbours, strict=True)
+    return ImageNeighbours(*(np.concatenate(column) for column in columns))
 
 
 def _find_parallels(
@@ -56,103 +61,122 @@ def _find_parallels(
     unit: Float[np.ndarray, "n 2"],
     length: Float[np.ndarray, "n"],
     tuning: MatchTuning,
-) -> PictureNeighbours:
-    """Nearly parallel, close, on one side along half of the shorter."""
-    least, most = tuning.occlusion.beside_px
-    # Places on each, so dense that those of two which lie beside each other are near.
-    pieces = np.maximum(np.ceil(length / most).astype(np.int64), 1)
+) -> ImageNeighbours:
+    """Neighbours that are nearly parallel, close, on one side, and overlap by half of the
+    shorter.
+    """
+    smallest_px, largest_px = tuning.occlusion.beside_px
+    # Sample points on each segment, dense enough that two parallel neighbours have near samples.
+    pieces = np.maximum(np.ceil(length / largest_px).astype(np.int64), 1)
     owner = np.repeat(np.arange(len(length)), pieces)
-    place = np.arange(len(owner)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    along = ((place + 0.5) / pieces[owner] * length[owner])[:, None] * unit[owner]
-    near = KDTree(ends_px[owner, 0] + along).query_pairs(1.2 * most, output_type="ndarray")
-    i, j = owner[near].T
+    piece = np.arange(len(owner)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    sample_offset = ((piece + 0.5) / pieces[owner] * length[owner])[:, None] * unit[owner]
+    near_samples = KDTree(ends_px[owner, 0] + sample_offset).query_pairs(
+        1.2 * largest_px, output_type="ndarray"
+    )
+    i, j = owner[near_samples].T
     number = np.unique(np.concatenate([i * len(length) + j, j * len(length) + i]))
     i, j = np.divmod(number, len(length))
     sine = unit[i, 0] * unit[j, 1] - unit[i, 1] * unit[j, 0]
-    parallel = (i != j) & (np.abs(sine) < tuning.junctions.smallest_sine)
-    i, j = i[parallel], j[parallel]
-    apart = ends_px[j] - ends_px[i, :1]
-    on = (apart * unit[i, None]).sum(axis=2)
-    off = apart[..., 1] * unit[i, None, 0] - apart[..., 0] * unit[i, None, 1]
-    shared = np.minimum(on.max(axis=1), length[i]) - np.maximum(on.min(axis=1), 0.0)
-    distance = np.abs(off.mean(axis=1))
-    close = (distance > least) & (distance < most) & (off[:, 0] * off[:, 1] > 0)
-    close &= shared > 0.5 * np.minimum(length[i], length[j])
-    i, j, right = i[close], j[close], (off[close, 0] > 0).astype(np.int64)
-    return PictureNeighbours(i, j, np.full(len(i), BESIDE), right)
+    is_parallel = (i != j) & (np.abs(sine) < tuning.junctions.smallest_sine)
+    i, j = i[is_parallel], j[is_parallel]
+    offset = ends_px[j] - ends_px[i, :1]
+    along_px = (offset * unit[i, None]).sum(axis=2)
+    across_px = offset[..., 1] * unit[i, None, 0] - offset[..., 0] * unit[i, None, 1]
+    shared = np.minimum(along_px.max(axis=1), length[i]) - np.maximum(along_px.min(axis=1), 0.0)
+    distance = np.abs(across_px.mean(axis=1))
+    is_close = (
+        (distance > smallest_px) & (distance < largest_px) & (across_px[:, 0] * across_px[:, 1] > 0)
+    )
+    is_close &= shared > 0.5 * np.minimum(length[i], length[j])
+    i, j, is_right = i[is_close], j[is_close], (across_px[is_close, 0] > 0).astype(np.int64)
+    return ImageNeighbours(i, j, np.full(len(i), BESIDE), is_right)
 
 
-def _continuing(
+def _find_continuations(
     ends_px: Float[np.ndarray, "n 2 2"], unit: Float[np.ndarray, "n 2"], tuning: MatchTuning
-) -> PictureNeighbours:
-    """An end near another's, and nearly the same way on: ends at an angle are junctions."""
-    reach = tuning.occlusion.continues_px
-    near = KDTree(ends_px.reshape(-1, 2)).query_pairs(reach, output_type="ndarray")
-    near = np.concatenate([near, near[:, ::-1]])
-    (i, j), (end, other) = near.T // 2, near.T % 2
-    onward = (2 * end - 1)[:, None] * unit[i], (1 - 2 * other)[:, None] * unit[j]
-    straight = np.sqrt(1 - tuning.junctions.smallest_sine**2)
-    same = (i != j) & ((onward[0] * onward[1]).sum(axis=1) > straight)
-    return PictureNeighbours(i[same], j[same], np.full(same.sum(), CONTINUES), end[same])
+) -> ImageNeighbours:
+    """Neighbours with a near end and nearly the same direction. Ends at an angle are junctions
+    instead.
+    """
+    radius_px = tuning.occlusion.continues_px
+    near_ends = KDTree(ends_px.reshape(-1, 2)).query_pairs(radius_px, output_type="ndarray")
+    near_ends = np.concatenate([near_ends, near_ends[:, ::-1]])
+    (i, j), (end, other) = near_ends.T // 2, near_ends.T % 2
+    outward = (2 * end - 1)[:, None] * unit[i], (1 - 2 * other)[:, None] * unit[j]
+    min_cosine = np.sqrt(1 - tuning.junctions.smallest_sine**2)
+    is_continuation = (i != j) & ((outward[0] * outward[1]).sum(axis=1) > min_cosine)
+    return ImageNeighbours(
+        i[is_continuation],
+        j[is_continuation],
+        np.full(is_continuation.sum(), CONTINUES),
+        end[is_continuation],
+    )
 
 
 class Companions(NamedTuple):
-    """Directed: `site`, a pair, has `other` as a companion of a `kind`."""
+    """Directed: each `pair` has the `companion` of a `kind`."""
 
-    site: Int[np.ndarray, "e"]
-    other: Int[np.ndarray, "e"]
+    pair: Int[np.ndarray, "e"]
+    companion: Int[np.ndarray, "e"]
     kind: Int[np.ndarray, "e"]
 
 
-def companions(
+def find_companions(
     candidates: Candidates,
-    likely: Int[np.ndarray, "k"],
+    likely_rows: Int[np.ndarray, "k"],
     ends_px: Float[np.ndarray, "v n 2 2"],
     tuning: MatchTuning,
 ) -> Companions:
-    """Who has which of the `likely` rows as a companion, in every view that shows both.
+    """Companions of all pairs among the `likely` rows, in all views that show both.
 
-    Two views or more show both, by different segments.
+    At least two views show both, by different segments.
     """
     index, count, frame = candidates.index, len(candidates.index), candidates.frame
     forward = candidates.interval[..., 1] > candidates.interval[..., 0]
-    numbers = [np.zeros(0, np.int64)]
+    codes = [np.zeros(0, np.int64)]
     for view in range(index.shape[1]):
         rows = np.flatnonzero(index[:, view] >= 0)
         if len(rows) == 0:
             continue
         segments, first = np.unique(index[rows, view], return_index=True)
-        own = None if frame is None else frame[rows[first]]
-        beside = picture_neighbours(ends_px[view, segments], tuning, own)
-        site, other, edge = _holders(beside, segments, index[:, view], rows, likely)
-        way = beside.way[edge] ^ ~forward[site, view]
-        numbers.append(np.unique(((site * count + other) * 2 + beside.kind[edge]) * 2 + way))
-    number, seen = np.unique(np.concatenate(numbers), return_counts=True)
-    kind, (site, other) = number // 2 % 2, np.divmod(number // 4, max(count, 1))
-    both = (index[site] >= 0) & (index[other] >= 0)
-    apart = ~((index[site] == index[other]) & both).any(axis=1)
-    every = apart & (seen > 1) & (seen == both.sum(axis=1))
-    return Companions(site[every], other[every], kind[every])
+        segment_frame = None if frame is None else frame[rows[first]]
+        neighbours = image_neighbours(ends_px[view, segments], tuning, segment_frame)
+        pair, companion, edge = _candidates_of_neighbours(
+            neighbours, segments, index[:, view], rows, likely_rows
+        )
+        side = neighbours.side[edge] ^ ~forward[pair, view]
+        codes.append(np.unique(((pair * count + companion) * 2 + neighbours.kind[edge]) * 2 + side))
+    code, view_count = np.unique(np.concatenate(codes), return_counts=True)
+    kind, (pair, companion) = code // 2 % 2, np.divmod(code // 4, max(count, 1))
+    in_both = (index[pair] >= 0) & (index[companion] >= 0)
+    is_separate = ~((index[pair] == index[companion]) & in_both).any(axis=1)
+    is_companion = is_separate & (view_count > 1) & (view_count == in_both.sum(axis=1))
+    return Companions(pair[is_companion], companion[is_companion], kind[is_companion])
 
 
-def _holders(
-    beside: PictureNeighbours,
+def _candidates_of_neighbours(
+    neighbours: ImageNeighbours,
     segments: Int[np.ndarray, "s"],
     index: Int[np.ndarray, "m"],
     rows: Int[np.ndarray, "r"],
-    likely: Int[np.ndarray, "k"],
+    likely_rows: Int[np.ndarray, "k"],
 ) -> tuple[Int[np.ndarray, "e"], Int[np.ndarray, "e"], Int[np.ndarray, "e"]]:
-    """(candidates that hold the first, likely ones that hold the second, of which neighbours)."""
-    edge = np.arange(len(beside.first))
-    held = []
-    for segment, among in ((beside.second, likely), (beside.first, rows)):
-        owners = among[np.argsort(index[among], kind="stable")]
-        wanted = segments[segment[edge]]
-        bounds = (np.searchsorted(index[owners], wanted, side) for side in ("left", "right"))
-        turn, position = expand_ranges(*bounds)
-        edge = edge[turn]
-        held = [column[turn] for column in held] + [owners[position]]
-    return held[1], held[0], edge
+    """Candidates with the first segment, likely ones with the second, and the neighbour relation
+    of each.
+    """
+    edge = np.arange(len(neighbours.first))
+    columns = []
+    for segment, candidates_in_view in ((neighbours.second, likely_rows), (neighbours.first, rows)):
+        owners = candidates_in_view[np.argsort(index[candidates_in_view], kind="stable")]
+        segment_of_edge = segments[segment[edge]]
+        bounds = (
+            np.searchsorted(index[owners], segment_of_edge, side) for side in ("left", "right")
+        )
+        repeats, position = expand_ranges(*bounds)
+        edge = edge[repeats]
+        columns = [column[repeats] for column in columns] + [owners[position]]
+    return columns[1], columns[0], edge
 
 
 def companion_log_odds(
@@ -162,28 +186,34 @@ def companion_log_odds(
     frame: Int[np.ndarray, "m"] | None = None,
     frames: int = 1,
 ) -> Float[np.ndarray, "m"]:
-    """Log odds that companions, or their want, add to pairs.
+    """Log odds that companions, or their absence, add to each pair, (m,).
 
-    The shares of right and of wrong pairs that have one are learned in each frame; where they
+    The shares of right and of wrong pairs with a companion are estimated in each frame. If they
     hardly differ, nothing is added.
     """
     gain = np.zeros(len(posterior))
     rules, prior = tuning.occlusion, tuning.evidence.prior_observations
     for kind in (BESIDE, CONTINUES):
         of_kind = graph.kind == kind
-        doubt = np.log1p(-np.minimum(posterior[graph.other[of_kind]], 1 - 1e-6))
-        none = np.bincount(graph.site[of_kind], doubt, minlength=len(posterior))
-        has = -np.expm1(none)
-        right, wrong = (
-            (group_sums(weight * has, frame, frames) + prior * rules.companion_share)
+        log_doubt = np.log1p(-np.minimum(posterior[graph.companion[of_kind]], 1 - 1e-6))
+        log_none = np.bincount(graph.pair[of_kind], log_doubt, minlength=len(posterior))
+        has_companion = -np.expm1(log_none)
+        right_share, wrong_share = (
+            (group_sums(weight * has_companion, frame, frames) + prior * rules.companion_share)
             / (group_sums(weight, frame, frames) + prior)
             for weight in (posterior, 1 - posterior)
         )
-        with_one, without = np.log(right / wrong), np.log((1 - right) / (1 - wrong))
-        tells = with_one > rules.least_companion_ratio
-        with_one, without = (
-            broadcast_groups(np.where(tells, term, 0.0), frame) for term in (with_one, without)
+        gain_with, gain_without = (
+            np.log(right_share / wrong_share),
+            np.log((1 - right_share) / (1 - wrong_share)),
         )
-        most = rules.most_companion
-        gain += np.clip(has * with_one + (1 - has) * without, -most, most)
+        is_informative = gain_with > rules.least_companion_ratio
+        gain_with, gain_without = (
+            broadcast_groups(np.where(is_informative, term, 0.0), frame)
+            for term in (gain_with, gain_without)
+        )
+        limit = rules.most_companion
+        gain += np.clip(
+            has_companion * gain_with + (1 - has_companion) * gain_without, -limit, limit
+        )
     return gain

@@ -1,11 +1,11 @@
-"""Step 3: segments that two views show and the others do not, joined to what is matched.
+"""Step 3 of the paper: match segments that two views show and the others do not, joined to matched
+lines.
 
-Two segments that fit are weak evidence, since two views check only their ends. The strong
-evidence of a pair is that its ends meet those of matched lines. So the pairs of all views are
-judged together with the lines matched so far: their posterior log odds are computed as those of
-triples are, and iterated to a fixed point.
-
-possible_pairs -> pairs_beside_lines, or pairs_alone where hardly any line is matched.
+Two segments that fit are weak evidence, because two views test only their ends. Strong evidence
+is that the ends of a pair meet those of matched lines. So the pairs of all views are evaluated
+together with the matched lines: their posterior log odds are computed as for triples and
+iterated to a fixed point. `pairs_beside_lines` does this. Where hardly any line is matched in
+three views, `pairs_alone` replaces it.
 """
 
 from itertools import combinations
@@ -15,17 +15,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates.table import Candidates, in_depth_range
-from trinoc.match.evidence.endpoints import reach_of_ends
+from trinoc.match.evidence.endpoints import end_search_radius_px
 from trinoc.match.evidence.mixture import MixtureParameters, prior_parameters, probability
 from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.observations.match_input import MatchInput
 from trinoc.match.observations.table import SegmentTable, segments_per_view
-from trinoc.match.occlusion.pairs_alone import pairs_alone
+from trinoc.match.occlusion.pairs_alone import match_pairs_alone
 from trinoc.match.occlusion.possible_pairs import (
     Pairs,
     end_shares,
-    evidence_beside_lines,
-    likely_rows,
+    likely_pair_rows,
+    log_odds_among_lines,
     pair_bound,
     possible_pairs,
 )
@@ -54,26 +54,28 @@ from trinoc.numerics.joins import broadcast_groups, group_sums
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.tables import concatenate_rows
 
-# What is known of each frame before its pairs are judged.
+# Parameters of each frame before its pairs are evaluated.
 Rates = tuple[MixtureParameters, JunctionParameters]
-# numerical: rounds of marginals, prior and junctions, which converge.
+# numerical: rounds of marginals, prior and junctions until convergence.
 ROUNDS = 6
 
 
 def match_occluded(
-    seen: MatchInput,
+    inputs: MatchInput,
     clutter: ClutterModel,
     tracks: Tracks,
     selections: list[Selection],
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning = DEFAULT,
 ) -> tuple[Tracks, Pairs]:
-    """(tracks through three or more views, tempered; pairs of views matched beside them)."""
-    lines, counts = seen.lines, seen.counts
+    """Match pairs of views, and temper the tracks: (tempered tracks, pairs)."""
+    lines, counts = inputs.lines, inputs.counts
     bodies = estimate_bodies(lines, tracks, selections, tuning)
     tracks = temper_tracks(lines, tracks, bodies, tuning)
-    given = lines, counts, clutter, tracks, selections, depth_range_mm, tuning, bodies
-    return tracks, occluded_pairs(*given)
+    pairs = occluded_pairs(
+        lines, counts, clutter, tracks, selections, depth_range_mm, tuning, bodies
+    )
+    return tracks, pairs
 
 
 def occluded_pairs(
@@ -86,174 +88,190 @@ def occluded_pairs(
     tuning: MatchTuning = DEFAULT,
     bodies: Bodies = NO_BODIES,
 ) -> Pairs:
-    """Pairs of views matched beside the tracks through three or more, in each frame of a stack;
-    `bodies` are what these tracks tell of each frame's (see `solids.py`)."""
-    free = _free_segments(matched.candidates, counts, tuning.occlusion.max_matched_share)
+    """Match pairs of views beside the tracks in three or more views, in each frame of a stack.
+
+    `bodies` are the properties of each frame's bodies, estimated from the tracks (see
+    `solids.py`).
+    """
+    free_segments = _free_segments(matched.candidates, counts, tuning.occlusion.max_matched_share)
     frames = 1 if lines.frame is None else len(lines.matrix_px)
-    # Where hardly any line is seen in three views, pairs themselves say how they are.
+    # In frames with hardly any line in three views, the rates are estimated from the pairs.
     label = matched.candidates.frame
     label = np.zeros(len(matched.candidates.index), np.int64) if label is None else label
-    alone = np.bincount(label, minlength=frames) < tuning.tracks.min_tracks_to_learn
-    learned = _learn_rates(selections, tuning)
-    several = lines.frame is not None or alone.any()
+    is_alone = np.bincount(label, minlength=frames) < tuning.tracks.min_tracks_to_learn
+    rates = _learn_rates(selections, tuning)
+    is_stack_or_alone = lines.frame is not None or is_alone.any()
     bound, agree_px = None, None
-    # In small pictures one more program costs more than it saves.
-    if learned is not None and not several and max(counts) > tuning.scouting.above:
-        mixture, junctions = learned
+    # For few segments, compiling one more program takes longer than the bound saves.
+    if rates is not None and not is_stack_or_alone and max(counts) > tuning.scouting.above:
+        mixture, junctions = rates
         bound = pair_bound(lines, mixture, end_shares(mixture, tuning.ends), tuning)
-        # Where ends meet others, a pair may be right whose own ends do not agree.
+        # In a scene with junctions, a pair may be right although its ends do not agree.
         if not np.any(junctions.end_at_junction >= tuning.junctions.min_at_junction):
             typical_px = float(np.asarray(clutter.typical_px))
-            reach_px = reach_of_ends(mixture.ends, typical_px, tuning.scouting, tuning.ends)
+            reach_px = end_search_radius_px(mixture.ends, typical_px, tuning.scouting, tuning.ends)
             agree_px = None if reach_px is None else tuning.occlusion.ends_reach * reach_px
 
-    def keep_likely(found: Candidates) -> Candidates:
-        """In range, and, as far as that is known by now, likely at all: it bounds the memory."""
-        found = found.take(in_depth_range(found, lines, depth_range_mm))
-        if learned is None or several:
-            return found
-        evidence = evidence_beside_lines(found, learned[0], tuning)
-        return found.take(evidence > tuning.selection.prune_log_odds)
+    def keep_likely(pairs: Candidates) -> Candidates:
+        """Pairs in the depth range that are likely by the rates known so far. This limits the
+        memory.
+        """
+        pairs = pairs.take(in_depth_range(pairs, lines, depth_range_mm))
+        if rates is None or is_stack_or_alone:
+            return pairs
+        evidence = log_odds_among_lines(pairs, rates[0], tuning)
+        return pairs.take(evidence > tuning.selection.prune_log_odds)
 
-    typical, parts = segments_per_view(lines, counts), []
+    mean_counts, parts = segments_per_view(lines, counts), []
     for views in combinations(range(len(counts)), 2):
-        of_views = lines, np.array(views), free, clutter, tuning, bound, agree_px
-        for part in possible_pairs(*of_views):
+        arguments = lines, np.array(views), free_segments, clutter, tuning, bound, agree_px
+        for part in possible_pairs(*arguments):
             parts.append(keep_likely(part))
-            if sum(len(found.index) for found in parts) > tuning.candidates.most_candidates:
-                parts = [_likelier_half(concatenate_rows(parts), typical, tuning)]
-    found = concatenate_rows(parts)
-    start = _start(found, selections, typical, tuning)
-    bodies = Bodies(*(np.broadcast_to(each, np.shape(typical)) for each in bodies))
+            if sum(len(pairs.index) for pairs in parts) > tuning.candidates.most_candidates:
+                parts = [_likelier_half(concatenate_rows(parts), mean_counts, tuning)]
+    pairs = concatenate_rows(parts)
+    initial_rates = _initial_rates(pairs, selections, mean_counts, tuning)
+    bodies = Bodies(*(np.broadcast_to(field, np.shape(mean_counts)) for field in bodies))
     typical_px, ends_px = np.asarray(clutter.typical_px), np.asarray(lines.ends_px)
     results = []
-    if alone.any():
-        beside = _of_frames(found, alone), _of_frames(matched.candidates, alone)
-        results.append(pairs_alone(*beside, ends_px, start, typical_px, tuning))
-    if not alone.all():
-        known = matched.candidates.frame
-        tracks = matched if known is None else matched.take(~alone[known])
-        own = _of_frames(found, ~alone)
-        results.append(pairs_beside_lines(own, tracks, bodies, start, tuning))
+    if is_alone.any():
+        inputs_alone = _take_frames(pairs, is_alone), _take_frames(matched.candidates, is_alone)
+        results.append(match_pairs_alone(*inputs_alone, ends_px, initial_rates, typical_px, tuning))
+    if not is_alone.all():
+        track_frame = matched.candidates.frame
+        tracks = matched if track_frame is None else matched.take(~is_alone[track_frame])
+        pairs_among_lines = _take_frames(pairs, ~is_alone)
+        results.append(pairs_beside_lines(pairs_among_lines, tracks, bodies, initial_rates, tuning))
     return concatenate_rows(results)
 
 
 def _likelier_half(
-    found: Candidates, typical: Float[np.ndarray, "*f"] | float, tuning: MatchTuning
+    pairs: Candidates, mean_counts: Float[np.ndarray, "*f"] | float, tuning: MatchTuning
 ) -> Candidates:
-    """Those of more than usual evidence, by what is usual of lines."""
-    usual = prior_parameters(found.ends_mm, typical, tuning, found.frame)
-    evidence = evidence_beside_lines(found, usual, tuning)
-    return found.take(evidence > np.median(evidence))
+    """Pairs with evidence above the median, under typical rates."""
+    mixture = prior_parameters(pairs.ends_mm, mean_counts, tuning, pairs.frame)
+    evidence = log_odds_among_lines(pairs, mixture, tuning)
+    return pairs.take(evidence > np.median(evidence))
 
 
 def _learn_rates(selections: list[Selection], tuning: MatchTuning) -> Rates | None:
-    """What three views taught a single frame, if enough."""
-    most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
-    if most is None or most.taken.sum() < tuning.tracks.min_tracks_to_learn:
+    """Mixture and junction parameters from three views of a single frame; None if there are too
+    few lines.
+    """
+    largest = max(selections, key=lambda selection: selection.is_accepted.sum(), default=None)
+    if largest is None or largest.is_accepted.sum() < tuning.tracks.min_tracks_to_learn:
         return None
-    return most.mixture, most.junctions
+    return largest.mixture, largest.junctions
 
 
-def _start(
-    found: Candidates,
+def _initial_rates(
+    pairs: Candidates,
     selections: list[Selection],
-    typical: Float[np.ndarray, "*f"] | float,
+    mean_counts: Float[np.ndarray, "*f"] | float,
     tuning: MatchTuning,
 ) -> Rates:
-    """What three views taught, or what is usual where they show few lines."""
-    usual = (
-        prior_parameters(found.ends_mm, typical, tuning, found.frame),
-        prior_junctions(tuning.junctions, np.shape(typical)),
+    """Parameters from three views; prior ones in frames with few lines."""
+    prior_rates = (
+        prior_parameters(pairs.ends_mm, mean_counts, tuning, pairs.frame),
+        prior_junctions(tuning.junctions, np.shape(mean_counts)),
     )
-    most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
-    if most is None:
-        return usual
-    number = group_sums(most.taken.astype(np.float64), most.candidates.frame, np.size(typical))
-    enough = number >= tuning.tracks.min_tracks_to_learn
+    largest = max(selections, key=lambda selection: selection.is_accepted.sum(), default=None)
+    if largest is None:
+        return prior_rates
+    number = group_sums(
+        largest.is_accepted.astype(np.float64), largest.candidates.frame, np.size(mean_counts)
+    )
+    has_enough = number >= tuning.tracks.min_tracks_to_learn
 
-    def choose(learned: ArrayLike | float, usual: ArrayLike | float) -> np.ndarray:
-        axes = tuple(range(np.ndim(enough), np.ndim(usual)))
-        return np.where(np.expand_dims(enough, axes), learned, usual)
+    def choose(learned_value: ArrayLike | float, prior_rates: ArrayLike | float) -> np.ndarray:
+        axes = tuple(range(np.ndim(has_enough), np.ndim(prior_rates)))
+        return np.where(np.expand_dims(has_enough, axes), learned_value, prior_rates)
 
-    return jax.tree.map(choose, (most.mixture, most.junctions), usual)
+    return jax.tree.map(choose, (largest.mixture, largest.junctions), prior_rates)
 
 
-def _of_frames(candidates: Candidates, those: Bool[np.ndarray, "f"]) -> Candidates:
-    """Those of some frames of a stack alone."""
-    return candidates if candidates.frame is None else candidates.take(those[candidates.frame])
+def _take_frames(candidates: Candidates, is_selected: Bool[np.ndarray, "f"]) -> Candidates:
+    """Candidates of the given frames of a stack."""
+    return (
+        candidates if candidates.frame is None else candidates.take(is_selected[candidates.frame])
+    )
 
 
 def _free_segments(
-    matched: Candidates, counts: list[int], most: float
+    matched: Candidates, counts: list[int], max_share: float
 ) -> list[Int[np.ndarray, "_"]]:
-    """Per view, the segments of which less than a share of `most` is matched."""
-    free = []
+    """For each view, the segments of which less than `max_share` is matched."""
+    free_segments = []
     for view, count in enumerate(counts):
-        on = matched.index[:, view] >= 0
-        length = np.abs(np.diff(matched.interval[on, view], axis=1)[:, 0])
-        used = np.bincount(matched.index[on, view], length, minlength=count)
-        free.append(np.flatnonzero(used < most))
-    return free
+        has_segment = matched.index[:, view] >= 0
+        length = np.abs(np.diff(matched.interval[has_segment, view], axis=1)[:, 0])
+        matched_share = np.bincount(matched.index[has_segment, view], length, minlength=count)
+        free_segments.append(np.flatnonzero(matched_share < max_share))
+    return free_segments
 
 
 def pairs_beside_lines(
-    found: Candidates,
+    pairs: Candidates,
     matched: Tracks,
     bodies: Bodies,
-    start: Rates,
+    initial_rates: Rates,
     tuning: MatchTuning,
 ) -> Pairs:
-    """Posterior log odds of pairs among lines that are matched already, to a fixed point;
-    `bodies` are of each frame."""
+    """Pairs among matched lines, with posterior log odds at their fixed point."""
     rules = tuning.occlusion
     log_missed = float(np.log(rules.missed))
-    mixture, junctions = start
-    evidence = evidence_beside_lines(found, mixture, tuning)
-    keep, log_share = likely_rows(found, matched.candidates, evidence, tuning)
-    candidates, evidence = found.take(keep), evidence[keep]
+    mixture, junctions = initial_rates
+    evidence = log_odds_among_lines(pairs, mixture, tuning)
+    kept_rows, log_share = likely_pair_rows(pairs, matched.candidates, evidence, tuning)
+    candidates, evidence = pairs.take(kept_rows), evidence[kept_rows]
     frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
-    everyone = _join_candidates(matched.candidates, candidates)
-    everyones_odds = np.concatenate([matched.posterior_log_odds, evidence])
-    meetings = endpoint_pairs(everyone, everyones_odds, tuning.junctions, tuning.evidence)
-    known = probability(matched.posterior_log_odds)
+    all_candidates = _join_candidates(matched.candidates, candidates)
+    all_log_odds = np.concatenate([matched.posterior_log_odds, evidence])
+    end_pairs = endpoint_pairs(all_candidates, all_log_odds, tuning.junctions, tuning.evidence)
+    line_posterior = probability(matched.posterior_log_odds)
     frames = np.size(mixture.log_count)
-    lines_known = group_sums(known, matched.candidates.frame, frames)
+    line_counts = group_sums(line_posterior, matched.candidates.frame, frames)
     prior, weight = rules.prior_share, tuning.evidence.prior_observations
-    share = np.full(np.shape(mixture.log_count), prior)
+    pair_share = np.full(np.shape(mixture.log_count), prior)
     density = mixture.log_count - mixture.volume.log_size + np.log(2)
-    helped = broadcast_groups(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
+    has_junctions = broadcast_groups(
+        junctions.end_at_junction >= tuning.junctions.min_at_junction, frame
+    )
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
     beliefs = None
     for _ in range(ROUNDS):
-        odds = evidence + broadcast_groups(np.log(share), frame) + gain
+        odds = evidence + broadcast_groups(np.log(pair_share), frame) + gain
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
-        share = (group_sums(posterior, frame, frames) + weight * prior) / (lines_known + weight)
-        if np.any(helped):
+        pair_share = (group_sums(posterior, frame, frames) + weight * prior) / (
+            line_counts + weight
+        )
+        if np.any(has_junctions):
             gain, _ = junction_log_odds(
-                meetings,
-                np.concatenate([known, posterior]),
+                end_pairs,
+                np.concatenate([line_posterior, posterior]),
                 density,
                 junctions,
                 tuning.junctions,
-                everyone.frame,
+                all_candidates.frame,
             )
-            gain = np.where(helped, gain[len(known) :], 0.0)
-    of_share = broadcast_groups(np.log(share), frame)
-    missed = np.where(candidates.expected > 0, candidates.expected * log_missed + of_share, 0.0)
+            gain = np.where(has_junctions, gain[len(line_posterior) :], 0.0)
+    log_prior_share = broadcast_groups(np.log(pair_share), frame)
+    miss_log_odds = np.where(
+        candidates.expected_views > 0, candidates.expected_views * log_missed + log_prior_share, 0.0
+    )
     posterior_log_odds = with_log_share(posterior_log_odds, log_share)
-    chosen = choose_greedily(posterior_log_odds, graph)
-    bodies = Bodies(*(broadcast_groups(each, frame) for each in bodies))
-    of_pair = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
-    tempered = temper_pairs(*of_pair, tuning)
-    return Pairs(candidates, odds, tempered, chosen, missed)
+    is_accepted = choose_greedily(posterior_log_odds, graph)
+    bodies = Bodies(*(broadcast_groups(field, frame) for field in bodies))
+    pair_arguments = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
+    tempered = temper_pairs(*pair_arguments, tuning)
+    return Pairs(candidates, odds, tempered, is_accepted, miss_log_odds)
 
 
 def _join_candidates(matched: Candidates, pairs: Candidates) -> Candidates:
-    # The ends' own evidence has been counted, and differs in shape.
+    # The end evidence is already included, and its shapes differ.
     matched, pairs = (c._replace(end_log=np.zeros((len(c.index), 2, 0))) for c in (matched, pairs))
     return concatenate_rows([matched, pairs])

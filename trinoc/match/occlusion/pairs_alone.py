@@ -1,16 +1,13 @@
-"""Pairs where hardly any line is seen in three views: they themselves say how they are.
+"""Step 3 where hardly any line is matched in three views: all rates are estimated from the pairs.
 
-Where lines lie, learned from two views alone: profiles along the axes of their spread.
+No third view tests a pair, so its odds are only as good as the rates that they use. EM estimates
+these from all candidates: the number of lines of each length, the agreement of ends, the frequency
+of junctions, and the density of lines in space. Broken pieces are short and seldom have a partner.
+In a scene without junctions, ends meet by chance.
 
-A wrong pair lies anywhere along its viewing rays, before the scene and behind it. No third view
-says so, but right ones lie where the others do. A box of their spread, which is enough for triples,
-is too coarse for that: the wrong ones among them make it larger.
-
-What two views alone teach about pairs: how many lines of each length, how ends agree, junctions.
-
-No third view checks a pair, so that its odds are as good as the rates that they are compared with.
-These are learned from all candidates by EM: pieces that a detector broke are short, and seldom have
-a partner in the other view; in a scene without junctions, ends meet by chance.
+A wrong pair lies anywhere along its viewing rays, while right pairs lie near other lines. A box
+of their spread is enough for triples, but too coarse here, because the wrong pairs enlarge it.
+The density is therefore a product of profiles along the principal axes.
 """
 
 from typing import NamedTuple
@@ -23,16 +20,16 @@ from trinoc.match.evidence.mixture import (
     MixtureParameters,
     Volume,
     fit_volume,
-    log_place,
+    log_position_density,
     log_sides,
     probability,
     temper,
 )
-from trinoc.match.occlusion.companions import companion_log_odds, companions
+from trinoc.match.occlusion.companions import companion_log_odds, find_companions
 from trinoc.match.occlusion.possible_pairs import (
     Pairs,
     end_shares,
-    likely_rows,
+    likely_pair_rows,
     log_ends,
 )
 from trinoc.match.occlusion.solids import Bodies, see_through_share, temper_pairs
@@ -51,78 +48,87 @@ from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.occlusion import OcclusionTuning
 from trinoc.numerics.joins import broadcast_groups, group_sums, take_groups
 
-# numerical: shares of a line's weight in its own bin of a profile and in each of the two beside
-# it.
-_OWN, _BESIDE = 0.5, 0.25
-# numerical: bins of a profile.
+# numerical: weight of a line in its bin of a profile, and in each of the two neighbouring bins.
+_CENTRE_WEIGHT, _NEIGHBOUR_WEIGHT = 0.5, 0.25
+# numerical: number of bins of a profile.
 BINS = 32
-# numerical: rounds of EM, which converge.
+# numerical: rounds of EM until convergence.
 ROUNDS = 10
 
 
-def log_place_among(
+def log_position_density_among(
     ends_mm: Float[np.ndarray, "m 2 3"],
     posterior: Float[np.ndarray, "m"],
     volume: Volume,
     tuning: MatchTuning,
     frame: Int[np.ndarray, "m"] | None = None,
 ) -> Float[np.ndarray, "m"]:
-    """Log density of a line at each place, per volume (mm^3) and direction (of 2 pi).
+    """Log density of a line at each position, per volume (mm^3) and direction (of 2 pi), (m,).
 
-    The density is that of the other lines, weighted by their posteriors: a line alone somewhere
-    does not say that lines lie there. It is a product of profiles along the axes of `volume`, and
-    of a line the geometric mean of that at its ends.
+    It is the density of the other lines, weighted by their posteriors, so that an isolated line
+    gives itself no support. The density is a product of profiles along the axes of `volume`. For
+    a line it is the geometric mean of the values at its ends.
     """
-    # The directions of the axes, and standard deviations along them.
-    square, turn = np.linalg.eigh(volume.precision)
-    axes = np.sqrt(square)[..., None] * turn.mT
-    place = _bins(
+    # Principal axes, each divided by the standard deviation along it.
+    inverse_variance, eigenvectors = np.linalg.eigh(volume.precision)
+    axes = np.sqrt(inverse_variance)[..., None] * eigenvectors.mT
+    bins = _profile_bins(
         ends_mm,
         broadcast_groups(volume.centre_mm, frame),
         broadcast_groups(axes, frame),
         tuning.occlusion,
     )
-    width, usual = _empty_profile(tuning.occlusion)
+    width, prior_share = _prior_profile(tuning.occlusion)
     frames, prior = np.size(volume.log_size), tuning.evidence.prior_observations
-    others = broadcast_groups(group_sums(posterior, frame, frames), frame) - posterior
-    # Of the volume that coordinates of unit variance span, to that in mm^3.
-    total = broadcast_groups(0.5 * np.log(square).sum(axis=-1), frame) - np.log(2 * np.pi)
+    other_count = broadcast_groups(group_sums(posterior, frame, frames), frame) - posterior
+    # Jacobian from coordinates of unit variance to mm^3.
+    log_density = broadcast_groups(0.5 * np.log(inverse_variance).sum(axis=-1), frame) - np.log(
+        2 * np.pi
+    )
     for axis in range(3):
-        first, second = place[:, :, axis].T
-        shared = np.where(first == second, _OWN, np.where(abs(first - second) == 1, _BESIDE, 0.0))
-        own = posterior / 2 * (_OWN + shared)
+        first, second = bins[:, :, axis].T
+        shared_weight = np.where(
+            first == second,
+            _CENTRE_WEIGHT,
+            np.where(abs(first - second) == 1, _NEIGHBOUR_WEIGHT, 0.0),
+        )
+        self_weight = posterior / 2 * (_CENTRE_WEIGHT + shared_weight)
         profile = _profile(first, second, posterior, BINS, frame, frames)
         for bin_ in (first, second):
             count = profile[bin_] if frame is None else profile[frame, bin_]
-            share = (np.maximum(count - own, 0.0) + prior * usual[bin_]) / (others + prior)
-            total = total + np.log(share / width[bin_]) / 2
-    return total
+            share = (np.maximum(count - self_weight, 0.0) + prior * prior_share[bin_]) / (
+                other_count + prior
+            )
+            log_density = log_density + np.log(share / width[bin_]) / 2
+    return log_density
 
 
-def _bins(
+def _profile_bins(
     ends_mm: Float[np.ndarray, "m 2 3"],
     centre_mm: Float[np.ndarray, "*m 3"],
     axes: Float[np.ndarray, "*m 3 3"],
     tuning: OcclusionTuning,
 ) -> Int[np.ndarray, "m 2 3"]:
-    """The bin of both ends in each coordinate; the outermost hold all beyond."""
+    """Bin of both ends in each coordinate, (m, 2, 3). The outermost bins include all positions
+    beyond.
+    """
     centred = ends_mm - np.expand_dims(centre_mm, -2)
-    place = np.einsum("mej,...ij->mei" if axes.ndim == 2 else "mej,mij->mei", centred, axes)
-    share = (place / tuning.place_reach + 1) / 2
+    coordinates = np.einsum("mej,...ij->mei" if axes.ndim == 2 else "mej,mij->mei", centred, axes)
+    share = (coordinates / tuning.place_reach + 1) / 2
     return np.clip(np.floor(share * BINS), 0, BINS - 1).astype(np.int64)
 
 
-def _empty_profile(
+def _prior_profile(
     tuning: OcclusionTuning,
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """(width of each bin, share of each before any line is known: a box, and a few beyond)."""
+    """Width of each bin, and its prior share: a box, and a small share beyond."""
     bins, reach = BINS, tuning.place_reach
     edges, half = np.linspace(-reach, reach, bins + 1), np.sqrt(3.0)
     inside = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0.0)
-    usual = (1 - tuning.place_anywhere) * inside / inside.sum() + tuning.place_anywhere / bins
+    prior_share = (1 - tuning.place_anywhere) * inside / inside.sum() + tuning.place_anywhere / bins
     width = np.full(bins, 2 * reach / bins)
     width[[0, -1]] *= tuning.place_beyond
-    return width, usual
+    return width, prior_share
 
 
 def _profile(
@@ -133,29 +139,36 @@ def _profile(
     frame: Int[np.ndarray, "m"] | None,
     frames: int,
 ) -> Float[np.ndarray, "*f k"]:
-    """How many lines there are in each bin, both ends of a line half each, smoothed."""
+    """Smoothed number of lines in each bin. Both ends of a line count half."""
     start = 0 if frame is None else frame * bins
-    # A border of one bin on either side takes what smoothing carries out.
-    each = [np.bincount(start + bin_, posterior / 2, frames * bins) for bin_ in (first, second)]
-    count = np.pad((each[0] + each[1]).reshape(frames, bins), ((0, 0), (1, 1)))
-    smooth = _OWN * count[:, 1:-1] + _BESIDE * (count[:, :-2] + count[:, 2:])
+    # One border bin on either side, because smoothing moves weight outward.
+    end_counts = [
+        np.bincount(start + bin_, posterior / 2, frames * bins) for bin_ in (first, second)
+    ]
+    count = np.pad((end_counts[0] + end_counts[1]).reshape(frames, bins), ((0, 0), (1, 1)))
+    smooth = _CENTRE_WEIGHT * count[:, 1:-1] + _NEIGHBOUR_WEIGHT * (count[:, :-2] + count[:, 2:])
     return smooth[0] if frame is None else smooth
 
 
 class PairRates(NamedTuple):
-    """ends : shares of the components of each end, the last is "none agree".
-    log_by_length : log of lines of each class of length over what clutter's lengths say.
-    mixture : where lines are and how many. junctions : how often ends meet."""
+    """Rates of pairs in each frame.
+
+    ends : shares of the components of each end; the last is "none agree".
+    log_by_length : log of the number of lines in each length class over that of clutter.
+    mixture : density and number of lines.
+    junctions : frequency of meeting ends.
+    log_position_density : density at each pair, (m,); None before the first EM step.
+    """
 
     ends: Float[np.ndarray, "*f c"]
     log_by_length: Float[np.ndarray, "*f k"]
     mixture: MixtureParameters
     junctions: JunctionParameters
-    log_place: Float[np.ndarray, "m"] | None
+    log_position_density: Float[np.ndarray, "m"] | None
 
 
 def length_class(candidates: Candidates, tuning: MatchTuning) -> Int[np.ndarray, "m"]:
-    """The class of length, in the image, of each candidate."""
+    """Class of the length, in the image, of each candidate, (m,)."""
     length_px = candidates.px_per_mm * np.linalg.norm(
         candidates.union_ends_mm[:, 1] - candidates.union_ends_mm[:, 0], axis=1
     )
@@ -170,48 +183,54 @@ def learn_rates(
     typical_px: Float[np.ndarray, "*f"] | float,
     tuning: MatchTuning,
 ) -> PairRates:
-    """One round of EM, in each frame."""
+    """One EM step for the rates of each frame."""
     rules, frames = tuning.occlusion, np.size(rates.mixture.log_count)
     frame, prior = candidates.frame, tuning.evidence.prior_observations
     terms = np.exp(candidates.end_log) * np.expand_dims(broadcast_groups(rates.ends, frame), -2)
     terms /= terms.sum(axis=2, keepdims=True)
     ends = group_sums(posterior[:, None] * terms.sum(axis=1), frame, frames)
     ends += prior * rates.ends
-    # Clutter's lengths are spread as t / (length + t)^2.
-    borders = np.array([0.0, *rules.length_classes_px])
-    below = borders / (borders + np.expand_dims(typical_px, -1))
-    usual = np.diff(below, axis=-1, append=1.0)
-    in_class = np.eye(len(borders))[length_class(candidates, tuning)]
+    # Lengths of clutter have the density t / (length + t)^2.
+    class_borders = np.array([0.0, *rules.length_classes_px])
+    clutter_below = class_borders / (class_borders + np.expand_dims(typical_px, -1))
+    clutter_share = np.diff(clutter_below, axis=-1, append=1.0)
+    in_class = np.eye(len(class_borders))[length_class(candidates, tuning)]
     count = group_sums(posterior[:, None] * in_class, frame, frames)
-    total = group_sums(posterior, frame, frames)
-    by_length = np.log((count + prior * usual) / (np.expand_dims(total + prior, -1) * usual))
+    line_count = group_sums(posterior, frame, frames)
+    by_length = np.log(
+        (count + prior * clutter_share) / (np.expand_dims(line_count + prior, -1) * clutter_share)
+    )
     mixture = rates.mixture._replace(
         volume=fit_volume(candidates.ends_mm, posterior, tuning.evidence, frame, frames),
-        log_count=np.log(np.maximum(total, 1.0)),
+        log_count=np.log(np.maximum(line_count, 1.0)),
     )
-    place = log_place_among(candidates.ends_mm, posterior, mixture.volume, tuning, frame)
+    position_density = log_position_density_among(
+        candidates.ends_mm, posterior, mixture.volume, tuning, frame
+    )
     ends = ends / ends.sum(axis=-1, keepdims=True)
-    return PairRates(ends, by_length, mixture, junctions, place)
+    return PairRates(ends, by_length, mixture, junctions, position_density)
 
 
-def pairs_alone(
-    found: Candidates,
+def match_pairs_alone(
+    pairs: Candidates,
     matched: Candidates,
     ends_px: Float[np.ndarray, "v n 2 2"],
-    start: tuple[MixtureParameters, JunctionParameters],
+    initial_rates: tuple[MixtureParameters, JunctionParameters],
     typical_px: np.ndarray | float,
     tuning: MatchTuning,
 ) -> Pairs:
-    """Posterior log odds of pairs whose rates are learned from them, round by round; the few lines
-    that are matched keep their segments."""
-    rules, frame = tuning.occlusion, found.frame
-    mixture, junctions = start
-    in_images = found.side_log.any(axis=1)
+    """Pairs with posterior log odds, under rates estimated from the pairs themselves.
+
+    The few matched lines keep their segments.
+    """
+    rules, frame = tuning.occlusion, pairs.frame
+    mixture, junctions = initial_rates
+    in_images = pairs.side_log.any(axis=1)
     offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset_alone)
     evidence = (
-        found.log_density
-        + log_sides(found.side_log, mixture, frame)
-        + found.expected * float(np.log(rules.missed))
+        pairs.log_density
+        + log_sides(pairs.side_log, mixture, frame)
+        + pairs.expected_views * float(np.log(rules.missed))
         + offset
     )
     frames, classes = np.shape(mixture.log_count), len(rules.length_classes_px) + 1
@@ -222,62 +241,72 @@ def pairs_alone(
         frame = c.frame
         ends = log_ends(c, broadcast_groups(rates.ends, frame))
         classes = length_class(c, tuning)
-        every = broadcast_groups(rates.log_by_length, frame)
-        lengths = every[classes] if frame is None else every[np.arange(len(classes)), classes]
+        log_ratios = broadcast_groups(rates.log_by_length, frame)
+        lengths = (
+            log_ratios[classes] if frame is None else log_ratios[np.arange(len(classes)), classes]
+        )
         prior = broadcast_groups(rates.mixture.log_count, frame)
-        place = rates.log_place
-        if place is None:
-            place = log_place(c.ends_mm, rates.mixture.volume, tuning.evidence, frame)
-        return evidence + ends + lengths + prior + place
+        position_density = rates.log_position_density
+        if position_density is None:
+            position_density = log_position_density(
+                c.ends_mm, rates.mixture.volume, tuning.evidence, frame
+            )
+        return evidence + ends + lengths + prior + position_density
 
-    keep, log_share = likely_rows(found, matched, prior_odds(found, evidence, rates), tuning)
-    candidates, evidence = found.take(keep), evidence[keep]
+    kept_rows, log_share = likely_pair_rows(
+        pairs, matched, prior_odds(pairs, evidence, rates), tuning
+    )
+    candidates, evidence = pairs.take(kept_rows), evidence[kept_rows]
     frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
-    meetings = endpoint_pairs(candidates, evidence, tuning.junctions, tuning.evidence)
+    end_pairs = endpoint_pairs(candidates, evidence, tuning.junctions, tuning.evidence)
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain
     beliefs = None
-    graph_of_companions, more = None, np.zeros(len(evidence))
+    companion_graph, companion_gain = None, np.zeros(len(evidence))
     count = np.size(mixture.log_count)
     for _ in range(ROUNDS):
-        # Where lines meet nowhere, what pairs they make by chance is independent, as odds take it.
-        free = 1 - broadcast_groups(rates.junctions.end_at_junction, frame)
-        free = np.where(candidates.side_log.any(axis=1), 0.0, rules.offset_unjoined * free)
-        odds = prior_odds(candidates, evidence, rates) + gain + free + more
+        # Without junctions, wrong pairs are independent, as the odds assume.
+        unjoined_offset = 1 - broadcast_groups(rates.junctions.end_at_junction, frame)
+        unjoined_offset = np.where(
+            candidates.side_log.any(axis=1), 0.0, rules.offset_unjoined * unjoined_offset
+        )
+        odds = prior_odds(candidates, evidence, rates) + gain + unjoined_offset + companion_gain
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
-        if graph_of_companions is None:
-            likely = np.flatnonzero(posterior > rules.companion_likely)
-            graph_of_companions = companions(candidates, likely, ends_px, tuning)
-        more = companion_log_odds(graph_of_companions, posterior, tuning, frame, count)
+        if companion_graph is None:
+            likely_rows = np.flatnonzero(posterior > rules.companion_likely)
+            companion_graph = find_companions(candidates, likely_rows, ends_px, tuning)
+        companion_gain = companion_log_odds(companion_graph, posterior, tuning, frame, count)
         density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
         gain, junctions = junction_log_odds(
-            meetings, posterior, density, rates.junctions, tuning.junctions, frame
+            end_pairs, posterior, density, rates.junctions, tuning.junctions, frame
         )
-        helped = junctions.end_at_junction >= tuning.junctions.min_at_junction
-        gain = np.where(broadcast_groups(helped, frame), gain, 0.0)
+        has_junctions = junctions.end_at_junction >= tuning.junctions.min_at_junction
+        gain = np.where(broadcast_groups(has_junctions, frame), gain, 0.0)
         rates = learn_rates(candidates, posterior, rates, junctions, typical_px, tuning)
     posterior_log_odds = with_log_share(posterior_log_odds, log_share)
-    chosen = choose_greedily(posterior_log_odds, graph)
+    is_accepted = choose_greedily(posterior_log_odds, graph)
     tempered = temper(posterior_log_odds, candidates.side_log, tuning.evidence)
-    # Lines that meet nowhere are of no bodies, and bodies that are seen through hide no edges.
-    through = see_through_share(
+    # Lines without junctions belong to no bodies, and see-through bodies hide no edges.
+    see_through = see_through_share(
         ends_px,
-        candidates.index[chosen],
-        probability(tempered[chosen]),
+        candidates.index[is_accepted],
+        probability(tempered[is_accepted]),
         tuning,
-        take_groups(frame, chosen),
+        take_groups(frame, is_accepted),
         count,
     )
-    every = junctions.end_at_junction, through.reshape(np.shape(mixture.log_count))
-    bodies = Bodies(*(broadcast_groups(each, frame) for each in every))
-    of_pair = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
-    tempered = temper_pairs(*of_pair, tuning)
-    most = rules.most_alone * probability(tempered)
+    body_fields = junctions.end_at_junction, see_through.reshape(np.shape(mixture.log_count))
+    bodies = Bodies(*(broadcast_groups(each, frame) for each in body_fields))
+    pair_arguments = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
+    tempered = temper_pairs(*pair_arguments, tuning)
+    limited_posterior = rules.most_alone * probability(tempered)
     in_images = candidates.side_log.any(axis=1)
-    tempered = np.where(in_images, tempered, np.log(most) - np.log1p(-most))
-    expected = candidates.expected
-    missed = np.where(expected > 0, expected * float(np.log(rules.missed)), 0.0)
-    return Pairs(candidates, odds, tempered, chosen, missed)
+    tempered = np.where(
+        in_images, tempered, np.log(limited_posterior) - np.log1p(-limited_posterior)
+    )
+    expected = candidates.expected_views
+    miss_log_odds = np.where(expected > 0, expected * float(np.log(rules.missed)), 0.0)
+    return Pairs(candidates, odds, tempered, is_accepted, miss_log_odds)

@@ -1,8 +1,7 @@
-"""Pairs of segments that can be one line: those of two views that share epipolar planes.
+"""Candidate pairs of step 3: segments of two views that share epipolar planes, with their evidence.
 
-What is evaluate of pairs: their values, and evidence that both ways of choosing them count.
-
-Which pairs may be likely, evaluate where they were made: most never leave the kernel.
+Both selection methods of step 3 share this evidence. With a bound on the log odds, unlikely
+pairs are rejected inside the kernel that evaluates them.
 """
 
 from collections.abc import Iterator
@@ -13,18 +12,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.match.candidates.table import Candidates, build_candidates
-from trinoc.match.evidence.mixture import MixtureParameters, log_place, log_sides
+from trinoc.match.evidence.mixture import MixtureParameters, log_position_density, log_sides
 from trinoc.match.evidence.triple_position import pair_evidence
 from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.observations.table import TRIPLES_IN_BLOCK, SegmentTable, block_size
-from trinoc.match.selection.messages import affordable, are_claimed, log_share_kept
+from trinoc.match.selection.messages import log_kept_share, rows_within_memory, use_claimed_parts
 from trinoc.match.tuning.candidates import CandidateTuning
 from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.evidence import EndTuning, EvidenceTuning
 from trinoc.match.two_view.epipolar_pencil import (
     Pencil,
+    build_pencil,
     pairs_sharing_planes,
-    pencil,
     take_pencil,
     take_segments,
 )
@@ -35,14 +34,15 @@ from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.tables import take_rows
 from trinoc.numerics.vectors import log_sum_exp
 
-# numerical: about as many pairs are held at a time.
+# numerical: approximate number of pairs in memory.
 PAIRS_AT_A_TIME = 1 << 17
 
 
 class PairBound(NamedTuple):
-    """What the log odds of a pair among matched lines are made of, but for its polarity.
+    """Terms of the log odds of a pair among matched lines, without its polarity.
 
-    prior : what all pairs share. least : below this, pairs are let go.
+    prior : term that all pairs share.
+    min_log_odds : pairs below are discarded.
     """
 
     log_ends: Float[np.ndarray, "c"]
@@ -50,7 +50,7 @@ class PairBound(NamedTuple):
     precision: Float[np.ndarray, "3 3"]
     log_missed: float
     prior: float
-    least: float
+    min_log_odds: float
 
 
 def possible_pairs(
@@ -62,9 +62,15 @@ def possible_pairs(
     bound: PairBound | None = None,
     ends_px: float | None = None,
 ) -> Iterator[Candidates]:
-    """All pairs of free segments of two views that can be one line, and may be likely as far as a
-    `bound` tells, and of which an end agrees by `ends_px`, if that is given, block by block."""
-    planes = pencil(lines, *views.tolist())
+    """Yield all pairs of free segments of two views that can be one line, in blocks.
+
+    Parameters
+    ----------
+    free : indices of the free segments of each view.
+    bound : rejects unlikely pairs, if given.
+    ends_px : pairs must agree at one end within this distance, if given.
+    """
+    planes = build_pencil(lines, *views.tolist())
     rows = free[views[0]], free[views[1]]
     for pair in pairs_sharing_planes(lines, views, planes, rows, PAIRS_AT_A_TIME, ends_px):
         segments = np.stack(pair, axis=1).astype(np.int64)
@@ -84,17 +90,17 @@ def _evaluate_pairs(
     shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), (), ())
 
     def evaluate(segments: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
-        groups = {"tuning": tuning.candidates, "ends": tuning.ends}
-        possible, columns = _pair_evidence(lines, views, planes, segments, clutter, **groups)
+        tunings = {"tuning": tuning.candidates, "ends": tuning.ends}
+        possible, columns = _pair_evidence(lines, views, planes, segments, clutter, **tunings)
         if bound is not None:
             possible = may_be_likely(bound, possible, columns, tuning=tuning.evidence)
         return possible, columns
 
-    keep, columns = select_in_blocks(evaluate, block_size(lines, TRIPLES_IN_BLOCK), segments)
-    of_views, ends_mm, *rest = split_columns(columns, shapes)
-    # Two views always agree about a place.
-    place = of_views, ends_mm, np.zeros(len(keep)), *rest
-    return build_candidates(lines, views, segments[keep], place, tuning)
+    kept_rows, columns = select_in_blocks(evaluate, block_size(lines, TRIPLES_IN_BLOCK), segments)
+    interval, ends_mm, *rest = split_columns(columns, shapes)
+    # The chi-square of two views is always 0.
+    evidence_columns = interval, ends_mm, np.zeros(len(kept_rows)), *rest
+    return build_candidates(lines, views, segments[kept_rows], evidence_columns, tuning)
 
 
 @partial(kept_jit, static_argnames=("tuning", "ends"), few_rows_of="pairs")
@@ -107,17 +113,23 @@ def _pair_evidence(
     tuning: CandidateTuning,
     ends: EndTuning,
 ) -> tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]:
-    """(whether each can be one line, what is kept of it)."""
+    """Evidence of each pair: (mask of possible ones, columns)."""
     segments = pairs.T
     rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])
-    of_pencil = take_pencil(planes, lines, views[0], segments[0])
-    found = pair_evidence(lines, views, of_pencil, rows, segments, clutter, tuning, ends)
+    frame_pencil = take_pencil(planes, lines, views[0], segments[0])
+    evidence = pair_evidence(lines, views, frame_pencil, rows, segments, clutter, tuning, ends)
     columns = (
-        *(found.interval, found.ends_mm, found.log_density, found.end_log, found.union_ends_mm),
-        *(found.union_covariance_mm2, found.px_per_mm, found.expected),
-        found.crossing_sine,
+        *(
+            evidence.interval,
+            evidence.ends_mm,
+            evidence.log_density,
+            evidence.end_log,
+            evidence.union_ends_mm,
+        ),
+        *(evidence.union_covariance_mm2, evidence.px_per_mm, evidence.expected_views),
+        evidence.crossing_sine,
     )
-    return found.possible, as_columns(columns)
+    return evidence.possible, as_columns(columns)
 
 
 def pair_bound(
@@ -126,18 +138,20 @@ def pair_bound(
     end_shares: Float[np.ndarray, "c"],
     tuning: MatchTuning,
 ) -> PairBound | None:
-    """The bound of one frame's pairs; None where side levels, of pictures, say more."""
+    """Bound for the pairs of one frame; None if side levels are known, since they add further
+    evidence.
+    """
     if np.isfinite(np.asarray(lines.sides)).any():
         return None
-    volume, rules = mixture.volume, tuning.occlusion
-    prior = mixture.log_count - volume.log_size - np.log(2 * np.pi) + rules.log_odds_offset
-    # As if darker sides agreed.
+    volume, pair_tuning = mixture.volume, tuning.occlusion
+    prior = mixture.log_count - volume.log_size - np.log(2 * np.pi) + pair_tuning.log_odds_offset
+    # Upper bound: darker sides agree.
     prior += np.log(2) * bool(np.asarray(lines.polarity).any())
     return PairBound(
         np.log(end_shares),
         volume.centre_mm,
         volume.precision,
-        float(np.log(rules.missed)),
+        float(np.log(pair_tuning.missed)),
         float(prior),
         tuning.selection.prune_log_odds,
     )
@@ -150,13 +164,16 @@ def may_be_likely(
     columns: Float[ArrayLike, "k h"],
     tuning: EvidenceTuning,
 ) -> Bool[ArrayLike, "h"]:
-    """Which of the possible pairs are as likely as they have to be; `columns` are those that
-    `possible_pairs` makes: intervals, ends, log density, that of the ends, and others."""
+    """Mask of the possible pairs whose log odds may exceed the bound, (h,).
+
+    `columns` are those of `possible_pairs`: interval, ends, log density, end evidence, and
+    others.
+    """
     components = len(bound.log_ends)
     ends_mm, log_density, end_log = columns[4:10], columns[10], columns[11 : 11 + 2 * components]
-    total = log_density + columns[-2] * bound.log_missed + bound.prior
+    log_odds = log_density + columns[-2] * bound.log_missed + bound.prior
     xp = array_namespace(columns)
-    square = xp.zeros_like(total)
+    squared_distance = xp.zeros_like(log_odds)
     for e in range(2):
         terms = [
             log_share + term
@@ -164,71 +181,87 @@ def may_be_likely(
                 bound.log_ends, end_log[e * components : (e + 1) * components], strict=True
             )
         ]
-        total = total + log_sum_exp(terms)
-        apart = ends_mm[3 * e : 3 * e + 3] - bound.centre_mm[:, None]
-        square = xp.maximum(square, ((bound.precision @ apart) * apart).sum(axis=0))
-    outside = xp.clip(square - tuning.box_corner_sigmas**2, 0.0, tuning.box_cost)
-    return possible & (total - 0.5 * outside > bound.least)
+        log_odds = log_odds + log_sum_exp(terms)
+        offset = ends_mm[3 * e : 3 * e + 3] - bound.centre_mm[:, None]
+        squared_distance = xp.maximum(
+            squared_distance, ((bound.precision @ offset) * offset).sum(axis=0)
+        )
+    position_cost = xp.clip(squared_distance - tuning.box_corner_sigmas**2, 0.0, tuning.box_cost)
+    return possible & (log_odds - 0.5 * position_cost > bound.min_log_odds)
 
 
 class Pairs(NamedTuple):
-    """Candidate pairs (chi-square is zero), their log odds without and with rivals, those taken.
+    """Candidate pairs, their log odds without and with rivals, and the mask of the accepted ones.
 
-    missed : what it costs each, in log odds, that no third view shows it where one should.
+    miss_log_odds : (m,) log odds that each pair loses because the views that should show it do
+        not.
     """
 
     candidates: Candidates
     log_odds: Float[np.ndarray, "m"]
     posterior_log_odds: Float[np.ndarray, "m"]
-    taken: Bool[np.ndarray, "m"]
-    missed: Float[np.ndarray, "m"]
+    is_accepted: Bool[np.ndarray, "m"]
+    miss_log_odds: Float[np.ndarray, "m"]
 
     def take(self, rows: np.ndarray) -> "Pairs":
-        """Those at the given indices, in that order, or where the mask is true."""
+        """Return the rows of the given indices, in that order, or where a mask is true."""
         return take_rows(self, rows)
 
 
-def likely_rows(
-    found: Candidates, matched: Candidates, odds: Float[np.ndarray, "m"], tuning: MatchTuning
+def likely_pair_rows(
+    candidates: Candidates, matched: Candidates, odds: Float[np.ndarray, "m"], tuning: MatchTuning
 ) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """(rows of pairs that are likely at all, and need no part of a segment that is matched, and of
-    each its `log_share_kept`)."""
+    """Rows of the likely pairs that use no matched part of a segment, and `log_kept_share` of
+    each.
+    """
     rules = tuning.selection
     rows = np.flatnonzero(odds > rules.prune_log_odds)
-    own = found.take(rows)
-    rows = rows[~are_claimed(own.index, own.interval, matched.index, matched.interval, rules)]
-    odds, index = odds[rows], found.index[rows]
-    kept = affordable(odds, index, -np.inf, rules)
-    return rows[kept], log_share_kept(odds, index, kept)
+    likely = candidates.take(rows)
+    rows = rows[
+        ~use_claimed_parts(likely.index, likely.interval, matched.index, matched.interval, rules)
+    ]
+    odds, index = odds[rows], candidates.index[rows]
+    kept_rows = rows_within_memory(odds, index, -np.inf, rules)
+    return rows[kept_rows], log_kept_share(odds, index, kept_rows)
 
 
-def evidence_beside_lines(
+def log_odds_among_lines(
     candidates: Candidates,
     mixture: MixtureParameters,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "m"]:
-    """Log odds of pairs among matched lines, but for how seldom pairs are, and for junctions."""
+    """Log odds of pairs among matched lines, without the prior of pairs and without junctions,
+    (m,).
+    """
     rules, frame = tuning.occlusion, candidates.frame
-    ends = log_ends(candidates, broadcast_groups(end_shares(mixture, tuning.ends), frame))
-    ends += log_sides(candidates.side_log, mixture, frame)
+    member_evidence = log_ends(
+        candidates, broadcast_groups(end_shares(mixture, tuning.ends), frame)
+    )
+    member_evidence += log_sides(candidates.side_log, mixture, frame)
     in_images = candidates.side_log.any(axis=1)
     offset = np.where(in_images, rules.log_odds_offset_in_images, rules.log_odds_offset)
-    evidence = candidates.log_density + ends + candidates.expected * float(np.log(rules.missed))
-    place = log_place(candidates.ends_mm, mixture.volume, tuning.evidence, frame)
-    return evidence + offset + broadcast_groups(mixture.log_count, frame) + place
+    evidence = (
+        candidates.log_density
+        + member_evidence
+        + candidates.expected_views * float(np.log(rules.missed))
+    )
+    position_density = log_position_density(
+        candidates.ends_mm, mixture.volume, tuning.evidence, frame
+    )
+    return evidence + offset + broadcast_groups(mixture.log_count, frame) + position_density
 
 
 def log_ends(candidates: Candidates, shares: Float[np.ndarray, "*m c"]) -> Float[np.ndarray, "m"]:
-    """Evidence of the ends, by the shares of their components."""
+    """Evidence of the ends, given the shares of their components, (m,)."""
     return np.log((np.exp(candidates.end_log) @ shares[..., None])[..., 0]).sum(axis=1)
 
 
 def end_shares(mixture: MixtureParameters, tuning: EndTuning) -> Float[np.ndarray, "*f c"]:
-    """How the ends of two views agree follows from how those of three do."""
+    """Shares of the end components of two views, derived from those of three."""
     all_agree, two_agree = len(tuning.agreeing_px), len(tuning.pair_px)
     agreeing = mixture.ends[..., :all_agree].copy()
-    # Of two views that agree against the third, a given pair is one in three.
-    short = mixture.ends[..., all_agree : all_agree + two_agree]
-    on = mixture.ends[..., all_agree + two_agree : -1]
-    agreeing[..., :two_agree] += (short + on) / 3
+    # If two of three views agree, they are a given pair in one of three cases.
+    stops_short = mixture.ends[..., all_agree : all_agree + two_agree]
+    runs_on = mixture.ends[..., all_agree + two_agree : -1]
+    agreeing[..., :two_agree] += (stops_short + runs_on) / 3
     return np.concatenate([agreeing, 1 - agreeing.sum(axis=-1, keepdims=True)], axis=-1)

@@ -1,15 +1,13 @@
-"""Edges of one body take each other's place: what that leaves of the odds of tracks and pairs.
+"""Correction of log odds for the edges of solid bodies, which are often mistaken for each other.
 
-Odds are those against clutter that lies anywhere. But the likeliest wrong match is another edge of
-the same body, most often one that begins at the same corner: it shares the corner's end, meets the
-same neighbours, and is seen where the right edge is hidden. So evidence adds up to too much, as it
-does in pictures. Log odds are tempered as far as ends meet and bodies are solid.
+Odds compare a match with clutter that lies anywhere. But the most likely wrong match is another
+edge of the same body, often one that starts at the same corner. It shares the corner's end, meets
+the same neighbours, and is visible where the right edge is hidden. The evidence is then too large.
+Log odds are tempered in proportion to the share of ends that meet, and to how solid the bodies are.
 
-Whether edges are seen through what stands before them: how often segments cross in a picture.
-
-What is solid hides the edges behind it: they end where they meet its outline, and hardly any two
-segments cross. Of wires, or of loose segments, each is seen whole, and they cross as often as if
-they lay there by chance.
+The frequency of crossing segments in an image shows how solid bodies are. A solid body hides the
+edges behind it, which end at its outline, so that hardly any two segments cross. Wires and loose
+segments are fully visible and cross as often as by chance.
 """
 
 from typing import NamedTuple
@@ -24,8 +22,8 @@ from trinoc.match.tuning.every_group import MatchTuning
 from trinoc.match.tuning.evidence import EvidenceTuning
 from trinoc.numerics.joins import broadcast_groups
 
-# numerical: of more segments of a view, that many are counted, for time.
-MOST_CROSSING = 200
+# numerical: largest number of segments of a view that are tested for crossings, for time.
+MAX_CROSSING_SEGMENTS = 200
 
 
 def see_through_share(
@@ -36,108 +34,118 @@ def see_through_share(
     frame: Int[np.ndarray, "m"] | None = None,
     frames: int = 1,
 ) -> Float[np.ndarray, "f"]:
-    """Of each frame, crossings of matched segments over those by chance: 0 solid, 1 see-through.
+    """Crossings of matched segments over the number by chance, for each frame, (f,): 0 solid, 1
+    see-through.
 
-    Each segment counts as far as a candidate that holds it is likely, so that segments which belong
-    to nothing, and cross everything, hardly count. Where few crossings are to be expected, edges
-    are taken to be those of solids.
+    Each segment has the weight of its most likely candidate, so that clutter, which crosses
+    everything, hardly counts. With few expected crossings, bodies are assumed solid.
     """
     share = np.zeros(frames)
-    own = np.zeros(len(index), np.int64) if frame is None else frame
+    frame_label = np.zeros(len(index), np.int64) if frame is None else frame
     for number in range(frames):
-        rows, found, usual = np.flatnonzero(own == number), 0.0, tuning.evidence.prior_observations
+        rows, observed, expected = (
+            np.flatnonzero(frame_label == number),
+            0.0,
+            tuning.evidence.prior_observations,
+        )
         for view, ends in enumerate(ends_px):
-            on = rows[index[rows, view] >= 0]
-            segment, place = np.unique(index[on, view], return_inverse=True)
+            frame_rows = rows[index[rows, view] >= 0]
+            segment, member_number = np.unique(index[frame_rows, view], return_inverse=True)
             weight = np.zeros(len(segment))
-            np.maximum.at(weight, place, posterior[on])
+            np.maximum.at(weight, member_number, posterior[frame_rows])
             count = len(segment)
-            # Evenly among all: they are in order of their place.
-            few = np.linspace(0, count - 1, min(count, MOST_CROSSING)).astype(np.int64)
-            seen, expected = crossings(
-                ends[segment[few]], weight[few], tuning.occlusion.crossing_margin_px
+            # Segments are sorted by position, so this sample is evenly spread.
+            sample = np.linspace(0, count - 1, min(count, MAX_CROSSING_SEGMENTS)).astype(np.int64)
+            crossing_count, expected_count = crossings(
+                ends[segment[sample]], weight[sample], tuning.occlusion.crossing_margin_px
             )
-            found, usual = found + seen, usual + expected
-        share[number] = min(found / usual, 1.0)
+            observed, expected = observed + crossing_count, expected + expected_count
+        share[number] = min(observed / expected, 1.0)
     return share
 
 
 def crossings(
     ends_px: Float[np.ndarray, "n 2 2"], weight: Float[np.ndarray, "n"], margin_px: float
 ) -> tuple[float, float]:
-    """(weighted pairs of segments that cross, how many would if they were shifted by chance).
+    """Weighted number of crossing pairs of segments, and the number expected by chance.
 
-    A segment ends `margin_px` before its ends, so that those which stop at another do not cross it.
-    Chance keeps lengths and directions, and shifts segments within an area of their spread.
+    Segments are shortened by `margin_px` at both ends, so that a segment that ends at another
+    does not cross it. Chance keeps lengths and directions, and shifts the segments within an
+    area of their spread.
     """
     step = ends_px[:, 1] - ends_px[:, 0]
     length = np.hypot(*step.T)
-    long = length > 2 * margin_px
-    if weight[long].sum() <= 0:
+    is_long = length > 2 * margin_px
+    if weight[is_long].sum() <= 0:
         return 0.0, 0.0
-    ends_px, weight, length = ends_px[long], weight[long], length[long]
-    unit = step[long] / length[:, None]
-    inner = ends_px + margin_px * np.stack([unit, -unit], axis=1)
+    ends_px, weight, length = ends_px[is_long], weight[is_long], length[is_long]
+    unit = step[is_long] / length[:, None]
+    inner_ends = ends_px + margin_px * np.stack([unit, -unit], axis=1)
     normal = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
-    offset = (normal * inner[:, 0]).sum(axis=1)
-    beside = inner @ normal.T - offset
-    apart = (beside[:, 0] < 0) != (beside[:, 1] < 0)
-    both = weight[:, None] * weight
-    np.fill_diagonal(both, 0.0)
+    offset = (normal * inner_ends[:, 0]).sum(axis=1)
+    side_distance = inner_ends @ normal.T - offset
+    is_on_both_sides = (side_distance[:, 0] < 0) != (side_distance[:, 1] < 0)
+    pair_weight = weight[:, None] * weight
+    np.fill_diagonal(pair_weight, 0.0)
     middle = ends_px.mean(axis=1)
-    # Of a box, each side is sqrt(12) standard deviations.
+    # Each side of a box is sqrt(12) standard deviations.
     area = 12 * np.sqrt(max(np.linalg.det(np.cov(middle.T, aweights=weight, bias=True)), 1.0))
-    inside = weight * (length - 2 * margin_px)
-    swept = np.abs(unit @ normal.T) * inside[:, None] * inside
-    return float((both * (apart & apart.T)).sum() / 2), float(swept.sum() / 2 / area)
+    inner_length = weight * (length - 2 * margin_px)
+    swept_area = np.abs(unit @ normal.T) * inner_length[:, None] * inner_length
+    return float((pair_weight * (is_on_both_sides & is_on_both_sides.T)).sum() / 2), float(
+        swept_area.sum() / 2 / area
+    )
 
 
 class Bodies(NamedTuple):
-    """Of each frame: the share of ends that meet others, and how far edges are seen through what
-    stands before them (`see_through.py`)."""
+    """Share of ends that meet others, and see-through share of the bodies, for each frame."""
 
-    joined: Float[np.ndarray, "*f"] | float
-    through: Float[np.ndarray, "*f"] | float
+    junction_share: Float[np.ndarray, "*f"] | float
+    see_through_share: Float[np.ndarray, "*f"] | float
 
 
-# numerical: lines that meet nowhere.
+# numerical: lines without junctions.
 NO_BODIES = Bodies(0.0, 1.0)
 
 
 def estimate_bodies(
     lines: SegmentTable, tracks: Tracks, selections: list[Selection], tuning: MatchTuning
 ) -> Bodies:
-    """What three views tell of each frame's bodies."""
-    most = max(selections, key=lambda selection: selection.taken.sum(), default=None)
-    if most is None:
+    """Estimate the properties of the bodies in each frame from three views."""
+    largest = max(selections, key=lambda selection: selection.is_accepted.sum(), default=None)
+    if largest is None:
         return NO_BODIES
-    joined, index = np.asarray(most.junctions.end_at_junction), tracks.candidates.index
-    through = see_through_share(
+    junction_share, index = np.asarray(largest.junctions.end_at_junction), tracks.candidates.index
+    see_through = see_through_share(
         np.asarray(lines.ends_px),
         index,
         probability(tracks.posterior_log_odds),
         tuning,
         tracks.candidates.frame,
-        joined.size,
+        junction_share.size,
     )
-    return Bodies(joined, through.reshape(joined.shape))
+    return Bodies(junction_share, see_through.reshape(junction_share.shape))
 
 
 def temper_tracks(
     lines: SegmentTable, tracks: Tracks, bodies: Bodies, tuning: MatchTuning
 ) -> Tracks:
-    """Tracks with tempered log odds, their rivals' too."""
+    """Temper the log odds of tracks and of their rivals."""
     candidates, rules = tracks.candidates, tuning.occlusion
-    # Edges seen through others have corners, too, but are hidden less often.
-    share = bodies.joined * (1 - rules.seen_through_gain * bodies.through)
-    own = broadcast_groups(share, candidates.frame)
-    posterior, rivals = (
+    # Edges of see-through bodies meet at corners too, but are hidden less often.
+    share = bodies.junction_share * (1 - rules.seen_through_gain * bodies.see_through_share)
+    share_of_candidate = broadcast_groups(share, candidates.frame)
+    posterior, rival_log_odds = (
         _temper_log_odds(
-            log_odds, candidates.side_log, own, rules.solid_temperature, tuning.evidence
+            log_odds,
+            candidates.side_log,
+            share_of_candidate,
+            rules.solid_temperature,
+            tuning.evidence,
         )
         for log_odds in (tracks.posterior_log_odds, tracks.rival_posterior)
     )
-    return Tracks(candidates, posterior, rivals)
+    return Tracks(candidates, posterior, rival_log_odds)
 
 
 def temper_pairs(
@@ -147,13 +155,16 @@ def temper_pairs(
     bodies: Bodies,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "m"]:
-    """Tempered log odds of pairs, each with its own frame's bodies, less as the viewpoint turns
-    about them: the further it does, the more edges of a solid are hidden from one view. Levels
-    beside segments tell edges apart."""
-    rules, solid = tuning.occlusion, bodies.joined * (1 - bodies.through)
-    turned = solid * (rules.solid_offset - rules.doubt_turned * crossing_sine)
-    given = posterior_log_odds, side_log, solid, rules.solid_temperature, tuning.evidence
-    return _temper_log_odds(*given) + np.where(side_log.any(axis=1), 0.0, turned)
+    """Temper the log odds of pairs, (m,).
+
+    The correction grows with the angle between the viewing directions, because more edges of a
+    solid are then hidden in one view. Known side levels distinguish the edges and need no such
+    correction.
+    """
+    rules, solid_share = tuning.occlusion, bodies.junction_share * (1 - bodies.see_through_share)
+    viewpoint_offset = solid_share * (rules.solid_offset - rules.doubt_turned * crossing_sine)
+    arguments = posterior_log_odds, side_log, solid_share, rules.solid_temperature, tuning.evidence
+    return _temper_log_odds(*arguments) + np.where(side_log.any(axis=1), 0.0, viewpoint_offset)
 
 
 def _temper_log_odds(
@@ -163,6 +174,6 @@ def _temper_log_odds(
     temperature: float,
     tuning: EvidenceTuning,
 ) -> Float[np.ndarray, "m"]:
-    # Those of pictures have a temperature of their own.
+    # With side levels, `temper` applies a temperature of its own.
     factor = np.where(side_log.any(axis=1), 1.0, 1 - (1 - temperature) * share)
     return factor * temper(log_odds, side_log, tuning)

@@ -167,7 +167,7 @@ def apply_measurements(
     freedom = degrees_of_misfit(matches.index)
     sure = sound & (freedom > 0) & (matches.posterior > tuning.sure)
     rules = NoiseTuning(tail_of_pictures=tuning.tail)
-    tail = fit_tail(misfit[sure], freedom[sure], of_pictures=True, tuning=rules)
+    tail = fit_tail(misfit[sure], freedom[sure], has_images=True, tuning=rules)
     spread = spread * variance_factor(misfit, freedom, tail)[:, None, None]
     difference = hausman(move, before[:, :4, :4], spread, tuning.least_difference)
     limit = chi_square_limit(tuning.least_probability, _UNKNOWNS)

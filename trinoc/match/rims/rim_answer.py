@@ -19,7 +19,7 @@ from trinoc.match.rims.circles import (
 )
 from trinoc.match.rims.explained_tracks import count_tracks, tracks_beside_rims, with_rows
 from trinoc.match.rims.rims import Rims
-from trinoc.match.tracks.line_fit import cut_fragments, ending_view, track_intervals
+from trinoc.match.tracks.line_fit import cut_fragments, line_end_positions, view_ends_line
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.tables import concatenate_rows, take_rows
@@ -113,11 +113,11 @@ def fragments_abreast(
     column = [views.index(name) for name in seen.names]
     own = np.full(index.shape, -1)
     for view, at in enumerate(column):
-        back = np.full(len(seen.frames[0].left_out[view]), -1)
+        back = np.full(len(seen.frames[0].exclusion_reasons[view]), -1)
         back[seen.order[view]] = np.arange(len(seen.order[view]))
         own[:, view] = np.where(index[:, at] >= 0, back[np.maximum(index[:, at], 0)], -1)
-    here = ending_view(seen, own, lines_mm)
-    interval = np.clip(track_intervals(seen, own, lines_mm), 0.0, 1.0)
+    here = view_ends_line(seen, own, lines_mm)
+    interval = np.clip(line_end_positions(seen, own, lines_mm), 0.0, 1.0)
     parts, covariance = cut_fragments(seen, own, interval, here)
     fragments, spread = np.full(parts.shape, np.nan), np.full(covariance.shape, np.nan)
     for view, at in enumerate(column):

@@ -1,4 +1,7 @@
-"""Step 2: which candidates are true, from their evidence, their rivals and their neighbours.
+"""Step 2 of the paper: decide which candidates are right, from their evidence, rivals and
+neighbours.
 
-messages (who excludes whom; sum-product), junction_support (who meets whom in space) and repetition
-(where wrong partners fit as well), of which the first two are joined in marginals."""
+`messages`: exclusion of rivals by sum-product. `junction_support`: ends that meet in space.
+`repetition`: repeated patterns, where wrong partners fit as well. `marginals` runs the first two
+together.
+"""

@@ -1,10 +1,9 @@
-"""Step 2: which candidates are true, from their evidence, their rivals and their neighbours.
+"""Step 2 of the paper: posterior of each candidate from its evidence, its rivals and its
+neighbours.
 
-How much larger the segments' errors are than they state, learned from three views.
-
-The residual that three views leave has a chi-square of two degrees of freedom where errors are as
-stated. Its median over the triples that are surely right is nothing to the few that are wrong, and
-to heavy tails.
+The same step estimates the noise scale, from three views. If errors are as stated, the residual
+of three views has a chi-square distribution with two degrees of freedom. The median over the
+sure triples is robust against wrong triples and heavy tails.
 """
 
 from collections.abc import Sequence
@@ -30,10 +29,10 @@ from trinoc.match.selection.junction_support import (
 from trinoc.match.selection.messages import (
     Beliefs,
     ConflictGraph,
-    affordable,
     choose_greedily,
     conflict_graph,
-    log_share_kept,
+    log_kept_share,
+    rows_within_memory,
     sum_product,
     with_log_share,
 )
@@ -44,27 +43,27 @@ from trinoc.numerics.tables import take_rows
 
 
 class Selection(NamedTuple):
-    """Candidates, their log odds without and with rivals, and which of them were taken.
+    """Candidates, their log odds without and with rivals, and the mask of the accepted ones.
 
-    let_go : (n, v) segments of likely candidates that memory did not bear.
+    discarded_index : (n, v) segments of likely candidates beyond the memory limit.
     """
 
     candidates: Candidates
     log_odds: Float[np.ndarray, "m"]
     posterior_log_odds: Float[np.ndarray, "m"]
-    taken: Bool[np.ndarray, "m"]
+    is_accepted: Bool[np.ndarray, "m"]
     graph: ConflictGraph
     mixture: MixtureParameters
     junctions: JunctionParameters
-    let_go: Int[np.ndarray, "n v"]
+    discarded_index: Int[np.ndarray, "n v"]
 
 
 class Tracks(NamedTuple):
-    """Lines taken, as candidates with a segment in two or more views.
+    """Accepted lines, as candidates with a segment in two or more views.
 
-    rival_posterior : posterior log odds of the best candidate that each excluded, -inf where none.
-    member_posterior : (t, v) probability that each segment is of the line of the others, NaN where
-        there is none or where fewer than three others are left; None where that holds for all.
+    rival_posterior : posterior log odds of the best candidate that each excluded, -inf if none.
+    member_posterior : (t, v) probability that each segment is of the line of the others, NaN if
+        there is no segment or fewer than three others. None if all are NaN.
     """
 
     candidates: Candidates
@@ -73,7 +72,7 @@ class Tracks(NamedTuple):
     member_posterior: Float[np.ndarray, "t v"] | None = None
 
     def take(self, rows: np.ndarray) -> "Tracks":
-        """Those at the given indices, in that order, or where the mask is true."""
+        """Return the rows of the given indices, in that order, or where a mask is true."""
         return take_rows(self, rows)
 
 
@@ -84,38 +83,49 @@ def select(
     neighbours: bool = True,
     tuning: MatchTuning = DEFAULT,
 ) -> Selection:
-    """Fit the mixture parameters by EM, and take candidates in order of posterior log odds.
+    """Estimate the mixture parameters by EM, and accept candidates in order of posterior log odds.
 
-    Without `neighbours`, junctions add nothing: only a candidate's evidence and its rivals count.
-    Candidates of a stack have the parameters of their own frame, and each frame has its
-    `typical_count` of segments.
+    Parameters
+    ----------
+    candidates : of one frame or of a stack. In a stack each frame has its own parameters.
+    typical_count : number of segments per view, for each frame.
+    neighbours : False ignores junctions, so that only evidence and rivals count.
     """
-    evidence, rules = tuning.evidence, tuning.selection
+    evidence, selection_tuning = tuning.evidence, tuning.selection
     mixture = prior_parameters(candidates.ends_mm, typical_count, tuning, candidates.frame)
-    # EM on the likely candidates alone: far fewer, with far fewer conflicts.
+    # EM uses only the likely candidates, which are far fewer and have far fewer conflicts.
     odds = prior_log_odds(candidates, mixture, evidence)
-    keep = affordable(odds, candidates.index, rules.learn_log_odds, rules)
-    likely = candidates.take(keep)
-    graph = conflict_graph(likely.index, likely.interval, rules)
+    kept_rows = rows_within_memory(
+        odds, candidates.index, selection_tuning.learn_log_odds, selection_tuning
+    )
+    likely = candidates.take(kept_rows)
+    graph = conflict_graph(likely.index, likely.interval, selection_tuning)
     beliefs = None
-    for _ in range(rules.rounds):
+    for _ in range(selection_tuning.rounds):
         odds = prior_log_odds(likely, mixture, evidence)
-        beliefs = sum_product(odds, graph, rules, likely.frame, beliefs)
+        beliefs = sum_product(odds, graph, selection_tuning, likely.frame, beliefs)
         c, posterior = likely, probability(beliefs.log_odds)
         mixture = em_step(
             c.chi_square, c.end_log, c.ends_mm, c.side_log, posterior, mixture, tuning, c.frame
         )
     odds = prior_log_odds(candidates, mixture, evidence)
-    possible = np.flatnonzero(odds > rules.prune_log_odds)
-    keep = affordable(odds, candidates.index, rules.prune_log_odds, rules)
-    log_share, let_go = np.zeros(len(keep)), candidates.index[np.setdiff1d(possible, keep)]
-    if len(keep) < len(possible):
-        log_share = log_share_kept(
-            odds[possible], candidates.index[possible], np.searchsorted(possible, keep)
+    possible_rows = np.flatnonzero(odds > selection_tuning.prune_log_odds)
+    kept_rows = rows_within_memory(
+        odds, candidates.index, selection_tuning.prune_log_odds, selection_tuning
+    )
+    log_share, discarded_index = (
+        np.zeros(len(kept_rows)),
+        candidates.index[np.setdiff1d(possible_rows, kept_rows)],
+    )
+    if len(kept_rows) < len(possible_rows):
+        log_share = log_kept_share(
+            odds[possible_rows],
+            candidates.index[possible_rows],
+            np.searchsorted(possible_rows, kept_rows),
         )
-    candidates, odds = candidates.take(keep), odds[keep]
-    graph = conflict_graph(candidates.index, candidates.interval, rules)
-    beliefs = sum_product(odds, graph, rules, candidates.frame)
+    candidates, odds = candidates.take(kept_rows), odds[kept_rows]
+    graph = conflict_graph(candidates.index, candidates.interval, selection_tuning)
+    beliefs = sum_product(odds, graph, selection_tuning, candidates.frame)
     posterior_log_odds = beliefs.log_odds
     junctions = prior_junctions(tuning.junctions, np.shape(mixture.log_count))
     if neighbours:
@@ -131,24 +141,24 @@ def select(
         graph,
         mixture,
         junctions,
-        let_go,
+        discarded_index,
     )
 
 
-def take_tracks(selection: Selection) -> Tracks:
-    """What was taken, with the posterior log odds of the best rival of each."""
+def selected_tracks(selection: Selection) -> Tracks:
+    """Accepted candidates, with the posterior log odds of the best rival of each."""
     graph = selection.graph
     rival_posterior = np.full(len(selection.posterior_log_odds), -np.inf)
     owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
     first = np.flatnonzero(np.diff(owner, prepend=-1))
     if len(first):
-        of_rivals = selection.posterior_log_odds[rival]
-        rival_posterior[owner[first]] = np.maximum.reduceat(of_rivals, first)
-    chosen = selection.taken
+        rival_log_odds = selection.posterior_log_odds[rival]
+        rival_posterior[owner[first]] = np.maximum.reduceat(rival_log_odds, first)
+    is_accepted = selection.is_accepted
     return Tracks(
-        selection.candidates.take(chosen),
-        selection.posterior_log_odds[chosen],
-        rival_posterior[chosen],
+        selection.candidates.take(is_accepted),
+        selection.posterior_log_odds[is_accepted],
+        rival_posterior[is_accepted],
     )
 
 
@@ -161,25 +171,27 @@ def _with_junctions(
     tuning: MatchTuning,
 ) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"], JunctionParameters]:
     frame = candidates.frame
-    meetings = endpoint_pairs(candidates, odds, tuning.junctions, tuning.evidence)
+    end_pairs = endpoint_pairs(candidates, odds, tuning.junctions, tuning.evidence)
     junctions = prior_junctions(tuning.junctions, np.shape(mixture.log_count))
     log_ends_density = mixture.log_count - mixture.volume.log_size + np.log(2)
-    alone = odds, beliefs.log_odds
+    without_junctions = odds, beliefs.log_odds
     for _ in range(tuning.selection.junction_rounds):
         gain, junctions = junction_log_odds(
-            meetings,
+            end_pairs,
             probability(beliefs.log_odds),
             log_ends_density,
             junctions,
             tuning.junctions,
             frame,
         )
-        odds = alone[0] + gain
+        odds = without_junctions[0] + gain
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
-    helped = broadcast_groups(junctions.end_at_junction >= tuning.junctions.min_at_junction, frame)
+    has_junctions = broadcast_groups(
+        junctions.end_at_junction >= tuning.junctions.min_at_junction, frame
+    )
     odds, posterior_log_odds = (
-        np.where(helped, one, other)
-        for one, other in zip((odds, beliefs.log_odds), alone, strict=True)
+        np.where(has_junctions, with_gain, without_gain)
+        for with_gain, without_gain in zip((odds, beliefs.log_odds), without_junctions, strict=True)
     )
     return odds, posterior_log_odds, junctions
 
@@ -190,41 +202,47 @@ def residual_scale(
     frames: int = 1,
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> Float[np.ndarray, "f"]:
-    """Standard deviation of segments across themselves, over what they state, of each frame.
+    """Standard deviation of the segments across themselves over the stated one, for each frame,
+    (f,).
 
-    Few triples say little: as many as `prior_observations` that fit as stated count with them.
-    Triples of segments `across_px2` whose errors are mostly common to the edge's pictures say
-    nothing.
+    A prior of `prior_observations` triples that fit as stated regularises small samples. Triples
+    with mostly common errors (`across_px2`) are ignored, since they have small residuals in any
+    case.
     """
-    both = across_px2.sum(axis=(2, 3)) / 4
-    common = np.stack([common_error_variance(own) for own in across_px2])
-    tells = common < tuning.common_share * both
-    share = (np.arange(tuning.prior_observations) + 0.5) / tuning.prior_observations
-    prior = -2 * np.log1p(-share)  # the quantiles of chi-square with two degrees of freedom
+    mean_variance = across_px2.sum(axis=(2, 3)) / 4
+    common_variance = np.stack([common_error_variance(view) for view in across_px2])
+    is_informative = common_variance < tuning.common_share * mean_variance
+    quantile = (np.arange(tuning.prior_observations) + 0.5) / tuning.prior_observations
+    prior = -2 * np.log1p(-quantile)  # quantiles of chi-square with two degrees of freedom
     chi_square, frame = [np.tile(prior, frames)], [np.repeat(np.arange(frames), len(prior))]
     for selection in selections:
-        sure = selection.taken & (probability(selection.posterior_log_odds) > tuning.sure)
-        index = selection.candidates.index[sure]
-        of_views = np.take_along_axis(tells.T, np.maximum(index, 0), axis=0)
-        sure[sure] = (of_views | (index < 0)).all(axis=1)
-        chi_square.append(selection.candidates.chi_square[sure])
-        own = selection.candidates.frame
-        every = np.zeros(len(sure), int) if own is None else own
-        frame.append(every[sure])
-    typical = group_medians(np.concatenate(chi_square), np.concatenate(frame), frames)
-    scale = np.sqrt(typical / (2 * np.log(2)))
+        is_sure = selection.is_accepted & (probability(selection.posterior_log_odds) > tuning.sure)
+        index = selection.candidates.index[is_sure]
+        member_is_informative = np.take_along_axis(is_informative.T, np.maximum(index, 0), axis=0)
+        is_sure[is_sure] = (member_is_informative | (index < 0)).all(axis=1)
+        chi_square.append(selection.candidates.chi_square[is_sure])
+        candidate_frame = selection.candidates.frame
+        frame_label = np.zeros(len(is_sure), int) if candidate_frame is None else candidate_frame
+        frame.append(frame_label[is_sure])
+    median_chi_square = group_medians(np.concatenate(chi_square), np.concatenate(frame), frames)
+    scale = np.sqrt(median_chi_square / (2 * np.log(2)))
     return np.clip(scale, 1 / tuning.largest, tuning.largest)
 
 
 def learn_noise_scale(
     selections: Sequence[Selection],
     across_px2: Float[np.ndarray, "v n 2 2"],
-    before: Float[np.ndarray, "f"],
+    previous_scale: Float[np.ndarray, "f"],
     tuning: NoiseTuning,
 ) -> tuple[Float[np.ndarray, "f"], Bool[np.ndarray, "f"]]:
-    """(scale of each frame's errors over what is stated, whether that is so far from the scale
-    `before`, under which candidates were found, that they are to be found again)."""
-    larger = residual_scale(selections, across_px2, len(before), tuning) if selections else 1.0
-    scale = np.clip(before * larger, 1 / tuning.most, tuning.most)
-    change = scale / before
+    """Update the noise scale of each frame.
+
+    Returns (noise scale, mask of frames to match again). A frame is matched again if its scale
+    differs much from the scale `previous_scale` that its candidates were found with.
+    """
+    factor = (
+        residual_scale(selections, across_px2, len(previous_scale), tuning) if selections else 1.0
+    )
+    scale = np.clip(previous_scale * factor, 1 / tuning.most, tuning.most)
+    change = scale / previous_scale
     return scale, (change >= tuning.again_above) | (change <= tuning.again_below)

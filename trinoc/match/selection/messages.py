@@ -1,11 +1,11 @@
-"""Marginals under exclusion, by sum-product belief propagation.
+"""Marginals under mutual exclusion, by sum-product belief propagation.
 
-On the factor graph of the conflicts, the message from a segment to a candidate is -log(1 + sum of
-the rivals' cavity odds). The posterior log odds of a candidate are its prior log odds plus its
-messages. We use marginals and not the MAP assignment: MAP may trade one strong triple for two weak
-ones, and hides ambiguity. Candidates without rivals hear nothing, and are left out.
-
-Each part of a segment belongs to one line at most: which candidates exclude each other.
+Each part of a segment belongs to at most one line, which defines the conflicts between
+candidates. On the factor graph of these conflicts, the message from a segment to a candidate is
+-log(1 + sum of the rivals' cavity odds). The posterior log odds of a candidate are its prior log
+odds plus its messages. The marginals are used instead of the MAP assignment, because MAP may
+replace one strong triple by two weak ones, and hides ambiguity. Candidates without rivals
+receive no message.
 """
 
 from bisect import bisect_left
@@ -26,9 +26,10 @@ from trinoc.numerics.programs import kept_jit
 
 
 class ConflictGraph(NamedTuple):
-    """Directed edges, sorted by slot = candidate * views + view.
+    """Directed conflicts, sorted by slot = candidate * views + view.
 
-    slot : who is limited, and through which segment. rival_slot : by whom.
+    slot : the candidate that is limited, and the view of the shared segment.
+    rival_slot : the rival.
     """
 
     slot: Int[np.ndarray, "e"]
@@ -41,128 +42,139 @@ def conflict_graph(
     interval: Float[np.ndarray, "m v 2"],
     tuning: SelectionTuning = DEFAULT.selection,
 ) -> ConflictGraph:
-    """Which candidates claim the same part of a segment; -1 in `index` claims nothing.
+    """Conflicts between candidates that claim the same part of a segment; -1 in `index` claims
+    nothing.
 
-    Two candidates that share parts in several views conflict once, in the first of these.
+    Two candidates that share parts in several views conflict once, in the first of these views.
     """
     views = index.shape[1]
-    # The interval on each segment, from low to high.
+    # Sorted bounds of the interval on each segment.
     low, high = interval.min(axis=2), interval.max(axis=2)
 
-    def clash(m: Int[np.ndarray, "e"], n: Int[np.ndarray, "e"], view: int) -> np.ndarray:
+    def overlaps(m: Int[np.ndarray, "e"], n: Int[np.ndarray, "e"], view: int) -> np.ndarray:
         bounds = low[m, view], high[m, view], low[n, view], high[n, view]
-        return _clash(*bounds, tuning.conflict_overlap)
+        return _overlap(*bounds, tuning.conflict_overlap)
 
-    slots, rivals = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)]
+    slots, rival_slots = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)]
     for view in range(views):
-        seen = np.flatnonzero(index[:, view] >= 0)
-        for m, n in pairs_of_equal_keys(index[seen, view]):
-            m, n = seen[m], seen[n]
-            fresh = clash(m, n, view)
-            m, n = m[fresh], n[fresh]
+        members = np.flatnonzero(index[:, view] >= 0)
+        for m, n in pairs_of_equal_keys(index[members, view]):
+            m, n = members[m], members[n]
+            is_conflict = overlaps(m, n, view)
+            m, n = m[is_conflict], n[is_conflict]
             for earlier in range(view):
-                both = (index[m, earlier] == index[n, earlier]) & (index[m, earlier] >= 0)
-                counted = both & clash(m, n, earlier)
-                m, n = m[~counted], n[~counted]
+                share_earlier = (index[m, earlier] == index[n, earlier]) & (index[m, earlier] >= 0)
+                is_counted = share_earlier & overlaps(m, n, earlier)
+                m, n = m[~is_counted], n[~is_counted]
             m, n = ((x * views + view).astype(np.int32) for x in (m, n))
             slots += [m, n]
-            rivals += [n, m]
-    # Both in one number: sorting it is several times faster than by slot.
+            rival_slots += [n, m]
+    # One number holds both slots: sorting it is several times faster than an argsort.
     edges = np.concatenate(slots).astype(np.int64) << 32
-    edges |= np.concatenate(rivals)
+    edges |= np.concatenate(rival_slots)
     edges.sort()
     return ConflictGraph((edges >> 32).astype(np.int32), edges.astype(np.int32), views)
 
 
-def affordable(
+def rows_within_memory(
     log_odds: Float[np.ndarray, "m"],
     index: Int[np.ndarray, "m v"],
     above: float,
     tuning: SelectionTuning = DEFAULT.selection,
 ) -> Int[np.ndarray, "k"]:
-    """Rows of candidates of log odds `above` that: all of them, or the likeliest, with as many
-    conflicts as memory bears."""
-    kept = np.flatnonzero(log_odds > above)
-    log_odds, index = log_odds[kept], index[kept]
+    """Rows of the candidates with log odds above a limit, (k,).
 
-    def conflicts(least: float) -> int:
-        rows = index[log_odds >= least]
-        every = (np.bincount(rows[rows[:, view] >= 0, view]) for view in range(index.shape[1]))
-        return sum(int((count**2).sum()) for count in every)
-
-    least = -np.inf
-    if conflicts(least) > tuning.most_conflicts:
-        # Equals are kept or let go together, all of them where there are too many of the likeliest.
-        ordered = np.append(np.unique(log_odds), np.inf)
-        fits = bisect_left(ordered, True, key=lambda odds: conflicts(odds) <= tuning.most_conflicts)
-        least = ordered[fits]
-    return kept[log_odds >= least]
-
-
-def log_share_kept(
-    log_odds: Float[np.ndarray, "m"], index: Int[np.ndarray, "m v"], kept: Int[np.ndarray, "k"]
-) -> Float[np.ndarray, "k"]:
-    """Log of how much of the odds of all candidates of a segment is that of the kept ones; of each
-    kept candidate, the least of its segments.
-
-    It is the probability that what is right is among those kept, where the others were let go for
-    memory and not for their evidence.
+    If their conflicts exceed the memory limit, only the most likely candidates remain.
     """
-    share = np.zeros(len(kept))
+    kept_rows = np.flatnonzero(log_odds > above)
+    log_odds, index = log_odds[kept_rows], index[kept_rows]
+
+    def conflicts(threshold: float) -> int:
+        rows = index[log_odds >= threshold]
+        counts = (np.bincount(rows[rows[:, view] >= 0, view]) for view in range(index.shape[1]))
+        return sum(int((count**2).sum()) for count in counts)
+
+    threshold = -np.inf
+    if conflicts(threshold) > tuning.most_conflicts:
+        # Candidates with equal log odds are kept or discarded together.
+        ordered = np.append(np.unique(log_odds), np.inf)
+        position = bisect_left(
+            ordered, True, key=lambda odds: conflicts(odds) <= tuning.most_conflicts
+        )
+        threshold = ordered[position]
+    return kept_rows[log_odds >= threshold]
+
+
+def log_kept_share(
+    log_odds: Float[np.ndarray, "m"], index: Int[np.ndarray, "m v"], kept_rows: Int[np.ndarray, "k"]
+) -> Float[np.ndarray, "k"]:
+    """Log of the share of the kept candidates in the odds of all candidates of a segment, (k,).
+
+    For a candidate it is the smallest value of its segments. It is the probability that the
+    right candidate was kept, when others were discarded to limit the memory.
+    """
+    share = np.zeros(len(kept_rows))
     for view in range(index.shape[1]):
         segment = index[:, view]
-        on = np.flatnonzero(segment >= 0)
+        rows = np.flatnonzero(segment >= 0)
         count = int(segment.max(initial=-1)) + 1
-        # That nothing is right has odds of 1.
-        top = np.zeros(count)
-        np.maximum.at(top, segment[on], log_odds[on])
+        # The alternative that no candidate is right has odds of 1.
+        largest = np.zeros(count)
+        np.maximum.at(largest, segment[rows], log_odds[rows])
         odds = np.zeros(len(segment))
-        odds[on] = np.exp(log_odds[on] - top[segment[on]])
-        nothing = np.exp(-top)
-        of_kept = kept[segment[kept] >= 0]
-        every = np.bincount(segment[on], odds[on], count) + nothing
-        those = np.bincount(segment[of_kept], odds[of_kept], count) + nothing
-        own = np.where(segment[kept] >= 0, segment[kept], 0)
-        log_share = np.log(those / every)[own] if count else share
-        share = np.minimum(share, np.where(segment[kept] >= 0, log_share, 0.0))
+        odds[rows] = np.exp(log_odds[rows] - largest[segment[rows]])
+        odds_of_none = np.exp(-largest)
+        kept_rows_in_view = kept_rows[segment[kept_rows] >= 0]
+        all_odds = np.bincount(segment[rows], odds[rows], count) + odds_of_none
+        kept_odds = (
+            np.bincount(segment[kept_rows_in_view], odds[kept_rows_in_view], count) + odds_of_none
+        )
+        kept_segment = np.where(segment[kept_rows] >= 0, segment[kept_rows], 0)
+        log_share = np.log(kept_odds / all_odds)[kept_segment] if count else share
+        share = np.minimum(share, np.where(segment[kept_rows] >= 0, log_share, 0.0))
     return share
 
 
 def with_log_share(
     log_odds: Float[np.ndarray, "m"], log_share: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m"]:
-    """Log odds of probabilities that are times a share."""
-    # log(p s / (1 - p s)), as p = 1 / (1 + exp(-x)): exp(x - log s) is what p s lacks.
+    """Log odds of probabilities multiplied by a share."""
+    # log(p s / (1 - p s)) with p = 1 / (1 + exp(-x)).
     lacking = np.expm1(-log_share)
     return -np.logaddexp(-log_odds - log_share, np.log(np.maximum(lacking, 1e-300)))
 
 
-def are_claimed(
+def use_claimed_parts(
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
-    by_index: Int[np.ndarray, "t v"],
-    by_part: Float[np.ndarray, "t v 2"],
+    claimed_index: Int[np.ndarray, "t v"],
+    claimed_interval: Float[np.ndarray, "t v 2"],
     tuning: SelectionTuning = DEFAULT.selection,
 ) -> Bool[np.ndarray, "m"]:
-    """Whether candidates need a part of a segment that one of other lines has."""
-    taken = np.zeros(len(index), dtype=bool)
+    """Mask of the candidates that use a part of a segment claimed by another line, (m,)."""
+    is_claimed = np.zeros(len(index), dtype=bool)
     for view in range(index.shape[1]):
-        owners = np.argsort(by_index[:, view], kind="stable")
-        segments = by_index[owners, view]
-        seen = np.flatnonzero(index[:, view] >= 0)
+        owners = np.argsort(claimed_index[:, view], kind="stable")
+        segments = claimed_index[owners, view]
+        members = np.flatnonzero(index[:, view] >= 0)
         m, position = expand_ranges(
-            np.searchsorted(segments, index[seen, view], "left"),
-            np.searchsorted(segments, index[seen, view], "right"),
+            np.searchsorted(segments, index[members, view], "left"),
+            np.searchsorted(segments, index[members, view], "right"),
         )
-        m, by = seen[m], owners[position]
-        own, other = interval[m, view], by_part[by, view]
-        bounds = own.min(axis=1), own.max(axis=1), other.min(axis=1), other.max(axis=1)
-        clash = _clash(*bounds, tuning.conflict_overlap)
-        taken[m[clash]] = True
-    return taken
+        m, claimant = members[m], owners[position]
+        part, claimed_part = interval[m, view], claimed_interval[claimant, view]
+        bounds = (
+            part.min(axis=1),
+            part.max(axis=1),
+            claimed_part.min(axis=1),
+            claimed_part.max(axis=1),
+        )
+        is_conflict = _overlap(*bounds, tuning.conflict_overlap)
+        is_claimed[m[is_conflict]] = True
+    return is_claimed
 
 
-def _clash(
+def _overlap(
     low: Float[np.ndarray, "e"],
     high: Float[np.ndarray, "e"],
     other_low: Float[np.ndarray, "e"],
@@ -173,31 +185,32 @@ def _clash(
     return shared > least_share * np.minimum(high - low, other_high - other_low)
 
 
-# numerical: frames that are one problem, at most.
+# numerical: largest number of frames in one problem.
 FRAMES_AT_ONCE = 64
 
-# numerical: of more conflicts than these, rounds on padding would take longer than another
-# program. Padding beyond costs more than one small program more.
+# numerical: above this number of conflicts, padding has more sizes: its rounds would take longer
+# than compiling another program.
 _FINER_ABOVE = 1 << 16
-# numerical: as above. Of more conflicts, or candidates than 2048, so many candidates are padded.
+# numerical: up to this number of conflicts and 2048 candidates, padding has few sizes. Larger
+# problems have at least _MIN_PADDED candidates.
 _FEW_CONFLICTS = 1 << 14
-_LEAST_OF_MANY = 1 << 12  # numerical: as above
-# numerical: log odds whose exponential is no overflow, and such as nothing has.
-_HIGHEST, _NEVER = 60.0, -1e4
+_MIN_PADDED = 1 << 12  # numerical: as above
+# numerical: largest log odds with a finite exponential, and the log odds of padding.
+_MAX_LOG_ODDS, _MIN_LOG_ODDS = 60.0, -1e4
 
 
-class _Rules(NamedTuple):
+class _Iteration(NamedTuple):
     damping: Float[ArrayLike, ""] | float
-    settled: Float[ArrayLike, ""] | float
+    tolerance: Float[ArrayLike, ""] | float
     iterations: Int[ArrayLike, ""] | int
 
 
-# Messages (candidates, views), which frames have not settled, how many rounds are left.
+# Messages (candidates, views), mask of the frames that have not converged, remaining rounds.
 _State = tuple[Float[ArrayLike, "m v"], Bool[ArrayLike, "f"], Int[ArrayLike, ""]]
 
 
 class Beliefs(NamedTuple):
-    """Log odds of each candidate after exclusion; the messages that they come from."""
+    """Log odds of each candidate after exclusion, and the messages behind them."""
 
     log_odds: Float[np.ndarray, "m"]
     messages: Float[np.ndarray, "m v"]
@@ -208,106 +221,126 @@ def sum_product(
     graph: ConflictGraph,
     tuning: SelectionTuning = DEFAULT.selection,
     frame: Int[np.ndarray, "m"] | None = None,
-    before: Beliefs | None = None,
+    previous: Beliefs | None = None,
 ) -> Beliefs:
-    """The fixed point of the messages, from the greedy choice on, or from where they were `before`
-    under other odds.
+    """Iterate the messages to their fixed point.
 
-    Candidates of several frames (`frame`, below FRAMES_AT_ONCE) each have as many rounds as their
-    own frame takes to settle.
+    Parameters
+    ----------
+    log_odds : prior log odds of the candidates, (m,).
+    graph : their conflicts.
+    frame : frame of each candidate, below FRAMES_AT_ONCE. Each frame is iterated until it
+        converges.
+    previous : beliefs under other odds, from which to start. Without them, the start is the
+        greedy choice.
     """
     count = len(log_odds)
     if len(graph.slot) == 0:
         return Beliefs(log_odds, np.zeros((count, graph.views)))
-    rival = np.zeros(count, dtype=bool)
-    rival[graph.slot // graph.views] = True
-    rows, number = np.flatnonzero(rival), np.cumsum(rival) - 1
-    candidates, conflicts = _capacities(len(rows) + 1, len(graph.slot))
-    # A candidate of padding has the last slots, which all conflicts of padding are between.
-    nobody = candidates * graph.views - 1
+    has_rival = np.zeros(count, dtype=bool)
+    has_rival[graph.slot // graph.views] = True
+    rows, compact_number = np.flatnonzero(has_rival), np.cumsum(has_rival) - 1
+    candidates, conflicts = _padded_sizes(len(rows) + 1, len(graph.slot))
+    # All conflicts of padding connect the last slots, which belong to a candidate of padding.
+    padding_slot = candidates * graph.views - 1
     slot, rival_slot = (
-        pad_rows(_renumber_slots(own, number, graph.views), conflicts, nobody)
-        for own in (graph.slot, graph.rival_slot)
+        pad_rows(_renumber_slots(slots, compact_number, graph.views), conflicts, padding_slot)
+        for slots in (graph.slot, graph.rival_slot)
     )
     messages = np.zeros((count, graph.views))
-    given = messages if before is None else before.messages
-    chosen = choose_greedily(log_odds, graph) if before is None else np.zeros(count, dtype=bool)
-    found = _propagate(
-        pad_rows(log_odds[rows], candidates, _NEVER),
-        pad_rows(chosen[rows], candidates, False),
-        pad_rows(given[rows], candidates),
-        np.asarray(before is None),
+    start_messages = messages if previous is None else previous.messages
+    is_selected = (
+        choose_greedily(log_odds, graph) if previous is None else np.zeros(count, dtype=bool)
+    )
+    final_messages = _propagate(
+        pad_rows(log_odds[rows], candidates, _MIN_LOG_ODDS),
+        pad_rows(is_selected[rows], candidates, False),
+        pad_rows(start_messages[rows], candidates),
+        np.asarray(previous is None),
         slot,
         rival_slot,
         pad_rows(label_frames(frame, count)[rows], candidates),
-        _Rules(tuning.damping, tuning.settled, tuning.iterations),
+        _Iteration(tuning.damping, tuning.settled, tuning.iterations),
         graph.views,
     )
-    messages[rows] = np.asarray(found)[: len(rows)]
+    messages[rows] = np.asarray(final_messages)[: len(rows)]
     return Beliefs(log_odds + messages.sum(axis=1), messages)
 
 
-def _capacities(candidates: int, conflicts: int) -> tuple[int, int]:
-    """Of what is padded. Of few kinds where there are few, since one program more takes as long as
-    hundreds of rounds on padding."""
-    few = next((size for size in (256, 2048) if candidates <= size), None)
-    if few is None or conflicts > _FEW_CONFLICTS:
+def _padded_sizes(candidates: int, conflicts: int) -> tuple[int, int]:
+    """Numbers of candidates and conflicts after padding.
+
+    Small problems use few different sizes, because compiling a program takes as long as hundreds
+    of rounds on padding.
+    """
+    small_size = next((size for size in (256, 2048) if candidates <= size), None)
+    if small_size is None or conflicts > _FEW_CONFLICTS:
         pairs = bucket(conflicts, smallest=2 * _FEW_CONFLICTS, finer_above=_FINER_ABOVE)
-        return bucket(candidates, smallest=_LEAST_OF_MANY), pairs
-    size = 2 * few
+        return bucket(candidates, smallest=_MIN_PADDED), pairs
+    size = 2 * small_size
     while size < conflicts:
         size *= 4
-    return few, size
+    return small_size, size
 
 
 def _renumber_slots(
     slot: Int[np.ndarray, "e"], number: Int[np.ndarray, "m"], views: int
 ) -> Int[np.ndarray, "e"]:
-    """Slots by new numbers of their candidates."""
+    """Slots after renumbering the candidates."""
     owner, view = np.divmod(slot, views)
     return (number[owner] * views + view).astype(np.int32)
 
 
 def label_frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "m"]:
-    """The frame of each of `count` candidates, 0 where there is no stack."""
+    """Frame of each candidate, 0 for a single frame, (m,)."""
     return np.zeros(count, np.int32) if frame is None else frame.astype(np.int32)
 
 
 @partial(kept_jit, static_argnames=("views",))
 def _propagate(
     log_odds: Float[ArrayLike, "m"],
-    chosen: Bool[ArrayLike, "m"],
-    before: Float[ArrayLike, "m v"],
-    afresh: Bool[ArrayLike, ""],
+    is_selected: Bool[ArrayLike, "m"],
+    start_messages: Float[ArrayLike, "m v"],
+    from_greedy: Bool[ArrayLike, ""],
     slot: Int[ArrayLike, "e"],
     rival_slot: Int[ArrayLike, "e"],
     frame: Int[ArrayLike, "m"],
-    rules: _Rules,
+    rules: _Iteration,
     views: int,
 ) -> Float[ArrayLike, "m v"]:
-    """Messages to candidates, from a greedy choice of theirs or from the messages before."""
+    """Messages to the candidates, starting from the greedy choice or from previous messages."""
 
     def message(odds: Float[ArrayLike, "m v"]) -> Float[ArrayLike, "m v"]:
-        """What each slot hears, given what each says."""
-        heard = odds.reshape(-1)[rival_slot]
-        total = jax.ops.segment_sum(heard, slot, num_segments=odds.size, indices_are_sorted=True)
+        """Messages that each slot receives, from the odds that each slot sends."""
+        rival_odds = odds.reshape(-1)[rival_slot]
+        total = jax.ops.segment_sum(
+            rival_odds, slot, num_segments=odds.size, indices_are_sorted=True
+        )
         return -jnp.log1p(total).reshape(-1, views)
 
     def step(state: _State) -> _State:
-        messages, active, left = state
+        messages, active, rounds_left = state
         total = log_odds + messages.sum(axis=1)
         cavity = total[:, None] - messages
-        change = message(jnp.exp(jnp.minimum(cavity, _HIGHEST))) - messages
-        worst = jax.ops.segment_max(jnp.abs(change).max(axis=1), frame, num_segments=len(active))
+        change = message(jnp.exp(jnp.minimum(cavity, _MAX_LOG_ODDS))) - messages
+        largest_change = jax.ops.segment_max(
+            jnp.abs(change).max(axis=1), frame, num_segments=len(active)
+        )
         share = jnp.where(active[frame], 1 - rules.damping, 0.0)
-        return messages + share[:, None] * change, active & (worst >= rules.settled), left - 1
+        return (
+            messages + share[:, None] * change,
+            active & (largest_change >= rules.tolerance),
+            rounds_left - 1,
+        )
 
     def is_unfinished(state: _State) -> Bool[ArrayLike, ""]:
         return state[1].any() & (state[2] > 0)
 
-    # The start: only the candidates of the greedy choice send.
-    alone = jnp.where(chosen, jnp.exp(jnp.minimum(log_odds, _HIGHEST)), 0.0)
-    first = jnp.where(afresh, message(jnp.repeat(alone[:, None], views, axis=1)), before)
+    # At the start, only the candidates of the greedy choice send messages.
+    selected_odds = jnp.where(is_selected, jnp.exp(jnp.minimum(log_odds, _MAX_LOG_ODDS)), 0.0)
+    first = jnp.where(
+        from_greedy, message(jnp.repeat(selected_odds[:, None], views, axis=1)), start_messages
+    )
     active = jnp.ones(FRAMES_AT_ONCE, dtype=bool)
     return jax.lax.while_loop(is_unfinished, step, (first, active, jnp.asarray(rules.iterations)))[
         0
@@ -315,26 +348,27 @@ def _propagate(
 
 
 def choose_greedily(score: Float[np.ndarray, "m"], graph: ConflictGraph) -> Bool[np.ndarray, "m"]:
-    """Taken in order of score, where positive and not in conflict with one taken.
+    """Accept candidates in order of score, if positive and not in conflict with an accepted one,
+    (m,).
 
-    Whoever beats all of its rivals that are left is taken, and bars them: in as many rounds as
-    the longest chain of rivals has links, and what taking one by one gives.
+    In each round, every candidate that beats all of its open rivals is accepted, and its rivals
+    are excluded. The result equals that of accepting one candidate at a time.
     """
-    taken = score > 0
+    is_accepted = score > 0
     owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
-    both = taken[owner] & taken[rival]
-    owner, rival = owner[both], rival[both]
-    # Of equals, the first comes first.
-    beaten = (score[rival] > score[owner]) | ((score[rival] == score[owner]) & (rival < owner))
-    open_ = taken.copy()
+    is_edge = is_accepted[owner] & is_accepted[rival]
+    owner, rival = owner[is_edge], rival[is_edge]
+    # Candidates with equal scores keep their order.
+    is_beaten = (score[rival] > score[owner]) | ((score[rival] == score[owner]) & (rival < owner))
+    is_open = is_accepted.copy()
     while len(owner):
         loses = np.zeros(len(score), dtype=bool)
-        loses[owner[beaten]] = True
-        winners = open_ & ~loses
-        barred = np.zeros(len(score), dtype=bool)
-        barred[owner[winners[rival]]] = True
-        taken &= ~barred
-        open_ &= loses & ~barred
-        left = open_[owner] & open_[rival]
-        owner, rival, beaten = owner[left], rival[left], beaten[left]
-    return taken
+        loses[owner[is_beaten]] = True
+        winners = is_open & ~loses
+        is_excluded = np.zeros(len(score), dtype=bool)
+        is_excluded[owner[winners[rival]]] = True
+        is_accepted &= ~is_excluded
+        is_open &= loses & ~is_excluded
+        is_edge_open = is_open[owner] & is_open[rival]
+        owner, rival, is_beaten = owner[is_edge_open], rival[is_edge_open], is_beaten[is_edge_open]
+    return is_accepted

@@ -1,14 +1,14 @@
-"""Patterns that repeat: the most that evidence can say where wrong partners fit as well as right.
+"""Repeated patterns: limit the log odds of tracks whose wrong partners fit as well as the right
+ones.
 
-The evidence compares one line with clutter, whose ends lie anywhere. Where a pattern repeats along
-the epipolar lines, the partner one period off fits as well as the right one: place, ends, lengths
-and junctions differ between them by noise alone, which says nothing. How often this is so is told
-by the set itself: of the likeliest candidates about a place, how many have a rival that is nearly
-as likely? Elsewhere few have one.
+The evidence compares one line with clutter, whose ends lie anywhere. If a pattern repeats along the
+epipolar lines, the partner one period off fits as well as the right one. Position, ends, lengths
+and junctions then differ only by noise. The set itself shows how often this happens: it is the
+share of the most likely candidates near a position that have a nearly equal rival.
 
-With the probability q that a place is of a pattern, the odds w of a track are against clutter and
-against that pattern: w / (1 + q w / m), at most m / q. What is selected stays as it is: only how
-sure it is changes, of triples and pairs alike.
+Let q be the probability of a pattern at a position, and w the odds of a track. The odds against
+clutter and pattern are then w / (1 + q w / m), at most m / q. The selection does not change.
+Only the posteriors of triples and pairs do.
 """
 
 from collections.abc import Iterator
@@ -25,10 +25,9 @@ from trinoc.match.tuning.selection import RepetitionTuning
 
 
 class Repetition(NamedTuple):
-    """Where a pattern may repeat: places of likely candidates in space, and the log odds against a
-    pattern there.
+    """Positions of likely candidates in space, and the upper limit of the log odds there.
 
-    frame : of a stack, the frame of each.
+    frame : frame of each position.
     """
 
     middle_mm: Float[np.ndarray, "t 3"]
@@ -36,7 +35,7 @@ class Repetition(NamedTuple):
     frame: Int[np.ndarray, "t"]
 
 
-# numerical: nothing is known.
+# numerical: no information on repeated patterns.
 NO_REPETITION = Repetition(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int32))
 
 
@@ -46,47 +45,50 @@ def find_repetition(
     graph: ConflictGraph,
     tuning: RepetitionTuning = DEFAULT.repetition,
 ) -> Repetition:
-    """The likely candidates that no rival surpasses, and what those about each say."""
+    """Estimate the upper limit of log odds at each likely candidate that no rival surpasses."""
     rival_log_odds = np.full(len(log_odds), -np.inf)
     np.maximum.at(
         rival_log_odds, graph.slot // graph.views, log_odds[graph.rival_slot // graph.views]
     )
     rows = np.flatnonzero((log_odds > tuning.likely_log_odds) & (log_odds >= rival_log_odds))
-    least = np.maximum(log_odds[rows] - tuning.nearly_log_odds, tuning.likely_log_odds)
-    is_contested = rival_log_odds[rows] > least
+    contest_limit = np.maximum(log_odds[rows] - tuning.nearly_log_odds, tuning.likely_log_odds)
+    is_contested = rival_log_odds[rows] > contest_limit
     middle_mm = candidates.ends_mm[rows].mean(axis=1)
     frame = label_frames(candidates.frame, len(log_odds))[rows]
-    greatest, (usual, repeated) = np.zeros(len(rows)), tuning.contested_shares
-    for own in _of_each_frame(frame):
-        count = min(tuning.neighbours, len(own))
-        near = KDTree(middle_mm[own]).query(middle_mm[own], count)[1].reshape(-1, count)
-        contested = is_contested[own][near].sum(axis=1)
-        # The log odds of a pattern, by two binomial distributions.
-        is_pattern = tuning.prior_log_odds + contested * np.log(repeated / usual)
-        is_pattern += (count - contested) * np.log((1 - repeated) / (1 - usual))
-        greatest[own] = tuning.greatest_log_odds + np.logaddexp(0, -is_pattern)
-    return Repetition(middle_mm, greatest, frame)
+    limit, (usual_share, pattern_share) = np.zeros(len(rows)), tuning.contested_shares
+    for frame_rows in _rows_per_frame(frame):
+        count = min(tuning.neighbours, len(frame_rows))
+        nearest = (
+            KDTree(middle_mm[frame_rows]).query(middle_mm[frame_rows], count)[1].reshape(-1, count)
+        )
+        contested = is_contested[frame_rows][nearest].sum(axis=1)
+        # Log odds of a pattern: ratio of two binomial distributions.
+        pattern_log_odds = tuning.prior_log_odds + contested * np.log(pattern_share / usual_share)
+        pattern_log_odds += (count - contested) * np.log((1 - pattern_share) / (1 - usual_share))
+        limit[frame_rows] = tuning.greatest_log_odds + np.logaddexp(0, -pattern_log_odds)
+    return Repetition(middle_mm, limit, frame)
 
 
 def limit_log_odds(
-    log_odds: Float[np.ndarray, "m"], greatest: Float[np.ndarray, "m"]
+    log_odds: Float[np.ndarray, "m"], limit: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m"]:
-    """Log odds against clutter and against a pattern."""
-    return -np.logaddexp(-log_odds, -greatest)
+    """Log odds against clutter and against a repeated pattern, (m,)."""
+    return -np.logaddexp(-log_odds, -limit)
 
 
 def greatest_log_odds(candidates: Candidates, repetition: Repetition) -> Float[np.ndarray, "m"]:
-    """The log odds against a pattern of each candidate, those of the nearest place; infinite where
-    nothing is known."""
-    greatest = np.full(len(candidates.index), np.inf)
-    frame = label_frames(candidates.frame, len(greatest))
+    """Upper limit of the log odds of each candidate, from the nearest position, (m,); infinite
+    if unknown.
+    """
+    limit = np.full(len(candidates.index), np.inf)
+    frame = label_frames(candidates.frame, len(limit))
     middle_mm = candidates.ends_mm.mean(axis=1)
-    for own in _of_each_frame(repetition.frame):
-        rows = np.flatnonzero(frame == repetition.frame[own[0]])
-        nearest = KDTree(repetition.middle_mm[own]).query(middle_mm[rows])[1]
-        greatest[rows] = repetition.greatest_log_odds[own][nearest]
-    return greatest
+    for frame_rows in _rows_per_frame(repetition.frame):
+        rows = np.flatnonzero(frame == repetition.frame[frame_rows[0]])
+        nearest = KDTree(repetition.middle_mm[frame_rows]).query(middle_mm[rows])[1]
+        limit[rows] = repetition.greatest_log_odds[frame_rows][nearest]
+    return limit
 
 
-def _of_each_frame(frame: Int[np.ndarray, "t"]) -> Iterator[Int[np.ndarray, "_"]]:
+def _rows_per_frame(frame: Int[np.ndarray, "t"]) -> Iterator[Int[np.ndarray, "_"]]:
     return (np.flatnonzero(frame == each) for each in np.unique(frame))

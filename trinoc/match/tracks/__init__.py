@@ -1,1 +1,3 @@
-"""From what was selected to `Matches`: more views, 3-D segments with covariance, reasons."""
+"""From selected candidates to `Matches`: more than three views, 3-D segments with covariance,
+reasons.
+"""

@@ -1,4 +1,4 @@
-"""What a user should know of the matches as a whole, in sentences."""
+"""Build `Matches` in the caller's numbering: reasons of unmatched segments, counts and notes."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.geometry.intrinsics import distort_pixels
+from trinoc.match import sentences
 from trinoc.match.evidence.mixture import probability
 from trinoc.match.observations.match_input import BEYOND_FOLD, FrameInput, MatchInput
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
@@ -23,44 +24,44 @@ from trinoc.match.tuning.selection import NoiseTuning
 from trinoc.match.tuning.tracks import TrackTuning
 
 
-def in_line(centre_mm: Float[np.ndarray, "f v 3"]) -> Bool[np.ndarray, "f"]:
-    """Whether the cameras' centres lie on one line, of each frame."""
+def cameras_are_collinear(centre_mm: Float[np.ndarray, "f v 3"]) -> Bool[np.ndarray, "f"]:
+    """For each frame: True if the camera centres lie on one line."""
     centred = centre_mm - centre_mm.mean(axis=1, keepdims=True)
     spread = np.linalg.svd(centred, compute_uv=False)
     return spread[:, 1] < DEFAULT.tracks.in_line_share * spread[:, 0]
 
 
 def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
-    """A sentence where cameras stand nearly at one place, for what their pictures show."""
+    """Warning if two cameras are nearly at one position, relative to the depth of the scene."""
     tuning, names = DEFAULT.tracks, frame.names
     centres = frame.cameras.centre_mm
-    apart_mm = np.linalg.norm(centres[:, None] - centres, axis=2)
-    # Among three cameras or more, others are farther apart.
-    limit_mm = np.inf if len(names) == 2 else tuning.narrow_baselines * apart_mm.max()
-    narrow = [
+    distance_mm = np.linalg.norm(centres[:, None] - centres, axis=2)
+    # With three cameras or more, the baseline is compared with the longest one.
+    limit_mm = np.inf if len(names) == 2 else tuning.narrow_baselines * distance_mm.max()
+    narrow_pairs = [
         (first, second, share)
         for first, second in combinations(range(len(names)), 2)
-        if apart_mm[first, second] < limit_mm
+        if distance_mm[first, second] < limit_mm
         and (share := _share_at_infinity(frame, first, second)) > tuning.narrow_share
     ]
-    if not narrow:
+    if not narrow_pairs:
         return ()
-    first, second, share = narrow[0]
-    more = f", and {len(narrow) - 1} more pairs of cameras as well" if len(narrow) > 1 else ""
-    pair = " and ".join(f'"{name}"' for name in sorted((names[first], names[second])))
-    baseline_mm = apart_mm[first, second]
+    first, second, share = narrow_pairs[0]
     return (
-        f"The cameras {pair} stand nearly at one place, {baseline_mm:.2g} mm apart{more}: "
-        f"{100 * share:.0f} % of the segments lie in both pictures as if they were infinitely far, "
-        "so that the two give no depth; move one of the cameras, or check the rig.",
+        sentences.cameras_nearly_coincide(
+            (names[first], names[second]),
+            distance_mm[first, second],
+            share,
+            len(narrow_pairs) - 1,
+        ),
     )
 
 
 def _fold_notes(frame: FrameInput) -> tuple[str, ...]:
-    """A sentence where segments are left out because they lie beyond the fold of a lens."""
+    """Warning if segments beyond the fold of a lens are excluded."""
     counts = {
         name: int((left_out == BEYOND_FOLD).sum())
-        for name, left_out in zip(frame.names, frame.left_out, strict=True)
+        for name, left_out in zip(frame.names, frame.exclusion_reasons, strict=True)
     }
     counts = {name: counts[name] for name in sorted(counts) if counts[name]}
     if not counts:
@@ -69,156 +70,143 @@ def _fold_notes(frame: FrameInput) -> tuple[str, ...]:
         name: lens.valid_radius_px
         for name, lens in zip(frame.names, frame.cameras.intrinsics, strict=True)
     }
-    beyond = ", ".join(
-        f'{count} of "{name}" (beyond {radius_px[name]:.0f} px)' for name, count in counts.items()
-    )
-    return (
-        "Segments farther from the principal point than a lens maps one to one are left out: "
-        f"{beyond}; calibrate with the board nearer to the corners to use them.",
-    )
+    return (sentences.segments_beyond_fold(counts, radius_px),)
 
 
 def _share_at_infinity(frame: FrameInput, first: int, second: int) -> float:
-    """Of the longest segments of one view: the share that lies, as if it were infinitely far, on a
-    segment of another view."""
+    """Share of the longest segments of one view that coincide with a segment of another view at
+    infinite depth.
+    """
     tuning = DEFAULT.tracks
-    ends, others = frame.ends_px[first], frame.ends_px[second]
-    if min(len(ends), len(others)) < tuning.narrow_segments[0]:
+    ends, other_ends = frame.ends_px[first], frame.ends_px[second]
+    if min(len(ends), len(other_ends)) < tuning.narrow_segments[0]:
         return 0.0
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     ends = ends[np.argsort(-length, kind="stable")[: tuning.narrow_segments[1]]]
     matrices = frame.cameras.matrix_px[:, :, :3]
     at_infinity = matrices[second] @ np.linalg.inv(matrices[first])
-    moved = np.concatenate([ends, np.ones((len(ends), 2, 1))], axis=2) @ at_infinity.T
+    at_infinity_px = np.concatenate([ends, np.ones((len(ends), 2, 1))], axis=2) @ at_infinity.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = np.where(moved[..., 2:] > 0, moved[..., :2] / moved[..., 2:], np.inf)
-    step = others[:, 1] - others[:, 0]
+        at_infinity_px = np.where(
+            at_infinity_px[..., 2:] > 0, at_infinity_px[..., :2] / at_infinity_px[..., 2:], np.inf
+        )
+    step = other_ends[:, 1] - other_ends[:, 0]
     other_length = np.linalg.norm(step, axis=1)
     direction = step / other_length[:, None]
     with np.errstate(invalid="ignore"):
-        offset = moved[:, :, None] - others[:, 0]
-        across = np.abs(offset[..., 0] * direction[:, 1] - offset[..., 1] * direction[:, 0])
-        along = np.sum(offset.mean(axis=1) * direction, axis=2)
+        offset = at_infinity_px[:, :, None] - other_ends[:, 0]
+        across_px = np.abs(offset[..., 0] * direction[:, 1] - offset[..., 1] * direction[:, 0])
+        along_px = np.sum(offset.mean(axis=1) * direction, axis=2)
     variances = [
         np.median(np.linalg.eigvalsh(frame.covariance_px2[view][:, :2, :2])[:, 0])
         for view in (first, second)
     ]
     limit_px = tuning.narrow_sigmas * np.sqrt(sum(variances))
-    is_on = (across.max(axis=1) < limit_px) & (along > 0) & (along < other_length)
+    is_on = (across_px.max(axis=1) < limit_px) & (along_px > 0) & (along_px < other_length)
     return float(is_on.any(axis=1).mean())
 
 
 def write_notes(
     views: int,
-    cameras_in_line: bool,
+    are_cameras_collinear: bool,
     unlocated: int,
     noise_scale: float,
-    let_go: int,
+    discarded: int,
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> tuple[str, ...]:
-    """Sentences on noise that is not as stated, on more rivals than memory bears, and on cameras in
-    one line."""
+    """Warnings on discarded triples, on noise that differs from the stated one, and on collinear
+    cameras.
+    """
     notes = []
-    if let_go:
-        notes.append(
-            f"The pictures repeat themselves: {let_go} likely triples were let go, as memory bears "
-            "no more, and the probabilities of their rivals are lowered by their share; leave out "
-            "the shortest segments, or match parts of the pictures."
-        )
+    if discarded:
+        notes.append(sentences.triples_discarded(discarded))
     if not 1 / tuning.noted <= noise_scale <= tuning.noted:
-        word = "larger" if noise_scale > 1 else "smaller"
-        notes.append(
-            f"The segments' errors are {word} than stated, {noise_scale:.2g} times: covariances "
-            "are of the errors found; give a sigma_px that is as much "
-            f"{word} to have candidates judged by it too."
-        )
+        notes.append(sentences.noise_differs(noise_scale))
     if views > 2:
-        if cameras_in_line:
-            notes.append(
-                "The cameras' centres lie on one line: segments along it are along the epipolar "
-                f"lines of all views, and no pair of views locates them ({unlocated} tracks left "
-                "out); move one camera off the line to see them."
-            )
+        if are_cameras_collinear:
+            notes.append(sentences.cameras_collinear(unlocated))
     elif unlocated:
-        notes.append(
-            f"Two views do not locate segments along their epipolar lines ({unlocated} tracks "
-            "left out): a third view off the line of the two would."
-        )
+        notes.append(sentences.two_views_leave_unlocated(unlocated))
     return tuple(notes)
 
 
 MATCHED = "matched"
-OF_PATTERN = f"{MATCHED} within a pattern"
+IN_PATTERN = f"{MATCHED} within a pattern"
 NO_PARTNER = "no partner in the zone"
 OUTSIDE = "outside depth"
 ALONG = "along the epipolar lines"
 WEAK = "evidence too weak"
-MISSED = "missing in a third view"
-LOST = "lost to a neighbour"
+MISSING_IN_THIRD = "missing in a third view"
+LOST_TO_NEIGHBOUR = "lost to a neighbour"
 AMBIGUOUS = "ambiguous with {}"
 
 
-def reasons(
+def unmatched_reasons(
     segment: Int[np.ndarray, "m"],
     log_odds: Float[np.ndarray, "m"],
-    outside: Bool[np.ndarray, "n"],
-    along: Bool[np.ndarray, "n"],
-    matched: Bool[np.ndarray, "n"],
-    missed: Bool[np.ndarray, "n"],
-    of_pattern: Bool[np.ndarray, "n"],
+    is_out_of_range: Bool[np.ndarray, "n"],
+    is_along_epipolar: Bool[np.ndarray, "n"],
+    is_matched: Bool[np.ndarray, "n"],
+    is_missing_in_third: Bool[np.ndarray, "n"],
+    is_in_pattern: Bool[np.ndarray, "n"],
     tuning: TrackTuning = DEFAULT.tracks,
 ) -> Shaped[np.ndarray, "n"]:
-    """(n,) words for the segments of one view, given the candidates that held each of them.
+    """Reason for each segment of one view, (n,) strings.
 
-    `segment` is the segment of this view in each candidate (-1 for none), `log_odds` the
-    candidate's evidence before rivals, `outside` whether the depth range excluded one,
-    `along` whether the best lies along the epipolar lines of all pairs of its views, and
-    `missed` whether one fits in two views, and a third should show it but does not: the rims of
-    round bodies, and shadows and lights that move with the viewpoint, among others. `of_pattern`
-    are matched, and a pattern that repeats is what leaves the match in doubt.
+    Parameters
+    ----------
+    segment : the segment of this view in each candidate, -1 if none.
+    log_odds : each candidate's evidence before the exclusion of rivals.
+    is_out_of_range : segments with a candidate outside the depth range.
+    is_along_epipolar : segments whose best candidate lies along the epipolar lines of all pairs of
+        its views.
+    is_matched : segments on a track.
+    is_missing_in_third : segments that fit in two views, while a third view should show the line
+        and does not. Examples are rims of round bodies, and moving shadows and highlights.
+    is_in_pattern : matched segments whose match is doubtful because of a repeated pattern.
     """
-    count = len(matched)
-    held = segment >= 0
-    segment, log_odds = segment[held], log_odds[held]
-    best = np.full(count, -np.inf)
-    np.maximum.at(best, segment, log_odds)
-    serious = (log_odds > best[segment] - tuning.rival_log_odds) & (log_odds > 0)
-    rivals = np.bincount(segment[serious], minlength=count)
-    words = np.full(count, NO_PARTNER, dtype="U40")
-    words[outside] = OUTSIDE
-    words[np.isfinite(best)] = WEAK
-    words[missed & np.isfinite(best)] = MISSED
-    words[best > 0] = LOST
-    for n in np.flatnonzero((best > 0) & (rivals > 1)):
-        words[n] = AMBIGUOUS.format(rivals[n])
-    words[along] = ALONG
-    words[matched] = MATCHED
-    words[of_pattern] = OF_PATTERN
-    return words
+    segment_count = len(is_matched)
+    has_segment = segment >= 0
+    segment, log_odds = segment[has_segment], log_odds[has_segment]
+    best_log_odds = np.full(segment_count, -np.inf)
+    np.maximum.at(best_log_odds, segment, log_odds)
+    is_serious = (log_odds > best_log_odds[segment] - tuning.rival_log_odds) & (log_odds > 0)
+    rivals = np.bincount(segment[is_serious], minlength=segment_count)
+    reasons = np.full(segment_count, NO_PARTNER, dtype="U40")
+    reasons[is_out_of_range] = OUTSIDE
+    reasons[np.isfinite(best_log_odds)] = WEAK
+    reasons[is_missing_in_third & np.isfinite(best_log_odds)] = MISSING_IN_THIRD
+    reasons[best_log_odds > 0] = LOST_TO_NEIGHBOUR
+    for n in np.flatnonzero((best_log_odds > 0) & (rivals > 1)):
+        reasons[n] = AMBIGUOUS.format(rivals[n])
+    reasons[is_along_epipolar] = ALONG
+    reasons[is_matched] = MATCHED
+    reasons[is_in_pattern] = IN_PATTERN
+    return reasons
 
 
-def count_reasons(words: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
-    """How many segments of all views share each reason; ambiguous ones are one kind."""
-    number: Counter[str] = Counter()
-    # Few words are different: those are taken apart, not every segment's.
-    for word, count in Counter(word for view in words.values() for word in view.tolist()).items():
-        number[word.split(" with ")[0]] += count
-    return {f"segments {kind}": number[kind] for kind in sorted(number)}
+def count_reasons(reasons: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
+    """Number of segments for each reason, over all views. Ambiguous ones count as one kind."""
+    totals: Counter[str] = Counter()
+    # Few reasons are different, so each distinct string is split once.
+    for word, count in Counter(word for view in reasons.values() for word in view.tolist()).items():
+        totals[word.split(" with ")[0]] += count
+    return {f"segments {kind}": totals[kind] for kind in sorted(totals)}
 
 
-# The count of tracks that no pair of views can locate, of which notes speak.
-UNLOCATED = "tracks along the epipolar lines"
-# The count of likely triples beyond what memory bears.
-LET_GO = "triples let go for memory"
-# Counts of tracks in three views that are sure, and next to certain, against chance: as if no
-# pattern repeated.
+# Name of the count of tracks that no pair of views can locate.
+UNLOCATED_TRACKS = "tracks along the epipolar lines"
+# Name of the count of likely triples beyond the memory limit.
+DISCARDED_TRIPLES = "triples let go for memory"
+# Names of the counts of sure and nearly certain tracks in three views, without the reduction for
+# repeated patterns.
 SURE, CERTAIN = "tracks sure against chance", "tracks certain against chance"
 
 
-class Lines(NamedTuple):
-    """Tracks of all frames, by the matcher's own numbers of segments and order of views.
+class TrackLines(NamedTuple):
+    """Tracks of all frames, in the matcher's order of views and segments.
 
-    chance_log_odds : as `posterior_log_odds`, without what patterns take from it.
+    chance_log_odds : `posterior_log_odds` without the reduction for repeated patterns.
     member_posterior : as in `Tracks`.
     """
 
@@ -231,138 +219,167 @@ class Lines(NamedTuple):
     fragments_covariance_px2: Float[np.ndarray, "t v 4 4"]
     misfit: Float[np.ndarray, "t"]
     viewpoint_dependent: Bool[np.ndarray, "t"]
-    of_pattern: Bool[np.ndarray, "t"]
+    is_in_pattern: Bool[np.ndarray, "t"]
     chance_log_odds: Float[np.ndarray, "t"]
     member_posterior: Float[np.ndarray, "t v"]
 
     def index_likelier_than(self, posterior: float) -> Int[np.ndarray, "_ v"]:
-        """Segments of the tracks in three views or more that are so likely against chance."""
+        """Segments of the tracks in three or more views whose `chance_log_odds` exceed this
+        posterior.
+        """
         in_three = (self.index >= 0).sum(axis=1) > 2
         return self.index[in_three & (probability(self.chance_log_odds) > posterior)]
 
 
-def answers(
-    seen: MatchInput,
-    found: Lines,
+def build_matches(
+    inputs: MatchInput,
+    lines: TrackLines,
     frame: Int[np.ndarray, "t"],
-    words: list[Shaped[np.ndarray, "_"]],
+    reasons: list[Shaped[np.ndarray, "_"]],
     counts: Mapping[str, Int[np.ndarray, "_f"]],
     names: Sequence[tuple[str, ...]],
     noise_scale: Float[np.ndarray, "f"],
     tuning: NoiseTuning,
 ) -> list[Matches]:
-    """Matches of each frame, whose views are the caller's `names`.
+    """Build the matches of each frame, in the caller's order of views.
 
-    `frame` is that of each track, `words` say of every segment of a view why it is on no track,
-    and `counts` are of each frame.
+    Parameters
+    ----------
+    inputs : the matcher's input.
+    lines : tracks of all frames.
+    frame : frame of each track.
+    reasons : for each view, why a segment is on no track.
+    counts : numbers of each frame, by name.
+    names : the caller's order of view names, for each frame.
+    noise_scale : estimated over stated standard deviation, for each frame.
     """
-    found, tail = _with_unequal_errors(found, frame, seen.frames, tuning)
-    given, fragments = _as_given(seen, found, frame)
-    pairs = zip(seen.frames, names, strict=True)
-    turn = np.array([[own.names.index(name) for name in called] for own, called in pairs])
-    rows = np.arange(len(frame))[:, None], turn[frame]
-    given, fragments, covariance, members = (
-        column[rows]
-        for column in (given, fragments, found.fragments_covariance_px2, found.member_posterior)
+    lines, tail = _with_unequal_errors(lines, frame, inputs.frames, tuning)
+    index, fragments = _in_caller_order(inputs, lines, frame)
+    pairs = zip(inputs.frames, names, strict=True)
+    view_order = np.array(
+        [
+            [frame_input.names.index(name) for name in view_names]
+            for frame_input, view_names in pairs
+        ]
     )
-    posterior = probability(found.posterior_log_odds)
-    members = np.where(np.isnan(members) & (given >= 0), posterior[:, None], members)
-    places = fragments[:, :, 0].reshape(len(frame), 2 * turn.shape[1])
-    keys = *given.T[::-1], frame
+    rows = np.arange(len(frame))[:, None], view_order[frame]
+    index, fragments, covariance, members = (
+        column[rows]
+        for column in (index, fragments, lines.fragments_covariance_px2, lines.member_posterior)
+    )
+    posterior = probability(lines.posterior_log_odds)
+    members = np.where(np.isnan(members) & (index >= 0), posterior[:, None], members)
+    positions = fragments[:, :, 0].reshape(len(frame), 2 * view_order.shape[1])
+    keys = *index.T[::-1], frame
     order = np.lexsort(keys)
-    # Parts of the same segments follow their places.
+    # Tracks with the same segments are ordered by the positions of their fragments.
     if np.all([np.diff(key[order]) == 0 for key in keys], axis=0).any():
-        order = np.lexsort((*places.T, *keys))
+        order = np.lexsort((*positions.T, *keys))
     columns = {
-        "index": given,
+        "index": index,
         "fragments_px": fragments,
-        "lines_mm": found.ends_mm,
-        "covariance_mm2": found.covariance_mm2,
-        "stage": np.where((given >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR),
+        "lines_mm": lines.ends_mm,
+        "covariance_mm2": lines.covariance_mm2,
+        "stage": np.where((index >= 0).sum(axis=1) > 2, TRINOCULAR, BINOCULAR),
         "posterior": posterior,
         "member_posterior": members,
-        "rival_posterior": probability(found.rival_posterior),
+        "rival_posterior": probability(lines.rival_posterior),
         "fragments_covariance_px2": covariance,
-        "misfit": found.misfit,
-        "viewpoint_dependent": found.viewpoint_dependent,
+        "misfit": lines.misfit,
+        "viewpoint_dependent": lines.viewpoint_dependent,
     }
     bounds = np.searchsorted(frame[order], np.arange(len(names) + 1))
-    words_of_frames = _words_as_given(seen, words)
-    aligned = in_line(np.stack([own.cameras.centre_mm for own in seen.frames]))
+    reasons_of_frames = _reasons_in_caller_order(inputs, reasons)
+    is_collinear = cameras_are_collinear(
+        np.stack([frame_input.cameras.centre_mm for frame_input in inputs.frames])
+    )
     results = []
-    for number, called in enumerate(names):
-        own = order[slice(*bounds[number : number + 2])]
-        mine: dict[str, Any] = {name: column[own] for name, column in columns.items()}
-        why = {
-            name: words_of_frames[number][view]
-            for name, view in zip(called, turn[number].tolist(), strict=True)
+    for frame_number, view_names in enumerate(names):
+        rows_of_frame = order[slice(*bounds[frame_number : frame_number + 2])]
+        frame_columns: dict[str, Any] = {
+            name: column[rows_of_frame] for name, column in columns.items()
         }
-        scale = float(noise_scale[number])
-        numbers = {name: int(of_frames[number]) for name, of_frames in counts.items()}
+        frame_reasons = {
+            name: reasons_of_frames[frame_number][view]
+            for name, view in zip(view_names, view_order[frame_number].tolist(), strict=True)
+        }
+        scale = float(noise_scale[frame_number])
+        numbers = {name: int(frame_counts[frame_number]) for name, frame_counts in counts.items()}
         results.append(
             Matches(
-                **mine,
-                views=called,
-                reasons=why,
-                counts=numbers | count_reasons(why),
+                **frame_columns,
+                views=view_names,
+                reasons=frame_reasons,
+                counts=numbers | count_reasons(frame_reasons),
                 noise_scale=scale,
                 notes=(
                     *write_notes(
-                        len(called),
-                        bool(aligned[number]),
-                        numbers[UNLOCATED],
+                        len(view_names),
+                        bool(is_collinear[frame_number]),
+                        numbers[UNLOCATED_TRACKS],
                         scale,
-                        numbers[LET_GO],
+                        numbers[DISCARDED_TRIPLES],
                         tuning,
                     ),
-                    *narrow_notes(seen.frames[number]),
-                    *_fold_notes(seen.frames[number]),
+                    *narrow_notes(inputs.frames[frame_number]),
+                    *_fold_notes(inputs.frames[frame_number]),
                 ),
-                noise_tail=float(tail[number]),
+                noise_tail=float(tail[frame_number]),
             )
         )
     return results
 
 
 def _with_unequal_errors(
-    found: Lines, frame: Int[np.ndarray, "t"], frames: Sequence[FrameInput], tuning: NoiseTuning
-) -> tuple[Lines, Float[np.ndarray, "f"]]:
-    """(lines whose covariances allow for errors that differ from track to track, the tail of these
-    in each frame)."""
-    degrees = degrees_of_misfit(found.index)
-    sure = (degrees > 0) & (probability(found.posterior_log_odds) > tuning.sure)
-    of_pictures = np.array([any(np.isfinite(view).any() for view in own.sides) for own in frames])
-    tail = fit_tails(found.misfit[sure], degrees[sure], frame[sure], of_pictures, tuning)
-    factor = variance_factor(found.misfit, degrees, tail[frame])
-    covariance = scale_covariance_of_lines(found.ends_mm, found.covariance_mm2, factor)
-    return found._replace(covariance_mm2=covariance), tail
+    lines: TrackLines,
+    frame: Int[np.ndarray, "t"],
+    frames: Sequence[FrameInput],
+    tuning: NoiseTuning,
+) -> tuple[TrackLines, Float[np.ndarray, "f"]]:
+    """Scale the covariances of the lines for errors that differ between tracks.
+
+    Returns the lines, and the tail of the errors in each frame.
+    """
+    degrees = degrees_of_misfit(lines.index)
+    is_sure = (degrees > 0) & (probability(lines.posterior_log_odds) > tuning.sure)
+    has_images = np.array(
+        [any(np.isfinite(view).any() for view in frame_input.sides) for frame_input in frames]
+    )
+    tail = fit_tails(lines.misfit[is_sure], degrees[is_sure], frame[is_sure], has_images, tuning)
+    factor = variance_factor(lines.misfit, degrees, tail[frame])
+    covariance = scale_covariance_of_lines(lines.ends_mm, lines.covariance_mm2, factor)
+    return lines._replace(covariance_mm2=covariance), tail
 
 
-def _as_given(
-    seen: MatchInput, found: Lines, frame: Int[np.ndarray, "t"]
+def _in_caller_order(
+    inputs: MatchInput, lines: TrackLines, frame: Int[np.ndarray, "t"]
 ) -> tuple[Int[np.ndarray, "t v"], Float[np.ndarray, "t v 2 2"]]:
-    """(the caller's numbers of segments, parts of these in pixels of the picture)."""
-    given, fragments = np.full(found.index.shape, -1), found.fragments_px.copy()
-    for view in range(found.index.shape[1]):
-        on = np.flatnonzero(found.index[:, view] >= 0)
-        order = np.concatenate([own.order[view] for own in seen.frames])
-        given[on, view] = order[found.index[on, view]]
-        lenses = [own.cameras.intrinsics[view] for own in seen.frames]
+    """Segment indices in the caller's numbering, and fragments in pixels of the distorted image."""
+    index, fragments = np.full(lines.index.shape, -1), lines.fragments_px.copy()
+    for view in range(lines.index.shape[1]):
+        has_line = np.flatnonzero(lines.index[:, view] >= 0)
+        order = np.concatenate([frame_input.order[view] for frame_input in inputs.frames])
+        index[has_line, view] = order[lines.index[has_line, view]]
+        lenses = [frame_input.cameras.intrinsics[view] for frame_input in inputs.frames]
         # Frames of one rig share their lenses.
         for lens in {id(lens): lens for lens in lenses if lens.has_distortion}.values():
-            rows = on[np.array([own is lens for own in lenses])[frame[on]]]
+            rows = has_line[
+                np.array([frame_lens is lens for frame_lens in lenses])[frame[has_line]]
+            ]
             fragments[rows, view] = distort_pixels(lens, fragments[rows, view])
-    return given, fragments
+    return index, fragments
 
 
-def _words_as_given(
-    seen: MatchInput, words: list[Shaped[np.ndarray, "_"]]
+def _reasons_in_caller_order(
+    inputs: MatchInput, reasons: list[Shaped[np.ndarray, "_"]]
 ) -> list[list[Shaped[np.ndarray, "_"]]]:
-    """Words of each frame and view, in the caller's order; why those were left out that were."""
-    starts, given = seen.starts, []
-    for number, frame in enumerate(seen.frames):
-        given.append([column.astype("U40") for column in frame.left_out])
+    """Reasons of each frame and view in the caller's order, including those of excluded
+    segments.
+    """
+    starts, result = inputs.starts, []
+    for number, frame in enumerate(inputs.frames):
+        result.append([column.astype("U40") for column in frame.exclusion_reasons])
         for view, order in enumerate(frame.order):
-            own = words[view][slice(*starts[number : number + 2, view])]
-            given[-1][view][order] = own
-    return given
+            reasons_in_view = reasons[view][slice(*starts[number : number + 2, view])]
+            result[-1][view][order] = reasons_in_view
+    return result

@@ -1,15 +1,16 @@
-"""From what was selected to tracks: fragments, lines in space with covariance, and reasons.
+"""Build tracks from the selected candidates: fragments, lines in space with covariance, and
+reasons.
 
-Two views place a line where their interpretation planes cross. A segment nearly along its
-epipolar line leaves the crossing open: how open, tells the error of its direction in the picture
-over its angle to the epipolar line. Errors in space are inverse to that angle, so that their second
-order counts where it is in doubt, and they have no covariance where it may be zero.
+Two views locate a line at the intersection of their interpretation planes. A segment nearly along
+its epipolar line makes this intersection uncertain. The measure is the standard deviation of its
+direction over its angle to the epipolar line. Errors in space are inversely proportional to that
+angle. Their second order matters if the ratio is large. No covariance exists if the angle may be
+zero.
 
-Tracks that are no line in space: what they show depends on the viewpoint.
-
-Each camera sees another outline of a round body, and another line of light on a shiny one. Where
-three views are joined to a track all the same, they disagree about its place. Where the third
-view was rejected, its own outline is left over beside the place where the track would be.
+Some tracks are no line in space, because what they show depends on the viewpoint. Each camera
+sees a different outline of a round body, and a different highlight on a shiny one. If three
+views are joined nevertheless, their misfit is large. If the third view was rejected, its own
+segment lies beside the predicted position.
 """
 
 from collections.abc import Sequence
@@ -32,19 +33,19 @@ from trinoc.match.selection.repetition import (
 )
 from trinoc.match.tracks.answers import (
     CERTAIN,
-    LET_GO,
+    DISCARDED_TRIPLES,
     SURE,
-    UNLOCATED,
-    Lines,
-    answers,
-    reasons,
+    UNLOCATED_TRACKS,
+    TrackLines,
+    build_matches,
+    unmatched_reasons,
 )
 from trinoc.match.tracks.line_fit import (
-    before_cameras,
     cut_fragments,
-    ends_in_span,
-    lines_in_space,
-    segment_reaches,
+    fit_lines,
+    lie_before_cameras,
+    segment_extents,
+    view_bounds_span,
 )
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
@@ -62,125 +63,154 @@ from trinoc.numerics.tails import chi_square_limit, chi_square_quantile
 
 
 def assemble(
-    seen: MatchInput,
+    inputs: MatchInput,
     tracks: Tracks,
     selections: list[Selection],
     pairs: Pairs,
-    outside: Sequence[Int[np.ndarray, "_ _v"]],
+    out_of_range: Sequence[Int[np.ndarray, "_ _v"]],
     names: Sequence[tuple[str, ...]],
     noise_scale: Float[np.ndarray, "f"],
-    rules: MatchTuning = DEFAULT,
+    tuning: MatchTuning = DEFAULT,
 ) -> list[Matches]:
-    """Matches of each frame, in the caller's order of views (`names`) and numbers of segments.
+    """Build the matches of each frame, in the caller's order of views and numbering of segments.
 
-    `seen` holds covariances that are `noise_scale` times as large, in standard deviations, as
-    stated, `outside` the segments of triples that the depth range excluded, or that lie behind a
-    camera. Tracks that no pair of views can locate are left out, and their segments say so.
+    Tracks that no pair of views can locate are excluded. The reason of their segments is "along the
+    epipolar lines".
+
+    Parameters
+    ----------
+    inputs : the matcher's input. Its covariances include `noise_scale`.
+    tracks : tracks in three or more views.
+    selections : selection of each view triplet.
+    pairs : candidate pairs of step 3.
+    out_of_range : segments of triples outside the depth range or behind a camera, per selection.
+    names : the caller's order of view names, for each frame.
+    noise_scale : estimated over stated standard deviation, for each frame.
+    tuning : the constants of the matcher.
     """
     repeating = [
-        find_repetition(own.candidates, own.log_odds, own.graph, rules.repetition)
-        for own in selections
+        find_repetition(
+            selection.candidates, selection.log_odds, selection.graph, tuning.repetition
+        )
+        for selection in selections
     ]
     repetition = concatenate_rows([NO_REPETITION, *repeating])
-    found, unlocated = _lines(seen, tracks, pairs.take(pairs.taken), repetition, rules)
-    words = _reasons(seen, selections, pairs, outside, unlocated, found, rules.tracks)
-    of_each = {
+    lines, unlocated = _build_lines(
+        inputs, tracks, pairs.take(pairs.is_accepted), repetition, tuning
+    )
+    reasons = _reasons(inputs, selections, pairs, out_of_range, unlocated, lines, tuning.tracks)
+    counted_groups = {
         "triples considered": [selection.candidates.index for selection in selections],
-        "triples outside depth": outside,
-        LET_GO: [selection.let_go for selection in selections],
+        "triples outside depth": out_of_range,
+        DISCARDED_TRIPLES: [selection.discarded_index for selection in selections],
         "tracks in three views or more": [tracks.candidates.index],
         "pairs considered": [pairs.candidates.index],
-        "tracks in two views": [pairs.candidates.index[pairs.taken]],
-        UNLOCATED: [unlocated],
-        "tracks that seem to move with the viewpoint": [found.index[found.viewpoint_dependent]],
-        SURE: [found.index_likelier_than(rules.decoys.sure)],
-        CERTAIN: [found.index_likelier_than(rules.decoys.certain)],
+        "tracks in two views": [pairs.candidates.index[pairs.is_accepted]],
+        UNLOCATED_TRACKS: [unlocated],
+        "tracks that seem to move with the viewpoint": [lines.index[lines.viewpoint_dependent]],
+        SURE: [lines.index_likelier_than(tuning.decoys.sure)],
+        CERTAIN: [lines.index_likelier_than(tuning.decoys.certain)],
     }
-    counts = {name: _of_each_frame(seen, groups) for name, groups in of_each.items()}
-    frame = look_up_frames(seen.lines, found.index)
-    each = np.zeros(len(found.index), np.int64) if frame is None else frame
-    return answers(seen, found, each, words, counts, names, noise_scale, rules.noise)
+    counts = {name: _count_per_frame(inputs, groups) for name, groups in counted_groups.items()}
+    frame = look_up_frames(inputs.lines, lines.index)
+    frame_of_line = np.zeros(len(lines.index), np.int64) if frame is None else frame
+    return build_matches(
+        inputs, lines, frame_of_line, reasons, counts, names, noise_scale, tuning.noise
+    )
 
 
-def _of_each_frame(seen: MatchInput, groups: list[np.ndarray]) -> Int[np.ndarray, "f"]:
-    """How many groups of segments there are in each frame."""
-    frames = [look_up_frames(seen.lines, index) for index in groups]
+def _count_per_frame(inputs: MatchInput, groups: list[np.ndarray]) -> Int[np.ndarray, "f"]:
+    """Number of groups of segments in each frame, (f,)."""
+    frames = [look_up_frames(inputs.lines, index) for index in groups]
     labels = [
         np.zeros(len(index), np.int64) if frame is None else frame
         for frame, index in zip(frames, groups, strict=True)
     ]
-    every = np.concatenate([np.zeros(0, np.int64), *labels])
-    return np.bincount(every, minlength=len(seen.frames))
+    all_labels = np.concatenate([np.zeros(0, np.int64), *labels])
+    return np.bincount(all_labels, minlength=len(inputs.frames))
 
 
-def _lines(
-    seen: MatchInput, tracks: Tracks, taken: Pairs, repetition: Repetition, rules: MatchTuning
-) -> tuple[Lines, Int[np.ndarray, "u v"]]:
-    """(lines in space, segments of tracks that no pair of views can locate)."""
-    index = np.concatenate([tracks.candidates.index, taken.candidates.index])
-    interval = np.concatenate([tracks.candidates.interval, taken.candidates.interval])
-    both = (tracks, taken)
-    alone = np.concatenate([each.posterior_log_odds for each in both])
-    greatest = np.concatenate([greatest_log_odds(each.candidates, repetition) for each in both])
-    of_pattern = greatest < np.minimum(alone, rules.repetition.likely_log_odds)
-    tuning = rules.tracks
-    rival_posterior = np.concatenate([tracks.rival_posterior, np.full(len(taken.taken), -np.inf)])
-    of_tracks = tracks.member_posterior
+def _build_lines(
+    inputs: MatchInput, tracks: Tracks, accepted: Pairs, repetition: Repetition, tuning: MatchTuning
+) -> tuple[TrackLines, Int[np.ndarray, "u v"]]:
+    """Fit the lines in space of all tracks and accepted pairs.
+
+    Returns the lines, and the segments (u, v) of tracks that no pair of views can locate.
+    """
+    index = np.concatenate([tracks.candidates.index, accepted.candidates.index])
+    interval = np.concatenate([tracks.candidates.interval, accepted.candidates.interval])
+    sources = (tracks, accepted)
+    log_odds = np.concatenate([source.posterior_log_odds for source in sources])
+    pattern_limit = np.concatenate(
+        [greatest_log_odds(source.candidates, repetition) for source in sources]
+    )
+    is_in_pattern = pattern_limit < np.minimum(log_odds, tuning.repetition.likely_log_odds)
+    track_tuning = tuning.tracks
+    rival_posterior = np.concatenate(
+        [tracks.rival_posterior, np.full(len(accepted.is_accepted), -np.inf)]
+    )
+    track_members = tracks.member_posterior
     members = np.full((len(index), index.shape[1]), np.nan)
-    if of_tracks is not None:
-        members[: len(of_tracks)] = of_tracks
-    common_mm = np.concatenate([tracks.candidates.ends_mm, taken.candidates.ends_mm])
-    doubt = direction_doubt(seen.lines, index)
-    located = doubt < tuning.largest_direction_doubt
-    reach = segment_reaches(seen, index, common_mm)
-    ends_here = ends_in_span(reach, np.array([0.0, 1.0]))
-    fragments, covariance = cut_fragments(seen, index, interval, ends_here)
-    ends_mm, covariance_mm2, misfit = lines_in_space(seen, index, common_mm, reach)
-    covariance_mm2 = covariance_mm2 * (1 + tuning.second_order * doubt**2)[:, None, None]
-    sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
-    sound &= located & before_cameras(seen.lines, index, ends_mm)
-    every = Lines(
+    if track_members is not None:
+        members[: len(track_members)] = track_members
+    common_mm = np.concatenate([tracks.candidates.ends_mm, accepted.candidates.ends_mm])
+    doubt = direction_doubt(inputs.lines, index)
+    is_located = doubt < track_tuning.largest_direction_doubt
+    extents = segment_extents(inputs, index, common_mm)
+    ends_here = view_bounds_span(extents, np.array([0.0, 1.0]))
+    fragments, covariance = cut_fragments(inputs, index, interval, ends_here)
+    ends_mm, covariance_mm2, misfit = fit_lines(inputs, index, common_mm, extents)
+    covariance_mm2 = covariance_mm2 * (1 + track_tuning.second_order * doubt**2)[:, None, None]
+    is_sound = np.isfinite(ends_mm).all(axis=(1, 2)) & np.isfinite(covariance_mm2).all(axis=(1, 2))
+    is_sound &= is_located & lie_before_cameras(inputs.lines, index, ends_mm)
+    all_lines = TrackLines(
         index,
         fragments,
         ends_mm,
         covariance_mm2,
-        limit_log_odds(alone, greatest),
+        limit_log_odds(log_odds, pattern_limit),
         rival_posterior,
         covariance,
         misfit,
         np.zeros(len(index), dtype=bool),
-        of_pattern,
-        alone,
+        is_in_pattern,
+        log_odds,
         members,
     )
-    found = take_rows(every, sound)
-    dependent = flag_viewpoint_dependent(seen, found.index, found.ends_mm, found.misfit, tuning)
-    return found._replace(viewpoint_dependent=dependent), index[~located]
+    lines = take_rows(all_lines, is_sound)
+    is_viewpoint_dependent = flag_viewpoint_dependent(
+        inputs, lines.index, lines.ends_mm, lines.misfit, track_tuning
+    )
+    return lines._replace(viewpoint_dependent=is_viewpoint_dependent), index[~is_located]
 
 
 def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float[np.ndarray, "t"]:
-    """Standard deviation of a segment's direction over its angle to the epipolar line.
+    """Standard deviation of a segment's direction over its angle to the epipolar line, per track
+    (t,).
 
-    The larger of the two segments of a pair of views, and the least of all pairs of a track.
+    For a pair of views it is the larger value of the two segments. For a track it is the
+    smallest value of all its pairs.
     """
-    least, frame = np.full(len(index), np.inf), look_up_frames(lines, index)
+    smallest, frame = np.full(len(index), np.inf), look_up_frames(lines, index)
     for a, b in combinations(range(index.shape[1]), 2):
-        on = np.flatnonzero((index[:, a] >= 0) & (index[:, b] >= 0))
-        own = take_groups(frame, on)
+        rows = np.flatnonzero((index[:, a] >= 0) & (index[:, b] >= 0))
+        frame_of_row = take_groups(frame, rows)
         pair = np.maximum(
-            _of_view(lines, a, b, index[on, a], own), _of_view(lines, b, a, index[on, b], own)
+            _direction_doubt_in_view(lines, a, b, index[rows, a], frame_of_row),
+            _direction_doubt_in_view(lines, b, a, index[rows, b], frame_of_row),
         )
-        least[on] = np.minimum(least[on], pair)
-    return least
+        smallest[rows] = np.minimum(smallest[rows], pair)
+    return smallest
 
 
-def _of_view(
+def _direction_doubt_in_view(
     lines: SegmentTable,
     view: int,
     other: int,
     segment: Int[np.ndarray, "n"],
     frame: Int[np.ndarray, "n"] | None,
 ) -> Float[np.ndarray, "n"]:
+    """The same ratio for the segments of one view, with the epipole of another view, (n,)."""
     ends = np.asarray(lines.ends_px)[view, segment]
     across = np.asarray(lines.across_px2)[view, segment]
     centre = np.asarray(lines.centre_mm)
@@ -188,7 +218,7 @@ def _of_view(
     matrix = take_matrices(lines, frame)[:, view]
     epipole = (matrix[..., :3] @ centre[..., None])[..., 0] + matrix[..., 3]
     step, middle = ends[:, 1] - ends[:, 0], ends.mean(axis=1)
-    # Toward the epipole, which may lie at infinity.
+    # Homogeneous form, because the epipole may lie at infinity.
     toward = epipole[:, :2] - epipole[:, 2:] * middle
     area = step[:, 0] * toward[:, 1] - step[:, 1] * toward[:, 0]
     spread = np.sqrt(across[:, 0, 0] + across[:, 1, 1] - 2 * across[:, 0, 1])
@@ -197,79 +227,87 @@ def _of_view(
 
 
 def _reasons(
-    seen: MatchInput,
+    inputs: MatchInput,
     selections: list[Selection],
     pairs: Pairs,
-    outside: Sequence[Int[np.ndarray, "_ _v"]],
+    out_of_range: Sequence[Int[np.ndarray, "_ _v"]],
     unlocated: Int[np.ndarray, "u v"],
-    tracks: Lines,
+    tracks: TrackLines,
     tuning: TrackTuning,
 ) -> list[Shaped[np.ndarray, "_"]]:
-    running = [*selections, pairs]
-    candidate = np.concatenate([found.candidates.index for found in running])
-    log_odds = np.concatenate([found.log_odds for found in running])
-    words = []
-    for view, count in enumerate(seen.counts):
-        excluded, along, matched, missed, of_pattern = np.zeros((5, count), dtype=bool)
-        shown = tracks.index[:, view] >= 0
-        matched[tracks.index[shown, view]] = True
-        of_pattern[tracks.index[shown & tracks.of_pattern, view]] = True
-        for index_outside in outside:
-            excluded[index_outside[index_outside[:, view] >= 0, view]] = True
-        along[unlocated[unlocated[:, view] >= 0, view]] = True
-        turned = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.missed)
-        owner = pairs.candidates.index[turned, view]
-        missed[owner[owner >= 0]] = True
-        kinds = excluded, along, matched, missed, of_pattern
-        words.append(reasons(candidate[:, view], log_odds, *kinds, tuning))
-    return words
+    sources = [*selections, pairs]
+    candidate = np.concatenate([source.candidates.index for source in sources])
+    log_odds = np.concatenate([source.log_odds for source in sources])
+    reasons = []
+    for view, count in enumerate(inputs.counts):
+        is_out_of_range, is_along_epipolar, is_matched, is_missing_in_third, is_in_pattern = (
+            np.zeros((5, count), dtype=bool)
+        )
+        is_observed = tracks.index[:, view] >= 0
+        is_matched[tracks.index[is_observed, view]] = True
+        is_in_pattern[tracks.index[is_observed & tracks.is_in_pattern, view]] = True
+        for index_outside in out_of_range:
+            is_out_of_range[index_outside[index_outside[:, view] >= 0, view]] = True
+        is_along_epipolar[unlocated[unlocated[:, view] >= 0, view]] = True
+        is_rejected_by_third = (pairs.log_odds <= 0) & (pairs.log_odds > pairs.miss_log_odds)
+        segment = pairs.candidates.index[is_rejected_by_third, view]
+        is_missing_in_third[segment[segment >= 0]] = True
+        kinds = is_out_of_range, is_along_epipolar, is_matched, is_missing_in_third, is_in_pattern
+        reasons.append(unmatched_reasons(candidate[:, view], log_odds, *kinds, tuning))
+    return reasons
 
 
-# numerical: lines of two views compared at once with all segments of a view.
-ROWS = 256
+# numerical: number of lines that are compared at once with all segments of a view.
+ROWS_AT_A_TIME = 256
 
 
 def flag_viewpoint_dependent(
-    seen: MatchInput,
+    inputs: MatchInput,
     index: Int[np.ndarray, "t v"],
     ends_mm: Float[np.ndarray, "t 2 3"],
     misfit: Float[np.ndarray, "t"],
     tuning: TrackTuning = DEFAULT.tracks,
 ) -> Bool[np.ndarray, "t"]:
-    """Tracks about whose place the views disagree by more than noise allows.
+    """Mask of the tracks whose views disagree about the position by more than noise allows, (t,).
 
-    `misfit` is the chi-square of each track's views, 2 (n - 2) degrees of freedom for n views.
-    Where the segments' covariances are too small for most tracks, they are scaled first.
+    For tracks in two views: a third view shows an unmatched segment beside the predicted position.
+    If most misfits are too large for the stated covariances, they are scaled first.
+
+    Parameters
+    ----------
+    index : (t, v) segments of the tracks.
+    ends_mm : (t, 2, 3) ends of their lines, world frame.
+    misfit : (t,) chi-square of the views, with 2 (n - 2) degrees of freedom for n views.
     """
     views = (index >= 0).sum(axis=1)
-    in_three, frame = views > 2, look_up_frames(seen.lines, index)
-    marked = np.zeros(len(index), dtype=bool)
+    in_three, frame = views > 2, look_up_frames(inputs.lines, index)
+    is_dependent = np.zeros(len(index), dtype=bool)
     if in_three.any():
         limit = chi_square_limit(tuning.significance, 2 * (views[in_three] - 2))
-        usual = broadcast_groups(
+        noise_factor = broadcast_groups(
             typical_misfit(index, misfit, tuning, frame), take_groups(frame, in_three)
         )
-        marked[in_three] = misfit[in_three] > usual * limit
+        is_dependent[in_three] = misfit[in_three] > noise_factor * limit
     for view in range(index.shape[1]):
-        free = np.ones(seen.counts[view], dtype=bool)
+        is_free = np.ones(inputs.counts[view], dtype=bool)
         matched = index[in_three, view]
-        free[matched[matched >= 0]] = False
-        free = np.flatnonzero(free)
+        is_free[matched[matched >= 0]] = False
+        is_free = np.flatnonzero(is_free)
         rows = np.flatnonzero(~in_three & (index[:, view] < 0))
-        matrix = take_matrices(seen.lines, take_groups(frame, rows))[:, view]
+        matrix = take_matrices(inputs.lines, take_groups(frame, rows))[:, view]
         expected = project_by_matrix(matrix, ends_mm[rows])
-        # The free segments of a row's own frame follow one another.
-        first, last = np.zeros(len(rows), np.int64), np.full(len(rows), len(free))
+        # Free segments of one frame are contiguous.
+        first, last = np.zeros(len(rows), np.int64), np.full(len(rows), len(is_free))
         if frame is not None:
-            bounds = np.searchsorted(free, seen.starts[:, view])
+            bounds = np.searchsorted(is_free, inputs.starts[:, view])
             first, last = bounds[frame[rows]], bounds[frame[rows] + 1]
-        size = ROWS if frame is None else max(len(rows), 1)
+        size = ROWS_AT_A_TIME if frame is None else max(len(rows), 1)
         for part in blocks(len(rows), size):
             i, j = expand_ranges(first[part], last[part])
-            segments = seen.ends_px[view][free[j]]
-            beside = _lies_abreast(expected[part][i], segments, tuning)
-            marked[rows[part][i[beside]]] = True
-    return marked
+            segments = inputs.ends_px[view][is_free[j]]
+            is_beside = _lies_beside(expected[part][i], segments, tuning)
+            is_dependent[rows[part][i[is_beside]]] = True
+    return is_dependent
 
 
 def typical_misfit(
@@ -278,38 +316,43 @@ def typical_misfit(
     tuning: TrackTuning = DEFAULT.tracks,
     frame: Int[np.ndarray, "t"] | None = None,
 ) -> Float[np.ndarray, "*f"] | float:
-    """How much larger than stated the variance of segments is for most tracks; at least 1.
+    """Factor by which the variance of most segments exceeds the stated one; at least 1.
 
-    With the `frame` of each track, for each frame.
+    With `frame`, the frame of each track, the result is one factor per frame, (f,).
     """
     views = (index >= 0).sum(axis=1)
     in_three = views > 2
     frames = 1 if frame is None or len(frame) == 0 else int(frame.max()) + 1
-    own = take_groups(frame, in_three)
-    enough = group_sums(np.ones(in_three.sum()), own, frames) >= tuning.min_tracks_to_learn
-    share = misfit[in_three] / chi_square_quantile(0.5, 2 * (views[in_three] - 2))
-    typical = np.where(enough, group_medians(share, own, frames), 1.0)
+    frame_in_three = take_groups(frame, in_three)
+    is_enough = (
+        group_sums(np.ones(in_three.sum()), frame_in_three, frames) >= tuning.min_tracks_to_learn
+    )
+    ratio = misfit[in_three] / chi_square_quantile(0.5, 2 * (views[in_three] - 2))
+    typical = np.where(is_enough, group_medians(ratio, frame_in_three, frames), 1.0)
     return np.maximum(typical, 1.0)
 
 
-def _lies_abreast(
+def _lies_beside(
     expected_px: Float[np.ndarray, "p 2 2"],
     segments_px: Float[np.ndarray, "p 2 2"],
     tuning: TrackTuning,
 ) -> Bool[np.ndarray, "p"]:
-    """Whether each segment lies beside the place at which one was expected."""
-    beside = np.zeros(len(expected_px), dtype=bool)
-    way, turn = expected_px[:, 1] - expected_px[:, 0], segments_px[:, 1] - segments_px[:, 0]
-    area = way[:, 0] * turn[:, 1] - way[:, 1] * turn[:, 0]
-    squares = (way**2).sum(axis=1), (turn**2).sum(axis=1)
+    """Mask of the segments that lie beside the expected segment of the same row, (p,)."""
+    is_beside = np.zeros(len(expected_px), dtype=bool)
+    expected_step, segment_step = (
+        expected_px[:, 1] - expected_px[:, 0],
+        segments_px[:, 1] - segments_px[:, 0],
+    )
+    area = expected_step[:, 0] * segment_step[:, 1] - expected_step[:, 1] * segment_step[:, 0]
+    squares = (expected_step**2).sum(axis=1), (segment_step**2).sum(axis=1)
     sine = np.sin(np.radians(tuning.beside_deg))
     rows = np.flatnonzero(area**2 < sine**2 * squares[0] * squares[1])
-    length, size = (np.sqrt(square[rows]) for square in squares)
-    u, v = (way[rows] / length[:, None]).T[:, :, None]
+    expected_length, segment_length = (np.sqrt(square[rows]) for square in squares)
+    u, v = (expected_step[rows] / expected_length[:, None]).T[:, :, None]
     offset = segments_px[rows] - expected_px[rows, :1]
     along = np.sort(offset[..., 0] * u + offset[..., 1] * v, axis=1)
     across = np.abs(offset[..., 1] * u - offset[..., 0] * v).max(axis=1)
-    common = np.minimum(along[:, 1], length) - np.maximum(along[:, 0], 0.0)
-    enough = tuning.abreast_share * np.minimum(length, size)
-    beside[rows] = (across < tuning.beside_px) & (common > enough)
-    return beside
+    common = np.minimum(along[:, 1], expected_length) - np.maximum(along[:, 0], 0.0)
+    required_px = tuning.abreast_share * np.minimum(expected_length, segment_length)
+    is_beside[rows] = (across < tuning.beside_px) & (common > required_px)
+    return is_beside

@@ -1,8 +1,8 @@
-"""More than three views: tracks are tested as wholes, grown into views they lack, and joined.
+"""More than three views: test tracks as a whole, extend them into further views, and join them.
 
-Each track predicts its line in every view that it lacks. What it meets there belongs to no track,
-and is added, or to another, and the two are joined: the nearest first, and only if the line of all
-segments together is consistent. So every member is tested again at every step.
+Each track predicts its line in every view that it lacks. A segment at the predicted position is
+added, or its track is joined. The best fit comes first, and only if the line of all segments
+together is consistent. So every member is tested again after each change.
 """
 
 from typing import NamedTuple
@@ -12,18 +12,18 @@ from jaxtyping import Float, Int
 
 from trinoc.match.candidates.table import no_candidates
 from trinoc.match.observations.match_input import MatchInput, with_noise_scale
-from trinoc.match.selection.marginals import Selection, Tracks, take_tracks
+from trinoc.match.selection.marginals import Selection, Tracks, selected_tracks
 from trinoc.match.tracks.assembly import typical_misfit
 from trinoc.match.tracks.line_fit import (
     FittedTracks,
-    before_cameras,
+    are_consistent,
     common_part,
-    consistent,
     fit_tracks,
+    lie_before_cameras,
+    line_end_positions,
     overlap_share,
     segment_position,
     split_off_misfits,
-    track_intervals,
 )
 from trinoc.match.tracks.multiview import merge_triplets
 from trinoc.match.tracks.predicted_segments import predict_segments
@@ -32,12 +32,14 @@ from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.tables import concatenate_rows
 from trinoc.numerics.tails import chi_square_tail
 
-# numerical: nobody's segment.
-FREE = -1
+# numerical: label of a segment that is on no track.
+NO_TRACK = -1
 
 
 class _Proposal(NamedTuple):
-    """To give a track a segment of another view, or all segments of the track that has it."""
+    """Proposal to add to a track a segment of another view, or all segments of the track that
+    owns it.
+    """
 
     chi_square: float
     track: int
@@ -47,195 +49,219 @@ class _Proposal(NamedTuple):
 
 
 def tracks_through_views(
-    seen: MatchInput, selections: list[Selection], tuning: MatchTuning = DEFAULT
+    inputs: MatchInput, selections: list[Selection], tuning: MatchTuning = DEFAULT
 ) -> tuple[Tracks, float]:
-    """What was selected in each three of the views, joined where there are more than three, as
-    `consolidate_tracks` gives it."""
+    """Join the selections of all view triplets to tracks.
+
+    Returns (tracks, noise factor), as `consolidate_tracks`. Without a fourth view nothing
+    changes.
+    """
     if not selections:
-        nothing = no_candidates(len(seen.ends_px), seen.lines.frame is not None)
-        return Tracks(nothing, np.zeros(0), np.zeros(0)), 1.0
-    tracks = concatenate_rows([take_tracks(selection) for selection in selections])
+        no_tracks = no_candidates(len(inputs.ends_px), inputs.lines.frame is not None)
+        return Tracks(no_tracks, np.zeros(0), np.zeros(0)), 1.0
+    tracks = concatenate_rows([selected_tracks(selection) for selection in selections])
     if len(selections) == 1:
         return tracks, 1.0
-    return consolidate_tracks(seen, merge_triplets(seen.lines, tracks, tuning), tuning)
+    return consolidate_tracks(inputs, merge_triplets(inputs.lines, tracks, tuning), tuning)
 
 
 def consolidate_tracks(
-    seen: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT
+    inputs: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT
 ) -> tuple[Tracks, float]:
-    """(tracks of which each is consistent, and as many views as agree are in each; how much larger
-    errors are than `seen` states, in standard deviations).
+    """Make every track consistent and extend it to all views that agree.
 
-    Of three views each camera's own error goes into the line: many views show it. So most tracks
-    tell how large errors are. First these count as equal. What is then found tells how unequal they
-    are from track to track, and what that allows is added.
+    Returns (tracks, noise factor). The factor is the standard deviation of the errors over that
+    in `inputs`. It is estimated from the tracks, since many views show the error of each camera.
+    Errors count as equal in the first pass. The second pass uses their inequality
+    (`tail_of_tracks`) and adds the segments that it allows.
     """
-    now = fit_tracks(seen, tracks.candidates.index, tracks.candidates.ends_mm)
-    larger = float(np.sqrt(typical_misfit(now.index, now.misfit, tuning.tracks)))
-    seen = with_noise_scale(seen, np.array([larger]))
-    now = fit_tracks(seen, now.index, now.common_mm)
-    now = _grow(seen, split_off_misfits(seen, now, tuning), 0.0, tuning)
-    on = (now.index >= 0).any(axis=1)
-    tail = tail_of_tracks(now.index[on], now.misfit[on], tuning)
-    now = _grow(seen, now, tail, tuning)
-    on = (now.index >= 0).any(axis=1)
-    return _as_tracks(seen, tracks, now).take(np.flatnonzero(on)), larger
+    fitted = fit_tracks(inputs, tracks.candidates.index, tracks.candidates.ends_mm)
+    noise_factor = float(np.sqrt(typical_misfit(fitted.index, fitted.misfit, tuning.tracks)))
+    inputs = with_noise_scale(inputs, np.array([noise_factor]))
+    fitted = fit_tracks(inputs, fitted.index, fitted.common_mm)
+    fitted = _grow(inputs, split_off_misfits(inputs, fitted, tuning), 0.0, tuning)
+    is_kept = (fitted.index >= 0).any(axis=1)
+    tail = tail_of_tracks(fitted.index[is_kept], fitted.misfit[is_kept], tuning)
+    fitted = _grow(inputs, fitted, tail, tuning)
+    is_kept = (fitted.index >= 0).any(axis=1)
+    return _as_tracks(inputs, tracks, fitted).take(np.flatnonzero(is_kept)), noise_factor
 
 
 def tail_of_tracks(
     index: Int[np.ndarray, "t v"], misfit: Float[np.ndarray, "t"], tuning: MatchTuning
 ) -> float:
-    """How unequal errors are (`fit_tail`), as far as wrong tracks can be kept from saying it."""
-    tail = fit_tail(misfit, degrees_of_misfit(index), of_pictures=False)
-    return min(tail, tuning.tracks.largest_tail)
+    """Tail of the tracks' errors (`fit_tail`), limited because wrong tracks make it larger."""
+    noise_tail = fit_tail(misfit, degrees_of_misfit(index), has_images=False)
+    return min(noise_tail, tuning.tracks.largest_tail)
 
 
 def _grow(
-    seen: MatchInput, now: FittedTracks, noise_tail: float, tuning: MatchTuning
+    inputs: MatchInput, fitted: FittedTracks, noise_tail: float, tuning: MatchTuning
 ) -> FittedTracks:
-    """Tracks with what they meet in the views that they lack; those that were joined to others
-    hold no view."""
+    """Add to each track the segments that it predicts in the views that it lacks.
+
+    Tracks that were joined to another track have no view in the result.
+    """
     significance = chi_square_tail(tuning.candidates.gate, 2)
-    nearby = float(misfit_limit(significance, np.array(2), noise_tail))
-    nearby = min(nearby, tuning.tracks.widest_gate)
-    alive = np.asarray((now.index >= 0).any(axis=1))
-    refused: set[tuple[int, ...]] = set()
-    changed = alive.copy()
+    gate = float(misfit_limit(significance, np.array(2), noise_tail))
+    gate = min(gate, tuning.tracks.widest_gate)
+    is_alive = np.asarray((fitted.index >= 0).any(axis=1))
+    rejected: set[tuple[int, ...]] = set()
+    is_changed = is_alive.copy()
     proposals: dict[int, list[_Proposal]] = {}
     for _ in range(tuning.tracks.merge_rounds):
-        proposals = {t: p for t, p in proposals.items() if alive[t] and not changed[t]}
-        proposals |= _proposals(seen, now, np.flatnonzero(alive & changed), nearby, tuning)
-        owners = _owners(seen, now, alive)
-        trials = _disjoint(seen, now, alive, proposals, owners, refused, tuning)
+        proposals = {t: p for t, p in proposals.items() if is_alive[t] and not is_changed[t]}
+        proposals |= _propose_segments(
+            inputs, fitted, np.flatnonzero(is_alive & is_changed), gate, tuning
+        )
+        owners = _tracks_of_segments(inputs, fitted, is_alive)
+        trials = _select_trials(inputs, fitted, is_alive, proposals, owners, rejected, tuning)
         if not trials:
             break
         index = np.array([trial.index for trial in trials])
         common = np.array([trial.common_mm for trial in trials])
-        attempt = fit_tracks(seen, index, common)
-        good = consistent(seen, attempt, tuning, noise_tail)
-        good &= before_cameras(seen.lines, index, attempt.ends_mm)
-        changed = np.zeros(len(alive), dtype=bool)
-        columns = [column.copy() for column in now]
+        attempt = fit_tracks(inputs, index, common)
+        is_consistent = are_consistent(inputs, attempt, tuning, noise_tail)
+        is_consistent &= lie_before_cameras(inputs.lines, index, attempt.ends_mm)
+        is_changed = np.zeros(len(is_alive), dtype=bool)
+        columns = [column.copy() for column in fitted]
         for row, trial in enumerate(trials):
-            if not good[row]:
-                refused.add(tuple(trial.index.tolist()))
+            if not is_consistent[row]:
+                rejected.add(tuple(trial.index.tolist()))
                 continue
             for column, new in zip(columns, attempt, strict=True):
                 column[trial.track] = new[row]
-            changed[trial.track] = True
-            if trial.joined != FREE:
-                alive[trial.joined] = False
-        now = FittedTracks(*columns)
-    return now._replace(index=np.where(alive[:, None], now.index, -1))
+            is_changed[trial.track] = True
+            if trial.joined != NO_TRACK:
+                is_alive[trial.joined] = False
+        fitted = FittedTracks(*columns)
+    return fitted._replace(index=np.where(is_alive[:, None], fitted.index, -1))
 
 
 class _Trial(NamedTuple):
+    """Candidate for an extended track, `joined` being the track that it absorbs, or NO_TRACK."""
+
     track: int
     joined: int
     index: Int[np.ndarray, "v"]
     common_mm: Float[np.ndarray, "2 3"]
 
 
-def _proposals(
-    seen: MatchInput,
-    now: FittedTracks,
+def _propose_segments(
+    inputs: MatchInput,
+    fitted: FittedTracks,
     rows: Int[np.ndarray, "r"],
     gate: float,
     tuning: MatchTuning,
 ) -> dict[int, list[_Proposal]]:
-    """What each of some tracks meets in the views that it lacks."""
-    found: dict[int, list[_Proposal]] = {int(row): [] for row in rows}
-    for view, count in enumerate(seen.counts):
-        lacking = rows[now.index[rows, view] < 0]
-        ends_mm, covariance_mm2 = now.ends_mm[lacking], now.covariance_mm2[lacking]
-        hits = predict_segments(seen.lines, view, count, ends_mm, covariance_mm2, gate, tuning)
+    """For each of the given tracks: the segments at its predicted position in the views that it
+    lacks.
+    """
+    proposals: dict[int, list[_Proposal]] = {int(row): [] for row in rows}
+    for view, count in enumerate(inputs.counts):
+        lacking_view = rows[fitted.index[rows, view] < 0]
+        ends_mm, covariance_mm2 = fitted.ends_mm[lacking_view], fitted.covariance_mm2[lacking_view]
+        hits = predict_segments(inputs.lines, view, count, ends_mm, covariance_mm2, gate, tuning)
         for track, segment, chi_square in zip(*(column.tolist() for column in hits), strict=True):
-            row = int(lacking[track])
-            found[row].append(_Proposal(chi_square, row, view, segment, FREE))
-    return found
+            row = int(lacking_view[track])
+            proposals[row].append(_Proposal(chi_square, row, view, segment, NO_TRACK))
+    return proposals
 
 
-def _owners(
-    seen: MatchInput, now: FittedTracks, alive: np.ndarray
+def _tracks_of_segments(
+    inputs: MatchInput, fitted: FittedTracks, is_alive: np.ndarray
 ) -> dict[tuple[int, int], list[int]]:
-    """The tracks that each segment is on."""
+    """Tracks of each segment; the key is (view, segment)."""
     owners: dict[tuple[int, int], list[int]] = {}
-    for track in np.flatnonzero(alive).tolist():
-        for view, segment in enumerate(now.index[track].tolist()):
+    for track in np.flatnonzero(is_alive).tolist():
+        for view, segment in enumerate(fitted.index[track].tolist()):
             if segment >= 0:
                 owners.setdefault((view, segment), []).append(track)
     return owners
 
 
-def _disjoint(
-    seen: MatchInput,
-    now: FittedTracks,
-    alive: np.ndarray,
+def _select_trials(
+    inputs: MatchInput,
+    fitted: FittedTracks,
+    is_alive: np.ndarray,
     proposals: dict[int, list[_Proposal]],
     owners: dict[tuple[int, int], list[int]],
-    refused: set[tuple[int, ...]],
+    rejected: set[tuple[int, ...]],
     tuning: MatchTuning,
 ) -> list[_Trial]:
-    """The nearest proposals, no two of which touch one track or one segment."""
-    busy: set[tuple[int, int]] = set()
+    """Trials of the best proposals, of which no two share a track or a segment."""
+    in_use: set[tuple[int, int]] = set()
     trials = []
-    # A proposal may name a track that has gone, or a view that its track now has.
+    # A proposal may refer to a joined track, or to a view that its track has by now.
     for proposal in sorted(p for each in proposals.values() for p in each):
         track, view, segment = proposal.track, proposal.view, proposal.segment
-        if (FREE, track) in busy or (view, segment) in busy or now.index[track, view] >= 0:
+        if (
+            (NO_TRACK, track) in in_use
+            or (view, segment) in in_use
+            or fitted.index[track, view] >= 0
+        ):
             continue
-        trial = _trial(seen, now, proposal, owners.get((view, segment), []), tuning)
-        if trial is None or tuple(trial.index.tolist()) in refused:
+        trial = _trial(inputs, fitted, proposal, owners.get((view, segment), []), tuning)
+        if trial is None or tuple(trial.index.tolist()) in rejected:
             continue
-        if trial.joined != FREE and (FREE, trial.joined) in busy:
+        if trial.joined != NO_TRACK and (NO_TRACK, trial.joined) in in_use:
             continue
-        busy |= {(FREE, track), (view, segment), (FREE, trial.joined)} - {(FREE, FREE)}
+        in_use |= {(NO_TRACK, track), (view, segment), (NO_TRACK, trial.joined)} - {
+            (NO_TRACK, NO_TRACK)
+        }
         trials.append(trial)
     return trials
 
 
 def _trial(
-    seen: MatchInput,
-    now: FittedTracks,
+    inputs: MatchInput,
+    fitted: FittedTracks,
     proposal: _Proposal,
     owners: list[int],
     tuning: MatchTuning,
 ) -> _Trial | None:
-    """What the track would be, None where its part of the segment is another's that is no part of
-    the same line, or where too little is left that all views show."""
+    """Extended track for a proposal; None if it conflicts with another line or shares too little
+    with it.
+    """
     track, view, segment = proposal.track, proposal.view, proposal.segment
-    index = now.index[track].copy()
+    index = fitted.index[track].copy()
     index[view] = segment
-    part = common_part(seen, index, now.common_mm[track])
-    before = np.linalg.norm(now.common_mm[track][1] - now.common_mm[track][0])
-    if part is None or np.linalg.norm(part[1] - part[0]) < tuning.tracks.min_shared * before:
+    common_mm = common_part(inputs, index, fitted.common_mm[track])
+    length_before = np.linalg.norm(fitted.common_mm[track][1] - fitted.common_mm[track][0])
+    if (
+        common_mm is None
+        or np.linalg.norm(common_mm[1] - common_mm[0]) < tuning.tracks.min_shared * length_before
+    ):
         return None
-    ends, matrix = seen.ends_px[view][segment], np.asarray(seen.lines.matrix_px)[view]
-    place = segment_position(ends, matrix, part)
-    claims = [
+    ends, matrix = inputs.ends_px[view][segment], np.asarray(inputs.lines.matrix_px)[view]
+    position = segment_position(ends, matrix, common_mm)
+    claimants = [
         other
         for other in owners
-        if overlap_share(place, segment_position(ends, matrix, now.common_mm[other]))
+        if overlap_share(position, segment_position(ends, matrix, fitted.common_mm[other]))
         > tuning.selection.conflict_overlap
     ]
-    if not claims:
-        return _Trial(track, FREE, index, part)
-    if len(claims) > 1:
+    if not claimants:
+        return _Trial(track, NO_TRACK, index, common_mm)
+    if len(claimants) > 1:
         return None
-    joined = claims[0]
-    both = (index >= 0) & (now.index[joined] >= 0)
-    if (index[both] != now.index[joined][both]).any():
+    joined = claimants[0]
+    in_both = (index >= 0) & (fitted.index[joined] >= 0)
+    if (index[in_both] != fitted.index[joined][in_both]).any():
         return None
-    index = np.maximum(index, now.index[joined])
-    part = common_part(seen, index, now.common_mm[track])
-    if part is None or np.linalg.norm(part[1] - part[0]) < tuning.tracks.min_shared * before:
+    index = np.maximum(index, fitted.index[joined])
+    common_mm = common_part(inputs, index, fitted.common_mm[track])
+    if (
+        common_mm is None
+        or np.linalg.norm(common_mm[1] - common_mm[0]) < tuning.tracks.min_shared * length_before
+    ):
         return None
-    return _Trial(track, joined, index, part)
+    return _Trial(track, joined, index, common_mm)
 
 
-def _as_tracks(seen: MatchInput, tracks: Tracks, now: FittedTracks) -> Tracks:
-    interval = track_intervals(seen, now.index, now.common_mm)
+def _as_tracks(inputs: MatchInput, tracks: Tracks, fitted: FittedTracks) -> Tracks:
+    interval = line_end_positions(inputs, fitted.index, fitted.common_mm)
     candidates = tracks.candidates._replace(
-        index=now.index, interval=interval, ends_mm=now.common_mm
+        index=fitted.index, interval=interval, ends_mm=fitted.common_mm
     )
     return tracks._replace(candidates=candidates)

@@ -1,4 +1,4 @@
-"""The matcher's answer: tracks of segments over the views, and their lines in space."""
+"""Result of the matcher: tracks of segments over the views, and their lines in space."""
 
 import enum
 from collections.abc import Mapping, Sequence
@@ -31,17 +31,17 @@ from trinoc.numerics.tables import (
 )
 
 TRINOCULAR, BINOCULAR = "trinocular", "binocular"
-# The count, 1 or none, of a set of segments that does not seem to belong to its rig.
+# Name of the count (1 or absent) of a set that does not seem to belong to its rig.
 SUSPECT_SETS = "suspect sets"
-# numerical: a mark that is likelier true than not.
-EVEN = 0.5
+# numerical: posterior at which right and wrong are equally likely.
+EVEN_POSTERIOR = 0.5
 
 _ENDS = ("x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
-# numerical: what rounding leaves of a share.
+# numerical: rounding error of a probability.
 _ROUNDING = 1e-9
 
 
-def _is_seen(table: Content) -> np.ndarray:
+def _is_observed(table: Content) -> np.ndarray:
     return table.values["index"] >= 0
 
 
@@ -50,36 +50,39 @@ def _segments_of_views(table: Content) -> list[int]:
     return [len(reasons.get(view, ())) for view in table.values["views"]]
 
 
-def _are_covariances_where_seen(covariance: np.ndarray, table: Content) -> np.ndarray:
-    good = np.ones(covariance.shape[:2], dtype=bool)
-    good[_is_seen(table)] = is_covariance(covariance[_is_seen(table)])
-    return good
+def _are_covariances_where_observed(covariance: np.ndarray, table: Content) -> np.ndarray:
+    is_valid = np.ones(covariance.shape[:2], dtype=bool)
+    is_valid[_is_observed(table)] = is_covariance(covariance[_is_observed(table)])
+    return is_valid
 
 
-def _are_probabilities_where_seen(posterior: np.ndarray, table: Content) -> np.ndarray:
+def _are_probabilities_where_observed(posterior: np.ndarray, table: Content) -> np.ndarray:
     inside = (posterior >= 0) & (posterior <= 1 + _ROUNDING)
-    return np.where(_is_seen(table), inside, np.isnan(posterior))
+    return np.where(_is_observed(table), inside, np.isnan(posterior))
 
 
 def _are_marks(marks: Mapping[str, np.ndarray], table: Content) -> bool:
-    """Truth values, probabilities or words of tracks, or of what each view sees of them."""
-    seen = _is_seen(table)
+    """Test that marks are booleans, probabilities or strings, per track or per track and view."""
+    is_observed = _is_observed(table)
     for mark in marks.values():
-        if mark.shape not in (seen.shape, seen.shape[:1]) or mark.dtype.kind not in "bfU":
+        if (
+            mark.shape not in (is_observed.shape, is_observed.shape[:1])
+            or mark.dtype.kind not in "bfU"
+        ):
             return False
         if mark.dtype.kind == "f" and not ((mark >= 0) & (mark <= 1 + _ROUNDING)).all():
             return False
-        if mark.shape == seen.shape and mark[~seen].astype(bool).any():
+        if mark.shape == is_observed.shape and mark[~is_observed].astype(bool).any():
             return False
     return True
 
 
 class MatchStatus(enum.Enum):
-    """Whether the matches can be used; the value is the sentence shown to people.
+    """Verdict on the matches; the value is the sentence for people.
 
-    SUSPECT where segments and rig do not seem to belong together; UNCERTAIN where nothing is
-    against them, but too few lines are sure, their errors are far above those stated, or they are
-    large against the scene. `assess_matches` has the reason and the remedy.
+    SUSPECT: segments and rig do not seem to belong together. UNCERTAIN: too few lines are sure,
+    the errors are far above the stated ones, or the errors are large relative to the scene.
+    `assess_matches` gives the reason and the remedy.
     """
 
     MATCHED = "You can use these matches."
@@ -88,50 +91,48 @@ class MatchStatus(enum.Enum):
 
 
 class Matches(Displayable, Table):
-    """Tracks: each joins one segment of every view that sees it, and holds the 3-D segment.
+    """Tracks: each joins the segments of all views that show one line, and holds the 3-D segment.
 
     Fields
     ------
-    views : names of the views, the order of axis v.
-    index : (t, v) segment of each view on each track, -1 where not seen. One segment may
-        serve several tracks, with different fragments.
-    fragments_px : (t, v, 2, 2) the common parts, corresponding end to corresponding end, in
-        pixels of the picture; NaN where not seen.
-    lines_mm : (t, 2, 3) ends, in the world frame, of what at least two views show: the
-        fragments' part or more, in the fragments' direction.
-    covariance_mm2 : (t, 6, 6) of the ends.
-    stage : (t,) "trinocular" (seen in three or more views) or "binocular" (in two).
+    views : names of the views, in the order of axis v.
+    index : (t, v) segment of each view on each track, -1 if the view has none. One segment may be
+        on several tracks, with different fragments.
+    fragments_px : (t, v, 2, 2) common parts, corresponding end to corresponding end, in pixels of
+        the image. NaN if the view has none.
+    lines_mm : (t, 2, 3) ends in the world frame, of the part that at least two views show. The
+        direction is that of the fragments.
+    covariance_mm2 : (t, 6, 6) covariance of the two ends.
+    stage : (t,) "trinocular" (three or more views) or "binocular" (two views).
     posterior : (t,) probability that the match is right.
-    rival_posterior : (t,) posterior of the best candidate that this one excluded; 0 where none.
-    reasons : for each view, (n,) words that say why a segment is on no track, "matched"
-        where it is on one, "matched within a pattern" where a partner one period off fits as well.
-    counts : what each step of the matching produced and rejected, by name.
-    fragments_covariance_px2 : (t, v, 4, 4) of the fragments' ends, NaN where not seen; None
-        where not known.
-    misfit : (t,) chi-square by which the views disagree about where a line is, with 2 (n - 2)
-        degrees of freedom for n views that see it; 0 for two views. None where not known.
-    viewpoint_dependent : (t,) whether a track is likely to show something that depends on
-        the viewpoint: the outline of a round body, or a highlight. In three views its misfit is
-        larger than that of 99 in 100 straight edges. In two, another view shows a segment beside
-        the place where the line should be, and none on it. None where not known.
-    member_posterior : (t, v) probability that the segment of each view is of the line that the
-        track's other segments show; NaN where not seen. Of a track in two or three views it is the
-        track's posterior, as too few others are left. None where not known.
-    rig_covariance_mm2 : (t, 6, 6) what errors of the rig's parameters add to `covariance_mm2` of
-        each track (`with_rig_covariance`). These errors are common to all tracks: they move and
-        turn the scene as a whole. None where not known.
-    marks : what later steps say of tracks, (t,) or (t, v), by name: truth values, probabilities or
-        words; False, 0 or "" where a view sees no line. Each step names its own: "measure"
-        (`measure_lines`), "silhouette" (`find_rims`).
-    noise_scale : standard deviation of the segments across themselves over what they state, as
-        three views show it: all covariances here are of the errors found. 1 where two views are
-        all there is.
-    noise_tail : how unequal the tracks' errors are, as three views show it: one over the degrees of
-        freedom of their Student distribution, 0 where they are normal. The 95 % ellipsoids of
-        `covariance_mm2` hold in 95 % of cases, each with the misfit of its own track in mind;
-        `ellipsoid_limit` has others.
-    notes : sentences on what a user should know of the whole: noise far from what is stated,
-        cameras in one line.
+    rival_posterior : (t,) posterior of the best candidate that this one excluded, 0 if none.
+    reasons : for each view, (n,) the reason why a segment is on no track. "matched" if it is on
+        one, "matched within a pattern" if a partner one period off fits as well.
+    counts : numbers that each step of the matching produced and rejected, by name.
+    fragments_covariance_px2 : (t, v, 4, 4) covariance of the fragments' ends, NaN if the view has
+        none. None if not available.
+    misfit : (t,) chi-square of the disagreement between the views, with 2 (n - 2) degrees of
+        freedom for n views. 0 for two views. None if not available.
+    viewpoint_dependent : (t,) flag of tracks that probably show something that depends on the
+        viewpoint: the outline of a round body, or a highlight. In three views, their misfit exceeds
+        that of 99 in 100 straight edges. In two views, a third view shows a segment beside the
+        predicted position, and none on it. None if not available.
+    member_posterior : (t, v) probability that each segment belongs to the line of the track's other
+        segments, NaN if the view has none. For tracks in two or three views it is the track's
+        posterior. None if not available.
+    rig_covariance_mm2 : (t, 6, 6) covariance that errors of the rig's parameters add to
+        `covariance_mm2` (`with_rig_covariance`). These errors are common to all tracks: they move
+        and turn the scene as a whole. None if not available.
+    marks : results of later steps, (t,) or (t, v), by name: booleans, probabilities or strings.
+        False, 0 or "" if a view shows no line. Names in use: "measure" (`measure_lines`),
+        "silhouette" (`find_rims`).
+    noise_scale : standard deviation of the segments across themselves over the stated one,
+        estimated from three views. All covariances here include it. 1 for two views.
+    noise_tail : inequality of the tracks' errors, estimated from three views. It is one over the
+        degrees of freedom of a Student distribution, 0 for normal errors. The 95 % ellipsoids of
+        `covariance_mm2` hold in 95 % of cases; `ellipsoid_limit` gives other probabilities.
+    notes : warnings about the whole set, such as noise far from the stated one, or cameras on
+        one line.
     """
 
     KIND: ClassVar[str] = "matches"
@@ -176,7 +177,7 @@ class Matches(Displayable, Table):
             ColumnCheck(
                 "is no part of a segment where one is seen, or one where none is",
                 lambda ends, table: np.where(
-                    _is_seen(table)[..., None, None], np.abs(ends) < LARGEST_PX, np.isnan(ends)
+                    _is_observed(table)[..., None, None], np.abs(ends) < LARGEST_PX, np.isnan(ends)
                 ),
             ),
             parts=lambda matches: [
@@ -192,7 +193,7 @@ class Matches(Displayable, Table):
             ColumnCheck(
                 f"is not {TRINOCULAR} or {BINOCULAR} as its views say",
                 lambda stage, table: (
-                    stage == np.where(_is_seen(table).sum(axis=1) > 2, TRINOCULAR, BINOCULAR)
+                    stage == np.where(_is_observed(table).sum(axis=1) > 2, TRINOCULAR, BINOCULAR)
                 ),
             )
         ),
@@ -212,7 +213,9 @@ class Matches(Displayable, Table):
     fragments_covariance_px2: Annotated[
         Float[np.ndarray, "t v 4 4"] | None,
         Column(
-            ColumnCheck("is no covariance where a view sees the line", _are_covariances_where_seen)
+            ColumnCheck(
+                "is no covariance where a view sees the line", _are_covariances_where_observed
+            )
         ),
     ] = None
     misfit: Annotated[Float[np.ndarray, "t"] | None, Column(CHI_SQUARE)] = None
@@ -228,7 +231,7 @@ class Matches(Displayable, Table):
         Float[np.ndarray, "t v"] | None,
         Column(
             ColumnCheck(
-                "is no probability where a view sees the line", _are_probabilities_where_seen
+                "is no probability where a view sees the line", _are_probabilities_where_observed
             ),
             parts=lambda matches: [f"{view}_posterior" for view in matches.views],
         ),
@@ -244,61 +247,71 @@ class Matches(Displayable, Table):
 
     @property
     def status(self) -> MatchStatus:
-        """Whether the matches can be used; of SUSPECT ones the first note says why not."""
+        """Verdict on the matches. For SUSPECT ones, the first note gives the reason."""
         from trinoc.match.tracks.reliability import assess_matches
 
         return assess_matches(self).status
 
     @property
     def share_in_three_views(self) -> float:
-        """Of the segments of a view: the share on sure tracks of three views or more, in the view
-        where that is least. A camera that was knocked has a small one."""
-        sure = (self.posterior > DecoyTuning.sure) & (self.stage == TRINOCULAR)
+        """Share of the segments on sure tracks of three or more views, in the view with the
+        smallest share.
+
+        A camera that was moved has a small share.
+        """
+        is_sure = (self.posterior > DecoyTuning.sure) & (self.stage == TRINOCULAR)
         return min(
-            len(np.setdiff1d(of_view, -1)) / max(len(self.reasons[name]), 1)
-            for name, of_view in zip(self.views, self.index[sure].T, strict=True)
+            len(np.setdiff1d(view_index, -1)) / max(len(self.reasons[name]), 1)
+            for name, view_index in zip(self.views, self.index[is_sure].T, strict=True)
         )
 
     @property
     def length_mm(self) -> Float[np.ndarray, "t"]:
-        """(t,) length of each segment in space."""
+        """Length of each segment in space, (t,) mm."""
         return line_sigmas(self.lines_mm, self.covariance_mm2).length_mm
 
     @property
     def length_sigma_mm(self) -> Float[np.ndarray, "t"]:
-        """(t,) standard deviation of each length."""
+        """Standard deviation of each length, (t,) mm."""
         return line_sigmas(self.lines_mm, self.covariance_mm2).length_sigma_mm
 
     @property
     def across_sigma_mm(self) -> Float[np.ndarray, "t"]:
-        """(t,) standard deviation of each midpoint in the worst direction across the segment."""
+        """Standard deviation of each midpoint in the worst direction across the segment, (t,)
+        mm.
+        """
         return line_sigmas(self.lines_mm, self.covariance_mm2).across_sigma_mm
 
     def ellipsoid_limit(self, probability: float) -> Float[np.ndarray, "t"]:
-        """(t,) square of the Mahalanobis distance within which a line lies with this probability.
+        """Squared Mahalanobis distance within which a line lies with the given probability, (t,).
 
-        Distances are those of both ends from the true line, across it, by `covariance_mm2`: of four
-        degrees of freedom. At .95 it is that of a normal distribution; errors that are unequal
-        (`noise_tail`, of segments) are nearer at lower probabilities, and farther at higher ones.
-        Raises InputError for what is no probability between 0 and 1.
+        The distance is that of both ends from the true line, across it, under `covariance_mm2`. It
+        has four degrees of freedom. At 0.95 the limit is that of a normal distribution. Unequal
+        errors (`noise_tail`) lower it at smaller probabilities and raise it at larger ones.
+
+        Raises
+        ------
+        InputError : the probability is not between 0 and 1.
         """
         if not 0 < probability < 1:
             raise InputError(f"probability is {probability}: give one between 0 and 1.")
         return ellipsoid_limit(probability, degrees_of_misfit(self.index), self.noise_tail)
 
     def wires(self) -> Wires:
-        """Each segment as a line of its own."""
+        """Each 3-D segment as a line with two vertices."""
         pairs = np.arange(2 * len(self)).reshape(-1, 2)
         return Wires(self.lines_mm.reshape(-1, 3), pairs, np.arange(len(self)))
 
     def with_marks(self, **marks: Shaped[np.ndarray, "..."]) -> "Matches":
-        """The same with more that is said of the tracks, or with other values of it."""
+        """Return the same matches with marks added or replaced."""
         return replace(self, marks=self.marks | marks)
 
     def line_observations(self) -> LineObservations:
-        """The tracks as observations of lines, which joint refinement takes.
+        """Tracks as observations of lines, the input of joint refinement.
 
-        Raises InputError where the covariance of the fragments is not known.
+        Raises
+        ------
+        InputError : the matches hold no covariance of their fragments.
         """
         if self.fragments_covariance_px2 is None:
             raise InputError(

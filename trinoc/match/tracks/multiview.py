@@ -1,9 +1,9 @@
-"""More than three views: triples of several triplets of views become tracks through all of them.
+"""More than three views: merge the triples of several view triplets to tracks through all views.
 
-A triple joins a track with which it shares two segments at one part, since two fix the line;
-then its third segment must not contradict the track's own. A triple that contradicts a better
-one is dropped: every cycle of a track closes. Tracks of different views that triples tie both
-ways are one.
+A triple joins a track if they share two segments at one part, since two segments fix the line.
+Its third segment must then agree with the track. A triple that contradicts a better one is
+dropped, so that every cycle of a track closes. Two tracks of different views are merged if
+triples link them in both directions.
 """
 
 from itertools import combinations
@@ -21,23 +21,27 @@ from trinoc.match.tuning.tracks import TrackTuning
 def view_triplets(
     lines: SegmentTable, tuning: TrackTuning = DEFAULT.tracks
 ) -> list[tuple[int, int, int]]:
-    """The triplets of views to match: all of a few views, or each view with two of its nearest."""
+    """View triplets to match: all of them for few views, else each view with two of its nearest
+    views.
+    """
     views = lines.size_px.shape[-2]
     if views <= tuning.all_triplets:
         return list(combinations(range(views), 3))
     centre = np.asarray(lines.centre_mm)
     distance = np.linalg.norm(centre[:, None] - centre, axis=2)
-    near = np.argsort(distance, axis=1, kind="stable")[:, 1 : tuning.nearest_views + 1]
-    threes = set()
+    nearest = np.argsort(distance, axis=1, kind="stable")[:, 1 : tuning.nearest_views + 1]
+    triplets = set()
     for view in range(views):
-        for other, another in combinations(near[view].tolist(), 2):
+        for other, another in combinations(nearest[view].tolist(), 2):
             a, b, c = sorted((view, other, another))
-            threes.add((a, b, c))
-    return sorted(threes)
+            triplets.add((a, b, c))
+    return sorted(triplets)
 
 
 def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DEFAULT) -> Tracks:
-    """Tracks through all views, from triples of several triplets, the likeliest first."""
+    """Merge triples of several view triplets to tracks through all views, the most likely triple
+    first.
+    """
     order = np.lexsort((*tracks.candidates.index.T, -tracks.posterior_log_odds))
     index, interval, ends = (
         tracks.candidates.index.copy(),
@@ -45,9 +49,9 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
         tracks.candidates.ends_mm.copy(),
     )
     matrix, segment_ends = np.asarray(lines.matrix_px), np.asarray(lines.ends_px)
-    conflict, least = tuning.selection.conflict_overlap, tuning.tracks.min_shared
+    conflict, smallest_share = tuning.selection.conflict_overlap, tuning.tracks.min_shared
     on_segment: dict[tuple[int, int], list[int]] = {}
-    kept, links = [], []
+    kept_rows, links = [], []
     for row in order.tolist():
         views = np.flatnonzero(index[row] >= 0)
         rivals = [
@@ -57,7 +61,7 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             if overlap_share(interval[track, view], interval[row, view]) > conflict
         ]
         if not rivals:
-            kept.append(row)
+            kept_rows.append(row)
             for view in views:
                 on_segment.setdefault((int(view), int(index[row, view])), []).append(row)
             continue
@@ -65,7 +69,9 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
         for track, view in rivals:
             shared.setdefault(track, set()).add(int(view))
         track = max(shared, key=lambda other: len(shared[other]))
-        if len(shared) == 2 and sum(len(seen) for seen in shared.values()) == len(views):
+        if len(shared) == 2 and sum(len(shared_views) for shared_views in shared.values()) == len(
+            views
+        ):
             links.append((track, min(other for other in shared if other != track)))
         new = [view for view in views if index[track, view] < 0]
         agrees = len(shared[track]) >= 2 and len(shared[track]) + len(new) == len(views)
@@ -73,16 +79,16 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             continue
         for view in new:
             segment = segment_ends[view, index[row, view]]
-            place = segment_position(segment, matrix[view], ends[track])
-            if overlap_share(place, np.array([0.0, 1.0])) < least:
+            position = segment_position(segment, matrix[view], ends[track])
+            if overlap_share(position, np.array([0.0, 1.0])) < smallest_share:
                 continue
-            index[track, view], interval[track, view] = index[row, view], place
+            index[track, view], interval[track, view] = index[row, view], position
             _cut(index, interval, ends, track, matrix, segment_ends)
             on_segment.setdefault((int(view), int(index[row, view])), []).append(track)
-    gone = _link_tracks(links, index, interval, ends, matrix, segment_ends, least)
-    kept = np.array([row for row in kept if row not in gone], dtype=np.int64)
+    merged_rows = _link_tracks(links, index, interval, ends, matrix, segment_ends, smallest_share)
+    kept_rows = np.array([row for row in kept_rows if row not in merged_rows], dtype=np.int64)
     candidates = tracks.candidates._replace(index=index, interval=interval, ends_mm=ends)
-    return tracks._replace(candidates=candidates).take(kept)
+    return tracks._replace(candidates=candidates).take(kept_rows)
 
 
 def _link_tracks(
@@ -94,34 +100,38 @@ def _link_tracks(
     segment_ends_px: Float[np.ndarray, "v n 2 2"],
     least_shared: float,
 ) -> set[int]:
-    """Tracks that became part of others: those of other views, tied to them both ways.
+    """Merge tracks of different views that links tie in both directions; returns the absorbed
+    tracks.
 
-    A link (a, b) is a triple of two segments of track a and one of b: with one from b to a,
-    the segments of both are of one line.
+    A link (a, b) is a triple with two segments of track a and one of track b. Links (a, b) and
+    (b, a) together show that the segments of both tracks are of one line.
     """
-    gone: set[int] = set()
-    joined: dict[int, int] = {}
+    merged: set[int] = set()
+    merged_into: dict[int, int] = {}
 
-    def now(track: int) -> int:
-        return now(joined[track]) if track in joined else track
+    def current_track(track: int) -> int:
+        return current_track(merged_into[track]) if track in merged_into else track
 
     both_ways = set(links)
     for a, b in dict.fromkeys(link for link in links if link[::-1] in both_ways):
-        a, b = now(a), now(b)
-        into = np.flatnonzero(index[b] >= 0)
-        if a == b or (index[a, into] >= 0).any():
+        a, b = current_track(a), current_track(b)
+        views = np.flatnonzero(index[b] >= 0)
+        if a == b or (index[a, views] >= 0).any():
             continue
-        places = [
+        positions = [
             segment_position(segment_ends_px[view, index[b, view]], matrix_px[view], ends_mm[a])
-            for view in into
+            for view in views
         ]
-        if min(overlap_share(place, np.array([0.0, 1.0])) for place in places) < least_shared:
+        if (
+            min(overlap_share(position, np.array([0.0, 1.0])) for position in positions)
+            < least_shared
+        ):
             continue
-        index[a, into], interval[a, into] = index[b, into], places
+        index[a, views], interval[a, views] = index[b, views], positions
         _cut(index, interval, ends_mm, a, matrix_px, segment_ends_px)
-        joined[b] = a
-        gone.add(b)
-    return gone
+        merged_into[b] = a
+        merged.add(b)
+    return merged
 
 
 def _cut(
@@ -132,13 +142,13 @@ def _cut(
     matrix_px: Float[np.ndarray, "v 3 4"],
     segment_ends_px: Float[np.ndarray, "v n 2 2"],
 ) -> None:
-    """Cut a track's line to what all of its segments show, and its parts with it."""
+    """Cut a track's line, in place, to the part that all of its segments show."""
     views = np.flatnonzero(index[track] >= 0)
     begin, end = 0.0, 1.0
     for view in views:
         first, last = interval[track, view]
-        inside = np.sort((np.array([0.0, 1.0]) - first) / (last - first))
-        begin, end = max(begin, inside[0]), min(end, inside[1])
+        bounds = np.sort((np.array([0.0, 1.0]) - first) / (last - first))
+        begin, end = max(begin, bounds[0]), min(end, bounds[1])
     weight = np.array([[1 - begin, begin], [1 - end, end]])
     ends_mm[track] = weight @ ends_mm[track]
     for view in views:

@@ -1,8 +1,8 @@
-"""Can these matches be used? One answer for status, text, records, reports and exit codes.
+"""Verdict on a set of matches: one answer for status, text, records, reports and exit codes.
 
-Two things decide: evidence that segments and rig do not belong together, and how uncertain the
-lines are against the scene that they span. The share of segments that are matched decides nothing:
-in a cluttered scene it is small although the lines are right.
+Two things decide. The first is evidence that segments and rig do not belong together. The second
+is the uncertainty of the lines relative to the extent of the scene. The share of matched
+segments does not decide: in a cluttered scene it is small although the lines are right.
 """
 
 from collections.abc import Mapping
@@ -11,37 +11,39 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from trinoc.match import sentences
 from trinoc.match.tracks.answers import MATCHED, OUTSIDE
 from trinoc.match.tracks.matches import SUSPECT_SETS, TRINOCULAR, Matches, MatchStatus
 from trinoc.match.tuning.tracks import DecoyTuning, TrackTuning
 
-# numerical: the share of the ends that the ball holds whose diameter is the scene's extent.
-MOST_ENDS = 0.9
+# numerical: share of the ends inside the ball whose diameter is the extent of the scene.
+SHARE_OF_ENDS = 0.9
 
 Topic = Literal["rig", "set", "count", "agreement", "uncertainty"]
 
 
 class MatchFinding(NamedTuple):
-    """One question about a set of matches: the status that it alone would give, and why.
+    """Result of one test of a set of matches: its status, figure, explanation and remedy.
 
-    `remedy` is empty where the status is MATCHED.
+    `remedy` is empty if the status is MATCHED.
     """
 
     topic: Topic
     status: MatchStatus
     figure: str
-    words: str
+    explanation: str
     remedy: str = ""
 
     @property
     def reason(self) -> str:
-        """Figure and words as one sentence."""
-        return f"{self.figure}: {self.words}"
+        """Figure and explanation as one sentence."""
+        return f"{self.figure}: {self.explanation}"
 
 
 class MatchAssessment(NamedTuple):
-    """The verdict on matches: that of the worst finding, the first of these; of good ones the last.
+    """Verdict on the matches: the status of the worst finding.
 
+    `deciding` is the first of the worst findings, or the last finding if all are good.
     `findings` holds all of them.
     """
 
@@ -51,7 +53,7 @@ class MatchAssessment(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The verdict, the number that decides, and what to do."""
+        """Verdict, deciding figure and remedy as text."""
         parts = (self.status.value, self.deciding.reason, self.deciding.remedy)
         return " ".join(part for part in parts if part)
 
@@ -61,15 +63,16 @@ def assess_matches(matches: Matches, doubts: Mapping[str, str] | None = None) ->
 
     Parameters
     ----------
-    doubts : for each camera whose calibration was suspect, why.
+    matches : the matches.
+    doubts : for each camera with a suspect calibration, the reason.
     """
-    chosen = _choose_lines(matches)
+    is_chosen = _sure_lines(matches)
     findings = [
-        *_find_doubts(doubts or {}),
-        *_find_evidence(matches),
-        _find_count(matches, chosen),
-        *_find_disagreement(matches),
-        *_find_uncertainty(matches, chosen),
+        *_rig_findings(doubts or {}),
+        *_set_findings(matches),
+        _count_finding(matches, is_chosen),
+        *_agreement_findings(matches),
+        *_uncertainty_findings(matches, is_chosen),
     ]
     for status in (MatchStatus.SUSPECT, MatchStatus.UNCERTAIN):
         for finding in findings:
@@ -79,113 +82,117 @@ def assess_matches(matches: Matches, doubts: Mapping[str, str] | None = None) ->
 
 
 def scene_extent_mm(lines_mm: Float[np.ndarray, "t 2 3"]) -> float:
-    """Diameter of the ball about the median end that holds nine tenths of the ends."""
+    """Diameter of the ball about the median end that contains nine tenths of the ends, mm."""
     ends = lines_mm.reshape(-1, 3)
     distance = np.linalg.norm(ends - np.median(ends, axis=0), axis=1)
-    return 2 * float(np.quantile(distance, MOST_ENDS))
+    return 2 * float(np.quantile(distance, SHARE_OF_ENDS))
 
 
-def say_excluded_depths(matches: Matches) -> str | None:
-    """What to check where the allowed depths leave out more segments than are matched."""
-    words = np.concatenate([np.asarray(words, dtype=str) for words in matches.reasons.values()])
-    excluded = int((words == OUTSIDE).sum())
-    if excluded <= np.char.startswith(words, MATCHED).sum():
+def depth_range_remedy(matches: Matches) -> str | None:
+    """Advice to check the depth range, if it excludes more segments than are matched; else None."""
+    reasons = np.concatenate(
+        [np.asarray(view_reasons, dtype=str) for view_reasons in matches.reasons.values()]
+    )
+    excluded = int((reasons == OUTSIDE).sum())
+    if excluded <= np.char.startswith(reasons, MATCHED).sum():
         return None
+    return sentences.depth_range_excludes(excluded)
+
+
+def _sure_lines(matches: Matches) -> Bool[np.ndarray, "t"]:
+    """Mask of the sure tracks in three or more views, or of all sure tracks if there are two
+    views.
+    """
+    is_sure = np.asarray(matches.posterior) > DecoyTuning.sure
     return (
-        f"{excluded} segments have no partner in the depths allowed: check depth_range_mm, which "
-        "is from each camera, in mm."
+        is_sure if len(matches.views) < 3 else is_sure & (np.asarray(matches.stage) == TRINOCULAR)
     )
 
 
-def _choose_lines(matches: Matches) -> Bool[np.ndarray, "t"]:
-    """Sure tracks of three views or more; of two views, where there is no third."""
-    sure = np.asarray(matches.posterior) > DecoyTuning.sure
-    return sure if len(matches.views) < 3 else sure & (np.asarray(matches.stage) == TRINOCULAR)
-
-
-def _find_doubts(doubts: Mapping[str, str]) -> list[MatchFinding]:
+def _rig_findings(doubts: Mapping[str, str]) -> list[MatchFinding]:
     if not doubts:
         return []
-    name, why = next(iter(doubts.items()))
-    words = f"the calibration of {name} was suspect. {why[:1].upper()}{why[1:]}".rstrip()
-    remedy = (
-        "The segments in space inherit this error, and their sigmas do not hold it: calibrate "
-        "again."
-    )
-    return [MatchFinding("rig", MatchStatus.UNCERTAIN, f"{len(doubts)} suspect", words, remedy)]
+    name, doubt = next(iter(doubts.items()))
+    explanation = sentences.calibration_suspect(name, doubt)
+    return [
+        MatchFinding(
+            "rig",
+            MatchStatus.UNCERTAIN,
+            f"{len(doubts)} suspect",
+            explanation,
+            sentences.CALIBRATE_AGAIN,
+        )
+    ]
 
 
-def _find_evidence(matches: Matches) -> list[MatchFinding]:
-    """What `check_set` has against the set; its note names the remedy where it knows the cause."""
+def _set_findings(matches: Matches) -> list[MatchFinding]:
+    """Finding of `check_set`. Its note names the remedy if the cause is known."""
     if not matches.counts.get(SUSPECT_SETS):
         return []
-    words = matches.notes[0] if matches.notes else "segments and rig do not belong together."
-    remedy = "No posterior here is above 0.5: remove the cause and match again."
-    return [MatchFinding("set", MatchStatus.SUSPECT, "SUSPECT", words, remedy)]
+    explanation = matches.notes[0] if matches.notes else sentences.DO_NOT_BELONG
+    return [
+        MatchFinding("set", MatchStatus.SUSPECT, "SUSPECT", explanation, sentences.REMOVE_THE_CAUSE)
+    ]
 
 
-def _find_count(matches: Matches, chosen: Bool[np.ndarray, "t"]) -> MatchFinding:
-    count = int(chosen.sum())
+def _count_finding(matches: Matches, is_chosen: Bool[np.ndarray, "t"]) -> MatchFinding:
+    count = int(is_chosen.sum())
     if len(matches.views) < 3:
         return MatchFinding(
             "count",
             MatchStatus.UNCERTAIN,
             f"{count} sure lines in both views",
-            f"of {len(matches)} tracks. Chance gives lines in two views too, and no third view "
-            "tells them apart.",
-            "Check that this rig took these pictures, or add a third camera.",
+            sentences.only_two_views(len(matches)),
+            sentences.ADD_A_CAMERA,
         )
-    share = f"{100 * matches.share_in_three_views:.0f} %"
     figure = f"{count} sure lines in three views or more"
-    words = f"of {len(matches)} tracks, with {share} of the segments of the poorest view on them."
+    explanation = sentences.sure_lines(len(matches), matches.share_in_three_views)
     if count >= TrackTuning.fewest_sure:
-        return MatchFinding("count", MatchStatus.MATCHED, figure, words)
-    remedy = say_excluded_depths(matches) or (
-        f"{TrackTuning.fewest_sure} are needed: check that this rig took these pictures of one "
-        "scene, that each name stands before its own picture, and that no camera was moved "
-        "(trinoc check)."
-    )
-    return MatchFinding("count", MatchStatus.UNCERTAIN, figure, words, remedy)
+        return MatchFinding("count", MatchStatus.MATCHED, figure, explanation)
+    remedy = depth_range_remedy(matches) or sentences.too_few_sure_lines(TrackTuning.fewest_sure)
+    return MatchFinding("count", MatchStatus.UNCERTAIN, figure, explanation, remedy)
 
 
-def _find_disagreement(matches: Matches) -> list[MatchFinding]:
+def _agreement_findings(matches: Matches) -> list[MatchFinding]:
     if (np.asarray(matches.stage) != TRINOCULAR).all():
         return []
     figure = f"{matches.noise_scale:.2f} times their sigma"
-    words = (
-        "by which the views place a segment differently; near 1 they agree as well as the "
-        "segments were measured."
-    )
+    explanation = sentences.VIEWS_DISAGREE_BY
     if matches.noise_scale <= DecoyTuning.noisy_above:
-        return [MatchFinding("agreement", MatchStatus.MATCHED, figure, words)]
-    remedy = (
-        "A camera may have been knocked (run trinoc check), the pictures are sharpened or moved, "
-        "or the segments' sigma is stated too small; the sigmas of the lines have grown to match."
-    )
-    return [MatchFinding("agreement", MatchStatus.UNCERTAIN, figure, words, remedy)]
+        return [MatchFinding("agreement", MatchStatus.MATCHED, figure, explanation)]
+    return [
+        MatchFinding(
+            "agreement",
+            MatchStatus.UNCERTAIN,
+            figure,
+            explanation,
+            sentences.CHECK_THE_ERRORS,
+        )
+    ]
 
 
-def _find_uncertainty(matches: Matches, chosen: Bool[np.ndarray, "t"]) -> list[MatchFinding]:
-    if not chosen.any():
+def _uncertainty_findings(matches: Matches, is_chosen: Bool[np.ndarray, "t"]) -> list[MatchFinding]:
+    if not is_chosen.any():
         return []
-    sigma = float(np.median(np.nan_to_num(matches.across_sigma_mm[chosen], nan=np.inf)))
-    extent = scene_extent_mm(np.asarray(matches.lines_mm)[chosen])
+    sigma = float(np.median(np.nan_to_num(matches.across_sigma_mm[is_chosen], nan=np.inf)))
+    extent = scene_extent_mm(np.asarray(matches.lines_mm)[is_chosen])
     figure = "± not known"
     if np.isfinite(sigma):
-        figure = f"± {_length(sigma)}, {100 * sigma / max(extent, sigma):.2g} % of the scene"
-    words = (
-        f"the median sigma across the {int(chosen.sum())} sure lines, nine tenths of whose ends "
-        f"lie within {_length(extent)}."
-    )
+        figure = f"± {_format_length(sigma)}, {100 * sigma / max(extent, sigma):.2g} % of the scene"
+    explanation = sentences.sigma_of_lines(int(is_chosen.sum()), _format_length(extent))
     if sigma <= TrackTuning.largest_sigma_of_scene * extent:
-        return [MatchFinding("uncertainty", MatchStatus.MATCHED, figure, words)]
-    remedy = (
-        "Put the cameras farther apart or nearer to the scene, or take pictures of more pixels; "
-        "if positions are still good enough for you, each line has its own covariance."
-    )
-    return [MatchFinding("uncertainty", MatchStatus.UNCERTAIN, figure, words, remedy)]
+        return [MatchFinding("uncertainty", MatchStatus.MATCHED, figure, explanation)]
+    return [
+        MatchFinding(
+            "uncertainty",
+            MatchStatus.UNCERTAIN,
+            figure,
+            explanation,
+            sentences.REDUCE_THE_SIGMA,
+        )
+    ]
 
 
-def _length(value_mm: float) -> str:
-    """A length to two digits, or whole millimetres."""
+def _format_length(value_mm: float) -> str:
+    """Length in mm: whole millimetres from 10 mm on, else two digits."""
     return f"{value_mm:,.0f} mm" if value_mm >= 10 else f"{value_mm:.2g} mm"

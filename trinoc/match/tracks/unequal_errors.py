@@ -1,15 +1,16 @@
-"""How unequal the errors of lines are: a variance factor of each track, learned from all of them.
+"""Inequality of the tracks' errors: each track has a variance factor, with a distribution estimated
+from all.
 
-Segments state a variance each, and `noise_scale` says how large errors are for most of them. Some
-are larger all the same, as where a shadow lies beside the edge. So the variance of a track is what
-is stated times a factor of its own, whose inverse has a gamma distribution with mean 1. Errors
-then have Student's distribution, and the misfit of a track in n views that of Fisher and Snedecor,
-with 2 (n - 2) and with so many degrees of freedom as the factors leave: few where they differ much,
-infinitely many where all errors are normal. One over these degrees of freedom is the tail. Its
-posterior mean over all tracks that are surely right is taken (empirical Bayes).
+Each segment states a variance, and `noise_scale` corrects it for most segments. Some errors are
+larger nevertheless, such as that of an edge beside a shadow. So the variance of a track is the
+stated one times a factor of its own. The inverse of the factor has a gamma distribution with mean
+1. Errors then have a Student distribution, and the misfit of a track in n views has a
+Fisher-Snedecor distribution with 2 (n - 2) and nu degrees of freedom. The tail is 1 / nu: 0 for
+normal errors, larger for unequal ones. The estimate is its posterior mean over all sure tracks
+(empirical Bayes).
 
-Given its own misfit, the error of a track has Student's distribution, too: where the views agree
-narrower, where they disagree wider, and of two views nobody knows.
+Given its own misfit, the error of a track again has a Student distribution. It is narrower if
+the views agree and wider if they disagree. The misfit of two views gives no information.
 """
 
 import numpy as np
@@ -21,65 +22,74 @@ from trinoc.match.tuning.selection import NoiseTuning
 from trinoc.numerics.joins import group_sums
 from trinoc.numerics.tails import chi_square_limit, chi_square_quantile
 
-# numerical: tails are looked for here. Below the least, errors are normal.
-_LEAST_TAIL, _MOST_TAIL, _TAILS = 1e-3, 1.0, 40
-# numerical: a line has four parameters, and its ellipsoid is to hold so often.
-_PARAMETERS, _HELD = 4, 0.95
+# numerical: grid of the tail. Below its smallest value, errors count as normal.
+_SMALLEST_TAIL, _LARGEST_TAIL, _TAILS = 1e-3, 1.0, 40
+# numerical: parameters of a line, and probability at which its ellipsoid is exact.
+_PARAMETERS, _COVERAGE = 4, 0.95
 
 
 def fit_tail(
     misfit: Float[np.ndarray, "t"],
     degrees: Int[np.ndarray, "t"],
     *,
-    of_pictures: bool,
+    has_images: bool,
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> float:
-    """One over the degrees of freedom of the errors' distribution: 0 where they are normal.
+    """Tail of the error distribution: one over its degrees of freedom, 0 for normal errors.
 
     Parameters
     ----------
-    misfit : chi-square by which the views of each track disagree, of errors as most have them.
-    degrees : of freedom of it, 1 or more.
-    of_pictures : whether a detector found the segments in pictures: their errors are known to be
-        unequal. Of others it is to be shown.
+    misfit : (t,) chi-square of the disagreement between the views of each track, for errors of
+        usual size.
+    degrees : (t,) degrees of freedom of the misfit, at least 1.
+    has_images : True if a detector found the segments in images. The prior then expects unequal
+        errors.
     """
-    one = np.zeros(len(misfit), dtype=np.int64)
-    return float(fit_tails(misfit, degrees, one, np.array([of_pictures]), tuning)[0])
+    single_frame = np.zeros(len(misfit), dtype=np.int64)
+    return float(fit_tails(misfit, degrees, single_frame, np.array([has_images]), tuning)[0])
 
 
 def fit_tails(
     misfit: Float[np.ndarray, "t"],
     degrees: Int[np.ndarray, "t"],
     frame: Int[np.ndarray, "t"],
-    of_pictures: Bool[np.ndarray, "f"],
+    has_images: Bool[np.ndarray, "f"],
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> Float[np.ndarray, "f"]:
-    """`fit_tail` of the tracks of each frame."""
-    known = np.where(of_pictures[:, None], tuning.tail_of_pictures, tuning.tail_otherwise)
-    shape, mean = known[:, :1], known[:, 1:]
-    tail = np.geomspace(_LEAST_TAIL, _MOST_TAIL, _TAILS)
-    # Steps of the logarithm are even, so that each stands for as much as itself.
-    log = shape * np.log(tail) - shape * tail / mean
-    # Few degrees are different.
+    """Tail of the error distribution for the tracks of each frame, as `fit_tail`, (f,)."""
+    prior = np.where(has_images[:, None], tuning.tail_of_pictures, tuning.tail_otherwise)
+    shape, mean = prior[:, :1], prior[:, 1:]
+    tail = np.geomspace(_SMALLEST_TAIL, _LARGEST_TAIL, _TAILS)
+    # The grid is uniform in log(tail), so all nodes have the same weight.
+    log_posterior = shape * np.log(tail) - shape * tail / mean
+    # Few values of `degrees` are different: each is evaluated once.
     freedom, (kinds, kind) = 1 / tail, np.unique(degrees, return_inverse=True)
-    own = kinds[:, None]
-    each = gammaln((freedom + own) / 2) - gammaln(freedom / 2) - own / 2 * np.log(freedom)
-    each = each[kind] - ((freedom + own) / 2)[kind] * np.log1p(misfit[:, None] * tail)
-    log = log + group_sums(each, frame, len(known))
-    weight = np.exp(log - log.max(axis=1, keepdims=True))
+    degrees_of_kind = kinds[:, None]
+    log_likelihood = (
+        gammaln((freedom + degrees_of_kind) / 2)
+        - gammaln(freedom / 2)
+        - degrees_of_kind / 2 * np.log(freedom)
+    )
+    log_likelihood = log_likelihood[kind] - ((freedom + degrees_of_kind) / 2)[kind] * np.log1p(
+        misfit[:, None] * tail
+    )
+    log_posterior = log_posterior + group_sums(log_likelihood, frame, len(prior))
+    weight = np.exp(log_posterior - log_posterior.max(axis=1, keepdims=True))
     return np.asarray(weight @ tail / weight.sum(axis=1))
 
 
 def degrees_of_misfit(index: Int[np.ndarray, "t v"]) -> Int[np.ndarray, "t"]:
-    """Degrees of freedom of each track's misfit: two for each view beyond the second."""
+    """Degrees of freedom of each track's misfit: two for each view beyond the second, (t,)."""
     return 2 * np.maximum((index >= 0).sum(axis=1) - 2, 0)
 
 
 def misfit_limit(
     probability: float, degrees: Int[np.ndarray, "*t"], tail: float
 ) -> Float[np.ndarray, "*t"]:
-    """What a track's misfit exceeds with this probability: of chi-square where errors are equal."""
-    if tail < _LEAST_TAIL:
+    """Value that the misfit exceeds with the given probability; the chi-square limit for equal
+    errors.
+    """
+    if tail < _SMALLEST_TAIL:
         return np.asarray(chi_square_limit(probability, degrees))
     return np.asarray(degrees * fdtri(degrees, 1 / tail, 1 - probability))
 
@@ -87,8 +97,8 @@ def misfit_limit(
 def student_log_density(
     misfit: Float[np.ndarray, "*t"], noise_tail: float
 ) -> Float[np.ndarray, "*t"]:
-    """Log density of a misfit of two degrees of freedom, of errors as unequal as `noise_tail`."""
-    tail = max(noise_tail, _LEAST_TAIL)
+    """Log density of a misfit with two degrees of freedom, for errors with tail `noise_tail`."""
+    tail = max(noise_tail, _SMALLEST_TAIL)
     return -np.log(2) - (1 / (2 * tail) + 1) * np.log1p(misfit * tail)
 
 
@@ -97,32 +107,41 @@ def variance_factor(
     degrees: Int[np.ndarray, "t"],
     tail: Float[np.ndarray, "t"] | float,
 ) -> Float[np.ndarray, "t"]:
-    """What to multiply a line's variance across by, so that its 95 % ellipsoid holds in 95 %.
+    """Factor for the variance of a line across itself that makes its 95 % ellipsoid valid, (t,).
 
-    `degrees` is 0 where only two views show a line. The factor's posterior is an inverse gamma
-    distribution; Student's distribution that follows is wider at 95 % than its scale says.
+    `degrees` is 0 for two views. The posterior of the factor is an inverse gamma distribution.
+    At 95 % the resulting Student distribution is wider than its scale, which the factor
+    includes.
     """
-    before = 1 / np.maximum(tail, _LEAST_TAIL)
-    freedom = before + degrees
-    posterior = (before + np.where(degrees > 0, misfit, 0.0)) / freedom
-    factor = posterior * _student_limit(_HELD, freedom) / chi_square_quantile(_HELD, _PARAMETERS)
-    return np.where(np.less(tail, _LEAST_TAIL), 1.0, factor)
+    prior_freedom = 1 / np.maximum(tail, _SMALLEST_TAIL)
+    freedom = prior_freedom + degrees
+    posterior = (prior_freedom + np.where(degrees > 0, misfit, 0.0)) / freedom
+    factor = (
+        posterior * _student_limit(_COVERAGE, freedom) / chi_square_quantile(_COVERAGE, _PARAMETERS)
+    )
+    return np.where(np.less(tail, _SMALLEST_TAIL), 1.0, factor)
 
 
 def ellipsoid_limit(
     probability: float, degrees: Int[np.ndarray, "t"], tail: float
 ) -> Float[np.ndarray, "t"]:
-    """Square of the Mahalanobis distance within which a line lies with this probability, under
-    covariances that `variance_factor` has made right at 95 %."""
-    held = chi_square_quantile(_HELD, _PARAMETERS)
-    if tail < _LEAST_TAIL:
+    """Squared Mahalanobis distance within which a line lies with the given probability, (t,).
+
+    The covariances must include `variance_factor`, which makes them valid at 95 %.
+    """
+    limit_at_coverage = chi_square_quantile(_COVERAGE, _PARAMETERS)
+    if tail < _SMALLEST_TAIL:
         return np.full(len(degrees), chi_square_quantile(probability, _PARAMETERS))
     freedom = 1 / tail + degrees
-    return held * _student_limit(probability, freedom) / _student_limit(_HELD, freedom)
+    return (
+        limit_at_coverage
+        * _student_limit(probability, freedom)
+        / _student_limit(_COVERAGE, freedom)
+    )
 
 
 def _student_limit(probability: float, freedom: Float[np.ndarray, "t"]) -> Float[np.ndarray, "t"]:
-    """Within which square of its distance a line of Student's distribution lies."""
+    """Squared distance within which a line with Student-distributed errors lies, (t,)."""
     kinds, kind = np.unique(freedom, return_inverse=True)
     return _PARAMETERS * fdtri(_PARAMETERS, kinds, probability)[kind]
 
@@ -132,14 +151,16 @@ def scale_covariance_of_lines(
     covariance_mm2: Float[np.ndarray, "t 6 6"],
     factor: Float[np.ndarray, "t"],
 ) -> Float[np.ndarray, "t 6 6"]:
-    """Covariances of ends with variances across their lines times a factor; along them as before:
-    where a detector stops is no matter of noise."""
-    way = ends_mm[:, 1] - ends_mm[:, 0]
-    unit = way / np.linalg.norm(way, axis=1, keepdims=True)
+    """Multiply the variances across the lines by a factor; the variances along them stay.
+
+    Noise does not affect the position along a line, where the detector stops.
+    """
+    step = ends_mm[:, 1] - ends_mm[:, 0]
+    unit = step / np.linalg.norm(step, axis=1, keepdims=True)
     along = unit[:, :, None] * unit[:, None]
     stretch = np.zeros((len(ends_mm), 2, 3, 2, 3))
     for end in range(2):
         stretch[:, end, :, end] = along + np.sqrt(factor)[:, None, None] * (np.eye(3) - along)
-    # Products of matrices: twelve times as fast as one sum over all indices.
+    # Matrix products are twelve times as fast as one einsum over all indices.
     stretch = stretch.reshape(-1, 6, 6)
     return stretch @ covariance_mm2 @ stretch

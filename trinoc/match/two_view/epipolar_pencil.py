@@ -1,17 +1,14 @@
-"""The pencil of epipolar planes of two views, in which a match in depth is one division.
+"""Pencil of epipolar planes of two views: it reduces the depth of a match to one division.
 
-In the frame (axis, first, second), with the axis along the baseline, a viewing ray has a plane
-angle phi = atan2(second, first), equal for partners, and a slope, axis over radius, which
-differs between partners by baseline / radius of the point: the pencil is to wide baselines
-what rows and disparity are to rectified pictures, and stays defined with the epipoles inside
-the pictures. A segment's interpretation plane, m . ray = 0, makes its slope a sinusoid of the
+The frame of the pencil is (axis, first, second), with the axis along the baseline. A viewing ray
+has a plane angle phi = atan2(second, first), which is equal for partners. It has a slope, axis over
+radius, which differs between partners by baseline / radius of the point. For wide baselines the
+pencil thus replaces the rows and disparities of rectified images. It also works with the epipoles
+inside the images. A segment's interpretation plane, m . ray = 0, makes its slope a sinusoid of the
 angle: slope = p cos phi + q sin phi.
 
-The segments of one view in a pencil, as rows of one table.
-
-A pair of segments cut to the part that both see, and what it predicts in a third view.
-
-Pairs of segments of two views that share epipolar planes, and those of which an end agrees.
+The file has the segments of a view in a pencil, the common part of a pair, and the search for
+pairs that share epipolar planes.
 """
 
 from collections.abc import Iterator
@@ -41,21 +38,20 @@ _SLOPE_VARIANCES = (11, 12, 13)
 
 
 class PencilSegments(NamedTuple):
-    """The segments of one view in a pencil.
-
-    columns : one row per quantity, in the order of what follows: kernels take and index one array.
+    """Segments of one view in a pencil. Kernels index the single array `columns`, one row per
+    quantity.
     """
 
     columns: Float[ArrayLike, "16 *n"]
 
     @property
     def low(self) -> Scalar:
-        """Plane angle of one end, in rad, without a jump before `high`."""
+        """Smaller plane angle of the two ends, rad."""
         return self.columns[0]
 
     @property
     def high(self) -> Scalar:
-        """Plane angle of the other end, the larger."""
+        """Larger plane angle of the two ends, rad, without a jump of 2 pi after `low`."""
         return self.columns[1]
 
     @property
@@ -80,34 +76,36 @@ class PencilSegments(NamedTuple):
 
     @property
     def p(self) -> Scalar:
-        """Of the slope, p cos + q sin."""
+        """Coefficient of the cosine in the slope p cos phi + q sin phi."""
         return self.columns[6]
 
     @property
     def q(self) -> Scalar:
-        """Of the slope, p cos + q sin."""
+        """Coefficient of the sine in the slope p cos phi + q sin phi."""
         return self.columns[7]
 
     @property
     def normal(self) -> Vector3:
-        """Of the interpretation plane, of unit length."""
+        """Unit normal of the interpretation plane."""
         return self.columns[8], self.columns[9], self.columns[10]
 
     @property
     def slope_variance(self) -> Vector3:
-        """(c00, c01, c11) of the slopes at the angles low and high, due to the errors of the ends
-        across the segment."""
-        low, both, high = _SLOPE_VARIANCES
-        return self.columns[low], self.columns[both], self.columns[high]
+        """Covariance (c00, c01, c11) of the slopes at `low` and `high`, from the errors of the
+        ends across the segment.
+        """
+        low, joint, high = _SLOPE_VARIANCES
+        return self.columns[low], self.columns[joint], self.columns[high]
 
     @property
     def end_variance_px2(self) -> tuple[Scalar, Scalar]:
-        """Of the places along the segment, at low and high, that have the plane angles of a
-        partner's ends."""
+        """Variance of the positions along the segment at the plane angles `low` and `high`,
+        px^2.
+        """
         return self.columns[14], self.columns[15]
 
     def with_slope_error(self, variance: Scalar) -> "PencilSegments":
-        """With an error of the slope at either end beside the others."""
+        """Add an independent error of the given variance to the slope at both ends."""
         rows = list(self.columns)
         for row in (_SLOPE_VARIANCES[0], _SLOPE_VARIANCES[-1]):
             rows[row] = rows[row] + variance
@@ -133,19 +131,21 @@ class Pencil(NamedTuple):
     second: PencilSegments
 
 
-def pencil(lines: SegmentTable, a: Int[ArrayLike, ""] | int, b: Int[ArrayLike, ""] | int) -> Pencil:
-    """The pencil of views a and b.
+def build_pencil(
+    lines: SegmentTable, a: Int[ArrayLike, ""] | int, b: Int[ArrayLike, ""] | int
+) -> Pencil:
+    """Pencil of views a and b.
 
-    In NumPy outside `jit`: each segment is placed once, which takes less than compiling it would.
+    Outside `jit` it runs in NumPy: one evaluation takes less time than its compilation.
     """
     xp = array_namespace(lines, a, b)
     lines = jax.tree.map(xp.asarray, lines)
-    across = lines.centre_mm[..., b, :] - lines.centre_mm[..., a, :]
-    baseline = xp.sqrt((across**2).sum(-1))
-    axis = across / baseline[..., None]
-    # Angle zero lies in the middle of what the cameras look at, and the jump behind them.
-    forward = lines.matrix_px[..., a, 2, :3] + lines.matrix_px[..., b, 2, :3]
-    first = forward - (forward * axis).sum(-1)[..., None] * axis
+    baseline_vector = lines.centre_mm[..., b, :] - lines.centre_mm[..., a, :]
+    baseline = xp.sqrt((baseline_vector**2).sum(-1))
+    axis = baseline_vector / baseline[..., None]
+    # Angle zero is the mean viewing direction, so the jump of 2 pi lies behind the cameras.
+    view_direction = lines.matrix_px[..., a, 2, :3] + lines.matrix_px[..., b, 2, :3]
+    first = view_direction - (view_direction * axis).sum(-1)[..., None] * axis
     first = first / xp.sqrt((first**2).sum(-1))[..., None]
     frame = xp.stack([axis, first, xp.cross(axis, first)], axis=-2)
 
@@ -155,19 +155,19 @@ def pencil(lines: SegmentTable, a: Int[ArrayLike, ""] | int, b: Int[ArrayLike, "
         homography = homography[:, None]
     else:
         homography = homography[lines.frame[views], xp.arange(2)[:, None]]
-    # A segment in a plane with the baseline has slopes that are infinite, as it has under `jit`.
+    # A segment in one plane with the baseline has infinite slopes, also under `jit`.
     with np.errstate(divide="ignore", invalid="ignore"):
-        first, second = _in_pencil(
+        first, second = _pencil_columns(
             homography, lines.ends_px[views], lines.line[views, :, :2], lines.across_px2[views]
         )
-    both = PencilSegments(first), PencilSegments(second)
-    return Pencil(frame, lines.centre_mm[..., a, :], baseline, *both)
+    segments_of_views = PencilSegments(first), PencilSegments(second)
+    return Pencil(frame, lines.centre_mm[..., a, :], baseline, *segments_of_views)
 
 
 def take_pencil(
     planes: Pencil, lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, "..."]
 ) -> Pencil:
-    """The pencil with the planes of some segments' frames alone."""
+    """Pencil with the planes of the frames of some segments."""
     if lines.frame is None:
         return planes
     frame = lines.frame[view, segment]
@@ -178,42 +178,51 @@ def take_pencil(
     )
 
 
-def _in_pencil(
+def _pencil_columns(
     homography: Float[ArrayLike, "2 *n 3 3"],
     ends_px: Float[ArrayLike, "2 n 2 2"],
     line_normal: Float[ArrayLike, "2 n 2"],
     across_px2: Float[ArrayLike, "2 n 2 2"],
 ) -> Float[ArrayLike, "2 c n"]:
-    """The columns of both views' segments; `homography` takes homogeneous pixels to rays in the
-    frame."""
+    """Columns of the segments of both views. `homography` maps homogeneous pixels to rays in the
+    pencil's frame.
+    """
     xp = array_namespace(homography, ends_px)
     rows = [vector3(homography[..., k, :]) for k in range(3)]
-    # Both ends in front: (2, view, n).
+    # Leading axis of ends: (2, view, n).
     u, v = xp.moveaxis(ends_px, -1, 0).transpose(0, 3, 1, 2)
     x, y, z = (c0[None] * u + c1[None] * v + c2[None] for c0, c1, c2 in rows)
     first = xp.arctan2(z[0], y[0])
     turn = xp.arctan2(y[0] * z[1] - z[0] * y[1], y[0] * y[1] + z[0] * z[1])
     normal = cross3((x[0], y[0], z[0]), (x[1], y[1], z[1]))
     p, q = -normal[1] / normal[0], -normal[2] / normal[0]
-    # An error across the segment moves the ray by `across`; on its own plane angle that is so much
-    # slope. It turns the end's plane as so much way along the segment would.
+    # An error across the segment moves the ray by `ray_across`. At a fixed plane angle this is a
+    # change of slope. It also turns the end's plane, which equals a displacement along the segment.
     nu, nv = line_normal[..., 0], line_normal[..., 1]
-    across = [c0 * nu + c1 * nv for c0, c1, _ in rows]
-    along = [c0 * nv - c1 * nu for c0, c1, _ in rows[1:]]
-    push = (normal[0] * across[0] + normal[1] * across[1] + normal[2] * across[2]) / normal[0]
-    slope_per_px = push[None] / xp.sqrt(y * y + z * z)
-    turned, by_way = (y * w[1][None] - z * w[0][None] for w in (across[1:], along))
-    slide_per_px = turned / by_way
-    own = xp.stack([across_px2[..., 0, 0], across_px2[..., 1, 1]])
-    ends = xp.stack([first, first + turn]), slope_per_px**2 * own, slide_per_px**2 * own
-    swap = turn[None] < 0
-    angles, variance, end_variance = (xp.where(swap, end[::-1], end) for end in ends)
+    ray_across = [c0 * nu + c1 * nv for c0, c1, _ in rows]
+    ray_along = [c0 * nv - c1 * nu for c0, c1, _ in rows[1:]]
+    slope_push = (
+        normal[0] * ray_across[0] + normal[1] * ray_across[1] + normal[2] * ray_across[2]
+    ) / normal[0]
+    slope_per_px = slope_push[None] / xp.sqrt(y * y + z * z)
+    angle_across, angle_along = (
+        y * w[1][None] - z * w[0][None] for w in (ray_across[1:], ray_along)
+    )
+    slide_per_px = angle_across / angle_along
+    end_variance_across = xp.stack([across_px2[..., 0, 0], across_px2[..., 1, 1]])
+    ends = (
+        xp.stack([first, first + turn]),
+        slope_per_px**2 * end_variance_across,
+        slide_per_px**2 * end_variance_across,
+    )
+    is_swapped = turn[None] < 0
+    angles, variance, end_variance = (xp.where(is_swapped, end[::-1], end) for end in ends)
     (low, high), cosine, sine = angles, xp.cos(angles), xp.sin(angles)
     unit = scaled3(normal, 1 / xp.sqrt(dot3(normal, normal)))
-    together = slope_per_px[0] * slope_per_px[1] * across_px2[..., 0, 1]
+    slope_covariance = slope_per_px[0] * slope_per_px[1] * across_px2[..., 0, 1]
     columns = (
         *(low, high, cosine[0], sine[0], cosine[1], sine[1], p, q, *unit),
-        *(variance[0], together, variance[1], *end_variance),
+        *(variance[0], slope_covariance, variance[1], *end_variance),
     )
     return xp.stack(columns, axis=1)
 
@@ -221,19 +230,21 @@ def _in_pencil(
 def plane_angles(
     lines: SegmentTable, view: int, segments: PencilSegments
 ) -> Float[np.ndarray, "n 2"]:
-    """Plane angles of all ends of a view, low and high; those of other frames lie apart."""
+    """Plane angles (low, high) of the segments of a view, (n, 2). Different frames have disjoint
+    ranges.
+    """
     angles = np.stack([np.asarray(segments.low), np.asarray(segments.high)], axis=1)
     if lines.frame is None:
         return angles
-    # Half a turn on either side, and not more than another for what one segment spans.
+    # Angles lie within pi of zero, and a segment spans less than another pi.
     return angles + 16.0 * np.asarray(lines.frame)[view][:, None]
 
 
 class CommonPart(NamedTuple):
-    """Where the planes of a pencil bound what both segments show.
+    """Common part of two segments, bounded by two planes of the pencil.
 
     at_low, at_high : (slope in the first view, cos, sin, 1 / radius) on both bounding planes.
-    possible : whether there is a common part, in front of both cameras.
+    possible : mask of the pairs with a common part in front of both cameras.
     """
 
     low: Scalar
@@ -246,21 +257,23 @@ class CommonPart(NamedTuple):
 def cut_pair(
     baseline_mm: Scalar, a: PencilSegments, b: PencilSegments, tuning: CandidateTuning
 ) -> CommonPart:
-    """Cut one segment of either view so that their ends correspond."""
+    """Cut one segment of each view to their common part, so that their ends correspond."""
     xp = array_namespace(a.low, b.low)
     low, high = xp.maximum(a.low, b.low), xp.minimum(a.high, b.high)
     shorter = xp.minimum(a.high - a.low, b.high - b.low)
-    a_begins, a_ends = a.low > b.low, a.high < b.high
+    a_sets_low, a_sets_high = a.low > b.low, a.high < b.high
 
     def on_plane(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         slope = a.p * cosine + a.q * sine
         return slope, cosine, sine, (slope - b.p * cosine - b.q * sine) / baseline_mm
 
     at_low = on_plane(
-        xp.where(a_begins, a.cosine_low, b.cosine_low), xp.where(a_begins, a.sine_low, b.sine_low)
+        xp.where(a_sets_low, a.cosine_low, b.cosine_low),
+        xp.where(a_sets_low, a.sine_low, b.sine_low),
     )
     at_high = on_plane(
-        xp.where(a_ends, a.cosine_high, b.cosine_high), xp.where(a_ends, a.sine_high, b.sine_high)
+        xp.where(a_sets_high, a.cosine_high, b.cosine_high),
+        xp.where(a_sets_high, a.sine_high, b.sine_high),
     )
     possible = (high - low > tuning.smallest_overlap * shorter) & (at_low[3] > 0) & (at_high[3] > 0)
     return CommonPart(low, high, at_low, at_high, possible)
@@ -269,8 +282,8 @@ def cut_pair(
 def common_ends_mm(planes: Pencil, part: CommonPart) -> tuple[Vector3, Vector3]:
     """Ends in space, world frame, of the common part of a pair."""
 
-    def point(at: tuple[Scalar, Scalar, Scalar, Scalar]) -> Vector3:
-        in_frame = scaled3(at[:3], 1 / at[3])
+    def point(bounding_plane: tuple[Scalar, Scalar, Scalar, Scalar]) -> Vector3:
+        in_frame = scaled3(bounding_plane[:3], 1 / bounding_plane[3])
         return add3(vector3(planes.origin_mm), times_matrix(planes.frame.mT, in_frame))
 
     return point(part.at_low), point(part.at_high)
@@ -281,38 +294,40 @@ def pairs_sharing_planes(
     views: Int[np.ndarray, "2"],
     planes: Pencil,
     rows: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "m"]],
-    at_once: int,
+    pairs_at_once: int,
     ends_px: float | None = None,
 ) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
-    """Pairs of those rows that share epipolar planes, each once, about so many at a time.
+    """Yield the pairs of the given rows that share epipolar planes, each once, in blocks.
 
-    With `ends_px`, only those of which the low ends or the high ends have the same plane, give or
-    take so many pixels along either segment.
+    With `ends_px`, only pairs whose low ends or high ends lie on the same plane, within this
+    distance along either segment.
     """
-    first, second = (own.astype(np.int32) for own in rows)
-    of_views = [
+    first, second = (view_rows.astype(np.int32) for view_rows in rows)
+    angles_of_views = [
         plane_angles(lines, int(view), segments)
         for view, segments in zip(views, (planes.first, planes.second), strict=True)
     ]
     if ends_px is None:
-        joined = [(of_views[0][first], of_views[1][second])]
+        range_pairs = [(angles_of_views[0][first], angles_of_views[1][second])]
     else:
-        about = [
+        end_ranges = [
             end_angles(lines, int(view), segments, angles, ends_px)
             for view, segments, angles in zip(
-                views, (planes.first, planes.second), of_views, strict=True
+                views, (planes.first, planes.second), angles_of_views, strict=True
             )
         ]
-        joined = [(about[0][first, end], about[1][second, end]) for end in range(2)]
-    for number, (of_first, of_second) in enumerate(joined):
-        for block in blocks_of_overlapping(of_first, of_second, at_once):
-            i, j = overlapping(of_first[block], of_second)
+        range_pairs = [(end_ranges[0][first, end], end_ranges[1][second, end]) for end in range(2)]
+    for end, (first_ranges, second_ranges) in enumerate(range_pairs):
+        for block in blocks_of_overlapping(first_ranges, second_ranges, pairs_at_once):
+            i, j = overlapping(first_ranges[block], second_ranges)
             i += block.start
-            if number:
-                # Those of which both ends agree have been met.
-                one, other = joined[0][0][i], joined[0][1][j]
-                fresh = (one[:, 1] <= other[:, 0]) | (other[:, 1] <= one[:, 0])
-                i, j = i[fresh], j[fresh]
+            if end:
+                # Pairs that agree at both ends were yielded for the low end.
+                first_low, second_low = range_pairs[0][0][i], range_pairs[0][1][j]
+                is_new = (first_low[:, 1] <= second_low[:, 0]) | (
+                    second_low[:, 1] <= first_low[:, 0]
+                )
+                i, j = i[is_new], j[is_new]
             yield first[i], second[j]
 
 
@@ -321,13 +336,16 @@ def end_angles(
     view: int,
     segments: PencilSegments,
     angles: Float[np.ndarray, "n 2"],
-    reach_px: float,
+    radius_px: float,
     sigmas: float = 4.0,
 ) -> Float[np.ndarray, "n 2 2"]:
-    """Ranges of plane angle about both ends, low and high, that reach so far along the segment, and
-    as many standard deviations further as its direction turns the end's plane."""
+    """Ranges of plane angle about both ends of each segment, (n, 2, 2).
+
+    A range extends `radius_px` along the segment, plus `sigmas` standard deviations of the end's
+    plane angle.
+    """
     variance = np.stack([np.asarray(x) for x in segments.end_variance_px2], axis=1)
     span = (angles[:, 1] - angles[:, 0])[:, None]
     length = np.asarray(lines.length_px)[view, : len(angles), None]
-    reach = (reach_px + sigmas * np.sqrt(variance)) * span / length
-    return np.stack([angles - reach, angles + reach], axis=2)
+    half_width = (radius_px + sigmas * np.sqrt(variance)) * span / length
+    return np.stack([angles - half_width, angles + half_width], axis=2)

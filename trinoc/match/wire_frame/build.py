@@ -10,7 +10,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.match.line_map.collinear_merge import join_collinear
 from trinoc.match.line_map.corners import snap_corners
 from trinoc.match.line_map.lines import JoinedLines
-from trinoc.match.tracks.matches import EVEN, Matches
+from trinoc.match.tracks.matches import EVEN_POSTERIOR, Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.wire_frame.adjustment import AdjustedGraph, Graph, adjust_vertices, build_graph
 from trinoc.match.wire_frame.faces import Face, find_faces, fit_plane, flatten_faces
@@ -216,7 +216,7 @@ def _no_line(matches: Matches) -> Bool[np.ndarray, "t"]:
     if matches.viewpoint_dependent is not None:
         no_line |= matches.viewpoint_dependent
     if "silhouette" in matches.marks:
-        no_line |= matches.marks["silhouette"] > EVEN
+        no_line |= matches.marks["silhouette"] > EVEN_POSTERIOR
     return no_line
 
 
