@@ -20,7 +20,7 @@ from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
-from trinoc.io.formats.text_files import atomic_folder, expect_file_name, make_block
+from trinoc.io.formats.text_files import atomic_folder, expect_file_names, make_block
 from trinoc.io.json_document import Block
 
 TITLE = "mrcal's .cameramodel"
@@ -48,10 +48,9 @@ def write_mrcal(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
     if isinstance(value, Intrinsics):
         write_text(path, _text(value, np.eye(3, 4), "", unit_mm))
         return
+    expect_file_names(value, TITLE)
     texts = {
-        expect_file_name(name, TITLE): _text(
-            camera.intrinsics, np.asarray(camera.cam_from_world), name, unit_mm
-        )
+        name: _text(camera.intrinsics, np.asarray(camera.cam_from_world), name, unit_mm)
         for name, camera in value.items()
     }
     with atomic_folder(path) as folder:

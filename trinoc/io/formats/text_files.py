@@ -8,7 +8,8 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+import unicodedata
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -57,14 +58,35 @@ def make_block(values: Any, path: str | os.PathLike[str]) -> Block:
     return Block(values, str(path), "")
 
 
-def expect_file_name(name: str, title: str) -> str:
-    """A camera's name that names a file, too. Raises InputError for others."""
-    if not re.fullmatch(r'[^/\\:*?"<>|]+', name) or name.strip(". ") != name:
-        raise InputError(
-            f'The camera "{name}" names a file in {title}: rename it without / \\ : * ? " < > | '
-            "and without dots and blanks at its ends."
-        )
-    return name
+# In bytes, with room for the ending.
+LONGEST_CAMERA_NAME = 200
+
+
+def expect_file_names(names: Iterable[str], title: str) -> None:
+    """Check that names of cameras can name files beside each other, on every system.
+
+    Raises InputError for letters that some system refuses, for a name that is too long, and for two
+    names that are one where capital letters or composed characters make no difference.
+    """
+    name_of: dict[str, str] = {}
+    for name in names:
+        if not re.fullmatch(r'[^/\\:*?"<>|]+', name) or name.strip(". ") != name:
+            raise InputError(
+                f'The camera "{name}" names a file in {title}: rename it without / \\ : * ? " < > '
+                "| and without dots and blanks at its ends."
+            )
+        if len(name.encode("utf-8")) > LONGEST_CAMERA_NAME:
+            raise InputError(
+                f'The camera "{name}" names a file in {title}: rename it with at most '
+                f"{LONGEST_CAMERA_NAME} letters."
+            )
+        plain = unicodedata.normalize("NFC", name).casefold()
+        if plain in name_of:
+            raise InputError(
+                f'The cameras "{name_of[plain]}" and "{name}" name the same file of {title} on '
+                "some systems: rename one of them."
+            )
+        name_of[plain] = name
 
 
 # Parsing takes some hundred times as long as reading.

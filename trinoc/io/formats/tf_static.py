@@ -90,7 +90,8 @@ def _find_frames(lenses: Lenses, parents: Collection[str], path: Path) -> dict[s
     """
     frames = {}
     for name in lenses:
-        endings = ("", *SUFFIXES) if name.endswith(SUFFIXES) else SUFFIXES
+        # A lens may be named by its frame.
+        endings = (*SUFFIXES, "") if name.endswith(SUFFIXES) else SUFFIXES
         frame = next((name + ending for ending in endings if name + ending in parents), None)
         if frame is None and name in parents:
             raise InputError(
