@@ -24,7 +24,8 @@ from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import from_homogeneous, homogeneous, inverse
-from trinoc.io.formats.text_files import expect_file_names, read_json
+from trinoc.io.formats.notations import read_json
+from trinoc.io.formats.text_files import expect_file_names
 from trinoc.io.json_document import Block
 
 TITLE = "nerfstudio's transforms.json"
@@ -197,10 +198,7 @@ nerfstudio = Format(
     title=TITLE,
     holds=("rig",),
     reads=("rig",),
-    place="file",
     endings=(".json",),
-    unit_mm=1.0,
-    unit_is_fixed=False,
     frames="pixel (0, 0) is the corner of the top-left pixel, (0.5, 0.5) its centre; x right, "
     "y up, z back (OpenGL), as world_from_cam",
     loses=(COVARIANCE, PIXEL_PITCH),

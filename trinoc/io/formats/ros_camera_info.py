@@ -30,7 +30,8 @@ from trinoc.io.formats.lens_rows import (
     make_lens,
 )
 from trinoc.io.formats.motions import chain_motions, checked_rotation, inverse
-from trinoc.io.formats.text_files import atomic_folder, expect_file_names, read_yaml, yaml_text
+from trinoc.io.formats.notations import read_yaml
+from trinoc.io.formats.text_files import atomic_folder, expect_file_names, yaml_text
 from trinoc.io.formats.tf_static import METRE_MM, read_tf, write_tf
 from trinoc.io.json_document import Block
 
