@@ -17,7 +17,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from trinoc.errors import InputError, expect_path
-from trinoc.io.atomic import atomic_write
+from trinoc.io.atomic import atomic_write, has_half_characters
 
 # Unpacked, all arrays together: matches of half a million tracks.
 MOST_BYTES = 2**30
@@ -35,7 +35,17 @@ def write_arrays(
     *,
     compressed: bool = True,
 ) -> None:
-    """Write arrays, whole or not at all, beside the format's name and version."""
+    """Write arrays, whole or not at all, beside the format's name and version.
+
+    Raises InputError for names and texts that no file can hold.
+    """
+    for name, array in arrays.items():
+        texts = array.ravel().tolist() if array.dtype.kind == "U" else ()
+        # A zip file cuts names at a zero; half a character cannot be printed.
+        if not name.isprintable() or has_half_characters("".join(texts)):
+            raise InputError(
+                f"{path} was not written: {name!r} holds what is no character: correct it."
+            )
     named: dict[str, Any] = {"format": np.array(format_name), "version": np.array(version)}
     named.update(arrays)
     with atomic_write(path) as file:

@@ -26,6 +26,8 @@ _DISK = {
 # A rig of a hundred cameras with its covariance has 10 MB.
 MOST_BYTES = 64_000_000
 _PART_BYTES = 1 << 22
+# File systems take 255; a file being written has a longer name than it gets.
+LONGEST_NAME_BYTES = 240
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
@@ -112,6 +114,11 @@ def expect_place(*paths: str | os.PathLike[str] | None) -> None:
         if path is None:
             continue
         named = Path(path)
+        if len(os.fsencode(named.name)) > LONGEST_NAME_BYTES:
+            raise InputError(
+                f"The name of the file {named.name} is longer than {LONGEST_NAME_BYTES} bytes: "
+                "choose a shorter one."
+            )
         target = _resolve_link(named)
         if target.is_dir():
             raise InputError(f"{named} is a folder: give the name of a file to write.")
@@ -163,8 +170,22 @@ def _sweep(target: Path) -> None:
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a UTF-8 text file as `atomic_write` does."""
+    if has_half_characters(text):
+        raise InputError(
+            f"{path} was not written: a name or text in it holds half a character (a surrogate), "
+            "which no file can hold: correct it."
+        )
     with atomic_write(path) as file:
         file.write(text.encode("utf-8"))
+
+
+def has_half_characters(text: str) -> bool:
+    """Whether a text holds surrogates, which no file can hold as UTF-8."""
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        return True
+    return False
 
 
 def save_table(rows: Sequence[Mapping[str, Any]], path: str | os.PathLike[str]) -> None:

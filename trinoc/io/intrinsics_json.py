@@ -3,10 +3,11 @@ lenses and cameras can be true.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
@@ -18,9 +19,9 @@ from trinoc.geometry.intrinsics import (
     describe_usable_fold,
 )
 from trinoc.geometry.lenses.registry import LENS_MODELS, promote_lens
-from trinoc.geometry.rig import Rig, find_equal_centres
-from trinoc.io.formats.motions import checked_rotation
-from trinoc.io.json_document import Block, read_document, write_document
+from trinoc.geometry.rig import PARAMETER_NAMES, Rig, find_equal_centres
+from trinoc.io.formats.motions import motion
+from trinoc.io.json_document import LARGEST, Block, read_document, write_document
 from trinoc.numerics.tables import is_covariance
 
 # Focal length over the longer side of the picture: from nearly 180 degrees to a large telescope.
@@ -102,9 +103,42 @@ def expect_readable(value: Rig | Intrinsics, where: str) -> None:
         return
     for name, camera in value.items():
         expect_lens(camera.intrinsics, f'{where}: the camera "{name}"')
-        rotation = np.asarray(camera.cam_from_world)[:, :3]
-        checked_rotation(rotation, f'{where}: the pose of the camera "{name}"')
+        pose = np.asarray(camera.cam_from_world)
+        motion(pose[:, :3], pose[:, 3], f'{where}: the pose of the camera "{name}"')
     expect_apart(dict(value.items()), where)
+    fault = find_covariance_fault(value.parameters, np.asarray(value.covariance), value.names)
+    if fault is not None:
+        raise InputError(f'{where}: "covariance.{fault[0]}" {fault[1]}')
+
+
+def find_covariance_fault(
+    parameters: Sequence[str], matrix: Float[np.ndarray, "p p"], cameras: Collection[str]
+) -> tuple[str, str] | None:
+    """The first fault of a rig's covariance as (key of its block, problem); None where it has none.
+
+    parameters : names of its rows. cameras : names of the cameras of the rig.
+    """
+    for parameter in parameters:
+        camera, _, name = parameter.rpartition(".")
+        if name in PARAMETER_NAMES and camera not in cameras:
+            return (
+                "parameters",
+                f'names "{parameter}", but there is no camera "{camera}": correct it.',
+            )
+    if len(set(parameters)) < len(parameters):
+        return "parameters", "names a parameter twice: remove one with its row."
+    if not np.isfinite(matrix).all():
+        return (
+            "matrix",
+            "is not finite: calibrate so that all parameters are determined, or drop the "
+            "covariance.",
+        )
+    if not ((np.abs(matrix) <= LARGEST).all() and is_covariance(matrix[None]).all()):
+        return (
+            "matrix",
+            "is no covariance (symmetric, nowhere negative): calibrate again, or drop it.",
+        )
+    return None
 
 
 def expect_apart(cameras: Mapping[str, Camera], where: str) -> None:
@@ -178,9 +212,15 @@ def save_intrinsics(
     """Write a camera.json; `provenance` says how the lens came to be known.
 
     `covariance` (q, q) is of the parameters of the lens (of Brown-Conrady for an ideal one), zero
-    for those that were held. Raises InputError for a lens that `load_intrinsics` would refuse.
+    for those that were held. Raises InputError for a lens and a covariance that a reader would
+    refuse.
     """
     expect_readable(intrinsics, f"{path} was not written")
+    if covariance is not None and not is_covariance(np.asarray(covariance)[None]).all():
+        raise InputError(
+            f"{path} was not written: the covariance of the lens is none (finite, symmetric, "
+            "nowhere negative): calibrate again, or drop it."
+        )
     document: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,

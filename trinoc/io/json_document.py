@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from trinoc.errors import InputError, expect_path
-from trinoc.io.atomic import read_text, write_text
+from trinoc.io.atomic import has_half_characters, read_text, write_text
 
 # Everything that trinoc reads is at most eight deep; Python's own parser fails at thousands.
 MOST_NESTED = 64
@@ -50,7 +50,9 @@ def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
             f"{file} holds a number of thousands of digits: write it as 1.5e300, if it is meant."
         ) from error
     # Halves of a character, which JSON can name by \\u, cannot be printed or written again.
-    if re.search(r"\\u[dD][89a-fA-F]", text) and _has_half_characters(values):
+    if re.search(r"\\u[dD][89a-fA-F]", text) and has_half_characters(
+        json.dumps(values, ensure_ascii=False)
+    ):
         raise InputError(f"{file} holds a \\u code that is no character: correct it.")
     return values
 
@@ -94,14 +96,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
             f"the key {json.dumps(twice)} stands twice in one object: keep one of them."
         )
     return values
-
-
-def _has_half_characters(value: Any) -> bool:
-    try:
-        json.dumps(value, ensure_ascii=False).encode()
-    except UnicodeEncodeError:
-        return True
-    return False
 
 
 # Squares and cubes of larger numbers are more than floats hold.
@@ -223,8 +217,16 @@ def read_document(path: str | os.PathLike[str], format_name: str, version: int) 
 
 
 def write_document(path: str | os.PathLike[str], values: dict[str, Any]) -> None:
-    """Write an object as indented JSON with short lists on one line."""
-    write_text(path, document_text(values))
+    """Write an object as indented JSON with short lists on one line.
+
+    Raises InputError, before anything is written, for what `parsed_json` would refuse.
+    """
+    try:
+        text = document_text(values)
+        parsed_json(text, "it")
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path} was not written: {error}") from error
+    write_text(path, text)
 
 
 def document_text(values: dict[str, Any]) -> str:
@@ -235,7 +237,8 @@ def document_text(values: dict[str, Any]) -> str:
 def _dump(value: Any, indent: str) -> str:
     if isinstance(value, dict) and value:
         deeper = indent + "  "
-        lines = (f"{deeper}{json.dumps(key)}: {_dump(item, deeper)}" for key, item in value.items())
+        items = ((json.dumps(str(key)), _dump(item, deeper)) for key, item in value.items())
+        lines = (f"{deeper}{key}: {item}" for key, item in items)
         return "{\n" + ",\n".join(lines) + "\n" + indent + "}"
     flat = json.dumps(value, allow_nan=False)
     if isinstance(value, list) and len(flat) > 88:

@@ -90,8 +90,10 @@ def lay_out(board: AbstractBoard, paper: str = "a4") -> PatternPage:
     below = max(0.5 * free, _MARGIN_MM + _BAR_GAP_MM + _TEXT_ROOM_MM)
     shift = np.array([0.0, -0.5 * page_mm[1] + below]) - np.array([0.5 * (low + high)[0], low[1]])
     bar_x, bar_y = (max(_BAR_STEP_MM * np.floor(side / _BAR_STEP_MM), 10.0) for side in high - low)
+    # Control characters, which XML does not have.
+    title = "".join(letter if letter.isprintable() else " " for letter in board.name)
     words = (
-        f"{board.name}   {len(board)} {board.places}   {paper.upper()}",
+        f"{title}   {len(board)} {board.places}   {paper.upper()}",
         "print at 100 % (actual size, no fit to page); then measure both bars",
     )
     foot = float((low + shift)[1]) - _BAR_GAP_MM
@@ -100,7 +102,7 @@ def lay_out(board: AbstractBoard, paper: str = "a4") -> PatternPage:
         *_scale_bars(low + shift, high + shift, bar_x, bar_y),
         *(Text((0.0, foot - 7.0 - 5.0 * line), text, False) for line, text in enumerate(words)),
     )
-    return PatternPage(board.name, page_mm, figures, (float(bar_x), float(bar_y)))
+    return PatternPage(title, page_mm, figures, (float(bar_x), float(bar_y)))
 
 
 def drawing_box_mm(board: AbstractBoard) -> Float[np.ndarray, "2 2"]:

@@ -11,20 +11,26 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.registry import promote_lens
 from trinoc.geometry.pose import Pose
-from trinoc.geometry.rig import PARAMETER_NAMES, Rig, is_camera_name
-from trinoc.io.atomic import read_text, write_text
+from trinoc.geometry.rig import Rig, is_camera_name
+from trinoc.io.atomic import read_text
 from trinoc.io.formats.motions import checked_rotation
 from trinoc.io.intrinsics_json import (
     CONVENTIONS,
     expect_apart,
     expect_readable,
+    find_covariance_fault,
     intrinsics_from_block,
     intrinsics_to_block,
     load_intrinsics,
     load_lens_covariance,
 )
-from trinoc.io.json_document import Block, document_text, parsed_json, read_document
-from trinoc.numerics.tables import is_covariance
+from trinoc.io.json_document import (
+    Block,
+    document_text,
+    parsed_json,
+    read_document,
+    write_document,
+)
 
 if TYPE_CHECKING:
     from trinoc.calib.result.calibration import CalibrationResult
@@ -186,25 +192,20 @@ def save_rig(
 ) -> None:
     """Write a rig.json; `provenance` says how the rig came to be known, `status` how well.
 
-    Raises InputError for a covariance that is not finite, and for lenses and cameras that
-    `load_rig` would refuse.
+    Raises InputError for lenses, cameras and a covariance that `load_rig` would refuse.
     """
     expect_readable(rig, f"{path} was not written")
-    if not np.isfinite(np.asarray(rig.covariance)).all():
-        raise InputError(
-            f"{path} was not written, because the covariance of the rig is not finite: calibrate "
-            "so that all parameters are determined, or drop the covariance."
-        )
-    write_text(path, rig_text(rig, provenance=provenance, status=status))
+    write_document(path, _rig_to_values(rig, provenance, status))
 
 
-def rig_text(
-    rig: Rig,
-    *,
-    provenance: Mapping[str, Any] | None = None,
-    status: Mapping[str, Any] | None = None,
-) -> str:
-    """The text of a rig.json; equal rigs give equal texts."""
+def rig_text(rig: Rig) -> str:
+    """The text of a rig.json without a status; equal rigs give equal texts."""
+    return document_text(_rig_to_values(rig, None, None))
+
+
+def _rig_to_values(
+    rig: Rig, provenance: Mapping[str, Any] | None, status: Mapping[str, Any] | None
+) -> dict[str, Any]:
     covariance = np.asarray(rig.covariance, dtype=np.float64)
     document: dict[str, Any] = {
         "format": FORMAT,
@@ -220,7 +221,7 @@ def rig_text(
         document["status"] = dict(status)
     document["conventions"] = CONVENTIONS
     document["provenance"] = dict(provenance or {})
-    return document_text(document)
+    return document
 
 
 def _camera_to_block(rig: Rig, name: str) -> dict[str, Any]:
@@ -309,20 +310,10 @@ def parse_covariance(
     block = document.block("covariance")
     block.expect_keys(("parameters", "matrix"))
     parameters = block.texts("parameters")
-    for parameter in parameters:
-        camera, _, name = parameter.rpartition(".")
-        if name in PARAMETER_NAMES and camera not in cameras:
-            raise block.error(
-                "parameters", f'names "{parameter}", but there is no camera "{camera}": correct it.'
-            )
-    if len(set(parameters)) < len(parameters):
-        raise block.error("parameters", "names a parameter twice: remove one with its row.")
     matrix = block.numbers("matrix", (len(parameters), len(parameters)))
-    if not is_covariance(matrix[None]).all():
-        raise block.error(
-            "matrix",
-            "is no covariance (symmetric, nowhere negative): write the file again.",
-        )
+    fault = find_covariance_fault(parameters, matrix, cameras)
+    if fault is not None:
+        raise block.error(*fault)
     return parameters, matrix
 
 

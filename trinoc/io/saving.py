@@ -26,6 +26,7 @@ from trinoc.io.rig_json import status_to_block
 from trinoc.io.tables_npz import load_npz, save_npz
 from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
+from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.tables import Table
 
 # What is written as JSON, in words.
@@ -69,7 +70,8 @@ def expect_replaceable(
     """Before a long job: raise InputError for a name that `save` would refuse a value of a kind,
     and, unless forced, where a file stands that holds something else."""
     expect_ending(path, kind)
-    if path is None or force or not Path(path).exists() or not Path(path).stat().st_size:
+    # Not of `Path`, which raises for a name that is too long.
+    if path is None or force or not os.path.exists(path) or not Path(path).stat().st_size:
         return
     try:
         stated = _stated_format(Path(path))
@@ -173,14 +175,19 @@ def load(path: str | os.PathLike[str]) -> Any:
     """
     expect_path(path)
     file = Path(path)
-    if file.is_dir():
+    if os.path.isdir(file):
         return load_recording(file)
     if file.suffix.lower() in _BY_ENDING:
         return _BY_ENDING[file.suffix.lower()](file)
     stated: object = None
-    if file.suffix.lower() in (".json", ".npz") or not file.exists():
+    if file.suffix.lower() in (".json", ".npz") or not os.path.exists(file):
         stated = _stated_format(file)
     readers = _readers()
+    if stated == f"trinoc-{Wireframe.KIND}" and file.suffix.lower() == ".json":
+        raise InputError(
+            f"{file} is a wire frame for other programs, without the covariance between its "
+            f"vertices: give the {Wireframe.KIND}.npz that it was exported from."
+        )
     if stated == "trinoc-cylinders":
         raise InputError(
             f"{file} holds cylinders, which trinoc no longer reads: export it with the version "

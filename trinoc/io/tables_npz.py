@@ -26,8 +26,22 @@ _DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_}
 
 
 def save_npz(table: Table, path: str | os.PathLike[str]) -> None:
-    """Write a table as npz, whole or not at all; fields that are None are left out."""
-    write_arrays(path, f"trinoc-{table.KIND}", VERSION, list_arrays(table))
+    """Write a table as npz, whole or not at all; fields that are None are left out.
+
+    Raises InputError, before anything is written, for a table that `load_npz` would refuse.
+    """
+    write_arrays(path, f"trinoc-{table.KIND}", VERSION, checked_arrays(table, path))
+
+
+def checked_arrays(table: Table, path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+    """The arrays of a table, which its reader has read. Raises InputError where it refuses them."""
+    arrays = list_arrays(table)
+    fields = ArrayFields(arrays, f"{path} was not written", remedy="correct the value")
+    read = list_arrays(build_table(type(table), fields))
+    for name in arrays:
+        if name not in read:
+            raise fields.error(name, "has a name under which it would not be read")
+    return arrays
 
 
 def load_npz(kind: type[_Value], path: str | os.PathLike[str]) -> _Value:
@@ -135,12 +149,19 @@ def _array(values: Any, kind: str = "") -> np.ndarray:
 
 
 class ArrayFields:
-    """The arrays of one file, taken one by one and checked; the file is named in every error."""
+    """The arrays of one file, taken one by one and checked; the file is named in every error.
+
+    remedy : what to do about an array that is refused, at the end of every error.
+    """
 
     def __init__(
-        self, arrays: Mapping[str, np.ndarray], file: str | os.PathLike[str], prefix: str = ""
+        self,
+        arrays: Mapping[str, np.ndarray],
+        file: str | os.PathLike[str],
+        prefix: str = "",
+        remedy: str = REMEDY,
     ) -> None:
-        self.arrays, self.file, self.prefix = arrays, file, prefix
+        self.arrays, self.file, self.prefix, self.remedy = arrays, file, prefix, remedy
         self._taken: set[str] = set()
 
     def has(self, field: Field) -> bool:
@@ -153,7 +174,9 @@ class ArrayFields:
 
     def below(self, prefix: str) -> "ArrayFields":
         """The arrays whose names begin so."""
-        return ArrayFields(self.arrays, self.file, self.prefix + prefix) if prefix else self
+        if not prefix:
+            return self
+        return ArrayFields(self.arrays, self.file, self.prefix + prefix, self.remedy)
 
     def every(self) -> list[str]:
         """All names, which may themselves hold a /, as those of cameras do."""
@@ -171,7 +194,7 @@ class ArrayFields:
         """
         whole = self.prefix + name
         if whole not in self.arrays:
-            raise InputError(f'{self.file} lacks the array "{whole}": {REMEDY}.')
+            raise InputError(f'{self.file} lacks the array "{whole}": {self.remedy}.')
         array = self.arrays[whole]
         self._taken.add(name)
         if len(shape) != array.ndim or any(
@@ -199,7 +222,7 @@ class ArrayFields:
 
     def error(self, name: str, problem: str) -> InputError:
         """An error that names the file and the array."""
-        return InputError(f'{self.file}: "{self.prefix}{name}" {problem}: {REMEDY}.')
+        return InputError(f'{self.file}: "{self.prefix}{name}" {problem}: {self.remedy}.')
 
 
 def _show_shape(shape: tuple[int | None, ...]) -> str:

@@ -245,7 +245,7 @@ SPOILT = [
     ("tf", r"w: [-\d.]+", "w: 7.0", "no unit quaternion"),
     ("mrcal", r"LENSMODEL_OPENCV4", "LENSMODEL_CAHVOR", "LENSMODEL_CAHVOR"),
     ("mrcal", r"'imagersize'", "'imagesize'", "imagersize"),
-    ("mrcal", r"\[512", "[__import__('os').getcwd()", "no .cameramodel"),
+    ("mrcal", r"\[512", "[__import__('os').getcwd()", "not a .cameramodel"),
     ("nerfstudio", r'"OPENCV"', '"EQUIRECTANGULAR"', "EQUIRECTANGULAR"),
     ("nerfstudio", r"images/right", "images/upper", "one before it"),
     ("nerfstudio", r'"fl_x": [\d.]+', '"fl_x": NaN', "finite"),

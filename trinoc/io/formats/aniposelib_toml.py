@@ -11,6 +11,7 @@ Source: cameras.py of aniposelib, camera_array.py of Caliscope, calibration_resu
 import datetime
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,12 @@ from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
-from trinoc.io.atomic import read_text, write_text
+from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import COVARIANCE, NAMES, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys
 from trinoc.io.formats.lens_rows import list_lens_numbers
 from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
+from trinoc.io.formats.notations import Notation, RefusedError, make_block, parse_file
 from trinoc.io.formats.opencv_lens import (
     FISHEYE,
     WRITTEN,
@@ -32,7 +34,7 @@ from trinoc.io.formats.opencv_lens import (
     matrix_of_numbers,
     read_opencv_lens,
 )
-from trinoc.io.formats.text_files import MOST_BYTES_OF_YAML, make_block, scalar_or_list
+from trinoc.io.formats.text_files import scalar_or_list
 from trinoc.io.json_document import MOST_NESTED, Block
 
 ANIPOSE, CALISCOPE = "aniposelib's TOML", "Caliscope's camera_array.toml"
@@ -155,19 +157,18 @@ def _read_cameras(tables: dict[str, Block], path: Path, unit_mm: float) -> Rig:
 
 def read_toml(path: Path) -> Block:
     """The tables of a TOML file, dates as texts. Raises InputError."""
-    text = read_text(path, MOST_BYTES_OF_YAML)
+    return make_block(parse_file(path, TOML), path)
+
+
+def _parse_toml(text: str) -> dict[str, Any]:
     if _TOO_DEEP.search(text):
-        raise InputError(
-            f"{path} is nested more than {MOST_NESTED} deep, which no such file is: give another "
-            "file."
+        raise RefusedError(
+            f"is nested more than {MOST_NESTED} deep, which no such file is: give another file."
         )
-    try:
-        values = _without_dates(tomllib.loads(text))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path} is not TOML ({error}): correct it there.") from error
-    return make_block(values, path)
+    return _without_dates(tomllib.loads(text))
+
+
+TOML = Notation("TOML", _parse_toml, (ValueError,))
 
 
 def _without_dates(value: Any) -> Any:
@@ -186,34 +187,23 @@ def _write_toml(tables: dict[str, dict[str, Any]], path: Path) -> None:
     write_text(path, "\n".join(texts))
 
 
-_FRAMES = "pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward"
 anipose = Format(
     name="anipose",
     title=ANIPOSE,
     holds=("rig",),
     reads=("rig",),
-    place="file",
     endings=(".toml",),
-    unit_mm=1.0,
-    unit_is_fixed=False,
-    frames=_FRAMES,
     loses=(COVARIANCE, PIXEL_PITCH),
     write=write_anipose,
     read=read_anipose,
     keys={"a camera": KEYS},
 )
-caliscope = Format(
+caliscope = replace(
+    anipose,
     name="caliscope",
     title=CALISCOPE,
-    holds=("rig",),
-    reads=("rig",),
-    place="file",
-    endings=(".toml",),
     unit_mm=METRE_MM,
-    unit_is_fixed=False,
-    frames=_FRAMES,
-    loses=(NAMES, COVARIANCE, PIXEL_PITCH),
+    loses=(NAMES, *anipose.loses),
     write=write_caliscope,
     read=read_caliscope,
-    keys={"a camera": KEYS},
 )

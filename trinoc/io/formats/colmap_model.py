@@ -5,6 +5,7 @@ one frame. COLMAP's origin is the corner of the top-left pixel, so that principa
 half a pixel. Points are left out: COLMAP has no lines. Both are read, with the poses of the images.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -135,26 +136,10 @@ colmap = Format(
     holds=("rig",),
     reads=("rig",),
     place="folder",
-    endings=(),
-    unit_mm=1.0,
-    unit_is_fixed=False,
     frames="pixel (0, 0) is the corner of the top-left pixel, (0.5, 0.5) its centre; x right, "
     "y down, z forward",
     loses=(COVARIANCE, PIXEL_PITCH),
     write=write_binary,
     read=read_colmap,
 )
-colmap_text = Format(
-    name="colmap-text",
-    title="COLMAP (text)",
-    holds=("rig",),
-    reads=("rig",),
-    place="folder",
-    endings=(),
-    unit_mm=1.0,
-    unit_is_fixed=False,
-    frames=colmap.frames,
-    loses=(COVARIANCE, PIXEL_PITCH),
-    write=write_text_model,
-    read=read_colmap,
-)
+colmap_text = replace(colmap, name="colmap-text", title="COLMAP (text)", write=write_text_model)

@@ -16,16 +16,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
-from trinoc.io.atomic import read_text, write_text
+from trinoc.io.atomic import MOST_BYTES, write_text
 from trinoc.io.formats.format import PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import list_lens_numbers
 from trinoc.io.formats.motions import chain_motions, inverse, motion
+from trinoc.io.formats.notations import Notation, make_block, parse_file
 from trinoc.io.formats.opencv_lens import (
     FISHEYE,
     WRITTEN,
@@ -33,7 +33,7 @@ from trinoc.io.formats.opencv_lens import (
     matrix_of_numbers,
     read_opencv_lens,
 )
-from trinoc.io.formats.text_files import make_block, scalar_or_list
+from trinoc.io.formats.text_files import scalar_or_list
 from trinoc.io.images import silent_opencv
 from trinoc.io.json_document import Block, show_value
 from trinoc.io.rig_json import parse_covariance
@@ -260,11 +260,7 @@ opencv = Format(
     title=TITLE,
     holds=("rig", "lens"),
     reads=("rig", "lens"),
-    place="file",
     endings=(".yml", ".yaml", ".json"),
-    unit_mm=1.0,
-    unit_is_fixed=False,
-    frames="pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward",
     loses=(PIXEL_PITCH,),
     write=write_opencv,
     read=read_opencv,
@@ -280,17 +276,20 @@ def write_storage(document: dict[str, Any], path: Path) -> None:
 
 def read_storage(path: Path) -> Block:
     """The file as OpenCV reads it, matrices as lists of rows. Raises InputError for others."""
-    text = read_text(path)
-    try:
-        with silent_opencv():
-            storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-            values = _plain(storage.root())
-            storage.release()
-    except (cv2.error, SystemError, RecursionError) as error:
-        raise InputError(
-            f"{path} is not a file of cv2.FileStorage (YAML or JSON): give another file."
-        ) from error
-    return make_block(values, path)
+    return make_block(parse_file(path, STORAGE), path)
+
+
+def _parse_storage(text: str) -> Any:
+    with silent_opencv():
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        values = _plain(storage.root())
+        storage.release()
+    return values
+
+
+STORAGE = Notation(
+    "a file of cv2.FileStorage (YAML or JSON)", _parse_storage, (cv2.error, SystemError), MOST_BYTES
+)
 
 
 def _plain(node: Any) -> Any:

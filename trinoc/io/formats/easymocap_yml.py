@@ -33,6 +33,8 @@ from trinoc.io.json_document import Block
 TITLE = "EasyMocap's intri.yml and extri.yml"
 INTRINSIC, EXTRINSIC = "intri.yml", "extri.yml"
 METRE_MM = 1000.0
+# What EasyMocap lists where no camera is.
+NO_CAMERA = "none"
 # How far the two statements of one rotation may differ: they have six decimals.
 _SAME = 1e-4
 KEYS = Keys(read=("K", "dist", "D", "H", "W", "R", "Rot", "T"))
@@ -43,10 +45,10 @@ def write_easymocap(rig: Rig, path: Path, unit_mm: float) -> None:
     intrinsic: dict[str, Any] = {"names": list(rig.names)}
     extrinsic: dict[str, Any] = {"names": list(rig.names)}
     for name, camera in rig.items():
-        if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", name) or name == NO_CAMERA:
             raise InputError(
                 f'The camera "{name}" is part of keys in {TITLE}: rename it with letters, digits, '
-                "_ and - alone."
+                f'_ and - alone, and not "{NO_CAMERA}".'
             )
         numbers = list_lens_numbers(camera.intrinsics, WRITTEN[:1], TITLE, name)
         pose = np.asarray(camera.cam_from_world)
@@ -97,7 +99,7 @@ def _by_camera(path: Path) -> dict[str, Block]:
         raise document.error("names", "must be the list of the cameras: add it.")
     # FileStorage reads 1 as a number where it is not in quotes.
     names = [f"{name:g}" if isinstance(name, float) else str(name) for name in listed]
-    values: dict[str, dict[str, Any]] = {name: {} for name in names if name != "none"}
+    values: dict[str, dict[str, Any]] = {name: {} for name in names if name != NO_CAMERA}
     others = {}
     for key, value in document.values.items():
         ends = [name for name in values if key.endswith(f"_{name}")]
@@ -128,10 +130,7 @@ easymocap = Format(
     holds=("rig",),
     reads=("rig",),
     place="folder",
-    endings=(),
     unit_mm=METRE_MM,
-    unit_is_fixed=False,
-    frames="pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward",
     loses=(COVARIANCE, PIXEL_PITCH),
     write=write_easymocap,
     read=read_easymocap,

@@ -70,9 +70,12 @@ def _has(value: object, loss: str) -> bool:
 Lenses = Mapping[str, Intrinsics]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Format:
     """A file, or a folder of files, that another tool reads or writes.
+
+    The defaults are those of most: a file in mm or another unit, with pixels and axes as OpenCV
+    has them.
 
     Fields
     ------
@@ -86,31 +89,31 @@ class Format:
     unit_mm : length in mm of its unit, if the caller does not say another; None where it holds no
         lengths.
     unit_is_fixed : whether the format itself says its unit.
+    states_unit : whether each file says its unit, so that none is assumed.
     frames : where the origin of its pixels lies, and how its axes point.
-    loses : of `losses.LOSSES`, what it cannot hold although projections stay the same.
+    loses : of `LOSSES`, what it cannot hold although projections stay the same.
     write : (value, path, unit_mm), with the value and the place already checked; None where the
         format is only read.
     read : (path, unit_mm, lenses); None where the format is only written. For a format that states
         its unit, unit_mm is None where the caller gives none.
     keys : for each map in a file, by its place, the keys that are read, left out and refused; empty
         where the places of numbers say what they are.
-    states_unit : whether each file says its unit, so that none is assumed.
     """
 
     name: str
     title: str
-    holds: tuple[str, ...]
-    reads: tuple[str, ...]
-    place: str
-    endings: tuple[str, ...]
-    unit_mm: float | None
-    unit_is_fixed: bool
-    frames: str
-    loses: tuple[str, ...]
-    write: Callable[[Any, Path, float], None] | None
+    holds: tuple[str, ...] = ()
+    reads: tuple[str, ...] = ()
+    place: str = "file"
+    endings: tuple[str, ...] = ()
+    unit_mm: float | None = 1.0
+    unit_is_fixed: bool = False
+    states_unit: bool = False
+    frames: str = "pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward"
+    loses: tuple[str, ...] = ()
+    write: Callable[[Any, Path, float], None] | None = None
     read: Callable[[Path, Any, Lenses | None], Any] | None = None
     keys: Mapping[str, Keys] = dataclasses.field(default_factory=dict)
-    states_unit: bool = False
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -69,12 +69,7 @@ wireframe_json = Format(
     name="json",
     title="JSON",
     holds=("wireframe",),
-    reads=(),
-    place="file",
     endings=(".json",),
-    unit_mm=1.0,
-    unit_is_fixed=False,
     frames="the world of the rig, Z up",
-    loses=(),
     write=write_json,
 )

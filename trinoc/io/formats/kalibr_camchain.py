@@ -27,7 +27,8 @@ from trinoc.io.formats.motions import (
     inverse,
     rotation_vector,
 )
-from trinoc.io.formats.text_files import read_yaml, yaml_text
+from trinoc.io.formats.notations import read_yaml
+from trinoc.io.formats.text_files import yaml_text
 from trinoc.io.json_document import Block
 
 TITLE = "Kalibr's camchain"
@@ -170,7 +171,6 @@ kalibr = Format(
     title=TITLE,
     holds=("rig",),
     reads=("rig",),
-    place="file",
     endings=(".yaml", ".yml"),
     unit_mm=METRE_MM,
     unit_is_fixed=True,

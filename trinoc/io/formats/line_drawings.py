@@ -12,6 +12,7 @@ no unit of its own: tell the program that reads it millimetres.
 import base64
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,8 +80,6 @@ gltf = Format(
     name="gltf",
     title="glTF",
     holds=("matches", "features"),
-    reads=(),
-    place="file",
     endings=(".glb", ".gltf"),
     unit_mm=METRE_MM,
     unit_is_fixed=True,
@@ -104,11 +103,7 @@ obj = Format(
     name="obj",
     title="OBJ",
     holds=("matches", "features"),
-    reads=(),
-    place="file",
     endings=(".obj",),
-    unit_mm=1.0,
-    unit_is_fixed=False,
     frames="the world of the rig, Z up",
     loses=(COVARIANCE, TRACKS),
     write=write_obj,
@@ -167,16 +162,4 @@ def _face(corners: list[list[float]]) -> list[tuple[int, Any]]:
     return pairs
 
 
-dxf = Format(
-    name="dxf",
-    title="DXF",
-    holds=("matches", "features"),
-    reads=(),
-    place="file",
-    endings=(".dxf",),
-    unit_mm=1.0,
-    unit_is_fixed=False,
-    frames="the world of the rig, Z up",
-    loses=(COVARIANCE, TRACKS),
-    write=write_dxf,
-)
+dxf = replace(obj, name="dxf", title="DXF", endings=(".dxf",), write=write_dxf)

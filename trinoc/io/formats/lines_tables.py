@@ -4,6 +4,7 @@ import csv as csv_text
 import io
 import itertools
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -69,28 +70,11 @@ csv = Format(
     name="csv",
     title="CSV",
     holds=("matches",),
-    reads=(),
-    place="file",
     endings=(".csv",),
-    unit_mm=1.0,
-    unit_is_fixed=False,
     frames=_FRAMES,
-    loses=(),
     write=write_csv,
 )
-parquet = Format(
-    name="parquet",
-    title="Parquet",
-    holds=("matches",),
-    reads=(),
-    place="file",
-    endings=(".parquet",),
-    unit_mm=1.0,
-    unit_is_fixed=False,
-    frames=_FRAMES,
-    loses=(),
-    write=write_parquet,
-)
+parquet = replace(csv, name="parquet", title="Parquet", endings=(".parquet",), write=write_parquet)
 
 
 # Of a column: what PLY calls its numbers.
@@ -156,11 +140,7 @@ ply = Format(
     name="ply",
     title="PLY",
     holds=("matches", "features"),
-    reads=(),
-    place="file",
     endings=(".ply",),
-    unit_mm=1.0,
-    unit_is_fixed=False,
     frames="the world of the rig",
     loses=(TRACKS,),
     write=write_ply,

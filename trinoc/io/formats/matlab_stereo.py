@@ -26,7 +26,7 @@ from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.mat_file import mat_variables
 from trinoc.io.formats.motions import chain_motions, from_homogeneous, homogeneous, inverse, motion
-from trinoc.io.formats.text_files import make_block
+from trinoc.io.formats.notations import make_block
 from trinoc.io.json_document import Block
 from trinoc.io.rig_json import parse_covariance
 
@@ -208,15 +208,12 @@ matlab = Format(
     title=TITLE,
     holds=("rig",),
     reads=("rig",),
-    place="file",
     endings=(".mat",),
-    unit_mm=1.0,
-    unit_is_fixed=False,
+    states_unit=True,
     frames="pixel (1, 1) is the centre of the top-left pixel; x right, y down, z forward; row "
     "vectors (x R + t)",
     loses=(PIXEL_PITCH,),
     write=write_matlab,
     read=read_matlab,
     keys={"stereoParams": PAIR_KEYS, "CameraParameters1 and 2": LENS_KEYS},
-    states_unit=True,
 )

@@ -107,10 +107,7 @@ mc_calib = Format(
     title=TITLE,
     holds=("rig",),
     reads=("rig",),
-    place="file",
     endings=(".yml", ".yaml"),
-    unit_mm=1.0,
-    unit_is_fixed=False,
     frames="pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward, as "
     "world_from_cam",
     loses=(NAMES, COVARIANCE, PIXEL_PITCH),

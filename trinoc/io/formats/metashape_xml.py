@@ -20,17 +20,15 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
-from trinoc.io.atomic import read_text
 from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, make_lens
 from trinoc.io.formats.motions import chain_motions, checked_rotation, from_homogeneous, inverse
+from trinoc.io.formats.notations import Notation, RefusedError, parse_file
 from trinoc.io.json_document import Block
 
 TITLE = "Metashape's cameras.xml"
 METRE_MM, HALF_PX = 1000.0, 0.5
-# A survey of thousands of pictures has some megabytes.
-MOST_BYTES_OF_XML = 100_000_000
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 ROWS = (
     LensRow("frame", "brown_conrady", ("k1", "k2", "k3", "k4", "p2", "p1", "p3", "p4")),
@@ -70,7 +68,7 @@ CAMERA_KEYS = Keys(
 def read_metashape(path: Path, unit_mm: float | None, lenses: Lenses | None) -> Rig:
     """The aligned cameras, named by their labels. `unit_mm` is needed only without a motion of the
     chunk, which has metres."""
-    chunk = _read_xml(path).find(".//chunk")
+    chunk = parse_file(path, XML).find(".//chunk")
     if chunk is None:
         raise InputError(f"{path} has no chunk: give what Metashape exports as Agisoft XML.")
     sensors = {sensor.get("id"): sensor for sensor in chunk.iterfind("sensors/sensor")}
@@ -96,15 +94,15 @@ def read_metashape(path: Path, unit_mm: float | None, lenses: Lenses | None) -> 
     return Rig(cameras)
 
 
-def _read_xml(path: Path) -> ElementTree.Element:
-    """The root element. Raises InputError, also for declarations, which may grow without bounds."""
-    text = read_text(path, MOST_BYTES_OF_XML)
+def _parse_xml(text: str) -> ElementTree.Element:
+    """The root element. Raises RefusedError for declarations, which may grow without bounds."""
     if re.search(r"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE):
-        raise InputError(f"{path} has declarations (<!DOCTYPE>), which trinoc does not follow.")
-    try:
-        return ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not XML ({error}): correct it there.") from error
+        raise RefusedError("has declarations (<!DOCTYPE>), which trinoc does not follow.")
+    return ElementTree.fromstring(text)
+
+
+# A survey of thousands of pictures has some megabytes.
+XML = Notation("XML", _parse_xml, (ElementTree.ParseError, ValueError), 100_000_000)
 
 
 def _block(element: ElementTree.Element, path: Path) -> Block:
@@ -188,17 +186,13 @@ def _pose(block: Block, frame: ElementTree.Element | None, unit_mm: float | None
 metashape = Format(
     name="metashape",
     title=TITLE,
-    holds=(),
     reads=("rig",),
-    place="file",
     endings=(".xml",),
     unit_mm=METRE_MM,
-    unit_is_fixed=False,
+    states_unit=True,
     frames="pixel (0, 0) is the corner of the top-left pixel, (0.5, 0.5) its centre; x right, y "
     "down, z forward, as world_from_cam",
     loses=(COVARIANCE, PIXEL_PITCH),
-    write=None,
     read=read_metashape,
     keys={"calibration": LENS_KEYS, "sensor": SENSOR_KEYS, "camera": CAMERA_KEYS},
-    states_unit=True,
 )

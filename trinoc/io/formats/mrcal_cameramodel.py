@@ -15,12 +15,13 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
-from trinoc.io.atomic import read_text, write_text
+from trinoc.io.atomic import write_text
 from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
-from trinoc.io.formats.text_files import atomic_folder, expect_file_name, make_block
+from trinoc.io.formats.notations import Notation, make_block, parse_file
+from trinoc.io.formats.text_files import atomic_folder, expect_file_names
 from trinoc.io.json_document import Block
 
 TITLE = "mrcal's .cameramodel"
@@ -48,10 +49,9 @@ def write_mrcal(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
     if isinstance(value, Intrinsics):
         write_text(path, _text(value, np.eye(3, 4), "", unit_mm))
         return
+    expect_file_names(value, TITLE)
     texts = {
-        expect_file_name(name, TITLE): _text(
-            camera.intrinsics, np.asarray(camera.cam_from_world), name, unit_mm
-        )
+        name: _text(camera.intrinsics, np.asarray(camera.cam_from_world), name, unit_mm)
         for name, camera in value.items()
     }
     with atomic_folder(path) as folder:
@@ -86,7 +86,7 @@ def _text(lens: Intrinsics, pose: np.ndarray, camera: str, unit_mm: float) -> st
 
 
 def _camera(path: Path, unit_mm: float) -> Camera:
-    block = KEYS.take(_parse_literal(path))
+    block = KEYS.take(_read_literal(path))
     intrinsics = block.numbers("intrinsics", (None,)).tolist()
     if len(intrinsics) < 4:
         raise block.error("intrinsics", "must begin with fx, fy, cx, cy: correct it.")
@@ -102,18 +102,15 @@ def _camera(path: Path, unit_mm: float) -> Camera:
     return Camera(lens, Pose(pose))
 
 
-def _parse_literal(path: Path) -> Block:
+def _read_literal(path: Path) -> Block:
     """The literal of a file: nothing in it is run."""
-    try:
-        values = ast.literal_eval(read_text(path))
-    except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path} is no {ENDING} of mrcal: give another file.") from error
-    block = make_block(values, path)
+    block = make_block(parse_file(path, LITERAL), path)
     # The optimization inputs are binary; nothing here reads them.
-    plain = {key: _lists(value) for key, value in values.items() if isinstance(key, str)}
+    plain = {key: _lists(value) for key, value in block.values.items() if isinstance(key, str)}
     return Block({k: v for k, v in plain.items() if not isinstance(v, bytes)}, block.file, "")
+
+
+LITERAL = Notation(f"a {ENDING} of mrcal", ast.literal_eval, (ValueError, SyntaxError, TypeError))
 
 
 def _lists(value: object) -> object:
@@ -128,8 +125,6 @@ mrcal = Format(
     place="file or folder",
     endings=(ENDING,),
     unit_mm=METRE_MM,
-    unit_is_fixed=False,
-    frames="pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward",
     loses=(COVARIANCE, PIXEL_PITCH),
     write=write_mrcal,
     read=read_mrcal,

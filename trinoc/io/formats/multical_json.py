@@ -22,8 +22,8 @@ from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import list_lens_numbers
 from trinoc.io.formats.motions import motion
+from trinoc.io.formats.notations import read_json
 from trinoc.io.formats.opencv_lens import FISHEYE, WRITTEN, matrix_of_numbers, read_opencv_lens
-from trinoc.io.formats.text_files import read_json
 from trinoc.io.json_document import Block
 
 TITLE = "multical's calibration.json"
@@ -125,11 +125,8 @@ multical = Format(
     title=TITLE,
     holds=("rig",),
     reads=("rig",),
-    place="file",
     endings=(".json",),
     unit_mm=METRE_MM,
-    unit_is_fixed=False,
-    frames="pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward",
     loses=(COVARIANCE, PIXEL_PITCH),
     write=write_multical,
     read=read_multical,

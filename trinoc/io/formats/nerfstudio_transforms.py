@@ -24,7 +24,8 @@ from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import from_homogeneous, homogeneous, inverse
-from trinoc.io.formats.text_files import expect_file_name, read_json
+from trinoc.io.formats.notations import read_json
+from trinoc.io.formats.text_files import expect_file_names
 from trinoc.io.json_document import Block
 
 TITLE = "nerfstudio's transforms.json"
@@ -73,6 +74,7 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 def write_nerfstudio(rig: Rig, path: Path, unit_mm: float) -> None:
     """Write the frames."""
+    expect_file_names(rig, TITLE)
     frames = []
     for name, camera in rig.items():
         numbers = list_lens_numbers(camera.intrinsics, WRITTEN, TITLE, name, origin_px=HALF_PX)
@@ -80,7 +82,7 @@ def write_nerfstudio(rig: Rig, path: Path, unit_mm: float) -> None:
         row = next(row for row in WRITTEN if row.called == numbers.called)
         frames.append(
             {
-                "file_path": f"images/{expect_file_name(name, TITLE)}.png",
+                "file_path": f"images/{name}.png",
                 "camera_model": numbers.called,
                 "w": camera.image_size_px[0],
                 "h": camera.image_size_px[1],
@@ -196,10 +198,7 @@ nerfstudio = Format(
     title=TITLE,
     holds=("rig",),
     reads=("rig",),
-    place="file",
     endings=(".json",),
-    unit_mm=1.0,
-    unit_is_fixed=False,
     frames="pixel (0, 0) is the corner of the top-left pixel, (0.5, 0.5) its centre; x right, "
     "y up, z back (OpenGL), as world_from_cam",
     loses=(COVARIANCE, PIXEL_PITCH),

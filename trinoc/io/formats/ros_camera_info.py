@@ -30,7 +30,8 @@ from trinoc.io.formats.lens_rows import (
     make_lens,
 )
 from trinoc.io.formats.motions import chain_motions, checked_rotation, inverse
-from trinoc.io.formats.text_files import atomic_folder, read_yaml, yaml_text
+from trinoc.io.formats.notations import read_yaml
+from trinoc.io.formats.text_files import atomic_folder, expect_file_names, yaml_text
 from trinoc.io.formats.tf_static import METRE_MM, read_tf, write_tf
 from trinoc.io.json_document import Block
 
@@ -80,6 +81,7 @@ def write_ros(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
         return
     for name in value:
         expect_ros_name(name)
+    expect_file_names((Path(POSES).stem, *value), TITLE)
     texts = {name: _text(lens, name) for name, lens in list_lenses(value).items()}
     with atomic_folder(path) as folder:
         for name, text in texts.items():

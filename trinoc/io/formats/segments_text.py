@@ -6,6 +6,7 @@ at the centre of the top-left pixel. Read are the ends; what else stands in a ro
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,6 @@ from trinoc.errors import InputError
 from trinoc.geometry.segments import Segments
 from trinoc.io.atomic import read_text, write_text
 from trinoc.io.formats.format import COVARIANCE, DETAILS, Format, Lenses
-
-_FRAMES = "pixel (0, 0) is the centre of the top-left pixel"
 
 
 def write_rows(segments: Segments, path: Path, unit_mm: float) -> None:
@@ -76,28 +75,20 @@ def _segments(lines: list[str], path: Path, columns: tuple[int, ...], start: int
         raise InputError(f"{path}: {error}") from error
 
 
-def _format(
-    name: str,
-    title: str,
-    write: Callable[[Segments, Path, float], None],
-    read: Callable[[Path, float, Lenses | None], Segments],
-) -> Format:
-    return Format(
-        name=name,
-        title=title,
-        holds=("segments",),
-        reads=("segments",),
-        place="file",
-        endings=(".txt",),
-        unit_mm=None,
-        unit_is_fixed=True,
-        frames=_FRAMES,
-        loses=(COVARIANCE, DETAILS),
-        write=write,
-        read=read,
-    )
-
-
-lsd = _format("lsd", "LSD's text", write_rows, read_rows(4, 5, 7))
-elsed = _format("elsed", "ELSED's text", write_rows, read_rows(4, 5))
-limap_segments = _format("limap-segments", "LIMAP's segments", write_counted, read_counted)
+lsd = Format(
+    name="lsd",
+    title="LSD's text",
+    holds=("segments",),
+    reads=("segments",),
+    endings=(".txt",),
+    unit_mm=None,
+    unit_is_fixed=True,
+    frames="pixel (0, 0) is the centre of the top-left pixel",
+    loses=(COVARIANCE, DETAILS),
+    write=write_rows,
+    read=read_rows(4, 5, 7),
+)
+elsed = replace(lsd, name="elsed", title="ELSED's text", read=read_rows(4, 5))
+limap_segments = replace(
+    lsd, name="limap-segments", title="LIMAP's segments", write=write_counted, read=read_counted
+)

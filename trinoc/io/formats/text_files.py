@@ -1,6 +1,4 @@
-"""Text of other tools (JSON, YAML), read whole up to a bounded size and parsed without running
-anything; folders that are whole or not there.
-"""
+"""Names, numbers and folders as other tools' text files have them."""
 
 import contextlib
 import json
@@ -8,13 +6,12 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+import unicodedata
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from trinoc.errors import InputError
-from trinoc.io.atomic import read_text
-from trinoc.io.json_document import Block, parsed_json
 
 
 @contextlib.contextmanager
@@ -44,81 +41,35 @@ def atomic_folder(target: Path) -> Iterator[Path]:
 MOST_BYTES_OF_MODEL = 1_000_000_000
 
 
-def read_json(path: str | os.PathLike[str]) -> Block:
-    """The object of a JSON file. Raises InputError for other content and for a key given twice."""
-    values = parsed_json(read_text(path), path)
-    return make_block(values, path)
+# In bytes, with room for the ending.
+LONGEST_CAMERA_NAME = 200
 
 
-def make_block(values: Any, path: str | os.PathLike[str]) -> Block:
-    """A parsed object with the file's name, for checks. Raises InputError for anything else."""
-    if not isinstance(values, dict):
-        raise InputError(f"{path} holds no named values: give another file.")
-    return Block(values, str(path), "")
+def expect_file_names(names: Iterable[str], title: str) -> None:
+    """Check that names of cameras can name files beside each other, on every system.
 
-
-def expect_file_name(name: str, title: str) -> str:
-    """A camera's name that names a file, too. Raises InputError for others."""
-    if not re.fullmatch(r'[^/\\:*?"<>|]+', name) or name.strip(". ") != name:
-        raise InputError(
-            f'The camera "{name}" names a file in {title}: rename it without / \\ : * ? " < > | '
-            "and without dots and blanks at its ends."
-        )
-    return name
-
-
-# Parsing takes some hundred times as long as reading.
-MOST_BYTES_OF_YAML = 16_000_000
-# What cv2.FileStorage writes, without the blank that YAML wants; the line stays, for errors.
-_OPENCV_DIRECTIVE = re.compile(r"\A%YAML:.*")
-
-
-def read_yaml(path: str | os.PathLike[str]) -> Block:
-    """The map of a YAML file; of a stream of several, which must agree but for their `header`.
-
-    Raises InputError as `read_yaml_stream`.
+    Raises InputError for letters that some system refuses, for a name that is too long, and for two
+    names that are one where capital letters or composed characters make no difference.
     """
-    first, *others = read_yaml_stream(path)
-    for number, other in enumerate(others, 2):
-        if {**other.values, "header": None} != {**first.values, "header": None}:
+    name_of: dict[str, str] = {}
+    for name in names:
+        if not re.fullmatch(r'[^/\\:*?"<>|]+', name) or name.strip(". ") != name:
             raise InputError(
-                f"{path} holds {1 + len(others)} documents, and document {number} differs from the "
-                "first: keep the one that is meant."
+                f'The camera "{name}" names a file in {title}: rename it without / \\ : * ? " < > '
+                "| and without dots and blanks at its ends."
             )
-    return first
-
-
-def read_yaml_stream(path: str | os.PathLike[str]) -> list[Block]:
-    """The maps of a YAML file, one or several: `ros2 topic echo` ends each with the line `---`.
-
-    Tags, anchors and aliases are refused: no calibration needs them. OpenCV's own first line,
-    `%YAML:1.0`, is taken. Raises InputError, also where ruamel.yaml is not installed.
-    """
-    try:
-        from ruamel.yaml import YAML
-        from ruamel.yaml.error import YAMLError
-    except ImportError as error:
-        raise InputError(
-            f"{path} is YAML, which needs ruamel.yaml: pip install 'trinoc[export]'."
-        ) from error
-    text = _OPENCV_DIRECTIVE.sub("", read_text(path, MOST_BYTES_OF_YAML))
-    parser = YAML(typ="safe", pure=True)
-    try:
-        for event in parser.parse(text):
-            if getattr(event, "tag", None) is not None or getattr(event, "anchor", None):
-                raise InputError(
-                    f"{path} has a tag or an anchor in line {event.start_mark.line + 1}, which "
-                    "trinoc does not follow: write plain numbers and texts."
-                )
-        documents = [values for values in parser.load_all(text) if values is not None]
-    except (YAMLError, ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        mark = getattr(error, "problem_mark", None)
-        line = "" if mark is None else f" (line {mark.line + 1}: {getattr(error, 'problem', '')})"
-        raise InputError(f"{path} is not YAML{line}: correct it there.") from error
-    blocks = [make_block(_only_json(values, path), path) for values in documents]
-    return blocks or [make_block(None, path)]
+        if len(name.encode("utf-8")) > LONGEST_CAMERA_NAME:
+            raise InputError(
+                f'The camera "{name}" names a file in {title}: rename it with at most '
+                f"{LONGEST_CAMERA_NAME} letters."
+            )
+        plain = unicodedata.normalize("NFC", name).casefold()
+        if plain in name_of:
+            raise InputError(
+                f'The cameras "{name_of[plain]}" and "{name}" name the same file of {title} on '
+                "some systems: rename one of them."
+            )
+        name_of[plain] = name
 
 
 def yaml_text(values: Any, indent: str = "") -> str:
@@ -156,14 +107,3 @@ def _item(value: Any, indent: str) -> str:
     ):
         return "\n" + yaml_text(value, indent + "  ")
     return f" {scalar_or_list(value)}\n"
-
-
-def _only_json(value: Any, path: str | os.PathLike[str]) -> Any:
-    """What JSON could hold, too. Raises InputError for dates, binary data and the like."""
-    if isinstance(value, dict):
-        return {str(key): _only_json(item, path) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_only_json(item, path) for item in value]
-    if value is None or isinstance(value, str | int | float):
-        return value
-    raise InputError(f"{path} holds a {type(value).__name__}, but only numbers and texts are read.")

@@ -30,7 +30,8 @@ from trinoc.io.formats.motions import (
     quaternion_wxyz,
     rotation_of_quaternion,
 )
-from trinoc.io.formats.text_files import read_json, read_yaml_stream, yaml_text
+from trinoc.io.formats.notations import read_json, read_yaml_stream
+from trinoc.io.formats.text_files import yaml_text
 from trinoc.io.json_document import Block
 
 METRE_MM = 1000.0
@@ -90,7 +91,8 @@ def _find_frames(lenses: Lenses, parents: Collection[str], path: Path) -> dict[s
     """
     frames = {}
     for name in lenses:
-        endings = ("", *SUFFIXES) if name.endswith(SUFFIXES) else SUFFIXES
+        # A lens may be named by its frame.
+        endings = (*SUFFIXES, "") if name.endswith(SUFFIXES) else SUFFIXES
         frame = next((name + ending for ending in endings if name + ending in parents), None)
         if frame is None and name in parents:
             raise InputError(
@@ -172,7 +174,6 @@ tf = Format(
     title="TF static transforms",
     holds=("rig",),
     reads=("rig",),
-    place="file",
     endings=(".yaml", ".yml", ".json"),
     unit_mm=METRE_MM,
     unit_is_fixed=True,
