@@ -91,7 +91,7 @@ def lay_out(board: AbstractBoard, paper: str = "a4") -> PatternPage:
     shift = np.array([0.0, -0.5 * page_mm[1] + below]) - np.array([0.5 * (low + high)[0], low[1]])
     bar_x, bar_y = (max(_BAR_STEP_MM * np.floor(side / _BAR_STEP_MM), 10.0) for side in high - low)
     words = (
-        f"{board.name}   {len(board)} {board.places}   {paper.upper()}",
+        f"{board.name}   {len(board)} {board.point_kind}   {paper.upper()}",
         "print at 100 % (actual size, no fit to page); then measure both bars",
     )
     foot = float((low + shift)[1]) - _BAR_GAP_MM
