@@ -93,11 +93,11 @@ def judge(
     else:
         places = np.asarray(detection.centres_px)
         on_board = np.asarray(target.centres_mm)[detection.circle_index]
-        if target.places == "circles":
+        if target.point_kind == "circles":
             axes = np.linalg.eigvalsh(detection.shape_px2)[:, 0]
             smallest = 2 * float(np.sqrt(max(float(np.min(axes)), 0.0)))
     region = picture.light[_window(places, picture.size_px)]
-    normals = edge_normals(on_board, places, round_ink=target.places == "circles")
+    normals = edge_normals(on_board, places, round_ink=target.point_kind == "circles")
     blur = edge_blur_px(region, normals)
     exposure = measure_exposure(region)
     return Judgement(
@@ -106,7 +106,7 @@ def judge(
         places_px=places,
         places_mm=on_board,
         of_places=len(target),
-        kind=target.places,
+        kind=target.point_kind,
         refusal=refusal,
         blur_px=blur,
         exposure=exposure,
@@ -118,7 +118,7 @@ def judge(
 def judge_unread(name: str, target: AbstractTarget, why: str) -> Judgement:
     """What is to be said of a file that is no picture."""
     none, nan = np.zeros((0, 2)), float("nan")
-    unknown, kind = Exposure(nan, nan, nan), target.places
+    unknown, kind = Exposure(nan, nan, nan), target.point_kind
     return Judgement(name, (0, 0), none, none, len(target), kind, why, nan, unknown, (0.0, 0.0), ())
 
 

@@ -166,8 +166,8 @@ class PatternCommand(Command):
                 f"{proposal.field_share:.0%} of the shorter side."
             )
             notes = [said, *notes]
-        text = f"{len(sheet)} {sheet.places}, {sheet.name}\n" + "\n".join(notes)
-        record = {"name": sheet.name, sheet.places: len(sheet)}
+        text = f"{len(sheet)} {sheet.point_kind}, {sheet.name}\n" + "\n".join(notes)
+        record = {"name": sheet.name, sheet.point_kind: len(sheet)}
         return Outcome(text, record, written=written)
 
     def _expect_drawings(self, layout: Path, kinds: Sequence[str]) -> None:

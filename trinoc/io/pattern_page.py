@@ -93,7 +93,7 @@ def lay_out(board: AbstractBoard, paper: str = "a4") -> PatternPage:
     # Control characters, which XML does not have.
     title = "".join(letter if letter.isprintable() else " " for letter in board.name)
     words = (
-        f"{title}   {len(board)} {board.places}   {paper.upper()}",
+        f"{title}   {len(board)} {board.point_kind}   {paper.upper()}",
         "print at 100 % (actual size, no fit to page); then measure both bars",
     )
     foot = float((low + shift)[1]) - _BAR_GAP_MM

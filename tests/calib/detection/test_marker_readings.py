@@ -250,7 +250,7 @@ def test_a_two_sided_board_is_a_set_of_a_front_and_a_mirrored_back():
     for which, board in enumerate(two_sided.boards):
         image, pixels = picture(board)
         detection = detect_target(image, two_sided)
-        assert (two_sided.board_of_place[detection.circle_index] == which).all()
+        assert (two_sided.board_of_point[detection.circle_index] == which).all()
         corners = two_sided.centres_mm[detection.circle_index]
         assert np.abs(detection.centres_px - pixels(corners)).max() < 0.25
 

@@ -49,7 +49,7 @@ def test_boards_that_look_alike_are_refused_whichever_comes_first(
 def test_boards_that_differ_are_a_set() -> None:
     boards = BoardSet({"a": CHESS, "b": TAGS, "c": MARKED, "d": SHEET})
     assert len(boards) == len(CHESS) + len(TAGS) + len(MARKED) + len(SHEET)
-    np.testing.assert_array_equal(np.bincount(boards.board_of_place), [30, 24, 24, 20])
+    np.testing.assert_array_equal(np.bincount(boards.board_of_point), [30, 24, 24, 20])
     BoardSet([TAGS, AprilGrid(rows=2, columns=3, tag_mm=30.0, first=18, name="next")])
     for wrong, says in (
         ([], "at least one"),

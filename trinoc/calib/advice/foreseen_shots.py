@@ -16,7 +16,7 @@ from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.views import View
 from trinoc.calib.starts.camera_start import on_board
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.board_set import board_names, first_places, list_boards
+from trinoc.calib.targets.board_set import board_names, first_point_indices, list_boards
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
@@ -177,7 +177,7 @@ def _pose_candidates(
     boards[: len(candidates)] = [each.rig_from_board.cam_from_world for each in candidates]
     state = eqx.tree_at(lambda s: s.rig_from_board, problem.state, boards)
     views = []
-    firsts, members = first_places(problem.target), list_boards(problem.target)
+    firsts, members = first_point_indices(problem.target), list_boards(problem.target)
     for camera, size_px in sizes.items():
         for number, (first, board) in enumerate(zip(firsts, members, strict=True)):
             index, nowhere = first + np.arange(len(board)), np.zeros((len(board), 2))

@@ -100,7 +100,7 @@ def split_by_board(detection: Detection, target: AbstractTarget) -> dict[int, De
     """What was found of each board, by its number; a place keeps its index in the whole set."""
     if not isinstance(target, BoardSet):
         return {0: detection}
-    board_of = target.board_of_place[detection.circle_index]
+    board_of = target.board_of_point[detection.circle_index]
     return {int(k): _select_places(detection, board_of == k) for k in np.unique(board_of)}
 
 

@@ -14,7 +14,7 @@ from trinoc.calib.detection.marker_readings import ReadingSearch
 from trinoc.calib.detection.usable_places import keep_usable
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
-from trinoc.calib.targets.board_set import BoardSet, first_places
+from trinoc.calib.targets.board_set import BoardSet, first_point_indices
 from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
@@ -114,7 +114,7 @@ def _detect_board_set(
     where no board is found.
     """
     parts, labels, failures = [], [], []
-    for first, board in zip(first_places(boards), boards.boards, strict=True):
+    for first, board in zip(first_point_indices(boards), boards.boards, strict=True):
         try:
             part = _detect(image, board, tuning)
         except DetectionError as error:

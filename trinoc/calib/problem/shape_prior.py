@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.targets.abstract_target import AbstractTarget
-from trinoc.calib.targets.board_set import first_places, list_boards
+from trinoc.calib.targets.board_set import first_point_indices, list_boards
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 
 # numerical: polynomials that the corners of a small board do not tell apart have less of the norm.
@@ -107,7 +107,7 @@ def shape_prior(
     flatness, shear = tuning.uncertainty.flatness_mm, tuning.problem.shear
     boards = [
         _smooth_parts(np.asarray(board.centres_mm)[:, :2], int(first), len(target))
-        for first, board in zip(first_places(target), list_boards(target), strict=True)
+        for first, board in zip(first_point_indices(target), list_boards(target), strict=True)
     ]
     parts, variance = [], []
     for name, sigma, is_estimated in (

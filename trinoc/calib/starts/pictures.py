@@ -137,7 +137,7 @@ def _unseen_boards(
     if not isinstance(target, BoardSet):
         return [0] if few_found else []
     every = [each.circle_index for own in detections.values() for each in own.values()]
-    seen = set(target.board_of_place[np.concatenate(every)].tolist()) if every else set()
+    seen = set(target.board_of_point[np.concatenate(every)].tolist()) if every else set()
     return [which for which in range(len(target.boards)) if which not in seen]
 
 

@@ -1,4 +1,4 @@
-"""What every board has in common: labelled places on the plane Z = 0 that a detector finds."""
+"""Base classes of boards: a board is a set of numbered points on the plane Z = 0, with its ink."""
 
 import abc
 from collections.abc import Mapping, Sequence
@@ -10,24 +10,25 @@ from jaxtyping import Float
 
 from trinoc.numerics.values import Value
 
-# What to give where a board is wanted.
+# Completes messages of the form "... give a Pattern, ..." about an argument of the wrong type.
 A_BOARD = "a Pattern, Chessboard, Charuco, AprilGrid or BoardSet"
 
 
 class AbstractTarget(Value):
-    """Places that a detector labels: centres of circles, or corners.
+    """A board or a set of boards: numbered points that a detector can locate and label.
 
+    A point is the centre of a circle or a corner. Its index in `centres_mm` is its label.
     Seen from the printed side, X points right and Y up; Z points out of the board.
 
     Fields
     ------
-    name : what the board is called.
-    centres_mm : (n, 2) the places (X, Y).
-    radius_mm : (n,) of the circle around each place; a corner is a circle of radius 0.
-    places : of the class; what the places are, in words.
+    name : name of the board, used in messages and files.
+    centres_mm : (n, 2) positions (X, Y) of the points in the board's frame.
+    radius_mm : (n,) radius of the circle around each point; 0 for a corner.
+    point_kind : "circles" or "corners", the same for all boards of a class.
     """
 
-    places: ClassVar[str] = "corners"
+    point_kind: ClassVar[str] = "corners"
 
     name: AbstractVar[str]
     centres_mm: AbstractVar[Float[np.ndarray, "n 2"]]
@@ -38,7 +39,7 @@ class AbstractTarget(Value):
 
 
 class Disc(NamedTuple):
-    """A filled circle of a drawing, of ink or of paper."""
+    """Filled circle of a drawing, painted in ink or in paper colour."""
 
     centre_mm: tuple[float, float]
     radius_mm: float
@@ -46,21 +47,23 @@ class Disc(NamedTuple):
 
 
 class Polygon(NamedTuple):
-    """A filled polygon of a drawing, of ink or of paper."""
+    """Filled polygon of a drawing, painted in ink or in paper colour."""
 
     corners_mm: Float[np.ndarray, "n 2"]
     is_ink: bool
 
 
 class Marks(NamedTuple):
-    """What a picture identifies a board by. Two boards look alike if their marks overlap.
+    """Features by which an image identifies a board.
+
+    An image cannot distinguish two boards of the same family whose numbers overlap.
 
     Fields
     ------
-    family : boards of different families never look alike.
-    numbers : of the markers in the family.
-    likeness : what two boards of overlapping marks have in common and what to do about it;
-        "{numbers}" stands for the numbers that both have.
+    family : name of the kind of features; boards of different families never look alike.
+    numbers : marker numbers of the board within the family.
+    likeness : message for two boards with overlapping marks: the shared features and the remedy.
+        "{numbers}" is replaced by the shared numbers.
     """
 
     family: str
@@ -68,7 +71,10 @@ class Marks(NamedTuple):
     likeness: str
 
     def likeness_to(self, other: "Marks") -> str | None:
-        """Why a picture cannot tell this board from another, and what to do; None if it can."""
+        """Describe the marks shared with another board, and the remedy.
+
+        None if an image can distinguish the two boards.
+        """
         first = max(self.numbers.start, other.numbers.start)
         last = min(self.numbers.stop, other.numbers.stop) - 1
         if self.family != other.family or last < first:
@@ -78,13 +84,16 @@ class Marks(NamedTuple):
 
 
 class AbstractBoard(AbstractTarget):
-    """A printed board. A new kind is a class in this room (`BOARDS`) and a detector.
+    """A single printed board.
+
+    To add a kind of board, write a class in this package, list it in `board_set.BOARDS`, and
+    register its detector in `trinoc.calib.detection.registry`.
 
     Class fields
     ------------
-    kind : the word for it in layout files and in commands.
-    layout : for each key of a layout file the field that it holds, a number, a truth or a text.
-    added_keys : those keys that files of earlier versions lack; the class has defaults for them.
+    kind : name of the kind in layout files and on the command line.
+    layout : maps each key of a layout file to a field of the class: a number, boolean or string.
+    added_keys : keys of `layout` that files of earlier versions lack; the fields have defaults.
     """
 
     kind: ClassVar[str]
@@ -94,8 +103,8 @@ class AbstractBoard(AbstractTarget):
     @property
     @abc.abstractmethod
     def marks(self) -> Marks:
-        """What a picture identifies the board by."""
+        """Features by which an image identifies the board."""
 
     @abc.abstractmethod
     def drawing(self) -> Sequence[Disc | Polygon]:
-        """Ink and, over it, paper, in the order of painting."""
+        """Shapes of ink and of paper colour, in painting order: later shapes cover earlier ones."""

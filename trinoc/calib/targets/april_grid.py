@@ -1,4 +1,4 @@
-"""A grid of AprilTags with small squares between their corners, as Kalibr prints it."""
+"""Board of AprilTags with small dark squares between their corners, as Kalibr prints it."""
 
 from functools import lru_cache
 from typing import ClassVar
@@ -17,28 +17,33 @@ from trinoc.calib.targets.markers import (
 from trinoc.calib.targets.squares import MOST_EACH_WAY, AbstractSquareBoard, CellGrid, grid_mm
 from trinoc.errors import InputError, real_number, whole_number
 
-# numerical: corners of a tag about its middle, in tags: from the lower left counter-clockwise.
+# numerical: corners of a tag relative to its centre, in tag sides: from the lower left,
+# counter-clockwise.
 _CORNERS = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
 class AprilGrid(AbstractSquareBoard):
-    """A grid of AprilTags whose numbers grow along the rows, the lowest row first.
+    """Grid of AprilTags, numbered along the rows from the lowest row upward.
 
-    Squares of the width of the gap stand where gaps cross, so that every corner of a tag is one of
-    a chessboard. A part of the board shows where it lies. Places are the corners of the tags, four
-    of each from its lower left counter-clockwise, tag by tag; the origin is in the middle.
+    A dark square as wide as the gap fills each crossing of two gaps. Every tag corner is therefore
+    a saddle point like a chessboard corner. A partly visible board can be labelled.
+
+    The points are the tag corners, tag by tag: four per tag, from its lower left counter-clockwise.
+    The origin is the centre of the board.
 
     Fields
     ------
-    rows, columns : tags.
-    tag_mm : side of a tag's ink, its border included.
-    spacing : width of the gap between two tags over their side, Kalibr's tagSpacing.
-    dictionary : of the tags (`DICTIONARIES`).
-    border : width of a tag's black border in its cells: 2 as Kalibr has it, 1 for others.
+    rows, columns : numbers of tags.
+    tag_mm : side of a tag's ink including its border.
+    spacing : gap between two tags divided by the side of a tag; Kalibr's tagSpacing.
+    dictionary : tag family, one of `DICTIONARIES`.
+    border : width of a tag's black border in cells: 2 for Kalibr's boards, 1 for most others.
     first : number of the tag at the lower left.
-    name : what the board is called; from the numbers unless given.
+    name : name of the board; made from its sizes if None.
 
-    Source: E. Olson, "AprilTag: a robust and flexible visual fiducial system", ICRA 2011.
+    References
+    ----------
+    E. Olson, "AprilTag: a robust and flexible visual fiducial system", ICRA 2011.
     """
 
     kind: ClassVar[str] = "aprilgrid"
@@ -84,7 +89,7 @@ class AprilGrid(AbstractSquareBoard):
             )
         if not (np.isfinite(self.tag_mm) and self.tag_mm > 0.0):
             raise InputError(
-                f"The board {self.name!r} has tags of {self.tag_mm:g} mm: give a side."
+                f"The board {self.name!r} has tags of {self.tag_mm:g} mm: give a positive side."
             )
         if not 0.05 <= self.spacing <= 1.0:
             raise InputError(
@@ -100,7 +105,7 @@ class AprilGrid(AbstractSquareBoard):
 
     @property
     def tags_mm(self) -> Float[np.ndarray, "t 2"]:
-        """The middles of the tags, in the order of their numbers."""
+        """Centres of the tags in the board's frame, in the order of their numbers."""
         return grid_mm(self.rows, self.columns, self._pitch_mm, top_first=False)
 
     @property
@@ -109,26 +114,26 @@ class AprilGrid(AbstractSquareBoard):
 
     @property
     def centres_mm(self) -> Float[np.ndarray, "n 2"]:
-        """The corners of the tags."""
+        """Corners of the tags in the board's frame, four per tag."""
         return _corners_mm(self.rows, self.columns, self._pitch_mm, self.tag_mm)
 
     @property
     def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
-        """The corners of the tags."""
+        """Corners of the tags; every edge of the ink belongs to the nearest one."""
         return self.centres_mm
 
     @property
     def marks(self) -> Marks:
-        """The numbers of its tags."""
+        """Tag family and numbers, by which an image identifies the board."""
         return marks_of_markers(self.dictionary, self.numbers)
 
     @property
     def numbers(self) -> range:
-        """The numbers of its tags."""
+        """Numbers of the board's tags."""
         return range(self.first, self.first + self.rows * self.columns)
 
     def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
-        """The cells of the tags, and the squares where gaps cross, around the outer tags too."""
+        """Cells of the tags, and the squares at the crossings of the gaps and along the rim."""
         dictionary, grids = opencv_dictionary(self.dictionary), []
         for number, middle in enumerate(self.tags_mm, self.first):
             cells = np.rot90(marker_cells(dictionary, number, border=self.border), quarters)
@@ -142,7 +147,7 @@ class AprilGrid(AbstractSquareBoard):
 def _corners_mm(
     rows: int, columns: int, pitch_mm: float, tag_mm: float
 ) -> Float[np.ndarray, "n 2"]:
-    """Of the tags, as `grid_mm` has their middles."""
+    """Corners of the tags in the board's frame; read-only, because the array is cached."""
     middles = grid_mm(rows, columns, pitch_mm, top_first=False)
     corners = (middles[:, None] + tag_mm * _CORNERS).reshape(-1, 2)
     corners.flags.writeable = False

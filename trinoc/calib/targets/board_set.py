@@ -1,4 +1,4 @@
-"""Several boards fixed to each other, such as on the sides of a cube or on two walls."""
+"""Several boards fixed to each other, such as the sides of a cube or boards on two walls."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -13,28 +13,29 @@ from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.errors import InputError
 
-# The kinds of boards by the word for them in layout files and commands.
+# Board classes by the name of their kind in layout files and on the command line.
 BOARDS: dict[str, type[AbstractBoard]] = {
     board.kind: board for board in (Pattern, Chessboard, Charuco, AprilGrid)
 }
 
 
 class BoardSet(AbstractTarget):
-    """Boards fixed to each other in places that nobody knows and that the shots determine.
+    """Boards fixed to each other with unknown relative poses, which a calibration estimates.
 
-    The first board is the reference: its frame is that of the set. Places are those of the boards
-    one after the other, each in the frame of its own board.
+    The first board is the reference: its frame is the frame of the set. The points of the set are
+    those of all boards in order; each point is given in the frame of its own board.
 
     Fields
     ------
-    names : of the boards, in order.
-    boards : those that a picture can tell from each other (`Marks`): by kind, by numbers of
-        corners, by dictionaries, or by the numbers of their markers.
-    name : what the set is called; from its boards unless given.
+    names : names of the boards, in order.
+    boards : the boards. An image must be able to distinguish them (`Marks`): by kind, number of
+        corners, dictionary, or marker numbers.
+    name : name of the set; made from the names of its boards if None.
 
     Raises
     ------
-    InputError : no board, two of one name, a set in a set, or two boards that look alike.
+    InputError : the set is empty, contains a set, or has two boards that share a name or look
+        alike.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -76,42 +77,42 @@ class BoardSet(AbstractTarget):
 
     @property
     def centres_mm(self) -> Float[np.ndarray, "n 2"]:
-        """The places of all boards, each in the frame of its own."""
+        """Points of all boards, each in the frame of its own board."""
         return np.concatenate([board.centres_mm for board in self.boards])
 
     @property
     def radius_mm(self) -> Float[np.ndarray, "n"]:
-        """The radii of all boards' circles; 0 for corners."""
+        """Radii of the circles of all boards; 0 for corners."""
         return np.concatenate([board.radius_mm for board in self.boards])
 
     @property
-    def board_of_place(self) -> Int[np.ndarray, "n"]:
-        """Which of the boards each place is on."""
+    def board_of_point(self) -> Int[np.ndarray, "n"]:
+        """Index into `boards` for each point."""
         return np.repeat(np.arange(len(self.boards)), [len(board) for board in self.boards])
 
 
 def list_boards(target: AbstractTarget) -> tuple[AbstractTarget, ...]:
-    """The boards of a set; a board alone is its own."""
+    """Boards of a set; a single board yields itself."""
     return target.boards if isinstance(target, BoardSet) else (target,)
 
 
-# Of a board fixed to others: its turn about the axes of their frame from where it stands, and where
-# its origin lies there.
+# Parameters of a board in a set, in the frame of the set: its rotation about the axes relative to
+# the estimated pose, and the position of its origin.
 IN_SET_NAMES = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm")
 
 
 def board_names(target: AbstractTarget) -> tuple[str, ...]:
-    """What the boards are called."""
+    """Names of the boards of a target, in order."""
     return target.names if isinstance(target, BoardSet) else (target.name,)
 
 
 def board_prefixes(target: AbstractTarget) -> tuple[str, ...]:
-    """What the names of each board's parameters begin with."""
+    """Prefix of each board's parameter names, such as "board.left."."""
     if not isinstance(target, BoardSet):
         return ("board.",)
     return tuple(f"board.{name}." for name in target.names)
 
 
-def first_places(target: AbstractTarget) -> Int[np.ndarray, "b"]:
-    """The index of each board's first place among all."""
+def first_point_indices(target: AbstractTarget) -> Int[np.ndarray, "b"]:
+    """Index of each board's first point among all points of the target."""
     return np.cumsum([0, *(len(board) for board in list_boards(target))])[:-1]

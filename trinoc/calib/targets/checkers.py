@@ -1,4 +1,4 @@
-"""Boards of squares: the chessboard, and the chessboard with markers in its light squares."""
+"""Chessboard, and ChArUco board (a chessboard with ArUco markers in its light squares)."""
 
 from typing import Any, ClassVar
 
@@ -24,16 +24,16 @@ from trinoc.errors import InputError, real_number, whole_number
 
 
 class Chessboard(AbstractSquareBoard):
-    """A chessboard, by its inner corners as OpenCV counts them; its top left square is dark.
+    """Chessboard, described by its inner corners as in OpenCV. The top left square is dark.
 
-    The corners are ordered row by row from the top left, the origin is in their middle.
+    The corners are ordered row by row from the top left. The origin is the centre of the board.
 
     Fields
     ------
-    rows, columns : inner corners, one less than there are squares; OpenCV's patternSize is
-        (columns, rows).
-    square_mm : side of a square; 1 where it is not known, and lengths are then in squares.
-    name : what the board is called; from the numbers unless given.
+    rows, columns : numbers of inner corners, one less than the numbers of squares. OpenCV's
+        patternSize is (columns, rows).
+    square_mm : side of a square. If it is unknown, give 1: lengths are then in squares.
+    name : name of the board; made from its sizes if None.
     """
 
     kind: ClassVar[str] = "chessboard"
@@ -60,34 +60,37 @@ class Chessboard(AbstractSquareBoard):
 
     @property
     def centres_mm(self) -> Float[np.ndarray, "n 2"]:
-        """The inner corners."""
+        """Inner corners in the board's frame, row by row from the top left."""
         return grid_mm(self.rows, self.columns, self.square_mm, top_first=True)
 
     @property
     def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
-        """The corners of all squares."""
+        """Corners of all squares, those on the rim included."""
         return grid_mm(self.rows + 2, self.columns + 2, self.square_mm, top_first=True)
 
     @property
     def marks(self) -> Marks:
-        """The numbers of inner corners, of which a chessboard's search finds just so many."""
+        """Numbers of inner corners: a search for a chessboard needs exactly these."""
         fewer, more = sorted((self.rows, self.columns))
         return Marks(
             f"chessboard of {fewer} x {more}",
             range(1),
             f"both are chessboards of {fewer} x {more} inner corners; give them different "
-            "numbers of rows or columns, or take boards with markers",
+            "numbers of rows or columns, or use boards with markers",
         )
 
     def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
-        """The dark squares."""
+        """Dark squares, as one grid."""
         dark = dark_squares(self.rows + 1, self.columns + 1)
         return [CellGrid(dark, self.square_mm, np.zeros(2))]
 
     @property
     def turns(self) -> Int[np.ndarray, "k n"]:
-        """For each turn of the board that leaves its corners and colours in place, the corner that
-        comes to lie where each one was; the first is no turn."""
+        """Permutations of the corners by the rotations that map the board onto itself.
+
+        One row per rotation, the identity first: entry i is the corner that moves to the position
+        of corner i.
+        """
         grid = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
         dark = dark_squares(self.rows + 1, self.columns + 1)
         same = [
@@ -100,23 +103,24 @@ class Chessboard(AbstractSquareBoard):
 
 
 class Charuco(AbstractSquareBoard):
-    """A chessboard with ArUco markers in its light squares, as `cv2.aruco.CharucoBoard` has it.
+    """Chessboard with ArUco markers in its light squares, like `cv2.aruco.CharucoBoard`.
 
-    A part of it shows where it lies. The corners are OpenCV's, in its order, row by row from the
-    top left; the origin is in their middle.
+    A partly visible board can be labelled. The corners have OpenCV's order: row by row from the
+    top left. The origin is the centre of the board.
 
     Fields
     ------
-    rows, columns : squares; OpenCV's size is (columns, rows).
-    square_mm, marker_mm : sides of a square and of a marker; 3/4 of it unless given.
-    dictionary : of the markers, such as "4x4_50" (`DICTIONARIES`).
-    legacy : whether the board was made before OpenCV 4.6, with a marker in the top left square
-        where the number of rows is even.
-    first : number of its first marker.
-    inverted : whether it is printed white for black. Paper around it stays white.
-    mirrored : whether it is printed as in a mirror, such as the back of a two-sided board. Seen
-        from the printed side, its first corner is at the top right.
-    name : what the board is called; from the numbers unless given.
+    rows, columns : numbers of squares. OpenCV's size is (columns, rows).
+    square_mm : side of a square.
+    marker_mm : side of a marker; 0.75 `square_mm` if None.
+    dictionary : marker dictionary, such as "4x4_50"; one of `DICTIONARIES`.
+    legacy : True for the layout before OpenCV 4.6, which has a marker in the top left square if
+        the number of rows is even.
+    first : number of the first marker.
+    inverted : True if black and white are exchanged in print. The paper around stays white.
+    mirrored : True for a mirror-image print, such as the back of a two-sided board. Seen from the
+        printed side, the first corner is at the top right.
+    name : name of the board; made from its sizes if None.
     """
 
     kind: ClassVar[str] = "charuco"
@@ -156,8 +160,8 @@ class Charuco(AbstractSquareBoard):
     ) -> None:
         self.rows, self.columns = whole_number(rows, "rows"), whole_number(columns, "columns")
         self.square_mm = real_number(square_mm, "square_mm")
-        given_mm = 0.75 * self.square_mm if marker_mm is None else marker_mm
-        self.marker_mm = real_number(given_mm, "marker_mm")
+        side_mm = 0.75 * self.square_mm if marker_mm is None else marker_mm
+        self.marker_mm = real_number(side_mm, "marker_mm")
         self.dictionary, self.legacy = dictionary, bool(legacy)
         self.first = whole_number(first, "first")
         self.inverted, self.mirrored = bool(inverted), bool(mirrored)
@@ -174,42 +178,44 @@ class Charuco(AbstractSquareBoard):
 
     @property
     def centres_mm(self) -> Float[np.ndarray, "n 2"]:
-        """The corners between the squares."""
+        """Inner corners in the board's frame, row by row."""
         counts = (self.rows - 1, self.columns - 1)
         return grid_mm(*counts, self.square_mm, top_first=True, right_first=self.mirrored)
 
     @property
     def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
-        """The corners of all squares."""
+        """Corners of all squares, those on the rim included."""
         return grid_mm(self.rows + 1, self.columns + 1, self.square_mm, top_first=True)
 
     @property
     def marks(self) -> Marks:
-        """The numbers of its markers, which look otherwise where they are inverted or mirrored."""
+        """Marker numbers. Inverted or mirrored markers belong to a family of their own."""
         marks = marks_of_markers(self.dictionary, self.numbers)
         looks = [word for word in ("inverted", "mirrored") if getattr(self, word)]
         return marks._replace(family=" ".join([marks.family, *looks]))
 
     @property
     def numbers(self) -> range:
-        """The numbers of its markers."""
+        """Numbers of the board's markers."""
         return range(self.first, self.first + self.rows * self.columns // 2)
 
     @property
     def _is_dark(self) -> Bool[np.ndarray, "rows columns"]:
-        """Which squares of the plain print are dark: the others hold markers, numbered row by row
-        from the top left."""
+        """Mask of the dark squares of the plain print (neither inverted nor mirrored).
+
+        The light squares contain the markers, numbered row by row from the top left.
+        """
         return dark_squares(self.rows, self.columns) ^ (self.legacy and self.rows % 2 == 0)
 
     @property
     def markers_mm(self) -> Float[np.ndarray, "m 2"]:
-        """The middles of the markers, in the order of their numbers."""
+        """Centres of the markers in the board's frame, in the order of their numbers."""
         counts = (self.rows, self.columns)
         squares = grid_mm(*counts, self.square_mm, top_first=True, right_first=self.mirrored)
         return squares[~self._is_dark.ravel()]
 
     def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
-        """The dark squares, and the cells of the markers; of an inverted board, all but these."""
+        """Dark squares and inked marker cells; for an inverted board, all cells except these."""
         dictionary, middle_mm = opencv_dictionary(self.dictionary), np.zeros(2)
         across = slice(None, None, -1 if self.mirrored else 1)
         grids = [CellGrid(self._is_dark[:, across], self.square_mm, middle_mm)]
@@ -218,20 +224,20 @@ class Charuco(AbstractSquareBoard):
             grids.append(CellGrid(cells, self.marker_mm / len(cells), middle))
         if not self.inverted:
             return grids
-        whole = CellGrid(np.ones_like(self._is_dark), self.square_mm, middle_mm)
-        return [whole, *(grid._replace(is_blank=True) for grid in grids)]
+        all_squares = CellGrid(np.ones_like(self._is_dark), self.square_mm, middle_mm)
+        return [all_squares, *(grid._replace(is_blank=True) for grid in grids)]
 
 
 def opencv_board(board: Charuco) -> Any:
-    """The plain print of a board as a `cv2.aruco.CharucoBoard`, neither inverted nor mirrored."""
+    """OpenCV's description of the board's plain print, neither inverted nor mirrored."""
     import cv2
 
-    theirs = cv2.aruco.CharucoBoard(
+    charuco_board = cv2.aruco.CharucoBoard(
         (board.columns, board.rows),
         board.square_mm,
         board.marker_mm,
         opencv_dictionary(board.dictionary),
         np.array(board.numbers),
     )
-    theirs.setLegacyPattern(board.legacy)
-    return theirs
+    charuco_board.setLegacyPattern(board.legacy)
+    return charuco_board

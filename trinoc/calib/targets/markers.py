@@ -1,6 +1,7 @@
-"""ArUco's and AprilTag's markers, by OpenCV's dictionaries.
+"""ArUco and AprilTag markers from OpenCV's dictionaries.
 
-OpenCV loads when a marker is drawn or looked for: matching needs boards' types, and no OpenCV.
+Functions import OpenCV when they need it: matching imports the board classes and must not wait for
+OpenCV to load.
 """
 
 from typing import Any
@@ -11,7 +12,7 @@ from jaxtyping import Bool
 from trinoc.calib.targets.abstract_target import Marks
 from trinoc.errors import InputError
 
-# numerical: how many markers a dictionary holds, by OpenCV's name without the prefix DICT_.
+# numerical: number of markers in each dictionary, by OpenCV's name without the prefix DICT_.
 _COUNTS = {
     **{f"{bits}x{bits}_{count}": count for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
     "ARUCO_ORIGINAL": 1024,
@@ -21,26 +22,29 @@ _COUNTS = {
     "APRILTAG_36h11": 587,
 }
 DICTIONARIES = tuple(_COUNTS)
-# numerical: pixels of OpenCV's drawing for one cell, which is read in its middle.
+# numerical: side of a cell in OpenCV's drawing of a marker, px; a cell is read at its centre.
 _CELL_PX = 4
 
 
 def check_markers(name: str, dictionary: str, first: int, count: int) -> None:
-    """Raises InputError where the dictionary is unknown or lacks the numbers of a board."""
+    """Raise InputError for an unknown dictionary, or one without the board's marker numbers.
+
+    first, count : number of the board's first marker, and how many markers the board has.
+    """
     if dictionary not in DICTIONARIES:
         raise InputError(
             f"The dictionary {dictionary!r} is unknown: give one of {', '.join(DICTIONARIES)}."
         )
-    last, held = first + count - 1, _COUNTS[dictionary]
-    if first < 0 or (first > 0 and last >= held):
+    last, size = first + count - 1, _COUNTS[dictionary]
+    if first < 0 or (first > 0 and last >= size):
         raise InputError(
             f"The board {name!r} has the markers {first} to {last}, but "
-            f"{dictionary} has 0 to {held - 1}: give another first one or dictionary."
+            f"{dictionary} has 0 to {size - 1}: give another first number or dictionary."
         )
 
 
 def marks_of_markers(dictionary: str, numbers: range) -> Marks:
-    """What identifies a board with markers."""
+    """Marks of a board with markers, by which an image identifies it."""
     family = _family(dictionary)
     return Marks(
         family,
@@ -51,15 +55,16 @@ def marks_of_markers(dictionary: str, numbers: range) -> Marks:
 
 
 def list_largest_dictionaries() -> list[str]:
-    """The dictionary of each family that holds all markers of the others."""
+    """Largest dictionary of each family, which contains the markers of the smaller ones."""
     families = {_family(name): name for name in sorted(_COUNTS, key=lambda name: _COUNTS[name])}
     return [name for name in DICTIONARIES if name in families.values()]
 
 
 def smallest_dictionary(family_member: str, last: int, *, like: str) -> str | None:
-    """The smallest dictionary of a family that holds the markers up to a number; None if none.
+    """Return the smallest dictionary of a family that contains marker `last`, or None.
 
-    like : a dictionary, of whose size it is where that suffices.
+    family_member : any dictionary of the family.
+    like : a dictionary whose size is preferred, if it is sufficient.
     """
     family = _family(family_member)
     names = [name for name in DICTIONARIES if _family(name) == family and _COUNTS[name] > last]
@@ -68,27 +73,30 @@ def smallest_dictionary(family_member: str, last: int, *, like: str) -> str | No
 
 
 def _family(dictionary: str) -> str:
-    """What ArUco's dictionaries of one size have in common, which begin alike."""
+    """Family of a dictionary: the cell count for ArUco ("4x4"), else the name itself."""
     size, count = dictionary.split("_")
     return size if count.isdigit() else dictionary
 
 
 def opencv_dictionary(name: str) -> Any:
-    """The `cv2.aruco.Dictionary` of one of `DICTIONARIES`."""
+    """OpenCV's `cv2.aruco.Dictionary` for one of the names in `DICTIONARIES`."""
     import cv2
 
-    own, count = name.split("_")
+    family, count = name.split("_")
     return cv2.aruco.getPredefinedDictionary(
-        getattr(cv2.aruco, f"DICT_{own.replace('x', 'X')}_{count}")
+        getattr(cv2.aruco, f"DICT_{family.replace('x', 'X')}_{count}")
     )
 
 
 def marker_cells(dictionary: Any, number: int, *, border: int) -> Bool[np.ndarray, "k k"]:
-    """Which cells of a marker are ink, its border of so many cells included, the top row first."""
+    """Mask of a marker's inked cells, border included, top row first.
+
+    border : width of the border in cells.
+    """
     import cv2
 
     cells = dictionary.markerSize + 2 * border
-    picture = np.asarray(
+    drawing = np.asarray(
         cv2.aruco.generateImageMarker(dictionary, number, cells * _CELL_PX, borderBits=border)
     )
-    return picture[_CELL_PX // 2 :: _CELL_PX, _CELL_PX // 2 :: _CELL_PX] < 128
+    return drawing[_CELL_PX // 2 :: _CELL_PX, _CELL_PX // 2 :: _CELL_PX] < 128

@@ -1,4 +1,4 @@
-"""The printed sheet: circles and crossed lines on the plane Z = 0."""
+"""The printed sheet of the method: circles and two crossed lines on the plane Z = 0."""
 
 import dataclasses
 from typing import ClassVar, Literal
@@ -16,39 +16,39 @@ from trinoc.numerics.precision import ArrayLike, real_array
 
 LINE_STYLES = ("stop", "through", "white")
 
-# numerical: points of an arc where a line cuts a circle, in drawings.
+# numerical: points per arc of the region where a white line covers a circle, in drawings.
 _ARC_POINTS = 48
 
 
-# What to give where a sheet is wanted.
+# Completes messages about an argument that must be a sheet.
 A_PATTERN = "a trinoc.Pattern, such as load_pattern reads from a file"
 
 
 class Pattern(Displayable, AbstractBoard):
-    """Circles (discs or rings) and two crossed lines, in millimetres on the sheet Z = 0.
+    """Layout of circles (discs or rings) and two crossed lines in the plane Z = 0, in mm.
 
     The lines lie along X and Y and cross at the origin of the world. Seen from the printed
     side, X points right and Y up; Z points out of the sheet.
 
     Fields
     ------
-    name : what the sheet is called.
+    name : name of the sheet.
     centres_mm : (n, 2) centres (X, Y) of the circles.
     radius_mm : (n,) outer radius of each circle.
-    inner_radius_mm : (n,) radius of the white hole of a ring; 0 for a full disc.
+    inner_radius_mm : (n,) radius of the white hole of a ring; 0 for a disc.
     lattice : (n, 2) integer lattice coordinates of each circle; neighbours in the lattice
         differ by one in one coordinate.
     line_width_mm : width of the crossed lines; 0 for a sheet without lines.
-    line_half_length_mm : (2,) reach from the origin, to both sides, of the line along X and
-        of the line along Y.
-    line_style : where a line meets a circle it stops `line_gap_mm` before it ("stop"), runs
-        through it in black ("through"), or runs through it in white ("white"). A line that
-        passes between the rows meets none.
-    line_gap_mm : distance at which a line of style "stop" ends before a circle.
+    line_half_length_mm : (2,) half the length of the line along X and of the line along Y; both
+        are centred on the origin.
+    line_style : drawing of a line at a circle. "stop": the line ends `line_gap_mm` before the
+        circle. "through": it crosses the circle in black. "white": it crosses it in white. Lines
+        between the rows meet no circle.
+    line_gap_mm : gap between the end of a line of style "stop" and a circle.
     """
 
     kind: ClassVar[str] = "sheet"
-    places: ClassVar[str] = "circles"
+    point_kind: ClassVar[str] = "circles"
 
     name: str = eqx.field(static=True)
     centres_mm: Float[np.ndarray, "n 2"]
@@ -67,7 +67,7 @@ class Pattern(Displayable, AbstractBoard):
 
     @classmethod
     def default(cls) -> "Pattern":
-        """The ready sheet of `patterns/`: 8 x 8 circles of 6 mm radius at 20 mm, with rings."""
+        """Sheet of `patterns/`: 8 x 8 circles of 6 mm radius at a pitch of 20 mm, with rings."""
         return cls.cross_grid(rows=8, columns=8, pitch_mm=20.0, radius_mm=6.0)
 
     @classmethod
@@ -86,26 +86,36 @@ class Pattern(Displayable, AbstractBoard):
         line_gap_mm: float = 1.5,
         name: str | None = None,
     ) -> "Pattern":
-        """A grid of circles centred on the origin, and the crossed lines.
+        """Make a sheet with a grid of circles centred on the origin, and the crossed lines.
 
-        With even counts the lines run between the rows and touch no circle. The circles are
-        ordered row by row from the top left, as the sheet is read.
+        The circles are ordered row by row from the top left. With even numbers of rows and
+        columns, the lines run between the rows and meet no circle.
 
-        rings : which circles are rings: "code" makes a partly covered sheet name its place
-            and orientation (`trinoc.calib.targets.ring_code`), "none" makes every circle a full
-            disc, whose orientation a picture cannot tell; or an array, row 0 on top.
-        inner_radius_mm : of the rings; half the outer radius unless given.
-        line_half_length_mm : the lines reach 5 mm beyond the outer circles' edges, at most,
-            unless given: half a pitch beyond the outer centres plus a quarter.
+        Parameters
+        ----------
+        rows, columns : numbers of circles.
+        pitch_mm : distance between neighbouring centres.
+        radius_mm : outer radius of the circles.
+        rings : (rows, columns) mask of the rings, row 0 on top. "code" chooses rings so that a
+            partly visible sheet can be labelled (`trinoc.calib.targets.ring_code`). "none" makes
+            all circles discs; an image cannot show the orientation of such a sheet.
+        inner_radius_mm : radius of the white hole of a ring; half the outer radius if None.
+        line_width_mm : width of the crossed lines; 0 for none.
+        line_half_length_mm : half the lengths of the lines along X and Y. If None, they end
+            0.75 `pitch_mm` beyond the outer centres.
+        line_style, line_gap_mm : see `Pattern`.
+        name : name of the sheet; made from its sizes if None.
 
         Raises
         ------
-        InputError : circles overlap, a size is not positive, or the rings do not fit.
+        InputError : circles overlap, a size is not positive, or `rings` has the wrong shape.
         """
         rows, columns = whole_number(rows, "rows"), whole_number(columns, "columns")
         pitch_mm, radius_mm = real_number(pitch_mm, "pitch_mm"), real_number(radius_mm, "radius_mm")
         if rows < 1 or columns < 1:
-            raise InputError(f"A grid of {rows} x {columns} circles has none; give both >= 1.")
+            raise InputError(
+                f"A grid of {rows} x {columns} circles is empty: give at least 1 row and 1 column."
+            )
         if not isinstance(rings, str):
             is_ring = np.asarray(rings, dtype=bool)
             if is_ring.shape != (rows, columns):
@@ -125,7 +135,7 @@ class Pattern(Displayable, AbstractBoard):
             line_half_length_mm = (0.5 * pitch_mm * (columns + 0.5), 0.5 * pitch_mm * (rows + 0.5))
         halves = real_array(line_half_length_mm, "line_half_length_mm")
         if halves.shape != (2,):
-            raise InputError(f"line_half_length_mm is {line_half_length_mm}, but must be (x, y).")
+            raise InputError(f"line_half_length_mm is {line_half_length_mm}: give (x, y).")
         half_x_mm, half_y_mm = halves
         row, column = np.divmod(np.arange(rows * columns), columns)
         lattice = np.stack([column, rows - 1 - row], axis=1)
@@ -146,11 +156,22 @@ class Pattern(Displayable, AbstractBoard):
     def circle_grid(
         cls, *, rows: int, columns: int, pitch_mm: float, radius_mm: float, name: str | None = None
     ) -> "Pattern":
-        """A plain grid of discs: OpenCV's symmetric grid, BoofCV's regular circle grid.
+        """Make a plain grid of discs: OpenCV's symmetric grid, BoofCV's regular circle grid.
 
         The circles are ordered row by row from the top left, as `cv2.findCirclesGrid` does
-        with patternSize = (columns, rows); the origin is the middle of the grid, not its
-        first circle.
+        with patternSize = (columns, rows). The origin is the centre of the grid; OpenCV uses
+        the first circle.
+
+        Parameters
+        ----------
+        rows, columns : numbers of circles.
+        pitch_mm : distance between neighbouring centres.
+        radius_mm : radius of the circles.
+        name : name of the sheet; made from its sizes if None.
+
+        Raises
+        ------
+        InputError : circles overlap, or a size is not positive.
         """
         return cls.cross_grid(
             rows=rows,
@@ -174,13 +195,23 @@ class Pattern(Displayable, AbstractBoard):
         radius_mm: float,
         name: str | None = None,
     ) -> "Pattern":
-        """OpenCV's asymmetric grid: every other row is shifted by half the distance in a row.
+        """Make OpenCV's asymmetric grid: every second row is shifted by half a column distance.
 
-        rows, columns : OpenCV's patternSize is (columns, rows), such as (4, 11).
-        spacing_mm : distance between rows; circles in one row are two of it apart.
+        The circles are ordered row by row; the first row is not shifted. OpenCV's object points
+        are ((2 j + i mod 2) s, i s). Here the second axis points up, and the origin is the centre
+        of the grid.
 
-        Ordered row by row, the first row not shifted, as OpenCV's object points
-        ((2 j + i mod 2) s, i s) with their second axis turned up; the origin is the middle.
+        Parameters
+        ----------
+        rows, columns : numbers of circles. OpenCV's patternSize is (columns, rows), such as
+            (4, 11).
+        spacing_mm : distance between rows. Circles in one row are 2 `spacing_mm` apart.
+        radius_mm : radius of the circles.
+        name : name of the sheet; made from its sizes if None.
+
+        Raises
+        ------
+        InputError : circles overlap, or a size is not positive.
         """
         spacing_mm = real_number(spacing_mm, "spacing_mm")
         even = cls.circle_grid(
@@ -200,17 +231,17 @@ class Pattern(Displayable, AbstractBoard):
 
     @property
     def is_ring(self) -> Bool[np.ndarray, "n"]:
-        """Which circles are rings."""
+        """Mask of the rings; False marks a disc."""
         return self.inner_radius_mm > 0.0
 
     @property
     def marks(self) -> Marks:
-        """Circles, whichever: a search for one sheet would find the circles of another."""
-        likeness = "both are sheets of circles, of which a set may have one; take other boards"
+        """Marks shared by all sheets: a search for one would detect the circles of another."""
+        likeness = "both are sheets of circles, and a set may have one; use other boards"
         return Marks("circles", range(1), likeness)
 
     def drawing(self) -> list[Disc | Polygon]:
-        """Circles and lines; where they meet, by the style of the lines."""
+        """Circles and crossed lines; `line_style` decides the painting order where they meet."""
         circles: list[Disc | Polygon] = []
         centres, radii = [(x, y) for x, y in self.centres_mm.tolist()], self.radius_mm.tolist()
         for centre, radius, hole in zip(centres, radii, self.inner_radius_mm.tolist(), strict=True):
@@ -224,25 +255,30 @@ class Pattern(Displayable, AbstractBoard):
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         reaches = (half_x_mm, thin_mm), (thin_mm, half_y_mm)
         lines = [Polygon(corners * reach, True) for reach in reaches]
-        beside_mm = self.radius_mm + self.line_gap_mm + thin_mm
-        met = [
+        clearance_mm = self.radius_mm + self.line_gap_mm + thin_mm
+        crossings = [
             (int(circle), axis)
             for axis in (0, 1)
-            for circle in np.flatnonzero(np.abs(self.centres_mm[:, 1 - axis]) < beside_mm)
+            for circle in np.flatnonzero(np.abs(self.centres_mm[:, 1 - axis]) < clearance_mm)
         ]
         if self.line_style == "through":
             return [*circles, *lines]
         if self.line_style == "white":
-            return [*lines, *circles, *(_line_on_circle(self, *each) for each in met)]
-        gaps = [Disc(centres[k], radii[k] + self.line_gap_mm, False) for k, _ in met]
+            return [*lines, *circles, *(_line_on_circle(self, *each) for each in crossings)]
+        gaps = [Disc(centres[k], radii[k] + self.line_gap_mm, False) for k, _ in crossings]
         return [*lines, *gaps, *circles]
 
     def rescale(self, scale_x: float, scale_y: float) -> "Pattern":
-        """The sheet as a printer made it, X and Y off by their own factors.
+        """Scale the sheet separately along X and Y, to correct a printer's scale errors.
 
-        The factors are measured over nominal length of the two scale bars. A radius takes
-        their geometric mean: a circle's edge moves by less than a micrometre for the 0.1 %
-        that printers miss by.
+        Parameters
+        ----------
+        scale_x, scale_y : measured divided by nominal length of the scale bars along X and Y.
+
+        Notes
+        -----
+        Radii are scaled by the geometric mean of both factors. For factors that differ by 0.1 %,
+        this moves the edge of a circle by a few micrometres at most.
         """
         mean = float(np.sqrt(scale_x * scale_y))
         half_x_mm, half_y_mm = self.line_half_length_mm
@@ -258,7 +294,10 @@ class Pattern(Displayable, AbstractBoard):
 
 
 def _line_on_circle(pattern: Pattern, circle: int, axis: int) -> Polygon:
-    """The part of a circle that a white line covers, with finely divided arcs."""
+    """Part of a circle that a white line covers, as a polygon with finely divided arcs.
+
+    axis : direction of the line, 0 for X and 1 for Y.
+    """
     radius, thin = float(pattern.radius_mm[circle]), 0.5 * pattern.line_width_mm
     across = pattern.centres_mm[circle][1 - axis]
     low = np.arcsin(np.clip((-thin - across) / radius, -1.0, 1.0))
@@ -271,10 +310,10 @@ def _line_on_circle(pattern: Pattern, circle: int, axis: int) -> Polygon:
 
 
 def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
-    """What makes a layout unprintable, in words; None when nothing does."""
+    """Reason why a layout cannot be printed, as part of a sentence; None if it can."""
     centres, radius = pattern.centres_mm, pattern.radius_mm
     if len(centres) == 0:
-        return "it holds no circle"
+        return "it has no circle"
     numbers = [centres, radius, pattern.inner_radius_mm, pattern.line_half_length_mm]
     numbers += [pattern.line_width_mm, pattern.line_gap_mm]
     if not all(np.all(np.isfinite(each)) for each in numbers):
@@ -289,7 +328,7 @@ def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
     if pattern.line_style not in LINE_STYLES:
         return f"the line style {pattern.line_style!r} is none of {', '.join(LINE_STYLES)}"
     if len(np.unique(pattern.lattice, axis=0)) != len(centres):
-        return "two circles share one place in the lattice"
+        return "two circles have the same lattice coordinates"
     distance = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
     np.fill_diagonal(distance, np.inf)
     if np.any(distance <= radius[:, None] + radius[None]):
@@ -299,7 +338,7 @@ def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
 
 
 def _lattice_problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
-    """Whether the centres are an even, unmirrored image of the lattice."""
+    """Reason why the centres are no affine, unmirrored image of the lattice; None if they are."""
     relative = pattern.lattice - pattern.lattice.mean(axis=0)
     steps, _, rank, _ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
     if rank < 2:
@@ -307,7 +346,7 @@ def _lattice_problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
     area_mm2 = np.linalg.det(steps)
     if area_mm2 <= 0.0:
         return "its lattice is a mirror image of its centres"
-    off_mm = np.abs(relative @ steps + pattern.centres_mm.mean(axis=0) - pattern.centres_mm)
-    if off_mm.max() > tuning.targets.off_lattice * np.sqrt(area_mm2):
+    deviation_mm = np.abs(relative @ steps + pattern.centres_mm.mean(axis=0) - pattern.centres_mm)
+    if deviation_mm.max() > tuning.targets.off_lattice * np.sqrt(area_mm2):
         return "its centres do not lie on the lattice that it states"
     return None

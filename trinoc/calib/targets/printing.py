@@ -1,4 +1,4 @@
-"""A sheet that suits a camera, a distance and a paper, and the sheet as a printer made it."""
+"""Sheet sizes for a given camera and paper, and correction of a sheet for its printed size."""
 
 import math
 from typing import NamedTuple
@@ -9,19 +9,19 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import InputError
 
-# numerical: so far, in pitches, the lines of `Pattern.cross_grid` reach beyond the outer centres.
+# numerical: length of the lines of `Pattern.cross_grid` beyond the outer centres, in pitches.
 _LINES_BEYOND = 0.75
 
 
 class SheetProposal(NamedTuple):
-    """Sizes of a cross grid.
+    """Proposed sizes of a cross grid (`Pattern.cross_grid`).
 
     Fields
     ------
-    count : circles along each side; even, so that no line meets a circle.
-    pitch_mm, radius_mm : distance of neighbours, and radius of a circle.
-    circle_px : how wide a circle is in the picture of a camera square to the sheet.
-    field_share : how much of the field's shorter side the sheet takes.
+    count : number of circles along each side; even, so that no line meets a circle.
+    pitch_mm, radius_mm : distance between neighbouring centres, and radius of a circle.
+    circle_px : diameter of a circle's image, for a camera that looks perpendicularly at the sheet.
+    field_share : side of the sheet divided by the shorter side of the field of view.
     """
 
     count: int
@@ -38,14 +38,20 @@ def propose_sheet(
     room_mm: tuple[float, float],
     tuning: CalibTuning = TUNING,
 ) -> SheetProposal:
-    """As many circles as are still 20 px wide, over 60 % of the field or the room on the paper.
+    """Propose the sheet with the most circles whose images are still about 20 px wide.
 
-    field_mm : width and height of what the camera sees at the distance of the sheet.
-    size_px : (width, height) of its pictures.
-    room_mm : for the drawing on the paper.
-    tuning : every tuned constant of calibration; a benchmark or a study changes them.
+    The sheet covers 60 % of the field of view, or the paper if that is smaller.
 
-    Raises InputError where circles would be under 10 px wide.
+    Parameters
+    ----------
+    field_mm : width and height of the field of view at the distance of the sheet.
+    size_px : (width, height) of the camera's images.
+    room_mm : (width, height) of the printable area of the paper.
+    tuning : tuned constants of calibration; only benchmarks and studies change them.
+
+    Raises
+    ------
+    InputError : the images of the circles would be less than 10 px wide.
     """
     rules = tuning.targets
     side = min(rules.field_share * min(field_mm), *room_mm)
@@ -59,18 +65,18 @@ def propose_sheet(
             return SheetProposal(count, pitch, rules.radius_share * pitch, width, share)
     if rules.field_share * min(field_mm) < min(room_mm):
         raise InputError(
-            f"A camera that sees {field_mm[0]:.3g} x {field_mm[1]:.3g} mm in {size_px[0]} x "
+            f"A camera with a field of {field_mm[0]:.3g} x {field_mm[1]:.3g} mm in {size_px[0]} x "
             f"{size_px[1]} pixels has no room for a sheet: check the distance, the angle and the "
-            "size of the pictures."
+            "size of the images."
         )
     raise InputError(
         f"A sheet of {side:.0f} mm would have circles less than {rules.least_px:.0f} px wide in "
-        "the picture: take larger paper, or go nearer."
+        "the image: use larger paper, or move the camera nearer."
     )
 
 
 class PrintedSheet(NamedTuple):
-    """The sheet with its true size, and the sigma of its scale along X and Y, as shares."""
+    """Sheet with its printed size, and the relative sigma of its scale along X and along Y."""
 
     pattern: Pattern
     scale_sigma: tuple[float, float]
@@ -84,23 +90,33 @@ def printed_sheet(
     sigma_mm: float = 0.1,
     tuning: CalibTuning = TUNING,
 ) -> PrintedSheet:
-    """The pattern rescaled by its scale bars, which need not agree along X and Y.
+    """Rescale a pattern along X and along Y by the measured lengths of its two scale bars.
 
-    nominal_mm : lengths of the bars along X and along Y as drawn.
-    measured_mm : the same as measured on the print, with a standard deviation of `sigma_mm`.
-    tuning : every tuned constant of calibration; a benchmark or a study changes them.
+    Parameters
+    ----------
+    pattern : the sheet as drawn.
+    nominal_mm : lengths of the bars along X and along Y in the drawing.
+    measured_mm : lengths of the same bars measured on the print.
+    sigma_mm : standard deviation of the measured lengths.
+    tuning : tuned constants of calibration; only benchmarks and studies change them.
 
-    A circle printed at two scales is an ellipse; it keeps the mean radius, which is right to
-    the square of their difference. Raises InputError for lengths that cannot be.
+    Raises
+    ------
+    InputError : a length is not positive, or a bar differs by over 30 % from its nominal length.
+
+    Notes
+    -----
+    A circle printed at two scales is an ellipse. It keeps the geometric mean radius. The error is
+    of second order in the difference of the scales.
     """
     nominal, measured = np.array(nominal_mm, float), np.array(measured_mm, float)
     if not ((nominal > 0).all() and (measured > 0).all() and sigma_mm >= 0):
-        raise InputError("The bars' lengths must be positive, and their sigma not negative.")
+        raise InputError("The lengths of the bars must be positive and their sigma not negative.")
     scale = measured / nominal
     if (np.abs(scale - 1) > tuning.targets.largest_change).any():
         raise InputError(
             f"The bars were measured as {measured[0]:g} and {measured[1]:g} mm where the drawing "
-            f"has {nominal[0]:g} and {nominal[1]:g} mm: check the unit and the bars' order."
+            f"has {nominal[0]:g} and {nominal[1]:g} mm: check the unit and the order of the bars."
         )
     printed = pattern.rescale(float(scale[0]), float(scale[1]))
     sigma_x, sigma_y = sigma_mm / nominal

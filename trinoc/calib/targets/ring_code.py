@@ -1,8 +1,8 @@
-"""Which circles of a grid are rings, so that a part of the sheet tells where it lies.
+"""Ring code of a sheet: the choice of rings among the circles that makes parts of it unique.
 
-A code is conflict-free for a window of the lattice when no two places, in any of the four
-rotations or their mirror images, show the same rings and discs: a window then names its
-place, its orientation, and whether the picture is mirrored.
+A window is a block of neighbouring circles. A code has no conflict for a window size if no two
+windows show the same rings and discs, in any of the four rotations or mirror images. One visible
+window then determines its position and orientation on the sheet, and a mirrored image.
 """
 
 import functools
@@ -13,31 +13,31 @@ from jaxtyping import Bool, Float
 
 from trinoc.errors import InputError
 
-# Each criterion: (window rows, window columns) and how many circles, at least, must differ
-# between two places. Three different circles let one be misread. The first criterion that the
-# grid leaves room for and the search satisfies is taken.
+# Each part of a criterion: (window rows, window columns), and the fewest circles in which two
+# windows must differ. With a difference of three circles, one circle may be misread. The code
+# meets the first criterion for which the grid is large enough and the search succeeds.
 _Criterion = tuple[tuple[tuple[int, int], int], ...]
-# numerical: what a code must fulfil; other numbers would print other sheets.
+# numerical: requirements on a code; other numbers would change the printed sheets.
 _CRITERIA: tuple[_Criterion, ...] = (
     (((3, 3), 1), ((4, 4), 3)),
     (((3, 4), 1), ((4, 4), 3)),
     (((4, 4), 1), ((5, 5), 3)),
     (((4, 5), 1), ((5, 6), 3)),
 )
-# numerical: of the search, likewise.
+# numerical: steps and temperature of the search; other numbers would change the sheets.
 _STEPS, _TEMPERATURE = 1000, 0.7
-# numerical: share of all words of a window's length that places may fill: beyond, no search ends.
+# numerical: largest share of all code words that the windows may use: the search fails above.
 _FILLED = 0.55
-# numerical: larger grids are beyond what one sheet of paper holds.
+# numerical: larger grids do not fit one sheet of paper.
 _MOST_CIRCLES = 1600
 
 
 def ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
-    """Rings (True) and discs of a grid, the same at every call; row 0 is the top one.
+    """Return the mask of rings of a grid; False marks a disc. Row 0 is the top row.
 
-    The smaller the windows that name their place, the better; grids with fewer than nine
-    circles in a block get the fewest rings that tell the four rotations and the mirror image
-    apart, if any do.
+    The result is the same at every call. The code uses the smallest windows for which the search
+    succeeds. A grid of fewer than three rows or columns gets only the rings that make the four
+    rotations and the mirror image distinguishable, if the grid allows this.
     """
     return _ring_code(rows, columns).copy()
 
@@ -46,7 +46,7 @@ def ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
 def _ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
     if rows * columns > _MOST_CIRCLES:
         raise InputError(
-            f"A ring code for {rows} x {columns} circles is not searched for: take at most "
+            f"A ring code for {rows} x {columns} circles is not computed: use at most "
             f"{_MOST_CIRCLES} circles, or give `rings=` in Python."
         )
     if min(rows, columns) < 3:
@@ -60,7 +60,10 @@ def _ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
 
 
 def _has_room(rows: int, columns: int, window: tuple[int, int], distance: int) -> bool:
-    """Whether words `distance` apart suffice for all orientations of all windows."""
+    """True if enough code words exist for all windows in all orientations.
+
+    Sphere-packing bound: words that differ in at least `distance` circles.
+    """
     count = sum(
         max(rows - height + 1, 0) * max(columns - width + 1, 0)
         for height, width in (window, window[::-1])
@@ -71,7 +74,7 @@ def _has_room(rows: int, columns: int, window: tuple[int, int], distance: int) -
 
 
 def _fewest_rings(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
-    """One ring off every axis of symmetry of the grid, or as near to it as the grid allows."""
+    """Code with one ring off all symmetry axes of the grid, or two rings where one is ambiguous."""
     code = np.zeros((rows, columns), dtype=bool)
     code[0, 1 if columns > 2 else 0] = True
     if is_ambiguous(code):
@@ -80,7 +83,7 @@ def _fewest_rings(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
 
 
 def is_ambiguous(code: Bool[np.ndarray, "rows columns"]) -> bool:
-    """Whether a rotation or a mirror image of the whole grid shows the same rings."""
+    """True if a rotation or a mirror image maps the grid's rings onto themselves."""
     images = [np.rot90(flipped, turns) for flipped in (code, code[:, ::-1]) for turns in range(4)]
     return sum(image.shape == code.shape and bool(np.all(image == code)) for image in images) > 1
 
@@ -88,7 +91,7 @@ def is_ambiguous(code: Bool[np.ndarray, "rows columns"]) -> bool:
 def _search(
     rows: int, columns: int, criterion: _Criterion
 ) -> Bool[np.ndarray, "rows columns"] | None:
-    """Annealing by single flips from a fixed seed; None when the steps do not suffice."""
+    """Search a code by simulated annealing with a fixed seed; None if it does not converge."""
     # RandomState: its stream is frozen by NumPy's policy, a Generator's is not.
     random = np.random.RandomState(1986)
     code = random.randint(0, 2, (rows, columns)).astype(bool)
@@ -113,7 +116,7 @@ def _cost(code: Bool[np.ndarray, "rows columns"], criterion: _Criterion) -> int:
 def conflicts(
     code: Bool[np.ndarray, "rows columns"], window: tuple[int, int], distance: int
 ) -> int:
-    """Pairs (a window; another, or itself, in some orientation) closer than `distance`."""
+    """Number of window pairs, in all orientations, that differ in fewer than `distance` circles."""
     views = _windows_in_all_orientations(code, window)
     orientations, count, bits = views.shape
     if count == 0:
@@ -125,7 +128,7 @@ def conflicts(
 def _windows_in_all_orientations(
     code: Bool[np.ndarray, "rows columns"], window: tuple[int, int]
 ) -> Float[np.ndarray, "orientations count bits"]:
-    """Every window as signs, in the orientations that keep its shape."""
+    """All windows as vectors of +1 (ring) and -1, in each orientation that keeps the shape."""
     rows, columns = window
     plain = _windows(code, rows, columns)
     if rows != columns:

@@ -1,4 +1,4 @@
-"""Boards of squares: their ink is cells of grids, and every edge lies along X or Y."""
+"""Boards made of squares: their ink consists of grid cells, and every edge lies along X or Y."""
 
 import abc
 from collections.abc import Sequence
@@ -13,23 +13,23 @@ from jaxtyping import Bool, Float
 from trinoc.calib.targets.abstract_target import AbstractBoard, AbstractTarget, Polygon
 from trinoc.errors import InputError
 
-# numerical: lines nearer than this, over the board's extent, are one.
+# numerical: lines closer than this share of the board's extent are merged.
 _SAME = 1e-7
-# numerical: half the height of what covers a seam between two rows, in cells.
+# numerical: half the height of the strip that covers a seam between two rows, in cells.
 _STRIP = 0.25
-# numerical: beyond what one board holds.
+# numerical: larger boards cannot be printed.
 MOST_EACH_WAY = 999
 
 
 class CellGrid(NamedTuple):
-    """Square cells of a grid about its middle, of which some are inked.
+    """Grid of square cells, some of them inked.
 
     Fields
     ------
-    is_ink : (rows, columns) the top row first.
+    is_ink : (rows, columns) mask of the painted cells, top row first.
     cell_mm : side of a cell.
-    middle_mm : (2,).
-    is_blank : whether these cells are blank paper instead, in the ink of the grids before.
+    middle_mm : (2,) centre of the grid in the board's frame.
+    is_blank : True if the cells in `is_ink` are painted in paper colour over earlier grids.
     """
 
     is_ink: Bool[np.ndarray, "rows columns"]
@@ -39,13 +39,13 @@ class CellGrid(NamedTuple):
 
 
 class AbstractSquareBoard(AbstractBoard):
-    """A board whose places are corners of inked cells.
+    """Board whose points are corners of inked cells.
 
     Fields
     ------
-    rows, columns : of what the board counts.
-    nodes_mm : (k, 2) the corners of all squares, those on the rim too, or of tags: every edge
-        belongs to the nearest.
+    rows, columns : numbers of the units that the class counts: inner corners, squares or tags.
+    nodes_mm : (k, 2) corners of all squares (the rim included) or tags, in the board's frame.
+        Every edge of the ink belongs to the nearest node.
     """
 
     rows: AbstractVar[int]
@@ -54,18 +54,19 @@ class AbstractSquareBoard(AbstractBoard):
 
     @abc.abstractmethod
     def cell_grids(self, *, quarters: int = 0) -> Sequence[CellGrid]:
-        """The inked cells, in the order of painting.
+        """Inked cells as grids, in painting order.
 
-        quarters : of a turn, counter-clockwise, by which another program prints the tags.
+        quarters : number of counter-clockwise quarter turns of each tag in its place. Some
+            programs print tags turned.
         """
 
     @property
     def radius_mm(self) -> Float[np.ndarray, "n"]:
-        """Zeros: corners have none."""
+        """Zeros, because the points are corners."""
         return np.zeros(len(self.centres_mm))
 
     def drawing(self) -> list[Polygon]:
-        """Rectangles of ink or of paper. Cells that touch along a row are one."""
+        """Rectangles of ink or paper colour, one per run of neighbouring cells in a row."""
         return [
             Polygon(grid.cell_mm * box + grid.middle_mm, not grid.is_blank)
             for grid in self.cell_grids()
@@ -74,15 +75,15 @@ class AbstractSquareBoard(AbstractBoard):
 
 
 class SquareSheet(AbstractTarget):
-    """A board whose ink is made of rectangles along X and Y: what the fit of grey levels takes.
+    """Board of squares as a raster of ink on one irregular grid, for the fit to grey levels.
 
     Fields
     ------
     name, centres_mm, radius_mm : see `AbstractTarget`.
     nodes_mm : see `AbstractSquareBoard`.
-    x_mm, y_mm : (n,), (m,) rising, the lines on which the edges of the ink lie.
-    ink : (m + 1, n + 1) which of the cells between them are inked, the lowest row first; the
-        outermost ones, beyond all lines, are paper.
+    x_mm, y_mm : (n,), (m,) increasing positions of the grid lines, which contain all ink edges.
+    ink : (m + 1, n + 1) mask of the inked cells between the lines, lowest row first. The
+        outermost cells, beyond all lines, are paper.
     """
 
     name: str = eqx.field(static=True)
@@ -95,12 +96,22 @@ class SquareSheet(AbstractTarget):
 
 
 def square_sheet(board: AbstractTarget, *, quarters: int = 0) -> SquareSheet:
-    """The ink of a board of squares on one grid of lines.
+    """Convert a board of squares to a raster of its ink.
 
-    quarters : see `AbstractSquareBoard.cell_grids`. Raises InputError for other boards.
+    Parameters
+    ----------
+    board : a chessboard, ChArUco board or grid of AprilTags.
+    quarters : see `AbstractSquareBoard.cell_grids`.
+
+    Raises
+    ------
+    InputError : the board is of another kind.
     """
     if not isinstance(board, AbstractSquareBoard):
-        raise InputError(f"A {type(board).__name__} is no board of squares.")
+        raise InputError(
+            f"A {type(board).__name__} is no board of squares: give a Chessboard, Charuco or "
+            "AprilGrid."
+        )
     grids = board.cell_grids(quarters=quarters)
     bounds = np.concatenate([_cell_bounds_mm(grid) for grid in grids])
     is_ink = np.repeat([not grid.is_blank for grid in grids], [grid.is_ink.sum() for grid in grids])
@@ -118,7 +129,7 @@ def square_sheet(board: AbstractTarget, *, quarters: int = 0) -> SquareSheet:
 
 
 def _cell_bounds_mm(grid: CellGrid) -> Float[np.ndarray, "c 2 2"]:
-    """Lower left and upper right corner of each inked cell."""
+    """Lower left and upper right corner of each inked cell, (cell, corner, x or y)."""
     rows, columns = grid.is_ink.shape
     row, column = np.nonzero(grid.is_ink)
     low = np.stack([column - 0.5 * columns, 0.5 * rows - 1 - row], axis=1)
@@ -131,9 +142,10 @@ def _distinct(values: Float[np.ndarray, "..."], same: float) -> Float[np.ndarray
 
 
 def _runs_of_cells(is_ink: Bool[np.ndarray, "rows columns"]) -> list[Float[np.ndarray, "4 2"]]:
-    """Runs of inked cells along the rows, about the middle of all, in cells.
+    """Rectangles of the runs of inked cells in each row, in cells from the grid's centre.
 
-    Where two rows touch, a strip lies over the seam: printers leave a hair of white there.
+    An extra strip covers each seam between two inked rows, because printers leave a thin white
+    line there.
     """
     rows, columns = is_ink.shape
     runs = [(0.5 * rows - row - 1, 0.5 * rows - row, is_ink[row]) for row in range(rows)]
@@ -153,27 +165,35 @@ def _runs_of_cells(is_ink: Bool[np.ndarray, "rows columns"]) -> list[Float[np.nd
 def grid_mm(
     rows: int, columns: int, pitch_mm: float, *, top_first: bool, right_first: bool = False
 ) -> Float[np.ndarray, "n 2"]:
-    """Places row by row, each from the left or from the right, about their middle; not to be
-    written to, since a fit asks for them thousands of times."""
+    """Points of a regular grid centred on the origin, row by row, in mm.
+
+    top_first : True if the first row is the top one.
+    right_first : True if each row starts at the right.
+
+    The array is cached and read-only, because a fit requests it thousands of times.
+    """
     row, column = np.divmod(np.arange(rows * columns), columns)
     upward = 0.5 * (rows - 1) - row if top_first else row - 0.5 * (rows - 1)
     rightward = column - 0.5 * (columns - 1)
-    places = pitch_mm * np.stack([-rightward if right_first else rightward, upward], axis=1)
-    places.flags.writeable = False
-    return places
+    points_mm = pitch_mm * np.stack([-rightward if right_first else rightward, upward], axis=1)
+    points_mm.flags.writeable = False
+    return points_mm
 
 
 def dark_squares(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
-    """Which squares of a chessboard are dark, the top left one among them."""
+    """Mask of the dark squares of a chessboard; the top left square is dark."""
     return np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
 
 
 def check_size(name: str, rows: int, columns: int, what: str, side_mm: float) -> None:
-    """Raises InputError for a board without a size, or of too few or too many `what`."""
+    """Raise InputError for an impossible number of rows or columns, or side of a square.
+
+    what : plural name of the units counted by `rows` and `columns`.
+    """
     if not 3 <= min(rows, columns) <= max(rows, columns) <= MOST_EACH_WAY:
         size = "small" if min(rows, columns) < 3 else "large"
         raise InputError(
             f"The board {name!r} is too {size}: give 3 to {MOST_EACH_WAY} {what} each way."
         )
     if not (np.isfinite(side_mm) and side_mm > 0.0):
-        raise InputError(f"The board {name!r} has squares of {side_mm:g} mm: give their side.")
+        raise InputError(f"The board {name!r} has squares of {side_mm:g} mm: give a positive side.")

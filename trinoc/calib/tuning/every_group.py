@@ -8,38 +8,43 @@ from trinoc.calib.tuning.photometric import PhotometricTuning
 
 @dataclass(frozen=True)
 class TargetTuning:
-    """The sheet that suits a camera, and sizes that cannot be. By hand."""
+    """Sizes of a proposed sheet, and limits of plausible sizes. Chosen by hand."""
 
-    # A proposed sheet takes so large a share of the field's shorter side: room is left for aiming,
-    # and for the sheet to be seen aslant.
+    # Side of a proposed sheet as a share of the shorter side of the field of view. The rest is a
+    # margin for aiming and for oblique views.
     field_share: float = 0.6
-    # Its circles are so wide in the picture, px, or at least so wide; their radius is this share
-    # of the pitch; which is a multiple of this, mm.
+    # Desired and smallest diameter of a circle's image, px.
     good_px: float = 20.0
     least_px: float = 10.0
+    # Radius of a circle as a share of the pitch, and the step to which the pitch is rounded, mm.
     radius_share: float = 0.3
     step_mm: float = 0.5
-    # Printers miss a length by a percent; by so large a share a person or the unit does.
+    # Largest relative error of a printed length. Printers are wrong by a percent; a larger error
+    # is a mistake in measuring or a wrong unit.
     largest_change: float = 0.3
-    # Centres of a measured sheet lie so far, in pitches, from an even lattice.
+    # Largest distance of a measured circle centre from a regular lattice, in pitches.
     off_lattice: float = 0.25
 
 
 @dataclass(frozen=True)
 class UncertaintyTuning:
-    """What is assumed of sheet, aim and lens where nobody says it: see `Systematics.typical`. All
-    standard deviations by hand; shown by the coverage of benchmarks/calibration_conditions.py."""
+    """Default standard deviations of sheet, aim and lens: see `Systematics.typical`.
 
-    # Of the whole print's size, and of each side beside that, as shares.
+    Chosen by hand. Check with the coverage in benchmarks/calibration_conditions.py.
+    """
+
+    # Relative standard deviation of the scale of the print.
     print_size: float = 2e-3
-    # 1 % between X and Y then lies within four sigmas: one image hardly shows it, and with 7e-4 it
-    # moved the pan by 10 sigma without a word.
+    # The same of each side beside the common scale. A difference of 1 % between X and Y is then
+    # within four sigmas. One image hardly shows it, and with 7e-4 the pan was wrong by 10 sigma
+    # without a warning.
     print_stretch: float = 2e-3
-    # Of a sheet's height at its edge, and of the point that a camera is aimed at, mm.
+    # Standard deviations of the height of the sheet at its edge, and of the point at which a camera
+    # is aimed, mm.
     flatness_mm: float = 0.3
     aim_mm: float = 20.0
-    # Of a data sheet: focal length, its aspect, the principal point over the picture's width, and
-    # distortion at the corner, px.
+    # Standard deviations of a data sheet's lens: relative focal length, its aspect ratio, principal
+    # point over the image width, and distortion at the corner of the image, px.
     focal_length: float = 1e-2
     aspect: float = 2e-3
     principal_point: float = 2e-2
@@ -48,240 +53,270 @@ class UncertaintyTuning:
 
 @dataclass(frozen=True)
 class ProblemTuning:
-    """What noise makes and what not: of a place, a picture, a camera's sigmas, the board. Shown by
-    errors and coverage of benchmarks/rigs.py and benchmarks/calibration.py."""
+    """Limits between noise and errors, for points, images, cameras and boards.
 
-    # A place farther off, in robust standard deviations, was located wrongly: noise makes it once
-    # in 10^8. By hand.
+    Check with errors and coverage of benchmarks/rigs.py and benchmarks/calibration.py.
+    """
+
+    # Largest residual of a point, in robust standard deviations. Noise exceeds it once in 10^8; the
+    # point was located wrongly. By hand.
     gate: float = 6.0
-    # Scales, in robust standard deviations, at which the influence of a place is bounded from round
-    # to round. By hand.
+    # Scales of the robust loss from round to round, in robust standard deviations. By hand.
     annealing: tuple[float, ...] = (30.0, 10.0, 5.0)
-    # Places of one image scatter at most so many times as much as those of its camera, or as much
-    # less; the camera's scatter counts as so many numbers beside the image's own. On 13 public sets
-    # the logarithms of the images' scatter have a standard deviation of .17 to .55.
+    # Largest factor, up or down, between the scatter of the points of one image and that of its
+    # camera.
     noisiest_image: float = 4.0
+    # Weight of the camera's scatter in the estimate for one image, as a number of degrees of
+    # freedom. On 13 public sets the logarithm of the images' scatter has a standard deviation of
+    # .17 to .55.
     image_prior: float = 20.0
-    # A picture of which a smaller share of places agrees shows the board elsewhere. By hand.
+    # Smallest share of consistent points in an image. Below it, the board's pose in the image
+    # contradicts the shot. By hand.
     fewest_agree: float = 0.5
-    # A shape of the board changes focal lengths by at most this factor, and its prior is multiplied
-    # by no more than so large a scatter of the shots. Bounds by hand: a public set with cameras out
-    # of step (spenc) needs 1.4 of the first.
+    # Largest factor by which an estimated board shape may change focal lengths. Bound by hand: a
+    # public set of unsynchronised cameras (spenc) needs 1.4.
     largest_focal_change: float = 2.0
+    # Largest scatter of the shots that multiplies the prior of the board shape. Bound by hand.
     largest_scatter: float = 25.0
-    # An image is of another moment than its shot where the pose of the board differs by more than
-    # so many times what is usual among the shots, in chi-square per degree of freedom: three times
-    # as far. Pairs of one public set (semeniuta) of one moment reach 8, others begin at 1,700;
-    # where a third of few shots are others, they spoil the rig and what is usual, and begin at 7.
+    # An image was taken at another time than its shot if its board pose differs by more than this
+    # factor from the usual difference, in chi-square per degree of freedom (three times as far).
+    # Simultaneous pairs of one public set (semeniuta) reach 8, others begin at 1,700. If a third
+    # of few shots are wrong, they raise the usual difference, and begin at 7.
     other_moment: float = 9.0
-    # The cameras of a rig do not look at one moment where the same, in the median of all shots and
-    # over the noise of the images about their own poses, is so large: four times as far as noise.
-    # Six public sets of cameras with a common trigger have .6 to 13, three pairs without 28 to 62.
+    # The cameras of a rig are not synchronised if the same ratio, against the noise of the images
+    # about their own poses, has a larger median over the shots. Six public sets with a common
+    # trigger have .6 to 13, three pairs without one 28 to 62.
     moments_differ: float = 20.0
-    # A chi-square so many of its own standard deviations above its degrees of freedom is not noise:
-    # sigmas grow, or a board's places are free. By hand.
+    # A chi-square is refuted if it exceeds its degrees of freedom by this many of its standard
+    # deviations. Sigmas are then enlarged, or the board's points are estimated. By hand.
     refuted_sigmas: float = 4.0
-    # The same of the pulls of whole shots. By hand.
+    # The same for the pulls of whole shots. By hand.
     shots_sigmas: float = 3.0
-    # The first guess of how far a board's places lie off, over what is left of the fit. By hand.
+    # Initial standard deviation of the board's points, over the remaining residual of the fit. By
+    # hand.
     first_spread: float = 3.0
-    # Standard deviation of the shear of a print: its sides are perpendicular to this angle, rad. As
-    # twice the stretch of one side; by hand.
+    # Standard deviation of the angle between the sides of a print from 90 degrees, rad. Twice the
+    # relative stretch of one side; by hand.
     shear: float = 1e-3
-    # Heights of second, third and fourth degree of a sheet against its flatness: paper that was
-    # rolled changes its curvature by a part of it. By hand.
+    # Standard deviations of the terms of second, third and fourth degree of a sheet's height, over
+    # its flatness. Paper from a roll changes its curvature by a part of it. By hand.
     height_shares: tuple[float, float, float] = (1.0, 0.5, 0.25)
 
 
 @dataclass(frozen=True)
 class StartTuning:
-    """First lenses, and cameras and boards chained into one frame. By hand; shown by the shots
-    that are refused, and by lenses that are found, in benchmarks/rigs.py."""
+    """Initial lenses, and the chaining of cameras and boards into one frame.
 
-    # Focal lengths to start from, in longer sides of the picture: where Zhang's formula has none,
-    # and of a fisheye.
+    Chosen by hand. Check with the excluded shots and the lenses in benchmarks/rigs.py.
+    """
+
+    # Initial focal lengths over the longer side of the image: if Zhang's formula yields none, and
+    # for a fisheye.
     focal_shares: tuple[float, ...] = (0.7, 1.4, 3.0, 8.0)
     fisheye_shares: tuple[float, ...] = (0.2, 0.25, 0.3, 0.36, 0.45, 0.55, 0.7, 1.0, 1.4)
-    # A place that lies farther off its picture's homography, as a share of the board's extent
-    # there, was located wrongly: lenses bend less.
+    # Largest distance of a point from the homography of its image, as a share of the board's
+    # extent there. Lens distortion causes less; the point was located wrongly.
     gross_share: float = 0.05
-    # A board that lies farther off, as such a share, stands elsewhere: first lenses are a few
-    # percent off. Either is at least so many pixels.
+    # Largest distance of a board from its predicted position, as the same share. Initial lenses are
+    # wrong by a few percent.
     elsewhere_share: float = 0.06
+    # Lower limit of both distances, px.
     least_px: float = 3.0
-    # Turns about one axis leave open how far cameras lie along it: those about others have at least
-    # this share of them.
+    # Rotations about one axis do not determine the translation along it. Smallest rotation about
+    # other axes, as a share of that about the main axis.
     least_other_turns: float = 0.05
-    # Boards whose planes differ by less look parallel: focal length and distance look alike then.
+    # Smallest angle between the planes of boards. Nearly parallel boards do not separate focal
+    # length from distance.
     parallel_deg: float = 8.0
-    # Cameras whose pictures were counted differently are tried so many shots apart.
+    # Largest shift of the shot numbers of one camera that is tried if cameras may be numbered
+    # differently.
     most_shift: int = 3
 
 
 @dataclass(frozen=True)
 class AdviceTuning:
-    """Shots that are foreseen, and where two halves of the shots are compared. By hand."""
+    """Advice on the next shot, and the comparison of two halves of the shots. Chosen by hand."""
 
-    # Points are compared where the boards were, and so many times as far, where errors of lens and
-    # pose no longer cancel.
+    # The two halves are compared at the distances of the boards, and this many times as far, where
+    # errors of lens and pose no longer cancel.
     farther: float = 3.0
-    # How the board may be held: tilted by so many degrees, with so large a share of the picture's
-    # shorter side, and with such a share left around it where it is held aside.
+    # Poses proposed for the board: its tilt; its extents as shares of the shorter side of the
+    # image; and the margin to the edge of the image, as the same share, for boards off the centre.
     tilt_deg: float = 40.0
     fills: tuple[float, ...] = (0.35, 0.6)
     margin: float = 0.05
-    # A board that is seen in part tells by so large a share of its places (a chessboard by all),
-    # and by none that is seen farther from its normal.
+    # Smallest visible share of a board's points with which it is used (a chessboard needs all).
     least_seen: float = 0.6
+    # Largest angle between the line of sight and the board's normal.
     most_oblique_deg: float = 65.0
-    # So many shots are compared: those of which the rig tells least.
+    # Number of proposed shots that are evaluated: those of which the rig is most uncertain.
     most_compared: int = 40
-    # What the pictures do not determine is taken to be known to so many of its steps beforehand,
-    # so that advice is possible; no covariance that leaves the room contains it.
+    # Prior standard deviation of undetermined directions, in the steps of their unknowns. It makes
+    # advice possible; no covariance that leaves this package contains it.
     prior_sigma: float = 3.0
 
 
 @dataclass(frozen=True)
 class AdjustmentTuning:
-    """Which answer of a picture is believed. Shown by benchmarks/picture_conditions.py."""
+    """Choice between the estimates by circles and by grey levels.
 
-    # A camera is started another way where half of its circles lie farther off, in sigmas. By hand.
+    Chosen by hand. Check with benchmarks/picture_conditions.py.
+    """
+
+    # Another initial pose of a camera is tried if the median residual of its circles exceeds this,
+    # in sigmas.
     far_sigmas: float = 10.0
-    # The difference of two answers has at least this share of the circles' covariance: what they
-    # claim differs by so much from picture to picture. By hand.
+    # Lower limit of the covariance of the difference between both estimates, as a share of the
+    # circles' covariance. The reported covariances vary by this much from image to image.
     least_difference: float = 0.3
-    # Blocks along each side of the sheet that are left out in turn, and the fewest with circles
-    # that tell how blocks scatter. By hand.
+    # Number of blocks along each side of the sheet for the jackknife, and the fewest blocks with
+    # circles from which a scatter is estimated.
     blocks: int = 4
     fewest_blocks: int = 6
 
 
 @dataclass(frozen=True)
 class BundleTuning:
-    """Which fragments are believed, and which of several answers. Shown by errors and coverage of
-    benchmarks/refine.py, the last six by its part `matched`."""
+    """Robust weights of matched fragments, and the choice among several solutions.
 
-    # What a fragment can cost, as a distance in sigmas; and how many times wider the loss is, from
-    # round to round: first everything speaks, then only what fits. By hand.
+    Check with errors and coverage of benchmarks/refine.py; the last six constants with its part
+    `matched`.
+    """
+
+    # Distance in sigmas at which the loss of a fragment saturates. By hand.
     loss_sigmas: float = 4.0
+    # Factors on this distance from round to round: at first all fragments have weight, at last
+    # only the consistent ones. By hand.
     widenings: tuple[float, ...] = (16.0, 4.0, 1.0)
-    # Right fragments lie farther off than those that are kept with this probability. By hand.
+    # Probability that a correct fragment is rejected as an outlier. By hand.
     outlier_chance: float = 1e-3
-    # With less redundancy the sheet's own claim is kept: a factor from it would be off by 13 % or
-    # more. By hand.
+    # Smallest redundancy from which the sigmas of the sheet are rescaled. With less, the factor
+    # would be wrong by 13 % or more. By hand.
     fewest_for_sheet: int = 30
-    # The search starts with a camera turned by the largest knock that it is meant for, degrees, or,
-    # if it aims at the origin, taken round it, where pictures of what lies near stay. By hand.
+    # Initial poses of the search: a camera is rotated by the largest knock that the search is
+    # designed for, degrees. A camera aimed at the origin is moved around it instead, which
+    # preserves the images of near objects. By hand.
     turn_deg: float = 1.2
     round_deg: float = 5.0
-    # A camera whose orientation the sheet knows to this share of `turn_deg` cannot stand
-    # elsewhere. By hand.
+    # The search is not needed if the sheet determines a camera's orientation to this share of
+    # `turn_deg`. By hand.
     known_share: float = 0.25
-    # Two answers are one where the lines of one miss each other by less with the other. By hand.
+    # Two solutions are equal if their lines differ by less than this, in sigmas. By hand.
     same_sigmas: float = 3.5
-    # An answer is clear where no other comes within this factor in log posterior: beside wrong ones
-    # within 1.35 in 5 of 6, beside right ones none of 45 within 1.52. Made scenes, from 150,000 on.
+    # A solution is unique if no other comes within this factor of its log posterior. Next to wrong
+    # solutions another one is within 1.35 in 5 of 6 cases; next to correct ones none of 45 is
+    # within 1.52. Made scenes, seeds from 150,000.
     clear_factor: float = 1.45
 
 
 @dataclass(frozen=True)
 class RigCheckTuning:
-    """A calibration against an earlier one, and a rig against scene pictures. Shown by the
-    knocked rigs of benchmarks/refine.py."""
+    """Comparison of a calibration with an earlier one, and of a rig with images of a scene.
 
-    # A camera has moved since an earlier calibration beyond so many sigmas: once in 10^5
-    # comparisons of it by noise alone. By hand.
+    Check with the knocked rigs of benchmarks/refine.py.
+    """
+
+    # A camera has moved since an earlier calibration if its pose differs by more sigmas. Noise
+    # causes this once in 10^5 comparisons. By hand.
     moved_sigmas: float = 4.5
-    # Where neither rig has sigmas, changes up to these say nothing. By hand.
+    # Smallest change reported if neither rig has sigmas. By hand.
     quiet_mm: float = 0.1
     quiet_deg: float = 0.01
-    # Pictures were swapped when the other camera's place fits so many times better. By hand.
+    # Images were exchanged if the pose of another camera fits this many times better. By hand.
     swap_ratio: float = 10.0
-    # Below so many sigmas a motion of scene pictures may be chance: of three cameras that stand
-    # still, one rig in 120 is suspected. By hand.
+    # Fewest sigmas of a motion estimated from images of a scene. Of rigs of three cameras at rest,
+    # one in 120 exceeds it. By hand.
     suspect_sigmas: float = 3.0
-    # Fewer lines are hardly enough for the six numbers of a camera. By hand.
+    # Fewest lines that determine the six parameters of a camera. By hand.
     fewest_lines: int = 12
-    # Lines that scatter more than so many stated sigmas are joined by chance: such scatter 1.2 to
-    # 2.3 times, right ones 0.9 to 1.1. Such a scene is matched again, or where it cannot be,
-    # decides nothing. Made scenes.
+    # Largest scatter of the lines over their reported sigmas. Chance matches scatter 1.2 to 2.3
+    # times, correct ones 0.9 to 1.1. Above it, the scene is matched again; if that is impossible,
+    # it is not used. Made scenes.
     most_noise: float = 1.5
-    # Where so large a share of every view's segments is on sure tracks of three views, no knock
-    # hides the scene from the matcher. As `clear_share` of matching.
+    # If this share of every view's segments is on reliable tracks of three views, no knock prevents
+    # the matching. As `clear_share` of matching.
     clear_share: float = 0.5
 
 
 @dataclass(frozen=True)
 class AnswerTuning:
-    """Which answer is given, and what a message says of it. By hand where nothing else is said;
-    shown by benchmarks/picture_conditions.py and benchmarks/rigs.py."""
+    """Status of a calibration, and thresholds of its warnings.
 
-    # Where noise makes so much with less than this probability, pictures speak against what a model
-    # holds fixed, and against an aim.
+    Chosen by hand where no other source is stated. Check with benchmarks/picture_conditions.py and
+    benchmarks/rigs.py.
+    """
+
+    # Probability under noise below which images contradict a fixed parameter, or an aim.
     chance: float = 1e-4
-    # The same where the change would move the camera by more than `strain_sigmas`: one fair image
-    # in 300 is SUSPECT; of eight images through a lens .05 % off, six and not four.
+    # The same if the change would move the camera by more than `strain_sigmas`. One correct image
+    # in 300 is then SUSPECT; of eight images through a lens wrong by .05 %, six instead of four.
     chance_where_strained: float = 1e-3
-    # The same of a score test that calls for more coefficients of a lens.
+    # The same for the score test of additional lens coefficients.
     chance_of_lens: float = 1e-3
-    # The same of two answers of a picture, by circles and by grey levels, that differ so much, and
-    # of circles far beyond their noise, whose neighbours err so much alike.
+    # The same for the difference of the estimates by circles and by grey levels, and for the
+    # correlation of neighbouring circles whose residuals exceed their noise.
     chance_of_answers: float = 1e-2
-    # An error that the test at `chance` finds less often goes unseen. Baarda's share, by hand.
+    # Probability with which a test must detect an error; a smaller error counts as undetected.
+    # Baarda's value, by hand.
     power: float = 0.8
-    # Blocks of right circles scatter so many times as much as claimed once in hundreds of pictures.
+    # Largest scatter of blocks of circles over the expected one; correct images exceed it once in
+    # some hundreds.
     largest_scatter: float = 1.5
-    # Shifts of places by less, px, do not bend an edge's profile: pictures say nothing new.
+    # Shift of points below which the profile of an edge does not change visibly, px.
     least_shift_px: float = 0.02
-    # Ink that spreads less, mm, moves the centres of circles by less than they are known to.
+    # Spread of ink below which circle centres move by less than their sigmas, mm.
     least_spread_mm: float = 0.01
-    # A lens is worse where its errors on held-out shots are larger by so many standard deviations;
-    # none counts beyond so many times the best lens's median.
+    # A lens model is worse if its errors on held-out shots are larger by this many standard
+    # deviations of their mean difference.
     worse_sigmas: float = 2.0
+    # Limit of a shot's error in this comparison, over the best lens's median.
     cap: float = 5.0
-    # Fewer points do not tell a lens.
+    # Fewest points from which a lens is estimated.
     fewest_points: int = 8
-    # Root mean square misfits beyond this share of what the sheet takes of the picture, and of a
-    # board whose lens is fitted, are of another model; they are at least so many px.
+    # Largest rms residual as a share of the sheet's extent in the image, and of a board's extent if
+    # its lens is estimated. Above it, the model is wrong. Lower limit of both, px.
     misfit_share: float = 0.01
     misfit_share_of_lens: float = 0.003
     least_misfit_px: float = 1.0
-    # A pattern in the residuals is named where it is so many times what noise leaves of it, and
-    # this share of all residuals; a camera moved where its shifts jump by so many times their
-    # scatter.
+    # A pattern in the residuals is reported if it exceeds this many times the pattern of noise, and
+    # this share of all residuals.
     named_ratio: float = 2.5
     named_share: float = 0.4
+    # A camera has moved during the shots if its shifts jump by this many times their scatter.
     moved_scatters: float = 8.0
-    # Sigmas that the residuals multiply by more than this make a rig SUSPECT.
+    # A rig is SUSPECT if the residuals multiply its sigmas by more than this.
     largest_sigma_factor: float = 3.0
-    # Beyond this, a reduced chi-square is told; and a share of pixels that were left out.
+    # Reduced chi-square above which it is reported, and the same for the share of excluded pixels.
     large_chi_square: float = 2.0
     cut_share: float = 0.01
-    # Sheet, board or lens is another than was said beyond so many of the stated sigmas.
+    # The images contradict a given sheet, board or lens if its estimate differs by more of the
+    # given sigmas.
     strain_sigmas: float = 4.0
-    # Coefficients with which a distortion folds the picture are fixed at 0 where the rms residual
-    # grows by no more than this factor. It grows by 1.07 for a T265 fisheye, whose focal length
-    # then moves by .2 %, and by 4.6 for a made lens, whose principal point moves by 24 px.
+    # Coefficients with which a distortion folds the image are fixed at 0 if the rms residual grows
+    # by no more than this factor. It grows by 1.07 for a T265 fisheye, whose focal length then
+    # changes by .2 %, and by 4.6 for a made lens, whose principal point moves by 24 px.
     most_rise_by_fixing: float = 1.2
-    # Of the variance of a prior, the least share that the images must remove in a direction for its
-    # distance from the prior to be tested: below, errors of the images count many times.
+    # Smallest share of a prior's variance that the images must remove in a direction, for the
+    # distance from the prior to be tested. Below it, errors of the images are magnified.
     least_share_of_prior: float = 0.1
-    # Two unknowns with a larger correlation of their distances from their priors, and distances
-    # that differ by a smaller share, cannot be separated.
+    # Two unknowns cannot be separated if the correlation of their distances from the priors
+    # exceeds this, and if the smaller distance is at least this share of the larger, in sigmas.
     inseparable: float = 0.9
-    # An aim closer to the origin, mm, is not reported.
+    # Smallest distance between aim and origin that is reported, mm.
     least_aim_mm: float = 0.01
-    # A distortion is held by places that reach this share of the way to the corners.
+    # Smallest share of the way from the centre to the corners of the image that points must reach
+    # to determine a distortion.
     enough_reach: float = 0.8
-    # Knowing lens or print so many times as well is worth saying where it narrows sigmas by this
-    # factor, the geometric mean over the parameters. A calibrated lens surpasses ten.
+    # A more precise lens or print is recommended if priors narrowed `better_known` times would
+    # narrow the sigmas `enough_gain` times (geometric mean over the parameters). A calibrated lens
+    # exceeds ten times.
     better_known: float = 10.0
     enough_gain: float = 1.5
 
 
 @dataclass(frozen=True)
 class CalibTuning:
-    """All groups; the default is what everything was measured with."""
+    """All groups of constants; benchmarks and docs report results with the default."""
 
     targets: TargetTuning = field(default_factory=TargetTuning)
     detection: DetectionTuning = field(default_factory=DetectionTuning)
