@@ -296,8 +296,10 @@ CAMERAS = dict(bench_rig().items())
 
 def rig_at(distance_mm: float) -> Rig:
     """One camera so far from the sheet."""
-    pose = {"pan_deg": 0.0, "tilt_deg": 50.0, "swing_deg": 0.0}
-    return Rig({"a": Camera.from_degrees(LENS, **pose, distance_mm=distance_mm)})
+    camera = Camera.from_degrees(
+        LENS, pan_deg=0.0, tilt_deg=50.0, swing_deg=0.0, distance_mm=distance_mm
+    )
+    return Rig({"a": camera})
 
 
 def rig_known_by(parameters: list[str], covariance: np.ndarray) -> Rig:
