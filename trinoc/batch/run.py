@@ -146,10 +146,10 @@ def match_recording(
     without = tuple(name for name in rig if name not in source.views)
     rig = rig.take(source.views)
     parts = share_parts(cut_into_parts(source.frames, frames_per_file), shard)
-    ending = ending or _ending_there(Path(out)) or frames_ending()
+    ending = ending or _existing_ending(Path(out)) or frames_ending()
     job = MatchingJob(source.folder.resolve(), rig, dict(find or {}), depth_range_mm)
     description = _description(source, job, frames_per_file, ending)
-    memory = half_of_the_machine() if memory_gb is None else memory_gb * 1e9
+    memory = half_of_memory() if memory_gb is None else memory_gb * 1e9
     with open_results(Path(out), shard, description, ending) as folder:
         folder.look(parts)
         earlier = folder.tally["frames"]
@@ -230,10 +230,8 @@ def _description(
     }
 
 
-def _ending_there(out: Path) -> str | None:
-    """File ending of existing results, which determines that of new ones; None if there are
-    none.
-    """
+def _existing_ending(out: Path) -> str | None:
+    """File ending of existing results, which new ones must have too; None if there are none."""
     endings = {path.suffix for path in out.glob("matches-*")} & {".npz", ".parquet"}
     return min(endings, default=None)
 
@@ -263,7 +261,7 @@ def _bytes_of_picture(rig: Rig) -> int:
     return BYTES_PER_PIXEL * max(width * height for width, height in sizes)
 
 
-def half_of_the_machine() -> float:
+def half_of_memory() -> float:
     """Half of the machine's memory in bytes; infinite if unknown."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2

@@ -28,7 +28,7 @@ _NINTHS = (
 )
 
 
-def field(qualities: Sequence[ImageQuality]) -> Bool[np.ndarray, "r c"]:
+def covered_cells(qualities: Sequence[ImageQuality]) -> Bool[np.ndarray, "r c"]:
     """Cells of the field that the good images cover together, (r, c)."""
     cells = np.zeros(GRID, dtype=bool)
     for quality in qualities:
@@ -39,7 +39,7 @@ def field(qualities: Sequence[ImageQuality]) -> Bool[np.ndarray, "r c"]:
 
 def field_share(qualities: Sequence[ImageQuality]) -> float:
     """Share of the field that the good images cover, 0 to 1."""
-    return float(field(qualities).mean())
+    return float(covered_cells(qualities).mean())
 
 
 def next_goal(qualities: Sequence[ImageQuality]) -> Goal | None:
@@ -47,7 +47,7 @@ def next_goal(qualities: Sequence[ImageQuality]) -> Goal | None:
     good = [quality for quality in qualities if quality.is_good]
     if not good:
         return Goal("Hold the board square to the camera, in the middle of the picture.")
-    cells = field(good)
+    cells = covered_cells(good)
     if cells.mean() < ENOUGH_FIELD:
         ninth, middle = _emptiest(cells)
         return Goal(f"Move the board to {ninth} of the picture.", middle, fill=0.45)
@@ -66,7 +66,7 @@ def next_goal(qualities: Sequence[ImageQuality]) -> Goal | None:
 
 
 def next_step(qualities: Sequence[ImageQuality]) -> str:
-    """One sentence on what to do next; faults of the last image come first."""
+    """Sentence with the next action for the user; faults of the last image come first."""
     last = qualities[-1] if qualities else None
     if last is not None and not last.is_detected:
         return "Take it again: " + last.refusal
@@ -79,7 +79,7 @@ def next_step(qualities: Sequence[ImageQuality]) -> str:
 def adds_information(earlier: Sequence[ImageQuality], last: ImageQuality) -> bool:
     """True if a good image covers a new cell of the field or shows a new tilt."""
     together = [*earlier, last]
-    if not last.is_good or field(together).sum() > field(earlier).sum():
+    if not last.is_good or covered_cells(together).sum() > covered_cells(earlier).sum():
         return last.is_good
     return len(_missing_sides(together)) < len(_missing_sides(earlier))
 

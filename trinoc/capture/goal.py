@@ -67,10 +67,7 @@ def goal_points_px(
 def goal_outline_px(
     goal: Goal, points_mm: Float[np.ndarray, "m 2"], size_px: tuple[int, int]
 ) -> Float[np.ndarray, "4 2"]:
-    """Corners of the rectangle around the board's points, (4, 2) px.
-
-    They are in the sketch of `goal_points_px`.
-    """
+    """Corners of the rectangle around the board's points, (4, 2) px, in the goal position."""
     corners_mm = outline_mm(points_mm)
     return goal_points_px(goal, np.concatenate([points_mm, corners_mm]), size_px)[-4:]
 

@@ -170,7 +170,7 @@ def quality_line(quality: ImageQuality) -> str:
 
 
 def _window(points_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]) -> tuple[slice, slice]:
-    """Rows and columns that hold the board, or all of them."""
+    """Rows and columns around the detected points, or all without points."""
     if not len(points_px):
         return slice(None), slice(None)
     low, high = points_px.min(axis=0), points_px.max(axis=0)

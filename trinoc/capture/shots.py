@@ -81,7 +81,7 @@ def advise_cameras(shots: Sequence[Shot], cameras: Sequence[str]) -> Advice:
     if not shots:
         return Advice("Hold the board where all cameras see it, and hold it still.", {})
     if not shots[-1].good_cameras:
-        return Advice(_what_is_wrong(shots[-1]), goals_to_draw)
+        return Advice(_describe_fault(shots[-1]), goals_to_draw)
     groups = connect_cameras(shots, cameras)
     if len(groups) > 1 and all(_list_good(shots, name) for name in cameras):
         first, second = (" or ".join(group) for group in groups[:2])
@@ -161,7 +161,7 @@ def _list_good(shots: Sequence[Shot], camera: str) -> list[ImageQuality]:
     return [quality for quality in camera_qualities(shots, camera) if quality.is_good]
 
 
-def _what_is_wrong(shot: Shot) -> str:
+def _describe_fault(shot: Shot) -> str:
     """Sentence on a shot without a good image."""
     for name, quality in shot.qualities.items():
         if quality.faults and quality.is_detected:

@@ -40,8 +40,8 @@ def frames_of_names(names: Iterable[str], template: str, cameras: Sequence[str])
     Raises
     ------
     InputError
-        If the template lacks a field or has an unknown one, nothing matches, or two files are the
-        image of one camera in one frame.
+        If the template lacks a field or has an unknown one. If nothing matches. If two files are
+        the image of one camera in one frame.
     """
     aliases = camera_aliases(cameras)
     pattern = _pattern(template, list(aliases))

@@ -10,7 +10,7 @@ import jinja2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trinoc.capture.advice import field, field_share
+from trinoc.capture.advice import covered_cells, field_share
 from trinoc.capture.image_quality import ImageQuality
 from trinoc.capture.measures import GRID
 from trinoc.capture.shots import Shot, advise_cameras, camera_qualities
@@ -93,7 +93,7 @@ def _view(state: WatchState, number: int) -> dict[str, Any]:
     """Template values of one camera: its last image and its covered field."""
     camera = state.cameras[number]
     qualities = camera_qualities(state.shots, camera)
-    last, cells = qualities[-1] if qualities else None, field(qualities)
+    last, cells = qualities[-1] if qualities else None, covered_cells(qualities)
     caption = "" if last is None else f"{last.name}, {last.size_px[0]} x {last.size_px[1]} px"
     if last is not None and not last.is_good:
         caption += ": " + (last.refusal or "; ".join(last.faults))
