@@ -245,7 +245,7 @@ def _expect_writable(value: object, target: Path) -> None:
         case Matches():
             names, lenses, numbers = value.views, [], [value.lines_mm]
         case Feature():
-            names, lenses, numbers = (), [], [value.wires().places_mm]
+            names, lenses, numbers = (), [], [value.wires().points_mm]
         case _:
             return
     for name in names:
