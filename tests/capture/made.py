@@ -1,4 +1,4 @@
-"""Judgements and pictures of a board with known places, blur and light."""
+"""Image qualities and pictures of a board with known places, blur and light."""
 
 import cv2
 import numpy as np
