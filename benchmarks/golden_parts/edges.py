@@ -70,8 +70,12 @@ def capture() -> Values:
     qualities += [measure_quality(name, picture, demo_pattern()) for name, picture in demo.items()]
     qualities += [unreadable_quality("gone.png", sheet, "The file is no picture.")]
     for quality in qualities:
-        names = ("points_px", "points_mm", "point_count", "kind", "refusal", "blur_px")
-        yield from records.fields(quality.name, quality, (*names, "exposure", "lean", "faults"))
+        # Records keep the names that earlier versions wrote.
+        yield f"{quality.name}.places_px", quality.points_px
+        yield f"{quality.name}.places_mm", quality.points_mm
+        yield f"{quality.name}.of_places", quality.point_count
+        names = ("kind", "refusal", "blur_px", "exposure", "lean", "faults")
+        yield from records.fields(quality.name, quality, names)
         yield f"{quality.name}.line", quality_line(quality)
     yield "summary", summary_lines(qualities[:5])
     yield "next_step", next_step(qualities[:5])
