@@ -1,12 +1,12 @@
-"""Everything trinoc raises on purpose.
+"""Exceptions that trinoc raises on purpose, and checks of arguments.
 
 TrinocError
-├── InputError           what the caller handed in cannot be used (file, array, name, layout)
-├── DetectionError       no answer about the sheet in a picture can be trusted
+├── InputError           an argument is invalid (file, array, name, layout)
+├── DetectionError       the sheet was not detected reliably in an image
 ├── CalibrationError     the observations do not determine the cameras, or the fit failed
 └── MatchError           the segments or the rig do not allow matching
 
-Each message is one sentence that says what is wrong, where, and what to do next.
+A message has one sentence for the cause, with file or argument, and one for the remedy.
 """
 
 import importlib.util
@@ -15,27 +15,31 @@ import numbers
 import os
 from collections.abc import Iterable
 
-# Names of cameras in one sentence: a rig may have hundreds.
+# Largest number of names in one sentence: a rig may have hundreds of cameras.
 MOST_NAMES = 6
 
 
 class TrinocError(Exception):
-    """Base of every error that trinoc raises on purpose."""
+    """Base class of all exceptions that trinoc raises on purpose."""
 
 
 class InputError(TrinocError, ValueError):
-    """What the caller handed in cannot be used."""
+    """An argument is invalid."""
 
 
 class DetectionError(TrinocError):
-    """The sheet was not found in a picture, or was found in a way that cannot be trusted."""
+    """The sheet was not detected in an image, or not reliably."""
 
 
 class CalibrationError(TrinocError):
     """The observations do not determine the cameras, or the fit failed.
 
-    `failures` maps each failed camera to its sentence; `result` is the CalibrationResult of
-    the other cameras, or None where there is none.
+    Attributes
+    ----------
+    failures : dict of str
+        Reason for each failed camera.
+    result : CalibrationResult or None
+        Result of the other cameras; None if there is none.
     """
 
     def __init__(
@@ -51,24 +55,33 @@ class MatchError(TrinocError):
 
 
 def list_names(names: Iterable[str], most: int = MOST_NAMES) -> str:
-    """Names for a sentence; of more than `most` the first ones and the number of the others."""
-    every = list(names)
-    more = len(every) - most
-    return ", ".join(every[:most]) + (f" and {more} more" if more > 0 else "")
+    """Names for a sentence: at most `most`, then the number of the others."""
+    all_names = list(names)
+    remaining = len(all_names) - most
+    return ", ".join(all_names[:most]) + (f" and {remaining} more" if remaining > 0 else "")
 
 
 def check_kind(value: object, kinds: type | tuple[type, ...], name: str, wanted: str) -> None:
-    """Raise InputError where an argument is of another kind than those that a function takes.
+    """Raise InputError if an argument has the wrong type.
 
-    `name` is what the argument is called, such as "rig"; `wanted` what to give.
+    Parameters
+    ----------
+    value : object
+        The argument.
+    kinds : type or tuple of types
+        Accepted types.
+    name : str
+        Name of the argument in the message, such as "rig".
+    wanted : str
+        Remedy: the argument to give.
     """
     if not isinstance(value, kinds):
         kind = "None" if value is None else f"of type {type(value).__name__}"
-        raise InputError(f"The {name} is {kind}: give {wanted}.")
+        raise InputError(f"The {name} is {kind}. Give {wanted}.")
 
 
 def whole_number(value: object, name: str) -> int:
-    """A whole number that a caller gave, also as 6.0. Raises InputError for others."""
+    """Convert a whole number, also 6.0, to int. Raises InputError for other values."""
     number = real_number(value, name)
     if number != int(number):
         raise InputError(f"{name} is {value}, but must be a whole number.")
@@ -76,7 +89,7 @@ def whole_number(value: object, name: str) -> int:
 
 
 def real_number(value: object, name: str) -> float:
-    """A finite number that a caller gave. Raises InputError for others and for texts."""
+    """Convert a finite number to float. Raises InputError for other values and for texts."""
     if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):
         value = value.item()  # pyright: ignore[reportAttributeAccessIssue]
     if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
@@ -85,11 +98,11 @@ def real_number(value: object, name: str) -> float:
 
 
 def expect_path(path: object) -> None:
-    """Raise InputError where a caller gave something else than the name of a file or folder."""
+    """Raise InputError if an argument is not the path of a file or folder."""
     check_kind(path, (str, os.PathLike), "name of the file", 'a path, such as "rig.json"')
 
 
 def expect_extra(library: str, extra: str) -> None:
-    """Raise InputError, with the command that installs it, where a library is missing."""
+    """Raise InputError, with the install command, if an optional library is missing."""
     if importlib.util.find_spec(library) is None:
-        raise InputError(f"This needs {library}: pip install 'trinoc[{extra}]'.")
+        raise InputError(f"This needs {library}. Run pip install 'trinoc[{extra}]'.")

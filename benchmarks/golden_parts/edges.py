@@ -16,7 +16,7 @@ from simulation.camera_picture.delivery import SRGB, Processing
 from simulation.camera_picture.render import delivered_picture
 from simulation.camera_picture.sensor import Sensor
 from trinoc.capture.advice import next_step, summary_lines
-from trinoc.capture.judgement import judge, judge_unread, judgement_line
+from trinoc.capture.image_quality import measure_quality, quality_line, unreadable_quality
 from trinoc.capture.measures import cover_cells, edge_blur_px, measure_exposure
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.io import demo_images, demo_pattern
@@ -61,23 +61,26 @@ def segments() -> Values:
 
 
 def capture() -> Values:
-    """Judgements of good pictures and of bad ones."""
+    """Qualities of good and of bad pictures."""
     sheet, demo = trinoc.Pattern.default(), demo_images("sheet")
     pictures = {name: delivered(name)[0] for name in ("reference", "overexposed", "16 bit", "card")}
     pictures["blur 2 px"] = delivered("blur 2 px")[0]
     pictures["nothing"] = np.full((480, 512), 120, np.uint8)
-    judged = [judge(name, picture, sheet) for name, picture in pictures.items()]
-    judged += [judge(name, picture, demo_pattern()) for name, picture in demo.items()]
-    judged += [judge_unread("gone.png", sheet, "The file is no picture.")]
-    for own in judged:
-        names = ("places_px", "places_mm", "of_places", "kind", "refusal", "blur_px")
-        yield from records.fields(own.name, own, (*names, "exposure", "lean", "faults"))
-        yield f"{own.name}.line", judgement_line(own)
-    yield "summary", summary_lines(judged[:5])
-    yield "next_step", next_step(judged[:5])
+    qualities = [measure_quality(name, picture, sheet) for name, picture in pictures.items()]
+    qualities += [measure_quality(name, picture, demo_pattern()) for name, picture in demo.items()]
+    qualities += [unreadable_quality("gone.png", sheet, "The file is no picture.")]
+    for quality in qualities:
+        # Records keep the names that earlier versions wrote.
+        yield f"{quality.name}.places_px", quality.points_px
+        yield f"{quality.name}.places_mm", quality.points_mm
+        yield f"{quality.name}.of_places", quality.point_count
+        names = ("kind", "refusal", "blur_px", "exposure", "lean", "faults")
+        yield from records.fields(quality.name, quality, names)
+        yield f"{quality.name}.line", quality_line(quality)
+    yield "summary", summary_lines(qualities[:5])
+    yield "next_step", next_step(qualities[:5])
     for name, picture in (*pictures.items(), *demo_images("scene").items()):
         grey = picture.astype(float)
         yield f"{name}.edge_blur_px", edge_blur_px(grey)
         yield f"{name}.exposure_of", measure_exposure(grey * (255 / np.iinfo(picture.dtype).max))
-    places = judged[0].places_px
-    yield "covered_cells", cover_cells(places, (512, 480))
+    yield "covered_cells", cover_cells(qualities[0].points_px, (512, 480))

@@ -10,7 +10,7 @@ from trinoc.batch.run import (
     BYTES_PER_PIXEL,
     affordable_processes,
     affordable_threads,
-    half_of_the_machine,
+    half_of_memory,
     resident_bytes,
 )
 from trinoc.batch.workers import in_window
@@ -84,4 +84,4 @@ def test_workers_fit_into_the_memory_and_no_more_would_or_are_one(
 
 
 def test_this_process_takes_some_of_the_machine_s_memory():
-    assert 0 <= resident_bytes() < half_of_the_machine() * 2
+    assert 0 <= resident_bytes() < half_of_memory() * 2

@@ -17,8 +17,8 @@ SHEET = Pattern.circle_grid(rows=3, columns=4, pitch_mm=10.0, radius_mm=2.0)
         ({"left": None}, SHEET, 'camera "left" is None'),
         ({"left": "left.png"}, SHEET, "is a str and no array"),
         ({"left": PICTURE[0]}, SHEET, "no array of height and width"),
-        ([PICTURE], SHEET, "of type list: give a dictionary"),
-        ({"left": PICTURE}, "sheet.json", "of type str: give a trinoc.Pattern"),
+        ([PICTURE], SHEET, "of type list. Give a dictionary"),
+        ({"left": PICTURE}, "sheet.json", "of type str. Give a trinoc.Pattern"),
     ],
 )
 def test_slips_are_named(images, pattern, says):

@@ -1,10 +1,10 @@
-"""Judgements and pictures of a board with known places, blur and light."""
+"""Image qualities and pictures of a board with known places, blur and light."""
 
 import cv2
 import numpy as np
 from scipy.special import erf
 
-from trinoc.capture.judgement import Judgement
+from trinoc.capture.image_quality import ImageQuality
 from trinoc.capture.measures import Exposure
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
@@ -13,14 +13,14 @@ SIZE_PX = (320, 240)
 GRID_MM = np.stack(np.meshgrid(np.linspace(-40, 40, 5), np.linspace(-40, 40, 5)), -1).reshape(-1, 2)
 
 
-def judgement(places_px: np.ndarray, lean: tuple[float, float] = (0.0, 0.0), **other: object):
+def quality(points_px: np.ndarray, lean: tuple[float, float] = (0.0, 0.0), **other: object):
     """A good one, but for `other`."""
-    made = Judgement(
+    made = ImageQuality(
         name="made.png",
         size_px=SIZE_PX,
-        places_px=places_px,
-        places_mm=GRID_MM[: len(places_px)],
-        of_places=len(GRID_MM),
+        points_px=points_px,
+        points_mm=GRID_MM[: len(points_px)],
+        point_count=len(GRID_MM),
         kind="circles",
         refusal="",
         blur_px=1.0,

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.capture.made import judgement
-from trinoc.capture.advice import ENOUGH_FIELD, LEAN, field_share, next_goal, shows_something_new
-from trinoc.capture.goal import Goal, hold_outline, hold_places
+from tests.capture.made import quality
+from trinoc.capture.advice import ENOUGH_FIELD, LEAN, adds_information, field_share, next_goal
+from trinoc.capture.goal import Goal, goal_outline_px, goal_points_px
 from trinoc.capture.measures import measure_lean
 
 
@@ -19,17 +19,15 @@ def grid_mm(rows: int, columns: int) -> np.ndarray:
 def test_who_follows_the_goals_shows_something_new_each_time_until_it_is_enough(
     grid: tuple[int, int], size_px: tuple[int, int]
 ) -> None:
-    places_mm, shown = grid_mm(*grid), []
+    points_mm, shown = grid_mm(*grid), []
     while (goal := next_goal(shown)) is not None:
-        places = hold_places(goal, places_mm, size_px)
+        places = goal_points_px(goal, points_mm, size_px)
         pitch_px = np.linalg.norm(places[1] - places[0])
         # With its outer squares, which a chessboard must show.
         assert (places > 0.9 * pitch_px * (goal.lean == (0.0, 0.0)) - 1).all()
         assert (places < np.array(size_px) - 0.9 * pitch_px * (goal.lean == (0.0, 0.0))).all()
-        now = judgement(
-            places, measure_lean(places_mm, places), places_mm=places_mm, size_px=size_px
-        )
-        assert shows_something_new(shown, now) or "more" in goal.sentence
+        now = quality(places, measure_lean(points_mm, places), points_mm=points_mm, size_px=size_px)
+        assert adds_information(shown, now) or "more" in goal.sentence
         shown.append(now)
         assert len(shown) < 70
     assert field_share(shown) >= ENOUGH_FIELD
@@ -38,13 +36,13 @@ def test_who_follows_the_goals_shows_something_new_each_time_until_it_is_enough(
 
 @pytest.mark.parametrize("lean", [(0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)])
 def test_what_is_drawn_leans_as_is_said(lean: tuple[float, float]) -> None:
-    places_mm = grid_mm(5, 7)
-    found = measure_lean(places_mm, hold_places(Goal("", lean=lean), places_mm, (640, 480)))
+    points_mm = grid_mm(5, 7)
+    found = measure_lean(points_mm, goal_points_px(Goal("", lean=lean), points_mm, (640, 480)))
     np.testing.assert_allclose(found, lean, atol=0.4 * LEAN)
 
 
 def test_the_outline_is_the_frame_of_the_places() -> None:
-    places_mm, goal = grid_mm(5, 7), Goal("", (0.2, 0.8), 0.4, turn_deg=30.0)
-    places = hold_places(goal, places_mm, (640, 480))
+    points_mm, goal = grid_mm(5, 7), Goal("", (0.2, 0.8), 0.4, turn_deg=30.0)
+    places = goal_points_px(goal, points_mm, (640, 480))
     corners = places[[0, 6, 34, 28]]
-    np.testing.assert_allclose(hold_outline(goal, places_mm, (640, 480)), corners, atol=1e-9)
+    np.testing.assert_allclose(goal_outline_px(goal, points_mm, (640, 480)), corners, atol=1e-9)

@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 from tests.capture.made import GRID_MM, SIZE_PX, camera, rectangle, step_picture
 from tests.capture.made_boards import CHESSBOARD, SHEET, board_picture, hold_board, move_poses
 from trinoc.calib.targets.abstract_target import AbstractBoard
-from trinoc.capture.judgement import judge
+from trinoc.capture.image_quality import measure_quality
 from trinoc.capture.measures import (
     GRID,
     cover_cells,
@@ -67,8 +67,8 @@ def test_lean_is_the_depth_from_side_to_side(pan: float, tilt: float) -> None:
     eye = camera(pan, tilt)
     matrix = np.asarray(eye.matrix_px)
     homogeneous = np.column_stack([GRID_MM, np.zeros(25), np.ones(25)]) @ matrix.T
-    places_px = homogeneous[:, :2] / homogeneous[:, 2:]
-    found = np.array(measure_lean(GRID_MM, places_px))
+    points_px = homogeneous[:, :2] / homogeneous[:, 2:]
+    found = np.array(measure_lean(GRID_MM, points_px))
     centre, ends = homogeneous[:, 2].mean(), np.ptp(homogeneous[:, 2])
     # Along the steepest way it is the whole difference of depth over the places' extent.
     assert np.abs(found).max() <= ends / centre + 0.02
@@ -92,19 +92,21 @@ def test_a_board_that_moves_along_its_own_edges_is_blurred(
 ) -> None:
     """Half of its edges stay sharp then; a smear of n px is a box of n / sqrt(12)."""
     pose = hold_board((0.0, 0.0, 320.0), (0.0, 0.0, roll_deg), board)
-    still = judge("still", board_picture("left", [pose], board=board), board)
+    still = measure_quality("still", board_picture("left", [pose], board=board), board)
     smear_px = 9.0
     by_mm = np.array(along) * smear_px * 320.0 / 520.0
-    moved = judge("moved", board_picture("left", move_poses(pose, by_mm), board=board), board)
+    moved = measure_quality(
+        "moved", board_picture("left", move_poses(pose, by_mm), board=board), board
+    )
     assert still.blur_px == pytest.approx(0.7, abs=0.25)
     assert not still.faults
-    if moved.found:
+    if moved.is_detected:
         across = smear_px / np.sqrt(12.0) * max(np.cos(np.radians([roll_deg, 90.0 - roll_deg])))
         assert moved.blur_px > 0.8 * across
 
 
 def test_a_picture_without_an_edge_says_so() -> None:
     blank = np.full((480, 512), 128, np.uint8)
-    assert [fault.split(":")[0] for fault in judge("a", blank, SHEET).faults] == [
+    assert [fault.split(":")[0] for fault in measure_quality("a", blank, SHEET).faults] == [
         "hardly anything has an edge"
     ]

@@ -1,9 +1,9 @@
-"""Shots of several cameras, from made-up judgements."""
+"""Shots of several cameras, from made-up qualities."""
 
 import numpy as np
 
-from tests.capture.made import judgement, rectangle
-from trinoc.capture.judgement import Judgement
+from tests.capture.made import quality, rectangle
+from trinoc.capture.image_quality import ImageQuality
 from trinoc.capture.shots import (
     FEWEST_SHOTS,
     Shot,
@@ -15,28 +15,28 @@ from trinoc.capture.shots import (
 )
 
 ALL, NONE = rectangle(0.01, 0.01, 0.99, 0.99), np.zeros((0, 2))
-LOST = judgement(NONE, refusal="No sheet was found.")
-SOFT = judgement(ALL, faults=("edges are 4.0 px wide: hold it still",))
+LOST = quality(NONE, refusal="No sheet was found.")
+SOFT = quality(ALL, faults=("edges are 4.0 px wide: hold it still",))
 CAMERAS = ("left", "right", "upper")
 
 
-def shot(**seen: Judgement) -> Shot:
+def shot(**seen: ImageQuality) -> Shot:
     return Shot("made", {**dict.fromkeys(CAMERAS, LOST), **seen})
 
 
 def test_a_shot_is_new_to_one_camera_or_to_two_together() -> None:
-    alone = [shot(left=judgement(ALL)), shot(right=judgement(ALL))]
+    alone = [shot(left=quality(ALL)), shot(right=quality(ALL))]
     assert is_new_shot([], alone[0])
     assert is_new_shot(alone[:1], alone[1])
     assert not is_new_shot(alone, alone[0])
-    both = shot(left=judgement(ALL), right=judgement(ALL))
+    both = shot(left=quality(ALL), right=quality(ALL))
     assert is_new_shot(alone, both)
     assert not is_new_shot([*alone, both], both)
     assert not is_new_shot([], shot(left=SOFT))
 
 
 def test_cameras_are_connected_in_chains() -> None:
-    seen = judgement(ALL)
+    seen = quality(ALL)
     chain = [shot(left=seen, right=seen), shot(right=seen, upper=seen)]
     assert connect_cameras(FEWEST_SHOTS * chain[:1], CAMERAS) == [("left", "right"), ("upper",)]
     assert connect_cameras(FEWEST_SHOTS * chain, CAMERAS) == [CAMERAS]
@@ -44,20 +44,20 @@ def test_cameras_are_connected_in_chains() -> None:
 
 
 def test_what_is_missing_is_said() -> None:
-    seen = judgement(ALL)
+    seen = quality(ALL)
     few = FEWEST_SHOTS * [shot(left=seen), shot(right=seen)]
     said = find_missing(few, CAMERAS)
     assert said is not None
-    assert 'of "upper" that show something new are too few (0,' in said
+    assert 'only 0 good pictures of "upper"' in said
     apart = [*few, *(FEWEST_SHOTS * [shot(upper=seen)])]
     said = find_missing(apart, CAMERAS)
     assert said is not None
-    assert "left and right at once" in said
+    assert "left and right at the same time" in said
     assert find_missing(FEWEST_SHOTS * [shot(left=seen, right=seen, upper=seen)], CAMERAS) is None
 
 
 def test_the_camera_that_lacks_most_comes_next() -> None:
-    part, seen = judgement(rectangle(0.4, 0.01, 0.99, 0.99)), judgement(ALL)
+    part, seen = quality(rectangle(0.4, 0.01, 0.99, 0.99)), quality(ALL)
     together = FEWEST_SHOTS * [shot(left=seen, right=seen, upper=part)]
     advice = advise_cameras(together, CAMERAS)
     assert advice.sentence.startswith("For upper: Move the board to the")
@@ -69,7 +69,7 @@ def test_the_camera_that_lacks_most_comes_next() -> None:
 
 
 def test_a_shot_is_one_line() -> None:
-    line = shot_line(shot(left=judgement(ALL), right=SOFT)._replace(kept="shot_0001"))
+    line = shot_line(shot(left=quality(ALL), right=SOFT)._replace(saved_name="shot_0001"))
     assert line == (
         "made: kept as shot_0001; left good, right AGAIN (edges are 4.0 px wide: hold it still), "
         "upper not found"

@@ -214,4 +214,4 @@ def test_a_recording_without_files_is_called_so(tmp_path, monkeypatch, capsys):
     save_rig(table1_rig(), "rig.json")
     (tmp_path / "empty").mkdir()
     assert main(["batch", "empty", "--rig", "rig.json", "-o", "results"]) == 1
-    assert "empty holds no picture and no segments: give the folder" in capsys.readouterr().err
+    assert "empty has no pictures and no segments. Give the folder" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from trinoc.cli.command import UsageError
 from trinoc.cli.main import main
 from trinoc.cli.views import check_views, expect_names, files_of_rig, files_of_views
 from trinoc.errors import InputError
-from trinoc.recording.camera_words import camera_words
+from trinoc.recording.camera_aliases import camera_aliases
 from trinoc.synth import table1_rig
 
 NAMES = st.lists(st.text("abcdefgh", min_size=1, max_size=6), min_size=2, max_size=4, unique=True)
@@ -92,7 +92,7 @@ def test_a_unique_part_of_a_name_finds_its_camera() -> None:
 
 @given(st.lists(st.text("abc/.", min_size=1, max_size=5), min_size=1, max_size=6, unique=True))
 def test_every_camera_is_found_by_its_own_name(names: list[str]) -> None:
-    words = camera_words(names)
+    words = camera_aliases(names)
     assert {name: words[name] for name in names} == {name: name for name in names}
     for word, camera in words.items():
         assert word in camera.split("/")[-1] or word == camera

@@ -132,7 +132,7 @@ def test_of_a_camera_pictures_that_show_something_new_are_kept(folder, capsys, m
     options = ("--keep", str(keep), "--every-s", "1e-9", "--port", "none")
     assert main(("watch", "0", "--pattern", board, *options)) == 1
     out, err = capsys.readouterr()
-    assert "sends no picture any more" in err
+    assert "stopped sending pictures" in err
     assert "picture 3: good" in out
     kept = sorted(keep.iterdir())
     assert [path.name for path in kept] == ["shot_0001.png", "shot_0002.png"]
@@ -162,5 +162,5 @@ def test_a_folder_that_is_none_is_named(folder, capsys) -> None:
     for options in ((), ("--once",)):
         assert main((*command, *options)) == 1
         said = capsys.readouterr().err
-        assert "is no folder" in said
+        assert "is not a folder" in said
         assert "http" not in said

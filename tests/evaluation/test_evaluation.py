@@ -268,8 +268,8 @@ def test_a_scene_wants_what_two_pictures_show():
 
 def test_faces_hide_edges_from_the_cameras(monkeypatch):
     rig = table1_rig()
-    bare = KnownShape.of_edges(EDGES).seen_by(rig)
-    solid = KnownShape.of_edges(EDGES, BOX.triangles_mm).seen_by(rig)
+    bare = KnownShape.of_edges(EDGES).visible_to(rig)
+    solid = KnownShape.of_edges(EDGES, BOX.triangles_mm).visible_to(rig)
     assert len(bare.wanted_edge) == len(EDGES)
     # All cameras stand before and above: the four bottom and upright edges at the back are hidden.
     hidden = set(range(len(EDGES))) - set(solid.wanted_edge.tolist())
@@ -281,7 +281,7 @@ def test_faces_hide_edges_from_the_cameras(monkeypatch):
     assert behind <= hidden
     # However many edges are looked at in one go.
     monkeypatch.setattr("trinoc.evaluation.known_shape._PAIRS_PER_BLOCK", 40)
-    again = KnownShape.of_edges(EDGES, BOX.triangles_mm).seen_by(rig)
+    again = KnownShape.of_edges(EDGES, BOX.triangles_mm).visible_to(rig)
     np.testing.assert_array_equal(again.wanted_edge, solid.wanted_edge)
     np.testing.assert_array_equal(again.wanted_extent, solid.wanted_extent)
 

@@ -108,7 +108,7 @@ MISTAKES = {
     "no rotation": ((*UPPER, "cam_from_world"), [[1, 0, 0, 0]] * 3, "with a rotation R"),
     "distance behind": ((*UPPER, "extrinsics", "distance_mm"), -476.0, "must be positive"),
     "size of no picture": ((*UPPER, "image_size_px"), [512.5, 480], "whole positive pixels"),
-    "no focal length": ((*UPPER, "intrinsics", "focal_length_mm"), None, "not determined: give"),
+    "no focal length": ((*UPPER, "intrinsics", "focal_length_mm"), None, "not determined. Give"),
     "distortion unnamed": (
         (*UPPER, "intrinsics", "distortion"),
         {"model": "none", "coefficients": [0.1]},

@@ -53,7 +53,7 @@ def test_the_usual_templates_are_found_by_themselves(template):
         ("{frame}.png", r"lacks {camera}"),
         ("{camera}.png", r"lacks {frame}"),
         ("{frame}_{camera}_{time}.png", r"has {time}"),
-        ("{frame}-{camera}.jpg", "No file fits"),
+        ("{frame}-{camera}.jpg", "No file matches"),
         ("{frame}_{camera}.*", "are both the picture of"),
     ],
 )
@@ -111,10 +111,10 @@ def test_a_table_keeps_its_order_and_may_lack_pictures():
         ("frame,upper\n1,a\n", 'must have one column "left"'),
         ("frame,upper,upper,left\n", 'one column "upper"'),
         (TABLE, "lists no frame"),
-        (TABLE + "1,a,b\n", "row 2, has 3 cells under 4 names"),
+        (TABLE + "1,a,b\n", "row 2, has 3 cells for 4 columns"),
         (TABLE + ",a,b,c\n", "row 2, names no frame"),
         (TABLE + "1,a,b,c\n1,a,b,c\n", 'row 3, names the frame "1" again'),
-        (TABLE + '1,"a,b,c\n', "is not a table in CSV"),
+        (TABLE + '1,"a,b,c\n', "is not a CSV table"),
     ],
 )
 def test_tables_that_list_no_frames_say_where(text, said):

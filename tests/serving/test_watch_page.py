@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.capture.made import camera, circles_picture, judgement, rectangle
+from tests.capture.made import camera, circles_picture, quality, rectangle
 from tests.serving.asking import ask
 from trinoc.capture.shots import Shot
 from trinoc.errors import InputError
@@ -22,7 +22,7 @@ from trinoc.serving.watching import (
 ALL = rectangle(0.01, 0.01, 0.99, 0.99)
 
 
-LOST = judgement(ALL[:0], refusal="No sheet was found.")
+LOST = quality(ALL[:0], refusal="No sheet was found.")
 
 
 def page_of(*shots: Shot, **more: Any) -> str:
@@ -30,7 +30,7 @@ def page_of(*shots: Shot, **more: Any) -> str:
 
 
 def test_the_page_shows_the_last_picture_the_field_and_the_advice() -> None:
-    first, last = judgement(ALL, name="first.png"), LOST
+    first, last = quality(ALL, name="first.png"), LOST
     page = page_of(Shot("first.png", {"": first}), Shot("made.png", {"": last}))
     assert 'http-equiv="refresh"' in page
     assert "Take it again: No sheet was found." in page
@@ -42,7 +42,7 @@ def test_the_page_shows_the_last_picture_the_field_and_the_advice() -> None:
 
 def test_names_are_text() -> None:
     bad = "<script>alert(1)</script>&\"'.png"
-    named = Shot(bad, {bad: judgement(ALL, name=bad)})
+    named = Shot(bad, {bad: quality(ALL, name=bad)})
     page = watch_page(WatchState(bad, (bad,), (named,))).content.decode()
     assert "<script" not in page
     assert "&lt;script&gt;" in page
@@ -51,7 +51,7 @@ def test_names_are_text() -> None:
 def test_the_thumbnail_is_a_small_jpeg_with_marks() -> None:
     picture = cv2.resize(circles_picture(camera(0.0, 60.0)), None, fx=4, fy=4)
     small = cv2.imdecode(
-        np.frombuffer(thumbnail(picture, judgement(4 * ALL)), np.uint8), cv2.IMREAD_COLOR
+        np.frombuffer(thumbnail(picture, quality(4 * ALL)), np.uint8), cv2.IMREAD_COLOR
     )
     assert small is not None
     assert max(small.shape) == 720
@@ -63,7 +63,7 @@ def test_the_thumbnail_is_a_small_jpeg_with_marks() -> None:
 def test_where_the_board_is_wanted_is_drawn() -> None:
     picture = np.full((240, 320), 128, np.uint8)
     corners = np.array([[40.0, 40.0], [200.0, 40.0], [200.0, 160.0], [40.0, 160.0]])
-    content = thumbnail(picture, judgement(ALL[:0]), corners)
+    content = thumbnail(picture, quality(ALL[:0]), corners)
     drawn = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     assert drawn is not None
     colour = np.ptp(drawn.astype(int), axis=2) > 100
@@ -75,7 +75,7 @@ def test_where_the_board_is_wanted_is_drawn() -> None:
 
 
 def test_several_cameras_have_a_picture_and_a_field_each() -> None:
-    both = Shot("0.50 s", {"left": judgement(ALL), "right": LOST}, kept="shot_0001")
+    both = Shot("0.50 s", {"left": quality(ALL), "right": LOST}, saved_name="shot_0001")
     cameras = ("left", "right")
     page = page_of(both, cameras=cameras, thumbnails={"left": b"l", "right": b"r"})
     assert "<b>1</b> shots kept of 1 moments" in page
@@ -86,7 +86,7 @@ def test_several_cameras_have_a_picture_and_a_field_each() -> None:
 
 
 def test_the_last_page_says_how_it_ended_and_asks_for_nothing_more() -> None:
-    both = Shot("0.50 s", {"left": judgement(ALL)}, kept="shot_0001")
+    both = Shot("0.50 s", {"left": quality(ALL)}, saved_name="shot_0001")
     page = page_of(
         both,
         cameras=("left",),

@@ -1,12 +1,12 @@
-"""The folder of results: what is to be done, what is done, and one program at a time.
+"""Folder of results: parts to do, parts done, and a lock for one program at a time.
 
-    recording.json            what every file here was made from, and how
-    matches-000012.npz        what became of the frames of part 12; there or not, never in part
-    manifest.jsonl            a line for each frame; manifest-2-of-4.jsonl of job 2 of 4
+    recording.json            inputs and options of all files here
+    matches-000012.npz        results of the frames of part 12; complete or absent
+    manifest.jsonl            one line per frame; manifest-2-of-4.jsonl for job 2 of 4
 
-A part is done when its file is there. Its lines are appended to the manifest after that, so that a
-kill between the two is mended from the file. When all parts of a job are done, the lines are put
-in order.
+A part is done when its file exists. Its manifest lines are appended after that; after an
+interruption between the two they are restored from the file. When all parts of a job are done, the
+lines are sorted.
 """
 
 import contextlib
@@ -36,8 +36,12 @@ DESCRIPTION = "recording.json"
 class Folder:
     """Results of one job in a folder.
 
-    done : number of a part to its manifest lines. tally : "frames", "failed", "suspect",
-    "uncertain" and "tracks" of all.
+    Attributes
+    ----------
+    done : dict
+        Manifest lines of each finished part, by its number.
+    tally : Counter
+        Numbers of "frames", "failed", "suspect", "uncertain" and "tracks".
     """
 
     def __init__(self, path: Path, ending: str, manifest: Path, stream: Any) -> None:
@@ -46,23 +50,23 @@ class Folder:
         self.tally: Counter[str] = Counter()
 
     def part_file(self, number: int) -> Path:
-        """The file of a part."""
+        """Path of the result file of a part."""
         return self.path / f"matches-{number:06d}{self.ending}"
 
     def look(self, parts: Sequence[RecordingPart]) -> None:
-        """Find out which parts are done; sweep what a killed program left of the others."""
+        """Determine which parts are done, and delete temporary files of an interrupted program."""
         files = {self.part_file(part.number).name: part for part in parts}
-        # The manifest is locked: nobody else writes these.
-        for left in self.path.glob(".matches-*.tmp"):
-            if left.name[1:].rsplit(".", 2)[0] in files:
-                left.unlink(missing_ok=True)
-        lines, there = read_lines(self.manifest), set(os.listdir(self.path))
+        # The manifest is locked, so no other program writes these files.
+        for temporary in self.path.glob(".matches-*.tmp"):
+            if temporary.name[1:].rsplit(".", 2)[0] in files:
+                temporary.unlink(missing_ok=True)
+        lines, existing = read_lines(self.manifest), set(os.listdir(self.path))
         for name, part in files.items():
-            known = lines.get(name, [])
-            if name not in there:
+            manifest = lines.get(name, [])
+            if name not in existing:
                 continue
-            if [line.get("frame") for line in known] == [frame.name for frame in part.frames]:
-                self._note(part.number, known)
+            if [line.get("frame") for line in manifest] == [frame.name for frame in part.frames]:
+                self._note(part.number, manifest)
                 continue
             try:
                 self._append(part.number, load_frames(self.path / name))
@@ -70,12 +74,12 @@ class Folder:
                 (self.path / name).unlink()
 
     def commit(self, number: int, results: Sequence[FrameMatches], views: Sequence[str]) -> None:
-        """Write a part, then its lines. Raises InputError where the disk does not take it."""
+        """Write the file of a part, then its manifest lines. Raises InputError if writing fails."""
         save_frames(results, views, self.part_file(number))
         self._append(number, results)
 
     def order(self) -> None:
-        """Put the lines in the order of the frames."""
+        """Sort the manifest by frame."""
         lines = (line for number in sorted(self.done) for line in self.done[number])
         write_text(self.manifest, manifest_text(lines))
 
@@ -98,9 +102,9 @@ class Folder:
 def open_results(
     path: Path, shard: tuple[int, int], description: Mapping[str, Any], ending: str
 ) -> Iterator[Folder]:
-    """The folder for one job, made where it is not there, and locked against a second program.
+    """Open the folder of one job: create it if necessary, and lock it against a second program.
 
-    Raises InputError where it holds the results of something else, or is in use.
+    Raises InputError if it contains other results or is in use.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -110,27 +114,27 @@ def open_results(
         stream = open(manifest, "ab", buffering=0)  # noqa: SIM115
     except OSError as error:
         raise InputError(
-            f"{path} cannot be written to ({error.strerror}): choose another folder."
+            f"{path} cannot be written to ({error.strerror}). Choose another folder."
         ) from error
     with stream:
         _lock(stream, manifest)
-        # What a kill left of the last line goes, so that the next line begins anew.
+        # Remove an incomplete last line of an interrupted program.
         os.truncate(manifest, manifest.read_bytes().rfind(b"\n") + 1)
         yield Folder(path, ending, manifest, stream)
 
 
 def _describe(file: Path, description: Mapping[str, Any]) -> None:
-    """Write what the results are made from, or compare it with what stands there."""
+    """Write the description of the results, or compare it with the existing one."""
     if not file.exists():
         write_text(file, json.dumps(description, indent=2, ensure_ascii=False) + "\n")
         return
-    there = parsed_json(read_text(file), file)
-    there = there if isinstance(there, dict) else {}
-    for key in {**description, **there}:
-        if there.get(key) != description.get(key):
+    existing = parsed_json(read_text(file), file)
+    existing = existing if isinstance(existing, dict) else {}
+    for key in {**description, **existing}:
+        if existing.get(key) != description.get(key):
             raise InputError(
-                f'{file.parent} holds results that differ in "{key}": give the same recording, '
-                "rig and options to go on with them, or choose another folder."
+                f'{file.parent} has results that differ in "{key}". Give the same recording, rig '
+                "and options to continue them, or choose another folder."
             )
 
 
@@ -143,7 +147,8 @@ def _lock(stream: Any, manifest: Path) -> None:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise InputError(
-            f"Another trinoc batch is writing {manifest}: let it end, or give each its own shard."
+            f"Another trinoc batch is writing {manifest}. Wait for its end, or give each its own "
+            "shard."
         ) from error
     except OSError:
         pass  # a file system without locks

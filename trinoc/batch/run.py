@@ -1,4 +1,4 @@
-"""A recording matched into a folder, from wherever an earlier run of it stopped."""
+"""Matching of a recording into a folder; a repeated call continues after an interruption."""
 
 import dataclasses
 import hashlib
@@ -22,7 +22,7 @@ from trinoc.recording.parts import RecordingPart, cut_into_parts, share_parts
 
 
 class BatchProgress(NamedTuple):
-    """How many frames of the job are done, of these failed, and there in all."""
+    """Numbers of finished and failed frames, and of all frames of the job."""
 
     done: int
     failed: int
@@ -31,14 +31,24 @@ class BatchProgress(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class BatchOutcome:
-    """What became of the frames of a job.
+    """Result of a job.
 
-    frames, failed, tracks : numbers of frames, of those that failed, and of tracks in all.
-    suspect : how many frames are SUSPECT, as they do not seem to belong to the rig.
-    uncertain : how many frames are UNCERTAIN, to be used with care.
-    earlier : how many of the frames an earlier run had done.
-    without : cameras of the rig of which the recording has no picture.
-    workers : how many worked at once.
+    Attributes
+    ----------
+    folder, manifest : Path
+        Folder of results, and its list of frames.
+    frames, failed, tracks : int
+        Numbers of frames, failed frames and tracks.
+    suspect : int
+        Number of SUSPECT frames, which probably belong to another rig.
+    earlier : int
+        Number of frames that an earlier run finished.
+    workers : int
+        Number of parallel workers.
+    without : tuple of str
+        Cameras of the rig without any image.
+    uncertain : int
+        Number of UNCERTAIN frames, to be used with care.
     """
 
     folder: Path
@@ -70,84 +80,105 @@ def match_recording(
     memory_gb: float | None = None,
     on_progress: Callable[[BatchProgress], None] | None = None,
 ) -> BatchOutcome:
-    """Find and match the segments of every frame of a recording, and write them to a folder.
+    """Detect and match the segments of every frame of a recording, and write them to a folder.
 
     Parameters
     ----------
-    frames : a folder, or a CSV table with the columns frame and one for each camera of the rig.
-        Files are pictures, or segments as `load_segments` reads them.
-    rig : the cameras; a frame needs a file of each. Cameras of which no frame has a file are left
-        out where three or more have some.
-    out : the folder of results. Where it holds some of the same recording, the rest is done.
-    template : how the files are named, such as "{frame}_{camera}.png" or
-        "{camera}/{frame}.tif"; the usual ways are tried where it is None.
-    find : options of `find_segments`.
-    depth_range_mm : as of `match_segments`.
-    shard : (i, n), job i of n, from 1 on, which does each n-th file of results. Jobs may run at
-        once and share the folder.
-    frames_per_file : frames that are matched together and stand in one file of results.
-    ending : ".npz" or ".parquet"; Parquet where pyarrow is installed.
-    threads_at_most : threads of this process; as many as the machine has cores. Fewer are taken
-        where the pictures are so large that memory would not suffice.
-    in_processes : whether long recordings are given to processes of their own in place of threads:
-        on two cores 1.6 times as quick. A script then needs `if __name__ == "__main__":`.
-    scheduler : address of a Dask scheduler, whose workers are used in place of threads.
-    memory_gb : how much memory this process may take; half of the machine's. Where it takes more,
-        no part is begun before others are written.
-    on_progress : called after each file of results.
+    frames : path
+        A folder, or a CSV table with the columns frame and one per camera of the rig. Files are
+        images, or segments as `load_segments` reads them.
+    rig : Rig
+        The cameras; a frame needs a file of each. If three or more cameras have files, those
+        without any are dropped.
+    out : path
+        Folder of results. If it has results of the same recording, the rest is computed.
+    template : str, optional
+        Template of the file names, such as "{frame}_{camera}.png" or "{camera}/{frame}.tif".
+        Default: usual templates are tried.
+    find : mapping, optional
+        Options of `find_segments`.
+    depth_range_mm : (near, far), optional
+        As in `match_segments`.
+    shard : (i, n)
+        Job i of n, from 1, computes every n-th file of results. Jobs may run at the same time in
+        one folder.
+    frames_per_file : int
+        Number of frames that are matched together and written to one file.
+    ending : str, optional
+        ".npz" or ".parquet". Default: Parquet if pyarrow is installed.
+    threads_at_most : int, optional
+        Largest number of threads. Default: number of cores. Fewer are used if memory is too small
+        for the images.
+    in_processes : bool
+        Use processes in place of threads for long recordings: 1.6 times faster on two cores. A
+        script then needs `if __name__ == "__main__":`.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers replace the threads.
+    memory_gb : float, optional
+        Memory for this process. Default: half of the machine's. Above it, no part starts before
+        others are written.
+    on_progress : callable, optional
+        Called with a BatchProgress after each file of results.
 
-    A frame that fails has a line in the manifest that says why, and does not stop the others.
-    The files do not depend on threads, processes, cluster, jobs or interruptions. Whatever ends
-    the program, what is written stays, and the same call goes on from there.
+    Returns
+    -------
+    BatchOutcome
+        A failed frame has a manifest line with the reason, and does not stop the others. The files
+        do not depend on threads, processes, cluster, jobs or interruptions.
 
-    Raises InputError: no frames, results of something else in `out`, another program at work there.
+    Raises
+    ------
+    InputError
+        If there are no frames, `out` has other results, or another program is writing there.
     """
     check_kind(rig, Rig, "rig", A_RIG)
-    given = {
+    options = {
         "frames_per_file": frames_per_file,
         "threads_at_most": threads_at_most,
         "memory_gb": memory_gb,
     }
-    for name, value in given.items():
+    for name, value in options.items():
         if value is not None and not real_number(value, name) > 0:
-            raise InputError(f"{name} is {value}, but must be more than 0.")
+            raise InputError(f"{name} is {value}, but must be positive.")
     if ending not in (None, ".npz", ".parquet"):
-        raise InputError(f'ending is "{ending}": choose ".npz" or ".parquet".')
+        raise InputError(f'ending is "{ending}". Choose ".npz" or ".parquet".')
     source = find_frames(frames, rig.names, template)
     without = tuple(name for name in rig if name not in source.views)
     rig = rig.take(source.views)
-    own = share_parts(cut_into_parts(source.frames, frames_per_file), shard)
-    ending = ending or _ending_there(Path(out)) or frames_ending()
-    work = MatchingJob(source.folder.resolve(), rig, dict(find or {}), depth_range_mm)
-    description = _description(source, work, frames_per_file, ending)
-    memory = half_of_the_machine() if memory_gb is None else memory_gb * 1e9
+    parts = share_parts(cut_into_parts(source.frames, frames_per_file), shard)
+    ending = ending or _existing_ending(Path(out)) or frames_ending()
+    job = MatchingJob(source.folder.resolve(), rig, dict(find or {}), depth_range_mm)
+    description = _description(source, job, frames_per_file, ending)
+    memory = half_of_memory() if memory_gb is None else memory_gb * 1e9
     with open_results(Path(out), shard, description, ending) as folder:
-        folder.look(own)
+        folder.look(parts)
         earlier = folder.tally["frames"]
-        left = [part for part in own if part.number not in folder.done]
-        total = sum(len(part.frames) for part in own)
+        open_parts = [part for part in parts if part.number not in folder.done]
+        total = sum(len(part.frames) for part in parts)
 
-        def tell() -> None:
+        def report_progress() -> None:
             if on_progress is not None:
                 tally = folder.tally
                 on_progress(BatchProgress(tally["frames"], tally["failed"], total))
 
-        tell()
+        report_progress()
         wanted = threads_at_most or os.cpu_count() or 1
-        apart = in_processes and 1 < wanted <= len(left) // FEWEST_PARTS
-        affordable = affordable_processes if apart else affordable_threads
-        count = min(affordable(memory, rig, wanted), max(len(left), 1))
+        use_processes = in_processes and 1 < wanted <= len(open_parts) // FEWEST_PARTS
+        affordable = affordable_processes if use_processes else affordable_threads
+        count = min(affordable(memory, rig, wanted), max(len(open_parts), 1))
         if scheduler is not None:
-            crew = cluster(work, scheduler)
+            worker_context = cluster(job, scheduler)
         else:
-            crew = processes(work, count) if apart and count > 1 else threads(work, count)
-        with crew as workers:
-            most = PARTS_PER_WORKER * workers.count
+            worker_context = (
+                processes(job, count) if use_processes and count > 1 else threads(job, count)
+            )
+        with worker_context as workers:
+            window = PARTS_PER_WORKER * workers.count
             for part, future in in_window(
-                workers.executor, workers.do, left, most, lambda: resident_bytes() < memory
+                workers.executor, workers.do, open_parts, window, lambda: resident_bytes() < memory
             ):
                 folder.commit(part.number, _result(part, future, workers.where), rig.names)
-                tell()
+                report_progress()
         folder.order()
         tally = folder.tally
         return BatchOutcome(
@@ -171,18 +202,18 @@ def _result(part: RecordingPart, future: Future[Any], where: str) -> list[FrameM
         raise
     except Exception as error:
         if type(error).__name__ == "KilledWorker":
-            said = "The workers that took this frame's part died: look at their logs for memory."
-            return [FrameMatches(frame.name, said, None) for frame in part.frames]
+            reason = "The workers of this frame's part died. Check their logs for lack of memory."
+            return [FrameMatches(frame.name, reason, None) for frame in part.frames]
         raise InputError(
-            f"The work at {where} ended early ({type(error).__name__}: {error}): what is done is "
-            "kept, and the same command goes on from there."
+            f"The work at {where} ended early ({type(error).__name__}: {error}). Finished results "
+            "are kept; the same command continues from there."
         ) from error
 
 
 def _description(
     source: Source, work: MatchingJob, frames_per_file: int, ending: str
 ) -> dict[str, Any]:
-    """What the results depend on, by content, so that equal ones can be told from others."""
+    """Inputs and options that the results depend on, by content hash."""
     listed = "\n".join(f"{f.name}\t{c}\t{f.files[c]}" for f in source.frames for c in f.files)
     return {
         "format": "trinoc-recording",
@@ -199,30 +230,30 @@ def _description(
     }
 
 
-def _ending_there(out: Path) -> str | None:
-    """The ending of the results that are there: they go on as they began."""
-    found = {path.suffix for path in out.glob("matches-*")} & {".npz", ".parquet"}
-    return min(found, default=None)
+def _existing_ending(out: Path) -> str | None:
+    """File ending of existing results, which new ones must have too; None if there are none."""
+    endings = {path.suffix for path in out.glob("matches-*")} & {".npz", ".parquet"}
+    return min(endings, default=None)
 
 
 BASE_BYTES = 700_000_000
 BYTES_PER_PIXEL = 60
-# Parts for each process, from which on it gains more than its start costs.
+# Fewest parts per process for which a process is faster than a thread.
 FEWEST_PARTS = 3
-# Parts begun or finished and not yet written, for each worker: one to go on with.
+# Open parts (started or not yet written) per worker.
 PARTS_PER_WORKER = 2
 
 
 def affordable_threads(memory_bytes: float, rig: Rig, wanted: int) -> int:
-    """How many threads may look for segments at once; at least one."""
-    room = (memory_bytes - BASE_BYTES) / _bytes_of_picture(rig)
-    return max(1, min(wanted, int(room)))
+    """Number of threads that fit in memory, from 1 to `wanted`."""
+    count = (memory_bytes - BASE_BYTES) / _bytes_of_picture(rig)
+    return max(1, min(wanted, int(count)))
 
 
 def affordable_processes(memory_bytes: float, rig: Rig, wanted: int) -> int:
-    """The same of processes, beside this one."""
-    room = (memory_bytes - BASE_BYTES) / (BASE_BYTES + _bytes_of_picture(rig))
-    return max(1, min(wanted, int(room)))
+    """Number of processes that fit in memory beside this one, from 1 to `wanted`."""
+    count = (memory_bytes - BASE_BYTES) / (BASE_BYTES + _bytes_of_picture(rig))
+    return max(1, min(wanted, int(count)))
 
 
 def _bytes_of_picture(rig: Rig) -> int:
@@ -230,8 +261,8 @@ def _bytes_of_picture(rig: Rig) -> int:
     return BYTES_PER_PIXEL * max(width * height for width, height in sizes)
 
 
-def half_of_the_machine() -> float:
-    """Half of the machine's memory in bytes; infinite where it does not say."""
+def half_of_memory() -> float:
+    """Half of the machine's memory in bytes; infinite if unknown."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2
     except (AttributeError, OSError, ValueError):
@@ -239,7 +270,7 @@ def half_of_the_machine() -> float:
 
 
 def resident_bytes() -> int:
-    """Memory of this process; 0 where the system does not say."""
+    """Memory of this process in bytes; 0 if unknown."""
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
             return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")

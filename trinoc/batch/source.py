@@ -1,4 +1,4 @@
-"""Where the frames of a recording lie."""
+"""Frames of a recording in a folder or a table."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -17,8 +17,8 @@ SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
 class Source(NamedTuple):
     """Frames, and the folder that their files are relative to.
 
-    views : the cameras that are wanted in each frame: all of the rig's, or those that have any
-        file where these are three or more.
+    `views` are the cameras needed in each frame: all of the rig, or those with any file if these
+    are three or more.
     """
 
     folder: Path
@@ -27,22 +27,22 @@ class Source(NamedTuple):
 
 
 def find_frames(
-    place: str | os.PathLike[str], cameras: Sequence[str], template: str | None = None
+    location: str | os.PathLike[str], cameras: Sequence[str], template: str | None = None
 ) -> Source:
-    """The frames of a folder, by a template of file names, or those that a CSV table lists.
+    """Frames of a folder, by a template of file names, or of a CSV table.
 
-    Without a template the usual ones are tried. Raises InputError.
+    Without a template the usual ones are tried. Raises InputError if there are none.
     """
-    expect_path(place)
-    path = Path(place)
+    expect_path(location)
+    path = Path(location)
     if path.suffix.lower() == ".csv" and not path.is_dir():
         if template is not None:
-            raise InputError(f"{path} lists the files by itself: leave the template out.")
+            raise InputError(f"{path} already lists the files. Omit the template.")
         frames = frames_of_table(read_text(path), cameras, str(path))
         return Source(path.parent, frames, _views(frames, cameras))
     if not path.is_dir():
         refuse_videos([path])
-        raise InputError(f"{path} is no folder and no CSV table: give the recording's folder.")
+        raise InputError(f"{path} is no folder and no CSV table. Give the recording's folder.")
     try:
         folders = max(camera.count("/") for camera in cameras)
         depth = folders + (1 if template is None else folder_depth(template))
@@ -50,14 +50,14 @@ def find_frames(
     except OSError as error:
         raise InputError(f"{error.filename} cannot be listed ({error.strerror}).") from error
     if template is None:
-        known = (*IMAGE_SUFFIXES, *SEGMENT_SUFFIXES)
-        there = [path / name for name in names]
-        names = [name for name in names if name.lower().endswith(known)]
+        suffixes = (*IMAGE_SUFFIXES, *SEGMENT_SUFFIXES)
+        files = [path / name for name in names]
+        names = [name for name in names if name.lower().endswith(suffixes)]
         if not names:
-            refuse_videos(there)
+            refuse_videos(files)
             raise InputError(
-                f"{path} holds no picture and no segments: give the folder that has the "
-                "recording, or a CSV table that lists its files."
+                f"{path} has no pictures and no segments. Give the folder of the recording, or a "
+                "CSV table that lists its files."
             )
         template = fitting_template(names, cameras)
     frames = frames_of_names(names, template, cameras)
@@ -65,13 +65,15 @@ def find_frames(
 
 
 def _views(frames: Sequence[Frame], cameras: Sequence[str]) -> tuple[str, ...]:
-    """Those of the cameras that have a file, where these are enough; else all."""
-    named = set().union(*(frame.files for frame in frames))
-    return tuple(c for c in cameras if c in named or len(named) < ENOUGH_VIEWS)
+    """Cameras with a file, if these are enough; otherwise all."""
+    cameras_with_files = set().union(*(frame.files for frame in frames))
+    return tuple(
+        c for c in cameras if c in cameras_with_files or len(cameras_with_files) < ENOUGH_VIEWS
+    )
 
 
 def _files(folder: Path, depth: int, prefix: str = "") -> Iterator[str]:
-    """Names of the files at most so many folders deep; hidden ones are left out."""
+    """Names of the files at most `depth` folders deep, without hidden ones."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.startswith("."):

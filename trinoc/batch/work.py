@@ -1,4 +1,4 @@
-"""What one worker does: the pictures of the frames of a part to their matches."""
+"""Work of one worker: from the images of a part to its matches."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ from trinoc.segments.find import find_segments
 
 
 class MatchingJob(NamedTuple):
-    """All that is needed beside the part; it travels to the machines of a cluster."""
+    """Settings that all parts share; they are sent to the machines of a cluster."""
 
     folder: Path
     rig: Rig
@@ -29,34 +29,35 @@ class MatchingJob(NamedTuple):
 def part_results(
     work: MatchingJob, part: RecordingPart, stopped: Callable[[], bool] = lambda: False
 ) -> list[FrameMatches]:
-    """What becomes of each frame. One picture is in memory at a time.
+    """Results of the frames of a part. One image is in memory at a time.
 
-    Raises CancelledError where `stopped` says so between two frames; no frame's failure is raised.
+    Raises CancelledError if `stopped` returns True between two frames. The failure of a frame
+    raises nothing.
     """
-    found: dict[str, dict[str, Segments] | str] = {}
+    segments: dict[str, dict[str, Segments] | str] = {}
     for frame in part.frames:
         if stopped():
             raise CancelledError
         try:
-            found[frame.name] = frame_segments(work, frame)
+            segments[frame.name] = frame_segments(work, frame)
         except TrinocError as error:
-            # The recording may be moved between two runs: its folder is no part of the answer.
-            found[frame.name] = str(error).replace(f"{work.folder}{os.sep}", "")
+            # Results must not depend on the folder, which may be moved between two runs.
+            segments[frame.name] = str(error).replace(f"{work.folder}{os.sep}", "")
         except Exception as error:
-            found[frame.name] = matcher_failure(error)
-    return match_part_frames(found, work.rig, depth_range_mm=work.depth_range_mm)
+            segments[frame.name] = matcher_failure(error)
+    return match_part_frames(segments, work.rig, depth_range_mm=work.depth_range_mm)
 
 
 def frame_segments(work: MatchingJob, frame: Frame) -> dict[str, Segments]:
-    """The segments of each view of a frame, found in its pictures or read from its files.
+    """Segments of each view of a frame, detected in its images or read from its files.
 
-    Raises InputError where a file is not there, is no picture of its camera, or stands twice.
+    Raises InputError if a file is missing, is not an image of its camera, or is used twice.
     """
     segments: dict[str, Segments] = {}
     view_of: dict[bytes, str] = {}
     for camera in work.rig.names:
         if camera not in frame.files:
-            raise InputError(f'Frame "{frame.name}" has no picture of "{camera}": add it.')
+            raise InputError(f'Frame "{frame.name}" has no picture of "{camera}". Add it.')
         file = work.folder / frame.files[camera]
         if file.suffix.lower() in SEGMENT_SUFFIXES:
             segments[camera] = load_segments(file)
@@ -68,7 +69,7 @@ def frame_segments(work: MatchingJob, frame: Frame) -> dict[str, Segments]:
         if other != camera:
             raise InputError(
                 f'Views "{other}" and "{camera}" of frame "{frame.name}" are the same picture '
-                f"({file}): give the picture that each camera took."
+                f"({file}). Give the picture of each camera."
             )
         segments[camera] = find_segments(image, **work.find)
     return segments

@@ -1,5 +1,4 @@
-"""Who does the work, threads of this process, processes of their own or the workers of a Dask
-cluster, and how many tasks are in the air."""
+"""Workers: threads, processes or a Dask cluster, with a bounded number of open tasks."""
 
 import contextlib
 import logging
@@ -25,9 +24,9 @@ _Task = TypeVar("_Task")
 
 
 class Workers(NamedTuple):
-    """An executor, how many of its tasks run at once, and what it does with a part.
+    """An executor with its number of parallel tasks and the function that it applies to a part.
 
-    where : for people.
+    `where` is its name in messages.
     """
 
     executor: Executor
@@ -40,7 +39,7 @@ class Workers(NamedTuple):
 def threads(work: MatchingJob, count: int) -> Iterator[Workers]:
     """Threads of this process, which share its compiled kernels.
 
-    When the block ends early, they give up between two frames.
+    If the block ends early, they stop between two frames.
     """
     stop = threading.Event()
     executor = ThreadPoolExecutor(count, thread_name_prefix="trinoc-batch")
@@ -53,10 +52,9 @@ def threads(work: MatchingJob, count: int) -> Iterator[Workers]:
 
 @contextlib.contextmanager
 def processes(work: MatchingJob, count: int) -> Iterator[Workers]:
-    """Processes of their own: Python lets one thread of a process at a time do the small steps of
-    finding and matching, so that a second thread gains next to nothing.
+    """Separate processes, faster than threads: small Python steps of one process run one at a time.
 
-    They read this process's compiled kernels, and give up as threads do. A script that calls this
+    They read this process's compiled kernels, and stop as threads do. A script that calls this
     needs `if __name__ == "__main__":`, because they import it.
     """
     import jax
@@ -79,7 +77,7 @@ def processes(work: MatchingJob, count: int) -> Iterator[Workers]:
 
 @contextlib.contextmanager
 def _no_interruption() -> Iterator[None]:
-    """What is begun in the block leaves Ctrl-C to this process, from its first moment on."""
+    """Block in which started processes ignore Ctrl-C, so that only this process receives it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -90,8 +88,8 @@ def _no_interruption() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-# Of a process that works for another: what it is to do.
-_begun: list[Callable[[Any], Any]] = []
+# In a worker process: its function.
+_task_function: list[Callable[[Any], Any]] = []
 
 
 def _begin(work: MatchingJob, stop: Any, cached: bool) -> None:
@@ -99,40 +97,40 @@ def _begin(work: MatchingJob, stop: Any, cached: bool) -> None:
 
     from trinoc.io.compile_cache import enable_compile_cache
 
-    # Each has a core of its own, and the process that asked tells how far all are.
+    # Each process has its own core; the parent process reports the progress.
     cv2.setNumThreads(1)
     logging.getLogger("trinoc").setLevel(logging.WARNING)
     if cached:
         enable_compile_cache()
-    _begun.append(partial(part_results, work, stopped=stop.is_set))
+    _task_function.append(partial(part_results, work, stopped=stop.is_set))
 
 
 def _results_in_process(part: Any) -> Any:
-    return _begun[0](part)
+    return _task_function[0](part)
 
 
 @contextlib.contextmanager
 def cluster(work: MatchingJob, address: str) -> Iterator[Workers]:
-    """The workers of a Dask cluster, which must see the pictures under the same paths.
+    """Workers of a Dask cluster, which must have the images under the same paths.
 
-    Raises InputError where Dask is not installed, nobody answers, or there is no worker.
+    Raises InputError if Dask is not installed, the scheduler does not answer, or it has no workers.
     """
     try:
         from distributed import Client
     except ImportError as error:
         raise InputError(
-            "A scheduler needs Dask: pip install 'trinoc[batch]', or leave the scheduler out."
+            "A scheduler needs Dask. Run pip install 'trinoc[batch]', or omit the scheduler."
         ) from error
     try:
         client: Any = Client(address, timeout="20s", set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
-            f"No Dask scheduler answers at {address} ({error}): start it, or correct the address."
+            f"No Dask scheduler answers at {address} ({error}). Start it, or correct the address."
         ) from error
     try:
         count = sum(client.nthreads().values())
         if not count:
-            raise InputError(f"The Dask scheduler at {address} has no worker: start some first.")
+            raise InputError(f"The Dask scheduler at {address} has no workers. Start some first.")
         executor = client.get_executor(pure=False)
         yield Workers(executor, count, partial(part_results, work), address)
     finally:
@@ -143,23 +141,23 @@ def in_window(
     executor: Executor,
     work: Callable[[_Task], Any],
     tasks: Iterable[_Task],
-    most: int,
+    window: int,
     may_start: Callable[[], bool] = lambda: True,
 ) -> Iterator[tuple[_Task, Future[Any]]]:
-    """(task, its finished future) of every task, in the order in which they end.
+    """(task, finished future) of every task, in the order of completion.
 
-    At most `most` are begun and not yet handed on, so that results do not pile up where whoever
-    takes them is slow. While `may_start` says no, none is begun but one at a time.
+    At most `window` tasks are started and not yet yielded, so that results do not accumulate if the
+    consumer is slow. While `may_start` returns False, tasks run one at a time.
     """
-    flying: dict[Future[Any], _Task] = {}
-    coming = iter(tasks)
+    open_tasks: dict[Future[Any], _Task] = {}
+    remaining = iter(tasks)
     while True:
-        while len(flying) < most and (not flying or may_start()):
-            if (task := next(coming, None)) is None:
+        while len(open_tasks) < window and (not open_tasks or may_start()):
+            if (task := next(remaining, None)) is None:
                 break
-            flying[executor.submit(work, task)] = task
-        if not flying:
+            open_tasks[executor.submit(work, task)] = task
+        if not open_tasks:
             return
-        done, _ = wait(flying, return_when=FIRST_COMPLETED)
+        done, _ = wait(open_tasks, return_when=FIRST_COMPLETED)
         future = next(iter(done))
-        yield flying.pop(future), future
+        yield open_tasks.pop(future), future

@@ -1,6 +1,6 @@
-"""While pictures are taken: is this one good to calibrate with, and what should the next show?
+"""Advice while images are taken: quality of each image, and a goal for the next one.
 
-`measures` has exposure, sharpness, which part of the field a board covers and which way it leans;
-`judgement` puts them together with the detection, and `advice` looks at all pictures so far.
-Nothing here fits a lens, so that an answer takes no longer than a picture.
+`measures` has exposure, sharpness, covered field and tilt of the board. `image_quality` combines
+them with the detection. `advice` evaluates all images so far. No lens is fitted here, so an answer
+takes no longer than the detection.
 """

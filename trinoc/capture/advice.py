@@ -1,4 +1,4 @@
-"""What the pictures so far show together, and what the next should show."""
+"""Coverage by all images so far, and the goal for the next image."""
 
 from collections.abc import Sequence
 
@@ -6,21 +6,21 @@ import numpy as np
 from jaxtyping import Bool
 
 from trinoc.capture.goal import Goal
-from trinoc.capture.judgement import Judgement
+from trinoc.capture.image_quality import ImageQuality
 from trinoc.capture.measures import GRID, cover_cells
 
-# Share of the field's cells that good pictures together cover when it is enough.
+# Share of the field's cells that good images must cover.
 ENOUGH_FIELD = 0.9
-# A board leans when one side is farther away than the other by this share of the distance: with a
-# normal lens and a board that fills half the picture, about 20 degrees.
+# Smallest difference in distance of two sides of a tilted board, as a share of the distance. With a
+# normal lens and a board that fills half the image, about 20 degrees.
 LEAN = 0.08
 FEWEST_PICTURES = 6
-# What is asked for, so that what comes of it is surely a lean.
+# Lean of the goals, with a margin above LEAN.
 _LEANING = 0.2
 ENOUGH = "Enough: the field is covered and the board was tilted to all sides."
-# Which side of the picture is the far one: along which axis, with which sign.
+# Far side of the board: name, image axis, sign of the lean.
 _SIDES = (("right", 0, 1), ("left", 0, -1), ("upper", 1, -1), ("lower", 1, 1))
-# The ninths of the picture, row by row.
+# Ninths of the image, row by row.
 _NINTHS = (
     *("the upper left corner", "the upper edge", "the upper right corner"),
     *("the left edge", "the middle", "the right edge"),
@@ -28,26 +28,26 @@ _NINTHS = (
 )
 
 
-def field(judgements: Sequence[Judgement]) -> Bool[np.ndarray, "r c"]:
-    """Cells of the field that the good pictures cover together."""
+def covered_cells(qualities: Sequence[ImageQuality]) -> Bool[np.ndarray, "r c"]:
+    """Cells of the field that the good images cover together, (r, c)."""
     cells = np.zeros(GRID, dtype=bool)
-    for judgement in judgements:
-        if judgement.good:
-            cells |= cover_cells(judgement.places_px, judgement.size_px)
+    for quality in qualities:
+        if quality.is_good:
+            cells |= cover_cells(quality.points_px, quality.size_px)
     return cells
 
 
-def field_share(judgements: Sequence[Judgement]) -> float:
-    """The share of the field that the good pictures cover, 0 to 1."""
-    return float(field(judgements).mean())
+def field_share(qualities: Sequence[ImageQuality]) -> float:
+    """Share of the field that the good images cover, 0 to 1."""
+    return float(covered_cells(qualities).mean())
 
 
-def next_goal(judgements: Sequence[Judgement]) -> Goal | None:
-    """How the board is wanted next, by what good pictures show; None when these are enough."""
-    good = [judgement for judgement in judgements if judgement.good]
+def next_goal(qualities: Sequence[ImageQuality]) -> Goal | None:
+    """Goal for the next image, from the good images so far; None if these are enough."""
+    good = [quality for quality in qualities if quality.is_good]
     if not good:
         return Goal("Hold the board square to the camera, in the middle of the picture.")
-    cells = field(good)
+    cells = covered_cells(good)
     if cells.mean() < ENOUGH_FIELD:
         ninth, middle = _emptiest(cells)
         return Goal(f"Move the board to {ninth} of the picture.", middle, fill=0.45)
@@ -59,60 +59,62 @@ def next_goal(judgements: Sequence[Judgement]) -> Goal | None:
             f"Tilt the board, its {side} side farther away, filling half the picture.", lean=lean
         )
     if len(good) < FEWEST_PICTURES:
-        more = FEWEST_PICTURES - len(good)
-        said = f"Take {more} more, turned and tilted otherwise."
-        return Goal(said, lean=(_LEANING, _LEANING), turn_deg=20.0 * more)
+        missing_count = FEWEST_PICTURES - len(good)
+        sentence = f"Take {missing_count} more, turned and tilted otherwise."
+        return Goal(sentence, lean=(_LEANING, _LEANING), turn_deg=20.0 * missing_count)
     return None
 
 
-def next_step(judgements: Sequence[Judgement]) -> str:
-    """One sentence: what to do next. What is wrong with the last picture comes first."""
-    last = judgements[-1] if judgements else None
-    if last is not None and not last.found:
+def next_step(qualities: Sequence[ImageQuality]) -> str:
+    """Sentence with the next action for the user; faults of the last image come first."""
+    last = qualities[-1] if qualities else None
+    if last is not None and not last.is_detected:
         return "Take it again: " + last.refusal
     if last is not None and last.faults:
         return f"Take it again: {last.faults[0]}."
-    goal = next_goal(judgements)
+    goal = next_goal(qualities)
     return ENOUGH if goal is None else goal.sentence
 
 
-def shows_something_new(earlier: Sequence[Judgement], last: Judgement) -> bool:
-    """Whether a good picture covers a new cell of the field, or leans to a side not seen yet."""
-    after = [*earlier, last]
-    if not last.good or field(after).sum() > field(earlier).sum():
-        return last.good
-    return len(_missing_sides(after)) < len(_missing_sides(earlier))
+def adds_information(earlier: Sequence[ImageQuality], last: ImageQuality) -> bool:
+    """True if a good image covers a new cell of the field or shows a new tilt."""
+    together = [*earlier, last]
+    if not last.is_good or covered_cells(together).sum() > covered_cells(earlier).sum():
+        return last.is_good
+    return len(_missing_sides(together)) < len(_missing_sides(earlier))
 
 
-def summary_lines(judgements: Sequence[Judgement]) -> list[str]:
-    """How many pictures are good, what they cover, and what to do next."""
-    good = sum(judgement.good for judgement in judgements)
-    lost = sum(not judgement.found for judgement in judgements)
-    counts = f"{len(judgements)} pictures: {good} good, {lost} without the board found, "
-    counts += f"{len(judgements) - good - lost} to take again"
-    return [f"{counts}; {field_share(judgements):.0%} of the field covered.", next_step(judgements)]
+def summary_lines(qualities: Sequence[ImageQuality]) -> list[str]:
+    """Two lines: numbers of good and bad images with the covered field, and the next step."""
+    good = sum(quality.is_good for quality in qualities)
+    undetected = sum(not quality.is_detected for quality in qualities)
+    counts = f"{len(qualities)} pictures: {good} good, {undetected} without the board found, "
+    counts += f"{len(qualities) - good - undetected} to take again"
+    return [f"{counts}; {field_share(qualities):.0%} of the field covered.", next_step(qualities)]
 
 
 def _emptiest(cells: Bool[np.ndarray, "r c"]) -> tuple[str, tuple[float, float]]:
-    """The ninth of the field that is covered least, in words, and the middle of a cell in it that
-    is not covered, in shares of the picture's sides."""
+    """(name, position) of the ninth of the field with the least coverage.
+
+    The position is the middle of an uncovered cell, in shares of the image's width and height.
+    """
     bands = [
         np.array_split(band, 3, axis=1)
         for band in np.array_split(np.arange(cells.size).reshape(cells.shape), 3)
     ]
     ninths = [ninth.ravel() for band in bands for ninth in band]
     shares = [cells.flat[ninth].mean() for ninth in ninths]
-    # The middle decides least of what a lens does: among equals it comes last.
-    least = min(range(9), key=lambda k: (shares[k], _NINTHS[k] == "the middle"))
-    empty = ninths[least][~cells.flat[ninths[least]]]
-    row, column = np.divmod(empty, cells.shape[1])
+    # The middle contains the least information on the lens: among equals it comes last.
+    emptiest = min(range(9), key=lambda k: (shares[k], _NINTHS[k] == "the middle"))
+    empty_cells = ninths[emptiest][~cells.flat[ninths[emptiest]]]
+    row, column = np.divmod(empty_cells, cells.shape[1])
     middles = (np.stack([column, row], axis=1) + 0.5) / cells.shape[::-1]
     nearest = np.argmin(np.linalg.norm(middles - middles.mean(axis=0), axis=1))
     across, down = middles[nearest].tolist()
-    return _NINTHS[least], (across, down)
+    return _NINTHS[emptiest], (across, down)
 
 
-def _missing_sides(judgements: Sequence[Judgement]) -> list[tuple[str, int, int]]:
-    """The rows of `_SIDES` whose side was never the far one."""
-    leans = np.array([judgement.lean for judgement in judgements if judgement.good]).reshape(-1, 2)
+def _missing_sides(qualities: Sequence[ImageQuality]) -> list[tuple[str, int, int]]:
+    """Rows of `_SIDES` whose side has not been the far side of the board."""
+    leans = np.array([quality.lean for quality in qualities if quality.is_good]).reshape(-1, 2)
     return [row for row in _SIDES if not (row[2] * leans[:, row[1]] > LEAN).any()]

@@ -1,4 +1,4 @@
-"""How the board is wanted next in a camera's picture, as words and as places to draw."""
+"""Goal for the next image of the board: a sentence, and the positions to draw."""
 
 from typing import NamedTuple
 
@@ -6,25 +6,30 @@ import numpy as np
 from jaxtyping import Float
 
 MIDDLE = (0.5, 0.5)
-# numerical: what a board that is turned by 30 degrees away from the camera keeps of a side.
+# numerical: foreshortening of a board that is tilted by 30 degrees.
 _FORESHORTENED = 0.87
-# Of the picture: at most so much between two places lets a board that must be seen whole reach
-# the outermost cells of the field, whose middles lie at 1/16 and at 1/12.
+# Largest pitch, as a share of the image, at which a whole board reaches the outermost cells of the
+# field, whose middles lie at 1/16 and at 1/12.
 _WIDEST_PITCH = (0.058, 0.077)
-# Around the outer places, in pitches: their squares or circles, and a little.
+# Margin around the outer points, in pitches: their squares or circles, plus a little.
 _OUTSIDE = 1.05
 
 
 class Goal(NamedTuple):
-    """How the board is wanted next.
+    """Wanted position and tilt of the board in the next image.
 
-    Fields
-    ------
-    sentence : in words.
-    middle : where its middle is to be, (across, down) in shares of the picture's sides.
-    fill : of a side of the picture, that it takes, where that leaves it whole.
-    lean : as `measure_lean` has it.
-    turn_deg : about the camera's axis, clockwise in the picture.
+    Attributes
+    ----------
+    sentence : str
+        Instruction for the user.
+    middle : (2,)
+        Position of the board's middle, in shares of the image's width and height.
+    fill : float
+        Share of a side of the image that the board fills, if all of it remains visible.
+    lean : (2,)
+        Tilt, as in `measure_lean`.
+    turn_deg : float
+        Rotation about the optical axis, clockwise in the image.
     """
 
     sentence: str
@@ -34,21 +39,22 @@ class Goal(NamedTuple):
     turn_deg: float = 0.0
 
 
-def hold_places(
-    goal: Goal, places_mm: Float[np.ndarray, "m 2"], size_px: tuple[int, int]
+def goal_points_px(
+    goal: Goal, points_mm: Float[np.ndarray, "m 2"], size_px: tuple[int, int]
 ) -> Float[np.ndarray, "m 2"]:
-    """Where the places of a board lie in the picture of one who holds it as is wanted.
+    """Positions of the board's points in an image that meets the goal, (m, 2) px.
 
-    places_mm : on the board, Y up. It is seen whole, and needs no lens: a sketch to aim at.
+    `points_mm` (m, 2) are on the board, Y up. The result is a sketch of the whole board, without a
+    lens model.
     """
-    extent = np.maximum(np.ptp(places_mm, axis=0), 1e-9)
-    flat = (places_mm - 0.5 * (places_mm.min(axis=0) + places_mm.max(axis=0))) * (1.0, -1.0)
+    extent = np.maximum(np.ptp(points_mm, axis=0), 1e-9)
+    flat = (points_mm - 0.5 * (points_mm.min(axis=0) + points_mm.max(axis=0))) * (1.0, -1.0)
     lean = np.array(goal.lean)
     depth = 1.0 + (flat / extent) @ lean
     shape = flat * np.where(lean != 0.0, _FORESHORTENED, 1.0) / depth[:, None]
     sine, cosine = np.sin(np.radians(goal.turn_deg)), np.cos(np.radians(goal.turn_deg))
     shape = shape @ np.array([[cosine, sine], [-sine, cosine]])
-    size, box, pitch = np.array(size_px), np.ptp(shape, axis=0), _pitch_mm(places_mm)
+    size, box, pitch = np.array(size_px), np.ptp(shape, axis=0), _pitch_mm(points_mm)
     around = box + 2.0 * _OUTSIDE * pitch
     scale = min(goal.fill * float(np.max(size / box)), float(np.min(size / around)))
     if goal.middle != MIDDLE:
@@ -58,21 +64,25 @@ def hold_places(
     return middle + scale * (shape - 0.5 * (shape.min(axis=0) + shape.max(axis=0)))
 
 
-def hold_outline(
-    goal: Goal, places_mm: Float[np.ndarray, "m 2"], size_px: tuple[int, int]
+def goal_outline_px(
+    goal: Goal, points_mm: Float[np.ndarray, "m 2"], size_px: tuple[int, int]
 ) -> Float[np.ndarray, "4 2"]:
-    """The corners of the rectangle around the places, as `hold_places` has them."""
-    corners_mm = outline_mm(places_mm)
-    return hold_places(goal, np.concatenate([places_mm, corners_mm]), size_px)[-4:]
+    """Corners of the rectangle around the board's points, (4, 2) px, in the goal position."""
+    corners_mm = outline_mm(points_mm)
+    return goal_points_px(goal, np.concatenate([points_mm, corners_mm]), size_px)[-4:]
 
 
-def outline_mm(places_mm: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "4 2"]:
-    """The corners of the rectangle around the places of a board, the upper left one first."""
-    (left, lower), (right, upper) = places_mm.min(axis=0), places_mm.max(axis=0)
+def outline_mm(points_mm: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "4 2"]:
+    """Corners of the rectangle around the board's points, (4, 2) mm, upper left first."""
+    (left, lower), (right, upper) = points_mm.min(axis=0), points_mm.max(axis=0)
     return np.array([[left, upper], [right, upper], [right, lower], [left, lower]])
 
 
-def _pitch_mm(places_mm: Float[np.ndarray, "m 2"]) -> float:
-    """The least distance between two places."""
-    apart = np.linalg.norm(places_mm[:, None] - places_mm[None], axis=2)
-    return float(np.min(apart[apart > 0], initial=np.inf)) if (apart > 0).any() else 1.0
+def _pitch_mm(points_mm: Float[np.ndarray, "m 2"]) -> float:
+    """Smallest distance between two points."""
+    distance_mm = np.linalg.norm(points_mm[:, None] - points_mm[None], axis=2)
+    return (
+        float(np.min(distance_mm[distance_mm > 0], initial=np.inf))
+        if (distance_mm > 0).any()
+        else 1.0
+    )

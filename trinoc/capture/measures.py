@@ -1,4 +1,4 @@
-"""What is measured of a picture: exposure, sharpness, where the board stands and how it leans."""
+"""Measurements of an image: exposure, sharpness, covered field and tilt of the board."""
 
 from typing import NamedTuple
 
@@ -8,30 +8,32 @@ from jaxtyping import Bool, Float, Shaped
 
 from trinoc.image.step_edge import blur_of_two_slopes
 
-# In 255ths. What cameras and JPEG make of full light and of none lies a level or two off.
+# In 255ths: cameras and JPEG change full white and black by a level or two.
 _SATURATED, _DARK = 253, 2
-# The paper is the brightest of a board; dust and glints are brighter, but few.
+# The paper is the brightest part of a board; dust and glints are brighter, but rare.
 _PAPER_PERCENTILE = 95.0
-# In pixels. The first is wide enough against noise, the second twice as wide.
+# Scales of the two Gaussians, px: the first suppresses noise, the second is twice as wide.
 _FINE, _COARSE = 1.0, 2.0
-# Edges looked at: slopes along a ridge, above this share of the steepest ones.
+# Edges are ridges of the slope above this share of the steepest slopes.
 _LEAST_SHARE = 0.4
 _STEEP_PERCENTILE = 99.9
 _FEWEST_EDGES = 20
-# The cosine of 30 degrees: nearer to a normal, a slope is that of an edge across it.
+# Cosine of 30 degrees: largest angle between a slope and the normal of its edge.
 _ALONG = 0.866
 _FEWEST_PLACES = 6
-# Rows and columns of the field that coverage is counted in.
+# Rows and columns of the cells that measure coverage of the field.
 GRID = (6, 8)
 
 
 class Exposure(NamedTuple):
-    """Shares of the pixels looked at, from 0 to 1.
+    """Exposure of an image region.
 
-    Fields
-    ------
-    saturated, dark : share of pixels at full white, and at black.
-    paper : the level of the bright parts, as a share of full white.
+    Attributes
+    ----------
+    saturated, dark : float
+        Share of pixels at full white and at black.
+    paper : float
+        Level of the bright parts, as a share of full white.
     """
 
     saturated: float
@@ -40,7 +42,7 @@ class Exposure(NamedTuple):
 
 
 def measure_exposure(levels: Float[np.ndarray, "h w"]) -> Exposure:
-    """The exposure of grey levels in 255ths of full white."""
+    """Exposure of grey levels in 255ths of full white."""
     return Exposure(
         float(np.mean(levels >= _SATURATED)),
         float(np.mean(levels <= _DARK)),
@@ -51,12 +53,19 @@ def measure_exposure(levels: Float[np.ndarray, "h w"]) -> Exposure:
 def edge_blur_px(
     grey: Float[np.ndarray, "h w"], normals: Float[np.ndarray, "k 2"] | None = None
 ) -> float:
-    """Median Gaussian sigma of the steep edges, in pixels; NaN where there are hardly any.
+    """Median blur of the steep edges, as the sigma of a Gaussian, px; NaN with too few edges.
 
-    normals : (right, down) across the edges of a board. Motion smears those across it alone, and
-        the others stay steep: each kind is measured by itself, and the widest counts.
+    Parameters
+    ----------
+    grey : (h, w)
+        Grey levels.
+    normals : (k, 2), optional
+        Directions (right, down) across the edges of a board. Motion blurs only the edges across it.
+        So each direction is measured separately, and the largest blur is returned.
 
-    A sensor's square pixels count for 0.29 px of it, motion for its part across each edge.
+    Notes
+    -----
+    The square pixels of a sensor alone give 0.29 px.
     """
     level = np.asarray(grey, dtype=np.float32)
     (fine, right, down), (coarse, _, _) = _slope(level, _FINE), _slope(level, _COARSE)
@@ -76,44 +85,44 @@ def _ridge_blur_px(
     fine: Float[np.ndarray, "h w"],
     coarse: Float[np.ndarray, "h w"],
     ridge: Bool[np.ndarray, "h w"],
-    among: Bool[np.ndarray, "h w"] | None = None,
+    mask: Bool[np.ndarray, "h w"] | None = None,
 ) -> float:
-    """The width of the steep edges among the pixels of one kind, or of all."""
-    slopes = fine if among is None else fine[among]
+    """Blur of the steep edges among the pixels of a mask, or of all; NaN with too few edges."""
+    slopes = fine if mask is None else fine[mask]
     if not len(slopes):
         return float("nan")
-    # Of flat paper nothing is left but noise, of which no ratio is taken.
-    steep = _LEAST_SHARE * float(np.percentile(slopes, _STEEP_PERCENTILE))
-    kept = ridge & (fine > max(steep, 1e-6))
-    kept = kept if among is None else kept & among
-    if np.count_nonzero(kept) < _FEWEST_EDGES:
+    # The floor excludes the noise of flat paper.
+    smallest_slope = _LEAST_SHARE * float(np.percentile(slopes, _STEEP_PERCENTILE))
+    selected = ridge & (fine > max(smallest_slope, 1e-6))
+    selected = selected if mask is None else selected & mask
+    if np.count_nonzero(selected) < _FEWEST_EDGES:
         return float("nan")
-    squared_ratio = np.median((fine[kept] / np.maximum(coarse[kept], 1e-9)) ** 2)
+    squared_ratio = np.median((fine[selected] / np.maximum(coarse[selected], 1e-9)) ** 2)
     return blur_of_two_slopes(float(squared_ratio), _FINE, _COARSE)
 
 
 def edge_normals(
-    places_mm: Float[np.ndarray, "m 2"], places_px: Float[np.ndarray, "m 2"], *, round_ink: bool
+    points_mm: Float[np.ndarray, "m 2"], points_px: Float[np.ndarray, "m 2"], *, round_ink: bool
 ) -> Float[np.ndarray, "k 2"] | None:
-    """Across the edges of a board that run along its Y and along its X, in the picture; None
-    where too few places are seen.
+    """Directions across the edges of a board along its Y and its X, in the image, (k, 2).
 
-    round_ink : whether it has edges in all directions, so that those between count, too.
+    `round_ink` adds the diagonal directions, for boards with edges in all directions. None with too
+    few points.
     """
-    if len(places_px) < _FEWEST_PLACES:
+    if len(points_px) < _FEWEST_PLACES:
         return None
-    # Of the board's X, and of its Y, in pixels per millimetre.
-    axes = np.linalg.lstsq(places_mm - places_mm.mean(axis=0), places_px, rcond=None)[0]
-    along = np.concatenate([axes[::-1], axes[:1] + axes[1:], axes[:1] - axes[1:]])
-    normals = along[: 4 if round_ink else 2] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    # Images of the board's X and Y axes, px/mm.
+    axes = np.linalg.lstsq(points_mm - points_mm.mean(axis=0), points_px, rcond=None)[0]
+    directions = np.concatenate([axes[::-1], axes[:1] + axes[1:], axes[:1] - axes[1:]])
+    normals = directions[: 4 if round_ink else 2] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
     return normals if np.linalg.norm(normals, axis=1).min() > 0 else None
 
 
 def fine_contrast(image: Shaped[np.ndarray, "..."]) -> float:
-    """How much a picture changes from pixel to pixel: of several of one scene, the sharpest has
-    most of it, and a board that moves takes of it.
+    """Mean square of the fine detail of an image; the sharpest of several images has the largest.
 
-    image : (h, w) or (h, w, channels), of which the second counts. Costs no more than to decode.
+    A moving board reduces it. `image` is (h, w) or (h, w, channels); of channels, the second is
+    used. Costs no more than decoding.
     """
     plane = np.ascontiguousarray(image if image.ndim == 2 else image[..., 1])
     smooth = cv2.GaussianBlur(plane, (0, 0), _FINE)
@@ -123,8 +132,10 @@ def fine_contrast(image: Shaped[np.ndarray, "..."]) -> float:
 def _slope(
     level: Float[np.ndarray, "h w"], scale: float
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """Size of the gradient after a Gaussian, of which central differences are 1/3 px^2, and its
-    parts to the right and down."""
+    """(size, right part, down part) of the gradient after a Gaussian of `scale` px.
+
+    The central differences contribute 1/3 px^2 of the variance.
+    """
     smooth = cv2.GaussianBlur(level, (0, 0), np.sqrt(scale**2 - 1.0 / 3.0))
     rows = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=1)
     columns = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1)
@@ -132,14 +143,14 @@ def _slope(
 
 
 def cover_cells(
-    places_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]
+    points_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]
 ) -> Bool[np.ndarray, "r c"]:
-    """Which cells of the picture hold a place of the board, or have their middle among places."""
+    """Mask of the image cells that contain a point of the board or whose middle lies among them."""
     rows, columns = GRID
     cells = np.zeros(GRID, dtype=bool)
-    if not len(places_px):
+    if not len(points_px):
         return cells
-    scaled = (places_px + 0.5) / np.array(size_px) * (columns, rows)
+    scaled = (points_px + 0.5) / np.array(size_px) * (columns, rows)
     column, row = np.clip(np.floor(scaled), 0, (columns - 1, rows - 1)).astype(int).T
     cells[row, column] = True
     hull = cv2.convexHull(scaled.astype(np.float32))
@@ -151,24 +162,38 @@ def cover_cells(
 
 
 def measure_lean(
-    places_mm: Float[np.ndarray, "m 2"], places_px: Float[np.ndarray, "m 2"]
+    points_mm: Float[np.ndarray, "m 2"], points_px: Float[np.ndarray, "m 2"]
 ) -> tuple[float, float]:
-    """How much farther the board's right side is than its left, and its lower than its upper.
+    """Tilt of a board: relative differences in distance of its opposite sides.
 
-    As shares of the distance, along the picture's axes, from one end of the places to the other. It
-    needs no lens, because the last row of a plane's homography is the depth up to a factor. (0, 0)
-    where too few places are seen. This is what tells a lens's focal length.
+    Parameters
+    ----------
+    points_mm : (m, 2)
+        Points on the board.
+    points_px : (m, 2)
+        Their pixels.
+
+    Returns
+    -------
+    (right minus left, lower minus upper)
+        Differences along the image axes, from one end of the points to the other, as shares of the
+        distance. (0, 0) with too few points.
+
+    Notes
+    -----
+    No lens is needed, because the last row of a plane's homography is the depth up to a factor.
+    Tilt makes the focal length observable.
     """
-    if len(places_px) < _FEWEST_PLACES:
+    if len(points_px) < _FEWEST_PLACES:
         return 0.0, 0.0
-    homography, _ = cv2.findHomography(places_mm, places_px, 0)
+    homography, _ = cv2.findHomography(points_mm, points_px, 0)
     if homography is None:
         return 0.0, 0.0
-    depth = places_mm @ homography[2, :2] + homography[2, 2]
+    depth = points_mm @ homography[2, :2] + homography[2, 2]
     if np.ptp(np.sign(depth)) > 0:
         return 0.0, 0.0
-    extent = np.ptp(places_px, axis=0)
-    relative = (places_px - places_px.mean(axis=0)) / np.maximum(extent, 1e-9)
+    extent = np.ptp(points_px, axis=0)
+    relative = (points_px - points_px.mean(axis=0)) / np.maximum(extent, 1e-9)
     design = np.column_stack([relative, np.ones(len(relative))])
     slope = np.linalg.lstsq(design, depth / depth.mean(), rcond=None)[0]
     return float(slope[0]), float(slope[1])

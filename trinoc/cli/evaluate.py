@@ -80,7 +80,7 @@ class EvaluateCommand(Command):
         matches = load_matches(self.matches)
         rig = None if self.rig is None else read_rig(self.rig).take(matches.views)
         if rig is not None and shape.wants_every_edge:
-            shape = shape.seen_by(rig)
+            shape = shape.visible_to(rig)
         lines = self._lines(matches, rig)
         evaluation = evaluate(lines, shape, tolerances_mm=self.within_mm, aligned=self.align)
         choice = {name: getattr(self, name) for name in ("form", "stage", "least_posterior")}

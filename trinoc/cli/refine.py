@@ -63,12 +63,12 @@ class RefineCommand(Command):
         from trinoc.geometry.rig import Rig
         from trinoc.io.atomic import expect_place
         from trinoc.io.saving import expect_replaceable, save
-        from trinoc.recording.camera_words import camera_words
+        from trinoc.recording.camera_aliases import camera_aliases
 
         expect_place(self.out)
         expect_replaceable(self.out, Rig, force=self.force)
         rig = read_rig(self.rig)
-        words = camera_words(rig.names)
+        words = camera_aliases(rig.names)
         scene = read_scene(self.images, self.matches, rig, self.rig, quiet=self.quiet)
         LOGGER.info("refining the cameras of %d lines", len(scene.matches))
         again = [scene.tolerant, scene.strict] if self.moved else [scene.strict]

@@ -101,14 +101,14 @@ def _whole_parts(shared: str) -> str:
 
 
 def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, Path]:
-    """Files for the cameras of a rig, named by any of `camera_words`.
+    """Files for the cameras of a rig, named by any of `camera_aliases`.
 
     Where no name is given, it is in the path of the file, or the file's name holds it.
     Raises UsageError.
     """
-    from trinoc.recording.camera_words import camera_words
+    from trinoc.recording.camera_aliases import camera_aliases
 
-    words = camera_words(tuple(names))
+    words = camera_aliases(tuple(names))
     files = files_of_views(arguments, guess=True, words=words)
     if set(files) <= set(names) or any("=" in argument for argument in arguments):
         return files

@@ -169,7 +169,7 @@ class WatchCommand(ReportOption, Command):
         if self.keep is not None:
             kept = KeptShots(self.keep, tuple(places))
             watched = {Path(place).resolve() for place in places.values()}
-            if watched & {place.resolve() for place in kept.places.values()}:
+            if watched & {place.resolve() for place in kept.folders.values()}:
                 raise UsageError(
                     f"--keep {self.keep} would write into a folder that is watched: give another."
                 )
@@ -207,10 +207,10 @@ class WatchCommand(ReportOption, Command):
         outcome = Outcome(session.summarise(), session.record(), written=written)
         if self.out is None:
             return outcome
-        missing = find_missing(session.telling_shots, session.cameras)
+        missing = find_missing(session.informative_shots, session.cameras)
         if missing is not None:
             return self._refuse(session, outcome, missing, command_line)
-        LOGGER.info("calibrating with %d shots", len(session.telling_shots))
+        LOGGER.info("calibrating with %d shots", len(session.informative_shots))
         session.announce("Calibrating with what was kept ...")
         try:
             found = self._calibrate(session, command_line)
@@ -233,7 +233,10 @@ class WatchCommand(ReportOption, Command):
             if session.kept is not None:
                 folder, names = session.kept.folder, [f"{n}.png" for n in session.kept.names()]
             else:
-                folder, names = Path(self.sources[0]), [s.name for s in session.shots if s.good]
+                folder, names = (
+                    Path(self.sources[0]),
+                    [s.name for s in session.shots if s.good_cameras],
+                )
             images = tuple(folder / name for name in names)
             command = IntrinsicsCommand(images=images, board=(self.board,), **shared)
             found = command.run(command_line)
@@ -246,7 +249,7 @@ class WatchCommand(ReportOption, Command):
         from trinoc.report.html import judge_shots
 
         assert session.kept is not None
-        shots = tuple(f"{name}={place}" for name, place in session.kept.places.items())
+        shots = tuple(f"{name}={place}" for name, place in session.kept.folders.items())
         command = CalibrateRigCommand(
             shots=shots, board=(self.board,), report=self.report, **shared
         )

@@ -65,7 +65,7 @@ class KnownShape(Value):
         wanted = f"straight edges that two pictures show by {grey_step:g} grey levels or more"
         return cls(truth.edges_mm, *_read_labels(parts), np.zeros((0, 3, 3)), wanted)
 
-    def seen_by(self, rig: Rig) -> "KnownShape":
+    def visible_to(self, rig: Rig) -> "KnownShape":
         """The same edges; the parts visible to two cameras should be detected.
 
         Known faces hide edges behind them. Parts outside the images are never wanted.

@@ -43,10 +43,10 @@ class Wires(NamedTuple):
 
 
 class Feature(Displayable, Table):
-    """Base of all tables of features. A step of matching computes it; it has a file format and a
-    drawing.
+    """Base class of all tables of features.
 
-    `READ_FIRST` names the scalar columns that a short table shows.
+    A step of matching computes the table; it has a file format and a drawing. `READ_FIRST` names
+    the scalar columns that a short table shows.
     """
 
     READ_FIRST: ClassVar[tuple[str, ...]] = ()

@@ -83,8 +83,9 @@ def centroid_of_region(edge: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "2"]:
 
 
 def _trigonometric_derivative(count: int) -> Float[np.ndarray, "n n"]:
-    """Matrix that differentiates a trigonometric polynomial, given by its values at equidistant
-    angles.
+    """Matrix (n, n) that differentiates a trigonometric polynomial.
+
+    The polynomial is given by its values at n equidistant angles.
     """
     step = np.arange(count)[:, None] - np.arange(count)[None]
     cotangent = 1.0 / np.tan(np.pi * np.where(step == 0, 0.5, step) / count)

@@ -139,7 +139,7 @@ class Intrinsics(Value):
         image_size_px: Sequence[int],
         pixel_pitch_mm: Sequence[float] | None = None,
     ) -> "Intrinsics":
-        """Intrinsics with a lens that exists already."""
+        """Intrinsics with the given lens object."""
         return cls(
             image_size_px=image_size_px,
             focal_length_px=lens.focal_length_px,
@@ -154,9 +154,7 @@ class Intrinsics(Value):
     def from_matrix(
         cls, calibration_matrix: Float[ArrayLike, "3 3"], image_size_px: Sequence[int]
     ) -> "Intrinsics":
-        """Return intrinsics without distortion from an upper-triangular K (3, 3), scaled to K[2, 2]
-        = 1.
-        """
+        """Return intrinsics without distortion from an upper-triangular K (3, 3) of any scale."""
         matrix = _array(calibration_matrix)
         matrix = matrix / matrix[2, 2]
         return cls(
@@ -240,8 +238,9 @@ class Intrinsics(Value):
 
 
 def whole_size_px(size: object) -> tuple[int, int]:
-    """Check an image size (width, height). Raises InputError unless it is two whole positive
-    numbers.
+    """Check an image size (width, height): two whole positive numbers.
+
+    Raises InputError otherwise.
     """
     try:
         sides = np.array(size if np.ndim(size) == 1 else ())  # pyright: ignore
@@ -305,13 +304,12 @@ def _positive_pair(
 
 
 def describe_fold(lens: Intrinsics) -> str | None:
-    """Describe the fold of a distortion inside the image, as the end of a sentence without a full
-    stop.
+    """Describe the fold of a distortion inside the image; None if there is none.
 
-    None if the distortion folds beyond all corners or nowhere. Beyond the fold, two rays have one
-    pixel, and pixels farther out have no ray. A fold beyond 90 degrees is not reported: the image
-    of such a fisheye is a circle with black corners. `FOLD_REMEDY` is the advice for a lens that
-    the user gave.
+    The text is the end of a sentence without a full stop. None also if the distortion folds beyond
+    all corners. Beyond the fold, two rays have one pixel, and pixels farther out have no ray. A
+    fold beyond 90 degrees is not reported: the image of such a fisheye is a circle with black
+    corners. `FOLD_REMEDY` is the advice for a lens that the user gave.
     """
     if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:
         return (
@@ -392,8 +390,7 @@ def undistort_pixels(
 
 @in_float64
 def distort_pixels(lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-    """Map points of an image without distortion to the real image: the inverse of
-    `undistort_pixels`.
+    """Map points of an image without distortion to the real image.
 
     Parameters
     ----------
@@ -405,7 +402,8 @@ def distort_pixels(lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]) -> Float[n
     Returns
     -------
     (..., 2)
-        Points of the image, px. NaN if the lens folds before it images the ray.
+        Points of the image, px: the inverse of `undistort_pixels`. NaN if the lens folds before it
+        images the ray.
     """
     points = np.asarray(uv_px, dtype=np.float64)
     distorted_px = _map_pixels(lens, points, _distort)

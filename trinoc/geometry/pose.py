@@ -68,8 +68,9 @@ class PoseModel(Enum):
 
 
 def pose_model_over_sheet(pose_model: PoseModel | str) -> PoseModel:
-    """Return the pose model of a calibration over a sheet. Raises InputError for RIGID and unknown
-    names.
+    """Return the pose model of a calibration over a sheet.
+
+    Raises InputError for RIGID and for unknown names.
     """
     model = PoseModel.of(pose_model)
     if model is PoseModel.RIGID:

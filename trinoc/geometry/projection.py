@@ -106,8 +106,9 @@ def image_of_point(
 
 
 def pixel_change(uv_px: Vector2, depth: Scalar, change: Vector3) -> Vector2:
-    """First-order change of a pixel if its homogeneous coordinates, with third one `depth`,
-    change.
+    """First-order change of a pixel by a change of its homogeneous coordinates.
+
+    `depth` is the third homogeneous coordinate.
     """
     u, v = uv_px
     return (change[0] - u * change[2]) / depth, (change[1] - v * change[2]) / depth

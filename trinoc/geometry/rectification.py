@@ -237,17 +237,17 @@ def _expect_directions(rig: Rig, ideal_from_world: Float[np.ndarray, "3 3"]) -> 
         if turn_deg > _MOST_TURN_DEG:
             raise InputError(
                 f'The camera "{name}" would have to turn by {turn_deg:.0f} degrees, because '
-                f"{_reason(camera, partner, other)}. Rectify cameras that stand side by side and "
-                "look at the same scene."
+                f"{_turn_reason(camera, partner, other)}. Rectify cameras that stand side by side "
+                "and look at the same scene."
             )
-        if _sees(camera, partner):
+        if _has_in_image(camera, partner):
             raise InputError(
                 f'The camera "{other}" is in the image of "{name}", where all rows would meet. '
                 "Rectify cameras that stand side by side."
             )
 
 
-def _reason(camera: Camera, partner: Camera, other: str) -> str:
+def _turn_reason(camera: Camera, partner: Camera, other: str) -> str:
     axis = camera.pose.rotation[2]
     baseline = partner.centre_world_mm - camera.centre_world_mm
     if float(axis @ partner.pose.rotation[2]) <= 0:
@@ -257,7 +257,7 @@ def _reason(camera: Camera, partner: Camera, other: str) -> str:
     return "the two viewing directions differ too much"
 
 
-def _sees(camera: Camera, other: Camera) -> bool:
+def _has_in_image(camera: Camera, other: Camera) -> bool:
     """Test if the line to another camera meets the image within WIDEST_DEG of the axis.
 
     An ideal image shows nothing beyond that angle.

@@ -127,8 +127,7 @@ class Rig(Displayable, Value):
         return cls(cameras)
 
     def take(self, names: Collection[str]) -> "Rig":
-        """Return the rig of some cameras, in the order of this rig, with their part of the
-        covariance.
+        """Return the rig of some cameras, with their part of the covariance.
 
         Parameters
         ----------
@@ -138,6 +137,7 @@ class Rig(Displayable, Value):
         Returns
         -------
         Rig
+            Cameras in the order of this rig.
 
         Raises
         ------
@@ -205,7 +205,7 @@ class Rig(Displayable, Value):
         return getattr(self[name], parameter_name)
 
     def covariance_of(self, parameters: Sequence[str]) -> Float[np.ndarray, "k k"]:
-        """Covariance (k, k) of parameters by name; zero for parameters that `covariance` lacks."""
+        """Covariance (k, k) of parameters by name; zero for parameters without an entry."""
         rows = [self.parameters.index(p) if p in self.parameters else -1 for p in parameters]
         has_row = np.array(rows) >= 0
         chosen = np.asarray(self.covariance)[np.ix_(rows, rows)]

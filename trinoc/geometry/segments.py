@@ -232,8 +232,9 @@ class Segments(Displayable, Table):
 
 
 def as_endpoints(endpoints: ArrayLike) -> Float[np.ndarray, "n 2 2"]:
-    """Convert rows x1 y1 x2 y2, or pairs of ends, to (n, 2, 2). Raises InputError for other
-    shapes.
+    """Convert rows x1 y1 x2 y2, or pairs of ends, to pairs of ends (n, 2, 2).
+
+    Raises InputError for other shapes.
     """
     if endpoints is None:
         raise InputError(

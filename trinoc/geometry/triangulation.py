@@ -44,9 +44,7 @@ class Segment3D(NamedTuple):
 
 
 class _Iterate(NamedTuple):
-    """One Gauss-Newton iteration: covariance and chi-square at the current ends, and the next
-    ends.
-    """
+    """One Gauss-Newton iteration: covariance and chi-square at the ends, and the next ends."""
 
     covariance_mm2: Float[ArrayLike, "6 6"]
     chi_square: Float[ArrayLike, ""]

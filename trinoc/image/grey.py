@@ -138,7 +138,7 @@ def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
 
 
 def _full_white(largest: float) -> float:
-    """Full white of the fewest bits, 8 to 16, that does not lie below a level."""
+    """Full white of the smallest bit depth, 8 to 16 bit, that is not below a level."""
     return next((full for full in FULL_WHITE if largest <= full), max(largest, FULL_WHITE[-1]))
 
 

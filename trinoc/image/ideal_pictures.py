@@ -39,7 +39,8 @@ class PictureMaps(NamedTuple):
     Attributes
     ----------
     map_x, map_y : (h, w)
-        Column and row, px; (0, 0) is the centre of the top-left pixel.
+        For each pixel of the new image, column and row in the old one, px; (0, 0) is the centre of
+        the top-left pixel.
     size_px : (width, height)
         Size of the old image.
     """
@@ -205,9 +206,9 @@ def rectify(
     Raises
     ------
     InputError
-        If the cameras have the same centre, look along their baseline or in opposite directions,
-        have each other in the image, or have no common rows; if less than a tenth of the common
-        field would remain.
+        If the cameras have the same centre, or look along their baseline or in opposite directions.
+        If one is in the image of the other, or there are no common rows. If less than a tenth of
+        the common field would remain.
 
     Notes
     -----

@@ -80,8 +80,9 @@ class Light(NamedTuple):
         return float(255 * self.response.light_of(self.white / 255))
 
     def noise_sigma(self, stride: tuple[int, int] = (1, 1)) -> float:
-        """Standard deviation of the light's noise per pixel, from every `stride`-th row and
-        column.
+        """Standard deviation of the light's noise per pixel.
+
+        `stride` selects every n-th row and column.
         """
         return level_noise(self.light, self.quantum if self.is_linear else 0.0, stride)
 

@@ -250,7 +250,7 @@ def _load_or_compile(
             # A value with the result's structure: tree structures themselves cannot be pickled.
             like = jax.tree.unflatten(result, range(result.num_leaves))
             payload = serialize_executable.serialize(compiled)[0]
-            store.put(name, _pickle_own_classes((payload, like, bool(calls)))[0], modules)
+            store.put(name, _pickle_known_classes((payload, like, bool(calls)))[0], modules)
     except Exception:
         pass
     return _KeptProgram(compiled, result)
@@ -272,12 +272,12 @@ def _name(
     tree, kinds, *rest = key
     kinds = [(k.shape, str(k.dtype), k.weak_type) for k in kinds]  # pyright: ignore
     identity = (function.__module__, function.__qualname__, tree, kinds, rest)
-    content, modules = _pickle_own_classes(identity)
+    content, modules = _pickle_known_classes(identity)
     function_modules = {function.__module__, caller} - {""}
     return hashlib.sha256(content).hexdigest(), frozenset(modules | function_modules)
 
 
-class _OwnClasses(pickle.Pickler):
+class _KnownClassPickler(pickle.Pickler):
     """Pickler that refuses values of foreign classes, such as a user's own lens.
 
     Such a class may change without notice. The pickler collects the trinoc modules of all classes
@@ -306,9 +306,9 @@ class _Parts(list[bytes]):
         self.append(bytes(part))
 
 
-def _pickle_own_classes(value: Any) -> tuple[bytes, set[str]]:
-    """(content, trinoc modules of the classes and functions in it)."""
+def _pickle_known_classes(value: Any) -> tuple[bytes, set[str]]:
+    """Pickle a value: (content, trinoc modules of the classes and functions in it)."""
     parts = _Parts()
-    pickler = _OwnClasses(parts)
+    pickler = _KnownClassPickler(parts)
     pickler.dump(value)
     return b"".join(parts), pickler.modules

@@ -1,7 +1,7 @@
-"""A recording: many frames of one rig, and how the work on them is cut up.
+"""Recordings: many frames of one rig, and the division of the work.
 
-1. `camera_words`, `name_templates`, `frame_table`: names of files to frames, one file for each
-   camera.
-2. `parts`: some frames in a row are a part, the unit of work and one file of results; a share of
-   the parts is a job. The segments of its frames become matches, and no frame ends the rest.
+1. `camera_aliases`, `name_templates`, `frame_table`: file names to frames, one file per camera.
+2. `parts`: consecutive frames form a part, the unit of work and of result files. A job takes a
+share of the parts. The segments of the frames become matches; a failed frame does not stop the
+others.
 """

@@ -1,6 +1,4 @@
-"""A recording is cut into parts of some frames each, which are matched together; jobs have a share
-of the parts.
-"""
+"""Parts of a recording: consecutive frames that are matched together, and the share of a job."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -13,65 +11,83 @@ from trinoc.recording.frame_table import OK, Frame, FrameMatches
 
 
 def match_part_frames(
-    found: Mapping[str, Mapping[str, Segments] | str],
+    segments: Mapping[str, Mapping[str, Segments] | str],
     rig: Rig,
     *,
     depth_range_mm: tuple[float, float] | None = None,
 ) -> list[FrameMatches]:
-    """What becomes of each frame, given its segments, or the sentence why it has none.
+    """Match the frames of a part.
 
-    The frames go to the matcher together. Where that fails as a whole they go one by one, and the
-    one that fails, be it by a defect of this package or for want of memory, has a sentence that
-    says so.
+    Parameters
+    ----------
+    segments : mapping
+        For each frame, the segments of its views, or a sentence on why it has none.
+    rig : Rig
+        The cameras.
+    depth_range_mm : (near, far), optional
+        As in `match_segments`.
+
+    Returns
+    -------
+    list of FrameMatches
+        All frames are matched together. If that fails, they are matched one by one. A frame that
+        fails, by a defect or lack of memory, has a sentence on it.
     """
-    usable = {name: views for name, views in found.items() if not isinstance(views, str)}
+    usable = {name: views for name, views in segments.items() if not isinstance(views, str)}
 
     def match_all(names: Sequence[str]) -> list[FrameMatches]:
         try:
-            batch = match_many([usable[n] for n in names], rig, depth_range_mm=depth_range_mm)
+            batch = match_many([usable[name] for name in names], rig, depth_range_mm=depth_range_mm)
         except Exception as error:
             if len(names) == 1:
                 return [FrameMatches(names[0], matcher_failure(error), None)]
             return [result for name in names for result in match_all([name])]
         outcomes = zip(names, batch.matches, batch.status, strict=True)
-        return [FrameMatches(n, OK if m is not None else str(why), m) for n, m, why in outcomes]
+        return [
+            FrameMatches(name, OK if matches is not None else str(reason), matches)
+            for name, matches, reason in outcomes
+        ]
 
-    of_name = {n: FrameMatches(n, why, None) for n, why in found.items() if isinstance(why, str)}
-    of_name |= {result.name: result for result in match_all(list(usable))}
-    return [of_name[name] for name in found]
+    results = {
+        name: FrameMatches(name, reason, None)
+        for name, reason in segments.items()
+        if isinstance(reason, str)
+    }
+    results |= {result.name: result for result in match_all(list(usable))}
+    return [results[name] for name in segments]
 
 
 def matcher_failure(error: Exception) -> str:
-    """The sentence for a failure that nobody foresaw."""
+    """Sentence on an unexpected failure of the matcher."""
     if isinstance(error, MemoryError):
-        return "The memory does not suffice for this frame: give smaller pictures or fewer threads."
-    said = " ".join(str(error).split())[:200]
-    return f"The matcher failed ({type(error).__name__}: {said}): please report this frame."
+        return "There is too little memory for this frame. Give smaller pictures or fewer threads."
+    text = " ".join(str(error).split())[:200]
+    return f"The matcher failed ({type(error).__name__}: {text}). Please report this frame."
 
 
 class RecordingPart(NamedTuple):
-    """Frames in a row; `number` counts the parts of the whole recording from 0."""
+    """Consecutive frames; `number` counts the parts of the recording from 0."""
 
     number: int
     frames: tuple[Frame, ...]
 
 
 def cut_into_parts(frames: Sequence[Frame], frames_per_part: int) -> list[RecordingPart]:
-    """All frames, in order, in parts of that many; the last may have fewer.
+    """Divide frames into parts of `frames_per_part`, in order; the last part may be shorter.
 
-    The cut depends on nothing else, so that any number of jobs, threads and interruptions gives
-    the same files.
+    The division depends on nothing else. So any number of jobs, threads and interruptions gives the
+    same files.
     """
     starts = range(0, len(frames), frames_per_part)
     return [RecordingPart(k, tuple(frames[i : i + frames_per_part])) for k, i in enumerate(starts)]
 
 
 def share_parts(parts: Sequence[RecordingPart], shard: tuple[int, int]) -> list[RecordingPart]:
-    """The parts of job i of n, counted from 1: each n-th, so that all jobs take as long.
+    """Parts of job i of n, counted from 1: every n-th part, so that jobs take similar times.
 
-    Raises InputError where there is no such job.
+    Raises InputError for a job number outside 1 to n.
     """
     job, jobs = shard
     if not 1 <= job <= jobs:
-        raise InputError(f"There is no shard {job} of {jobs}: count from 1/{max(jobs, 1)} on.")
+        raise InputError(f"There is no shard {job} of {jobs}. Count from 1/{max(jobs, 1)}.")
     return list(parts[job - 1 :: jobs])

@@ -1,9 +1,9 @@
-"""Who may ask a server on this machine: pages of the server itself, and people at the machine.
+"""Access control of the local server: requests from its own page only.
 
-A port on the loopback address can be reached by every page that the same person's browser shows.
-A page of another site may point its own name at 127.0.0.1 (DNS rebinding) and then read the answers
-as its own: the Host header still carries that name. It may also open a WebSocket, which browsers
-allow across sites: the Origin header tells whose page asked.
+Every page in a browser on this machine can reach a port on the loopback address. A page of another
+site may point its own name at 127.0.0.1 (DNS rebinding) and read the answers as its own; the Host
+header still has that name. It may also open a WebSocket, which browsers allow across sites; the
+Origin header identifies the page.
 """
 
 import re
@@ -16,11 +16,11 @@ REFUSAL = "Refused: open this page by its own address, http://127.0.0.1 with its
 
 
 def may_ask(hosts: Sequence[str], origins: Sequence[str]) -> bool:
-    """Whether a request with these Host and Origin headers comes from this machine's own page.
+    """True if a request with these Host and Origin headers comes from the server's own page.
 
-    Any port is taken, because a tunnel (`ssh -L`) may give the server another.
+    Any port is accepted, because a tunnel (`ssh -L`) may change it.
     """
     if len(hosts) != 1 or not _LOCAL.fullmatch(hosts[0]):
         return False
-    own = f"http://{hosts[0]}".lower()
-    return all(origin.lower() == own for origin in origins)
+    allowed_origin = f"http://{hosts[0]}".lower()
+    return all(origin.lower() == allowed_origin for origin in origins)

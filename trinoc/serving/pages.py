@@ -1,4 +1,4 @@
-"""A small web server for this machine: a few pages made anew at each request, and nothing else."""
+"""Small web server for this machine: pages generated at each request, no files."""
 
 import contextlib
 import http.server
@@ -12,7 +12,7 @@ from trinoc.serving.loopback import ADDRESS, REFUSAL, may_ask
 _TEXT = "text/plain; charset=utf-8"
 _STALLED_S = 10.0
 _LOOK_FOR_STOP_S = 0.1
-# A page takes nothing from elsewhere and runs no script, whatever names of files may hold.
+# Pages load nothing from other hosts and run no script, even if a file name contains code.
 _SECURITY = {
     "Content-Security-Policy": (
         "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; "
@@ -26,7 +26,7 @@ _SECURITY = {
 
 
 class PageContent(NamedTuple):
-    """What is sent: its media type and its bytes."""
+    """Media type and bytes of a response."""
 
     media_type: str
     content: bytes
@@ -34,16 +34,17 @@ class PageContent(NamedTuple):
 
 @contextlib.contextmanager
 def serve_pages(pages: Mapping[str, Callable[[], PageContent]], *, port: int = 0) -> Iterator[str]:
-    """Serve pages by their paths, such as "/", as long as the block runs; no file is served.
+    """Serve pages by path while the block runs; yields the address.
 
-    Yields the address to look at. Raises InputError where the port is taken.
+    `pages` maps paths such as "/" to functions that generate the content. Raises InputError if the
+    port is in use.
     """
     handler = type("_Handler", (_Handler,), {"pages": dict(pages)})
     try:
         server = http.server.ThreadingHTTPServer((ADDRESS, port), handler)
     except (OSError, OverflowError) as error:
         raise InputError(
-            f"Port {port} is taken: give another --port, or leave it out for a free one."
+            f"Port {port} is in use. Give another --port, or omit it for a free one."
         ) from error
     server.daemon_threads = True
     with server:
@@ -59,7 +60,7 @@ def serve_pages(pages: Mapping[str, Callable[[], PageContent]], *, port: int = 0
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):
-    """One request. Only GET is answered."""
+    """Handler of one request; only GET is supported."""
 
     pages: Mapping[str, Callable[[], PageContent]]
     server_version, sys_version = "trinoc", ""
@@ -84,4 +85,4 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         self.wfile.write(page.content)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: stderr has the command's own lines."""
+        """Suppress the log: stderr is for the command's own lines."""

@@ -1,4 +1,4 @@
-"""What was judged while pictures came, what of it is kept, and how it is said and shown."""
+"""One session of `trinoc watch`: evaluation, saving and display of images as they arrive."""
 
 import contextlib
 import math
@@ -13,13 +13,18 @@ from jaxtyping import Float
 from trinoc.calib.detection.marker_readings import ReadingSearch
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.capture.advice import field_share, summary_lines
-from trinoc.capture.goal import hold_outline, outline_mm
-from trinoc.capture.judgement import Judgement, judge, judge_unread, judgement_line
+from trinoc.capture.goal import goal_outline_px, outline_mm
+from trinoc.capture.image_quality import (
+    ImageQuality,
+    measure_quality,
+    quality_line,
+    unreadable_quality,
+)
 from trinoc.capture.shots import (
     Shot,
     advise_cameras,
+    camera_qualities,
     is_new_shot,
-    list_own,
     shot_line,
     summarise_watch,
 )
@@ -32,16 +37,26 @@ from trinoc.serving.sources import Moment
 from trinoc.serving.watching import REFRESH_S, WatchState, picture_page, thumbnail, watch_page
 
 _LOOK_EVERY_S = 0.05
-# Pictures of a camera in which other readings of the board are searched, until it shows one.
+# Number of a camera's images in which other readings of the board are tried before the first
+# detection.
 _SEARCHED = 20
 
 
 class WatchSession:
-    """Judges moments as they come.
+    """Evaluates moments as they arrive.
 
-    target : the board. kept : where shots are kept; None where nothing is.
-    cameras : their names; ("",) for one without a name. say : takes lines for people.
-    watched : what the page shows now.
+    Parameters
+    ----------
+    target : AbstractTarget
+        The board.
+    title : str
+        Title of the page.
+    cameras : sequence of str
+        Camera names; ("",) for one unnamed camera.
+    kept : KeptShots or None
+        Folder of saved shots; None to save nothing.
+    say : callable
+        Receives lines of text for the user.
     """
 
     def __init__(
@@ -62,73 +77,84 @@ class WatchSession:
 
     @property
     def shots(self) -> tuple[Shot, ...]:
-        """What was judged, in order."""
+        """Evaluated shots, in order."""
         return self.watched.shots
 
     @property
-    def telling_shots(self) -> tuple[Shot, ...]:
-        """Those that are kept, where shots are: the others show nothing that these do not."""
+    def informative_shots(self) -> tuple[Shot, ...]:
+        """Shots for the calibration: the saved ones.
+
+        If nothing is saved, all shots with a good image.
+        """
         if self.kept is None:
-            return tuple(shot for shot in self.shots if shot.good)
-        return tuple(shot for shot in self.shots if shot.kept)
+            return tuple(shot for shot in self.shots if shot.good_cameras)
+        return tuple(shot for shot in self.shots if shot.saved_name)
 
     def look(self, moment: Moment, *, is_kept: bool = False) -> None:
-        """Judge what the cameras saw, keep it where it shows something new, and say so.
+        """Evaluate a moment, save it if it adds information, and report.
 
-        is_kept : whether it is a shot that an earlier run kept, under its name. Raises InputError
-        where it cannot be kept.
+        `is_kept` marks a shot that an earlier run saved under this name. Raises InputError if the
+        shot cannot be saved.
         """
-        judgements = {camera: self._judge(moment, camera) for camera in moment.pictures}
-        # A picture that is written again takes the place of its former self.
+        qualities = {camera: self._judge(moment, camera) for camera in moment.pictures}
+        # A rewritten image replaces its earlier version.
         earlier = tuple(shot for shot in self.shots if shot.name != moment.name)
         self.watched = self.watched._replace(shots=earlier)
-        telling = self.telling_shots
-        shot = Shot(moment.name, judgements, moment.name if is_kept else "")
-        if self.kept is not None and not is_kept and is_new_shot(telling, shot):
-            shot = shot._replace(kept=self.kept.keep(moment, shot.good))
-        advice = advise_cameras((*telling, shot), self.cameras)
-        tone = "plain" if shot.good else "bad"
+        informative = self.informative_shots
+        shot = Shot(moment.name, qualities, moment.name if is_kept else "")
+        if self.kept is not None and not is_kept and is_new_shot(informative, shot):
+            shot = shot._replace(saved_name=self.kept.keep(moment, shot.good_cameras))
+        advice = advise_cameras((*informative, shot), self.cameras)
+        tone = "plain" if shot.good_cameras else "bad"
         self.watched = self.watched._replace(
             shots=(*earlier, shot), headline=advice.sentence, tone=tone
         )
         self._last |= moment.pictures
         outlines = {
-            camera: hold_outline(goal, self._target.centres_mm, judgements[camera].size_px)
+            camera: goal_outline_px(goal, self._target.centres_mm, qualities[camera].size_px)
             for camera, goal in advice.goals.items()
-            if camera in judgements and judgements[camera].size_px[0]
+            if camera in qualities and qualities[camera].size_px[0]
         }
         self._draw(outlines)
-        line = shot_line(shot) if self.is_named else judgement_line(judgements[""])
-        # The line of a lone camera says itself why its picture is not good.
-        self._say(f"{line}\n  {advice.sentence}" if shot.good or self.is_named else line)
+        line = shot_line(shot) if self.is_named else quality_line(qualities[""])
+        # The line of a single camera already contains the fault.
+        self._say(f"{line}\n  {advice.sentence}" if shot.good_cameras or self.is_named else line)
 
     def _draw(self, outlines: Mapping[str, Float[np.ndarray, "4 2"]]) -> None:
-        """The last pictures, with the corners of the board where it is wanted next."""
-        drawn = {}
+        """Update the thumbnails, with the outlines of the board in its goal position."""
+        thumbnails = {}
         for camera, image in self._last.items():
-            own = list_own(self.shots, camera)
-            if isinstance(image, InputError) or not (own and own[-1].size_px[0]):
-                drawn[camera] = b""
+            qualities = camera_qualities(self.shots, camera)
+            if isinstance(image, InputError) or not (qualities and qualities[-1].size_px[0]):
+                thumbnails[camera] = b""
             else:
-                drawn[camera] = thumbnail(image, own[-1], outlines.get(camera))
-        self.watched = self.watched._replace(thumbnails=drawn, wanted=frozenset(outlines))
+                thumbnails[camera] = thumbnail(image, qualities[-1], outlines.get(camera))
+        self.watched = self.watched._replace(thumbnails=thumbnails, wanted=frozenset(outlines))
 
     def draw_next_shot(
         self, rig: Rig, cameras: Sequence[str], world_from_board: Float[np.ndarray, "3 4"]
     ) -> None:
-        """Have the page show where these cameras of a rig would see the board if it stood so."""
-        corners_mm = np.pad(outline_mm(self._target.centres_mm), ((0, 0), (0, 1)))
-        places = Pose(world_from_board).transform_points(corners_mm)
-        self._draw({name: np.stack([rig[name].project(p) for p in places]) for name in cameras})
+        """Draw the board at a position of the next shot into the last images of some cameras.
 
-    def _judge(self, moment: Moment, camera: str) -> Judgement:
+        `world_from_board` (3, 4) is the pose of the board in the world of `rig`.
+        """
+        corners_mm = np.pad(outline_mm(self._target.centres_mm), ((0, 0), (0, 1)))
+        corners_world_mm = Pose(world_from_board).transform_points(corners_mm)
+        self._draw(
+            {
+                name: np.stack([rig[name].project(corner) for corner in corners_world_mm])
+                for name in cameras
+            }
+        )
+
+    def _judge(self, moment: Moment, camera: str) -> ImageQuality:
         image = moment.pictures[camera]
         try:
             if isinstance(image, InputError):
                 raise image
-            return judge(moment.name, image, self._target, self._search, camera)
+            return measure_quality(moment.name, image, self._target, self._search, camera)
         except InputError as error:
-            return judge_unread(moment.name, self._target, str(error))
+            return unreadable_quality(moment.name, self._target, str(error))
 
     def announce(
         self,
@@ -138,14 +164,14 @@ class WatchSession:
         tone: Literal["plain", "good", "bad"] = "plain",
         is_last: bool = False,
     ) -> None:
-        """Have the page say this in place of what to do next."""
+        """Set headline and details of the page in place of the advice."""
         self.watched = self.watched._replace(
             headline=headline, details=tuple(details), tone=tone, is_last=is_last
         )
 
     @contextlib.contextmanager
     def serve(self, port: int) -> Iterator[str]:
-        """The address of the page, as long as the block runs. Raises InputError."""
+        """Serve the page while the block runs; yields its address. Raises InputError."""
         pages: dict[str, Callable[[], PageContent]] = {"/": self._page}
         for number in range(len(self.cameras)):
             pages[f"/{number}.jpg"] = partial(self._picture, number)
@@ -156,54 +182,54 @@ class WatchSession:
         return picture_page(self.watched, number)
 
     def _page(self) -> PageContent:
-        watched = self.watched
+        state = self.watched
         self._asked_at_s = time.monotonic()
-        self._has_last = self._has_last or watched.is_last
-        return watch_page(watched)
+        self._has_last = self._has_last or state.is_last
+        return watch_page(state)
 
     def wait_for_reader(self) -> None:
-        """Return when a browser that shows the page has its last state, or is gone."""
+        """Wait until the browser has loaded the last state of the page, or stopped refreshing."""
         with contextlib.suppress(KeyboardInterrupt):
             while not self._has_last and time.monotonic() < self._asked_at_s + 2 * REFRESH_S:
                 time.sleep(_LOOK_EVERY_S)
 
     def summarise(self) -> str:
-        """How it stands, for people."""
+        """Summary of the session for the user."""
         if self.is_named:
             return "\n".join(summarise_watch(self.shots, self.cameras))
-        return "\n".join(summary_lines(list_own(self.shots, "")))
+        return "\n".join(summary_lines(camera_qualities(self.shots, "")))
 
     def record(self) -> dict[str, Any]:
-        """How it stands, as JSON can hold it."""
+        """Summary of the session for JSON."""
         advice = advise_cameras(self.shots, self.cameras).sentence
         if not self.is_named:
-            own = list_own(self.shots, "")
-            pictures = [_record(judgement) for judgement in own]
-            return {"pictures": pictures, "field": field_share(own), "next": advice}
+            qualities = camera_qualities(self.shots, "")
+            pictures = [_record(quality) for quality in qualities]
+            return {"pictures": pictures, "field": field_share(qualities), "next": advice}
         shots = [
             {
                 "name": shot.name,
-                "kept": shot.kept or None,
-                "cameras": {name: _record(each) for name, each in shot.judgements.items()},
+                "kept": shot.saved_name or None,
+                "cameras": {name: _record(quality) for name, quality in shot.qualities.items()},
             }
             for shot in self.shots
         ]
-        field = {name: field_share(list_own(self.shots, name)) for name in self.cameras}
+        field = {name: field_share(camera_qualities(self.shots, name)) for name in self.cameras}
         return {"shots": shots, "field": field, "next": advice}
 
 
-def _record(judgement: Judgement) -> dict[str, Any]:
+def _record(quality: ImageQuality) -> dict[str, Any]:
     return {
-        "name": judgement.name,
-        "good": judgement.good,
-        "found": len(judgement.places_px),
-        "of": judgement.of_places,
-        "refusal": judgement.refusal,
-        "faults": list(judgement.faults),
-        "edges_px": _none_if_nan(judgement.blur_px),
-        "saturated": _none_if_nan(judgement.exposure.saturated),
-        "dark": _none_if_nan(judgement.exposure.dark),
-        "lean": list(judgement.lean),
+        "name": quality.name,
+        "good": quality.is_good,
+        "found": len(quality.points_px),
+        "of": quality.point_count,
+        "refusal": quality.refusal,
+        "faults": list(quality.faults),
+        "edges_px": _none_if_nan(quality.blur_px),
+        "saturated": _none_if_nan(quality.exposure.saturated),
+        "dark": _none_if_nan(quality.exposure.dark),
+        "lean": list(quality.lean),
     }
 
 

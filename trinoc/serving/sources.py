@@ -1,4 +1,4 @@
-"""Where pictures come from while somebody waits: cameras, videos, and folders as they fill."""
+"""Sources of live images: cameras, videos, and folders that fill."""
 
 import contextlib
 import itertools
@@ -23,38 +23,49 @@ from trinoc.io.videos import (
     to_picture,
 )
 
-# Scans after which a picture without its end mark, and a shot that lacks a camera's, is taken as
-# it is.
+# Number of scans after which an image without end mark, or an incomplete shot, is accepted.
 PATIENCE = 10
 
 
 class Moment(NamedTuple):
-    """What the cameras saw at one moment, by their names: pictures, or why one is none."""
+    """Images of the cameras at one time, by name; an InputError in place of an unreadable one."""
 
     name: str
     pictures: Mapping[str, np.ndarray | InputError]
 
 
-def find_kind(place: str) -> Literal["camera", "video", "folder"]:
-    """What a source is: the number of a camera, a video file, or else a folder."""
-    if place.isdecimal():
+def find_kind(source: str) -> Literal["camera", "video", "folder"]:
+    """Kind of a source: "camera" for a number, "video" for a file, else "folder"."""
+    if source.isdecimal():
         return "camera"
-    return "video" if Path(place).is_file() else "folder"
+    return "video" if Path(source).is_file() else "folder"
 
 
 def open_source(
-    places: Mapping[str, str], every_s: float, *, once: bool, warn: Callable[[str], None]
+    sources: Mapping[str, str], every_s: float, *, once: bool, warn: Callable[[str], None]
 ) -> Iterator[Moment]:
-    """The moments of a source of one kind for each camera.
+    """Iterate over the moments of the cameras' sources, all of one kind.
 
-    places : what the user gave, by camera; of one without a name under "". warn : takes a sentence
-    on what may be wrong. Raises InputError at once for what is no such source; a camera is opened
-    with the first moment.
+    Parameters
+    ----------
+    sources : mapping of str
+        Source of each camera; "" is the name of a single unnamed camera.
+    every_s : float
+        Interval in seconds.
+    once : bool
+        Read the existing images of a folder only.
+    warn : callable
+        Receives sentences on possible mistakes.
+
+    Raises
+    ------
+    InputError
+        Immediately, if a source is invalid; a camera is opened with the first moment.
     """
-    kind = find_kind(next(iter(places.values())))
+    kind = find_kind(next(iter(sources.values())))
     if kind == "camera":
-        return watch_cameras({name: int(place) for name, place in places.items()}, every_s)
-    paths = {name: Path(place) for name, place in places.items()}
+        return watch_cameras({name: int(source) for name, source in sources.items()}, every_s)
+    paths = {name: Path(source) for name, source in sources.items()}
     if kind == "video":
         videos = open_videos(paths)
         for remark in compare_videos(list(videos.values())):
@@ -67,45 +78,47 @@ def open_source(
 
 
 class FolderArrivals:
-    """Pictures of a folder, each once it is written to its end, and again when it is replaced."""
+    """New images of a folder: each one after it is completely written, and again after a change."""
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
             raise InputError(
-                f"{folder} is no folder: give the one that pictures arrive in, a video, or the "
-                "number of a camera."
+                f"{folder} is not a folder. Give the folder in which pictures arrive, a video, or "
+                "the number of a camera."
             )
         self._folder = folder
-        self._seen: dict[Path, tuple[tuple[int, int], int]] = {}
-        self._told: dict[Path, tuple[int, int]] = {}
+        # Signature of each file at the last scan with the number of scans without a change, and
+        # signature of each file when it was returned.
+        self._scanned: dict[Path, tuple[tuple[int, int], int]] = {}
+        self._returned: dict[Path, tuple[int, int]] = {}
 
-    def ready(self, *, at_once: bool = False) -> list[Path]:
-        """Pictures not told yet that did not change since the last call, the oldest first.
+    def ready(self, *, immediately: bool = False) -> list[Path]:
+        """New images that did not change since the last call, oldest first.
 
-        at_once : also those seen for the first time.
+        `immediately` also returns images that are seen for the first time.
         """
-        found = []
+        arrived = []
         for path in self._folder.iterdir():
             if path.suffix.lower() not in IMAGE_SUFFIXES:
                 continue
             with contextlib.suppress(OSError):  # gone again, or not yet to be read
                 status = path.stat()
                 signature = status.st_size, status.st_mtime_ns
-                before, scans = self._seen.get(path, (None, 0))
-                scans = scans + 1 if before == signature else 0
-                self._seen[path] = signature, scans
-                if self._told.get(path) == signature or not (scans or at_once):
+                previous, scans = self._scanned.get(path, (None, 0))
+                scans = scans + 1 if previous == signature else 0
+                self._scanned[path] = signature, scans
+                if self._returned.get(path) == signature or not (scans or immediately):
                     continue
-                if at_once or scans >= PATIENCE or is_whole_picture(path):
-                    found.append((status.st_mtime_ns, path))
-                    self._told[path] = signature
-        return [path for _, path in sorted(found)]
+                if immediately or scans >= PATIENCE or is_whole_picture(path):
+                    arrived.append((status.st_mtime_ns, path))
+                    self._returned[path] = signature
+        return [path for _, path in sorted(arrived)]
 
 
 def watch_folder(arrivals: FolderArrivals, every_s: float, *, once: bool) -> Iterator[Moment]:
-    """Each picture of one camera's folder; `once` ends with those that are there."""
+    """Images of one camera's folder; with `once`, only the existing ones."""
     while True:
-        for path in arrivals.ready(at_once=once):
+        for path in arrivals.ready(immediately=once):
             yield Moment(path.name, {"": _read(path)})
         if once:
             return
@@ -115,36 +128,38 @@ def watch_folder(arrivals: FolderArrivals, every_s: float, *, once: bool) -> Ite
 def watch_folders(
     arrivals: Mapping[str, FolderArrivals], every_s: float, *, once: bool
 ) -> Iterator[Moment]:
-    """Shots of several cameras' folders, by the names of their files as `load_shots` pairs them.
+    """Shots from several cameras' folders, paired by file names as in `load_shots`.
 
-    A shot that lacks a camera's picture is waited for, and told in the end without it.
+    An incomplete shot is returned without the missing image after PATIENCE scans.
     """
-    there: dict[str, set[Path]] = {camera: set() for camera in arrivals}
-    fresh: dict[tuple[str, Path], int] = {}
+    existing: dict[str, set[Path]] = {camera: set() for camera in arrivals}
+    scans_waited: dict[tuple[str, Path], int] = {}
     while True:
-        for camera, own in arrivals.items():
-            ready = own.ready(at_once=once)
-            there[camera].update(ready)
-            fresh |= {(camera, path): 0 for path in ready}
-        for name, files in _pair_files(there):
-            waited = [fresh[each] for each in files.items() if each in fresh]
-            if waited and (once or len(files) == len(there) or min(waited) >= PATIENCE):
+        for camera, camera_arrivals in arrivals.items():
+            new_files = camera_arrivals.ready(immediately=once)
+            existing[camera].update(new_files)
+            scans_waited |= {(camera, path): 0 for path in new_files}
+        for name, files in _pair_files(existing):
+            waits = [scans_waited[item] for item in files.items() if item in scans_waited]
+            if waits and (once or len(files) == len(existing) or min(waits) >= PATIENCE):
                 yield Moment(name, {camera: _read(path) for camera, path in files.items()})
-                for each in files.items():
-                    fresh.pop(each, None)
+                for item in files.items():
+                    scans_waited.pop(item, None)
         if once:
             return
-        fresh = {each: scans + 1 for each, scans in fresh.items()}
+        scans_waited = {item: scans + 1 for item, scans in scans_waited.items()}
         time.sleep(every_s)
 
 
-def _pair_files(there: Mapping[str, set[Path]]) -> list[tuple[str, dict[str, Path]]]:
-    """The files of each shot, by camera."""
-    files = {camera: sorted(own) for camera, own in there.items()}
-    names = name_shots({camera: [file.stem for file in own] for camera, own in files.items()})
+def _pair_files(existing: Mapping[str, set[Path]]) -> list[tuple[str, dict[str, Path]]]:
+    """(name, files by camera) of each shot."""
+    files = {camera: sorted(camera_files) for camera, camera_files in existing.items()}
+    names = name_shots(
+        {camera: [file.stem for file in camera_files] for camera, camera_files in files.items()}
+    )
     shots: dict[str, dict[str, Path]] = {}
-    for camera, own in files.items():
-        for name, file in zip(names[camera], own, strict=True):
+    for camera, camera_files in files.items():
+        for name, file in zip(names[camera], camera_files, strict=True):
             shots.setdefault(name, {})[camera] = file
     return sorted(shots.items())
 
@@ -157,9 +172,9 @@ def _read(path: Path) -> np.ndarray | InputError:
 
 
 def watch_cameras(numbers: Mapping[str, int], every_s: float) -> Iterator[Moment]:
-    """The sharpest moment of every so many seconds of cameras of this machine.
+    """Sharpest moment of every interval of `every_s` seconds, from cameras of this machine.
 
-    Raises InputError for a camera that does not open, and for one that sends nothing any more.
+    Raises InputError if a camera does not open or stops sending.
     """
     with contextlib.ExitStack() as stack:
         cameras = {}
@@ -167,9 +182,11 @@ def watch_cameras(numbers: Mapping[str, int], every_s: float) -> Iterator[Moment
             cameras[name] = cv2.VideoCapture(number)
             stack.callback(cameras[name].release)
             if not cameras[name].isOpened():
-                raise InputError(f"Camera {number} does not open: see that nobody else uses it.")
+                raise InputError(
+                    f"Camera {number} does not open. Check that no other program uses it."
+                )
         for count in itertools.count(1):
-            # A camera keeps frames waiting, which are older than the last look: they are let go.
+            # Frames in the camera's buffer are older than the last call and are discarded.
             begin = time.monotonic()
             _grab(cameras, numbers)
             while time.monotonic() < begin + 0.5 * every_s:
@@ -182,9 +199,9 @@ def watch_cameras(numbers: Mapping[str, int], every_s: float) -> Iterator[Moment
 
 
 def _grab(cameras: Mapping[str, Any], numbers: Mapping[str, int]) -> None:
-    # All at once, before any is decoded: as near to one moment as cameras without a trigger come.
-    there = {name: camera.grab() for name, camera in cameras.items()}
-    _expect_all(there, numbers)
+    # All cameras before any decoding: the best synchronisation without a trigger.
+    grabbed = {name: camera.grab() for name, camera in cameras.items()}
+    _expect_all(grabbed, numbers)
 
 
 def _retrieve(cameras: Mapping[str, Any], numbers: Mapping[str, int]) -> dict[str, np.ndarray]:
@@ -193,42 +210,42 @@ def _retrieve(cameras: Mapping[str, Any], numbers: Mapping[str, int]) -> dict[st
     return frames
 
 
-def _expect_all(there: Mapping[str, bool], numbers: Mapping[str, int]) -> None:
-    for name, is_there in there.items():
-        if not is_there:
+def _expect_all(received: Mapping[str, bool], numbers: Mapping[str, int]) -> None:
+    for name, is_received in received.items():
+        if not is_received:
             number = numbers[name]
-            raise InputError(f"Camera {number} sends no picture any more: look at its cable.")
+            raise InputError(f"Camera {number} stopped sending pictures. Check its cable.")
 
 
 class _Sharpest:
-    """The sharpest of the moments that were offered: a board that moves makes one less so."""
+    """The sharpest of the offered moments: motion of the board blurs an image."""
 
     def __init__(self, frames: Mapping[str, np.ndarray], name: str = "") -> None:
         self._frames, self._contrast, self.name = frames, self._measure(frames), name
 
     def offer(self, frames: Mapping[str, np.ndarray], name: str = "") -> None:
-        """Take the place of the sharpest, if they are sharper."""
+        """Replace the moment if this one is sharper."""
         contrast = self._measure(frames)
         if contrast > self._contrast:
             self._frames, self._contrast, self.name = frames, contrast, name
 
     @staticmethod
     def _measure(frames: Mapping[str, np.ndarray]) -> float:
-        # As logarithms, so that a camera that sees little counts as much as the others.
+        # Logarithms give all cameras the same weight, whatever their contrast.
         return sum(math.log(fine_contrast(frame) + 1e-6) for frame in frames.values())
 
     @property
     def pictures(self) -> dict[str, np.ndarray]:
-        """As files are read."""
+        """Images in the format of the file reader."""
         return {name: to_picture(frame) for name, frame in self._frames.items()}
 
 
 def watch_videos(
     videos: Mapping[str, Video], every_s: float, warn: Callable[[str], None]
 ) -> Iterator[Moment]:
-    """The sharpest moment of every so many seconds of videos in step, until the first ends."""
+    """Sharpest moment of every interval of synchronised videos, until the first one ends."""
     rate = common_rate(videos)
-    moments = ((f"{number / rate:.2f} s", own) for number, own in read_moments(videos, warn))
+    moments = ((f"{number / rate:.2f} s", frames) for number, frames in read_moments(videos, warn))
     while first := next(moments, None):
         best = _Sharpest(first[1], first[0])
         for name, frames in itertools.islice(moments, max(0, round(every_s * rate) - 1)):

@@ -118,8 +118,9 @@ def parts_in_views_mm(
     *,
     views: int,
 ) -> Float[np.ndarray, "k 2 3"]:
-    """Ends of the edge parts that at least `views` of the (edge, extent) lists contain, (k, 2,
-    3).
+    """Ends of the edge parts that lists of at least `views` views contain, (k, 2, 3).
+
+    `parts` has (edge, extent) of each view.
     """
     shared_parts: list[Float[np.ndarray, "2 3"]] = []
     for index, edge in enumerate(edges_mm):

@@ -86,7 +86,10 @@ def skew_lens(lens: AbstractLens) -> AbstractLens:
 
 
 def straighten_lens(lens: AbstractLens, model: type[AbstractLens]) -> AbstractLens:
-    """Inverse of `skew_lens`: convert to `model`, or to the narrowest wider model that fits."""
+    """Convert a skewed lens back to `model`; the inverse of `skew_lens`.
+
+    If `model` lacks coefficients that are not zero, the next wider model is used.
+    """
     if not isinstance(lens, AbstractSkewedLens):
         return lens
     values = np.asarray(lens.coefficients)

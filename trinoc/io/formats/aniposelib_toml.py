@@ -22,7 +22,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import COVARIANCE, NAMES, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, METRE_MM, NAMES, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys
 from trinoc.io.formats.lens_rows import list_lens_numbers
 from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
@@ -38,7 +38,6 @@ from trinoc.io.formats.text_files import scalar_or_list
 from trinoc.io.json_document import MOST_NESTED, Block
 
 ANIPOSE, CALISCOPE = "aniposelib's TOML", "Caliscope's camera_array.toml"
-METRE_MM = 1000.0
 # Names with dots between, whose time of parsing grows with the square of their number.
 _NAME = r"""(?:[\w-]++|"[^"\n]*"|'[^'\n]*')"""
 _TOO_DEEP = re.compile(rf"(?<![\w-])(?:{_NAME}[ \t]*\.[ \t]*){{{MOST_NESTED}}}")

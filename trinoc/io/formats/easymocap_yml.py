@@ -17,7 +17,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.formats.cv_storage import read_storage, write_storage
-from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, METRE_MM, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys
 from trinoc.io.formats.lens_rows import list_lens_numbers
 from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
@@ -32,7 +32,6 @@ from trinoc.io.json_document import Block
 
 TITLE = "EasyMocap's intri.yml and extri.yml"
 INTRINSIC, EXTRINSIC = "intri.yml", "extri.yml"
-METRE_MM = 1000.0
 # What EasyMocap lists where no camera is.
 NO_CAMERA = "none"
 # How far the two statements of one rotation may differ: they have six decimals.

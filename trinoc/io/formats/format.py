@@ -22,6 +22,8 @@ from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
 from trinoc.numerics.tables import Table
 
+METRE_MM = 1000.0
+
 COVARIANCE = "covariance"
 PIXEL_PITCH = "pixel pitch"
 WORLD = "world"

@@ -17,7 +17,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import COVARIANCE, NAMES, PIXEL_PITCH, WORLD, Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, METRE_MM, NAMES, PIXEL_PITCH, WORLD, Format, Lenses
 from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import (
@@ -32,7 +32,6 @@ from trinoc.io.formats.text_files import yaml_text
 from trinoc.io.json_document import Block
 
 TITLE = "Kalibr's camchain"
-METRE_MM = 1000.0
 # How far two statements of one pose may differ: Kalibr computes one from the other.
 _SAME_RAD, _SAME_MM = 1e-3, 1.0
 _PAIR = re.compile(r"T_cam(\d+)_cam(\d+)")

@@ -21,11 +21,10 @@ import numpy as np
 from trinoc.errors import InputError
 from trinoc.geometry.features import Feature
 from trinoc.io.atomic import atomic_write, write_text
-from trinoc.io.formats.format import COVARIANCE, TRACKS, Format
+from trinoc.io.formats.format import COVARIANCE, METRE_MM, TRACKS, Format
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.wire_frame.frame import Wireframe
 
-METRE_MM = 1000.0
 # Of the specification: line segments, single precision, the target of vertices, and chunks.
 LINES, FLOAT, ARRAY_BUFFER = 1, 5126, 34962
 JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"

@@ -20,7 +20,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
-from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, METRE_MM, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, make_lens
 from trinoc.io.formats.motions import chain_motions, checked_rotation, from_homogeneous, inverse
@@ -28,7 +28,7 @@ from trinoc.io.formats.notations import Notation, RefusedError, parse_file
 from trinoc.io.json_document import Block
 
 TITLE = "Metashape's cameras.xml"
-METRE_MM, HALF_PX = 1000.0, 0.5
+HALF_PX = 0.5
 COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 ROWS = (
     LensRow("frame", "brown_conrady", ("k1", "k2", "k3", "k4", "p2", "p1", "p3", "p4")),

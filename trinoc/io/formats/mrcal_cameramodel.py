@@ -16,7 +16,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, METRE_MM, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
@@ -26,7 +26,6 @@ from trinoc.io.json_document import Block
 
 TITLE = "mrcal's .cameramodel"
 ENDING = ".cameramodel"
-METRE_MM = 1000.0
 _OPENCV = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 ROWS = (
     LensRow("LENSMODEL_PINHOLE", "none", ()),

@@ -18,7 +18,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, METRE_MM, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import list_lens_numbers
 from trinoc.io.formats.motions import motion
@@ -27,7 +27,6 @@ from trinoc.io.formats.opencv_lens import FISHEYE, WRITTEN, matrix_of_numbers, r
 from trinoc.io.json_document import Block
 
 TITLE = "multical's calibration.json"
-METRE_MM = 1000.0
 TO = "_to_"
 # multical's names of the perspective lenses that trinoc writes, by the model.
 MODELS = {"brown_conrady": "standard", "rational": "rational", "thin_prism": "thin_prism"}

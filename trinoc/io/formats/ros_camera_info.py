@@ -20,7 +20,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import COVARIANCE, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, METRE_MM, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys, Refused
 from trinoc.io.formats.lens_rows import (
     LensNumbers,
@@ -32,7 +32,7 @@ from trinoc.io.formats.lens_rows import (
 from trinoc.io.formats.motions import chain_motions, checked_rotation, inverse
 from trinoc.io.formats.notations import read_yaml
 from trinoc.io.formats.text_files import atomic_folder, expect_file_names, yaml_text
-from trinoc.io.formats.tf_static import METRE_MM, read_tf, write_tf
+from trinoc.io.formats.tf_static import read_tf, write_tf
 from trinoc.io.json_document import Block
 
 TITLE = "ROS camera_info"

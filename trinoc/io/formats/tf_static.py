@@ -21,7 +21,7 @@ from trinoc.geometry.camera import Camera
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import COVARIANCE, LENSES, Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, LENSES, METRE_MM, Format, Lenses
 from trinoc.io.formats.keys import Keys
 from trinoc.io.formats.motions import (
     chain_motions,
@@ -34,7 +34,6 @@ from trinoc.io.formats.notations import read_json, read_yaml_stream
 from trinoc.io.formats.text_files import yaml_text
 from trinoc.io.json_document import Block
 
-METRE_MM = 1000.0
 WORLD = "world"
 SUFFIXES = ("_optical_frame", "_optical")
 KEYS = Keys(read=("header", "child_frame_id", "transform"))

@@ -1,9 +1,10 @@
 """Acceptance of fitted lines: sharp, straight edges with more evidence than noise.
 
-The evidence of a line is E = n (m / s)^2 for n edge points of mean strength m, where s is the
-standard deviation of the gradient noise. On images of white noise, the number of lines per
+The evidence of a line is E = n (m / s)^2. n is the number of edge points, m their mean strength, s
+the standard deviation of the gradient noise. On images of white noise, the number of lines per
 megapixel with evidence above E is RATE exp(-E / DECAY). Both numbers were fitted to such images
-(benchmarks/segments.py repeats the measurement). They hold for point thresholds of 2.5 s and above.
+(benchmarks/segments.py repeats the measurement). They are valid for point thresholds of 2.5 s and
+above.
 """
 
 import numpy as np

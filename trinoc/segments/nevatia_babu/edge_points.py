@@ -161,9 +161,7 @@ class EdgePoints(NamedTuple):
     def locate(
         self, profile: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-        """(position, variance): peak and variance across the edge of a Gaussian through
-        `profile`.
-        """
+        """(position, variance across the edge) of the Gaussian through `profile`."""
         offset, variance = peak_of_slope(profile)
         offset = offset * self.spacing_px
         larger = np.where(self.along_u, self.normal[:, 0], self.normal[:, 1])

@@ -90,11 +90,11 @@ def error_model(
         cleaned.mean((level >= picture.white).astype(np.float64)),
         np.where(bow > tuning.noise_sigmas * noise_bow, bow, 0.0),
         np.sqrt(np.maximum(lines.residual_px**2 - noise_px**2, 0.0)),
-        _off_line(cleaned, lines, noise_px, tuning.last_points),
+        _end_deviations(cleaned, lines, noise_px, tuning.last_points),
     )
 
 
-def _off_line(
+def _end_deviations(
     runs: Runs, lines: FittedLines, least_px: Float[np.ndarray, "r"], last_points: int
 ) -> Float[np.ndarray, "r 2"]:
     """Mean distance of the last points at either end from their line, (r, 2).

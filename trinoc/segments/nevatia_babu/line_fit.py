@@ -220,9 +220,9 @@ def collinear_successors(
 ) -> Int[np.ndarray, "r"]:
     """Line that continues each line beyond a gap, (r,); -1 if there is none.
 
-    Two lines with dark sides on the same side continue each other if the gap is at most `gap_px`
-    and both inner ends lie within `tolerance_px` of the chord of the outer ends. Each line has at
-    most one predecessor and one successor, the nearest.
+    Two lines continue each other if their dark sides are on the same side and the gap is at most
+    `gap_px`. Both inner ends must lie within `tolerance_px` of the chord of the outer ends. Each
+    line has at most one predecessor and one successor, the nearest.
     """
     successor = np.full(len(lines.support), -1, dtype=np.int64)
     ends = lines.pieces.ends_px

@@ -1,8 +1,8 @@
 """Correction for neighbouring edges: their pull is subtracted from the positions of edge points.
 
 Two edges closer than a few profile widths overlap in the gradient, and each shifts the other's
-peak. Once all lines are known, the contribution of each neighbour to the three samples of a point's
-profile is computed and subtracted, and the point is located again.
+peak. Once all lines are known, the contribution of each neighbour to a point's profile is computed.
+It is subtracted from the three samples, and the point is located again.
 """
 
 from typing import NamedTuple

@@ -53,9 +53,7 @@ class Profiles(NamedTuple):
     def information(
         self, used: Bool[np.ndarray, "s b"], height: Float[np.ndarray, "s"], misfit: float
     ) -> Float[np.ndarray, "s b"]:
-        """Inverse variance of the `used` levels, for steps of the given heights; 0 for others,
-        (s, b).
-        """
+        """Inverse variance of each level, (s, b), for steps of these heights; 0 if not `used`."""
         noise_variance = self.noise[:, None] ** 2 / np.maximum(self.count, 1)
         return np.where(used, 1 / (noise_variance + np.square(misfit * height[:, None])), 0.0)
 
@@ -84,7 +82,7 @@ def shifts_of_saturated(
         _mean_profiles(picture, noise_of_light, runs, lines, references), rise[references], tuning
     )
     profiles = _mean_profiles(picture, noise_of_light, runs, lines, chosen)
-    shift[chosen], variance[chosen] = _places(profiles, picture.light_of_white, blur, tuning)
+    shift[chosen], variance[chosen] = _fit_positions(profiles, picture.light_of_white, blur, tuning)
     return Shifts(shift, variance)
 
 
@@ -145,7 +143,7 @@ def _mean_profiles(
     return Profiles(mean_across, mean_level, count.reshape(-1, bins), noise[chosen])
 
 
-def _places(
+def _fit_positions(
     profiles: Profiles, white: float, blur: BlurPrior, tuning: SaturationTuning
 ) -> tuple[np.ndarray, np.ndarray]:
     """(position, variance) of blurred steps across the lines, from their levels below white."""
