@@ -1,7 +1,7 @@
-"""The tuned constants of `measure_lines`, in one frozen value.
+"""Tuned constants of `measure_lines`, as one frozen value.
 
-By hand on rendered scenes of blocks, seeds 0 to 11 and 200 to 205, unless a comment says more;
-shown by benchmarks/measured_lines.py.
+All were chosen by hand on rendered scenes of blocks, seeds 0 to 11 and 200 to 205, unless a
+comment states otherwise. `benchmarks/measured_lines.py` shows their effect.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PixelTuning:
-    """How an edge's pixels are chosen, modelled and believed."""
+    """Selection, model and acceptance of the pixels beside an edge."""
 
     # Pixels so far from the line are looked at, px,
     reach_px: float = 8.0
