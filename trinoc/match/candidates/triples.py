@@ -165,7 +165,7 @@ def search_candidates(
         for number, part in _search_ordering(orders, order, triple_numbers, tuning, prior, pair):
             number_parts.append(number)
             parts.append(part)
-            if sum(len(part.index) for part in parts) > tuning.candidates.most_candidates:
+            if sum(len(part.index) for part in parts) > tuning.candidates.max_candidates:
                 all_parts = concatenate_rows(parts)
                 odds = _log_odds_without_position(all_parts, float(np.mean(counts)), tuning)
                 parts = [all_parts.take(odds > np.median(odds))]

@@ -128,7 +128,7 @@ def collinear_log_odds(
     break_density = np.exp(-gap * px_per_mm / rules.break_px) * px_per_mm / rules.break_px
     log_gap_ratio = np.log((break_density * scene.size + 1) / 2)
     return log_gap_ratio + np.where(
-        shares_segment, log_shared_plane, np.log(rules.share) - log_other_lines
+        shares_segment, log_shared_plane, np.log(rules.continuation_share) - log_other_lines
     )
 
 
@@ -136,7 +136,7 @@ def _log_tailed(
     square: Float[np.ndarray, "p"], dimensions: int, tuning: EvidenceTuning
 ) -> Float[np.ndarray, "p"]:
     """Log density of standard normal numbers, mixed with a wider normal distribution."""
-    sigmas, share = tuning.loose_sigmas, tuning.loose_share
+    sigmas, share = tuning.outlier_sigmas, tuning.outlier_share
     return np.logaddexp(
         np.log(1 - share) - square / 2,
         np.log(share) - dimensions * np.log(sigmas) - square / (2 * sigmas**2),
@@ -202,7 +202,7 @@ def line_density(
     default_variance = np.full(3, longest**2 / 12)
     variance = np.linalg.eigvalsh(np.cov(middles.T)) if len(middles) > 3 else default_variance
     size = max(float(np.sqrt(12 * max(variance.max(), 0.0))), longest)
-    sides = np.maximum(np.sqrt(12 * np.maximum(variance, 0.0)), tuning.thinnest * size)
+    sides = np.maximum(np.sqrt(12 * np.maximum(variance, 0.0)), tuning.min_thickness_share * size)
     volume = float(np.prod(sides))
     return LineDensity(float(length.sum()) / (2 * np.pi * volume), size, volume)
 
@@ -230,7 +230,7 @@ def nearby_lines(
     length = np.linalg.norm(step, axis=1)
     direction = step / length[:, None]
     sigma = np.sqrt(_across_variance(direction, covariance_mm2))
-    angle = np.minimum(tuning.gate_sigmas * sigma / length, np.radians(tuning.widest_deg))
+    angle = np.minimum(tuning.gate_sigmas * sigma / length, np.radians(tuning.max_angle_deg))
     pairs, nearest_parallel = [], np.full(count, np.inf)
     for rows in blocks(count, ROWS_IN_BLOCK):
         cosine = np.minimum(np.abs(direction[rows] @ direction.T), 1.0)

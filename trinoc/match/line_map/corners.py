@@ -99,7 +99,7 @@ def corner_candidates(
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
     junction_tuning = tuning.junctions
     # Both ends may stop short of the corner.
-    radius_mm = 2 * junction_tuning.reach_px / float(np.min(ends.px_per_mm))
+    radius_mm = 2 * junction_tuning.search_radius_px / float(np.min(ends.px_per_mm))
     pairs = KDTree(ends.point_mm).query_pairs(radius_mm, output_type="ndarray")
     pairs = pairs[pairs[:, 0] // 2 != pairs[:, 1] // 2]
     m, n = np.sort(pairs, axis=1).T
@@ -107,7 +107,7 @@ def corner_candidates(
     approach = closest_approach(
         ends.point_mm[m], ends.direction[m], ends.point_mm[n], ends.direction[n]
     )
-    is_near = (np.abs(approach.gap_mm * px_per_mm) < junction_tuning.reach_px).all(axis=1)
+    is_near = (np.abs(approach.gap_mm * px_per_mm) < junction_tuning.search_radius_px).all(axis=1)
     is_possible = (approach.sine > junction_tuning.smallest_sine) & is_near
     m, n, px_per_mm = m[is_possible], n[is_possible], px_per_mm[is_possible]
     distance, normal, sine, gap_mm = take_rows(approach, is_possible)
@@ -155,7 +155,7 @@ def _meeting_log_odds(
     pairs. `log_passing` is the evidence of the lines' distance. `gap_density` is the density of
     both gaps, for each gap scale.
     """
-    prior, prior_gaps = tuning.junctions.prior_at_junction, np.array(tuning.junctions.prior_gaps)
+    prior, prior_gaps = tuning.junctions.prior_junction_share, np.array(tuning.junctions.prior_gaps)
     weight = tuning.evidence.prior_observations
     meeting_share, shares = prior, prior_gaps
     for _ in range(_ROUNDS):
@@ -264,7 +264,7 @@ def _common_point(ends: Ends, member_ends: tuple[int, ...], tuning: MatchTuning)
     )
     chi_square = float(equations.chi_square[0])
     is_consistent = chi_square_tail(chi_square, 2 * len(rows) - 3) >= tuning.collinear.significance
-    is_near = np.abs(outward_mm(point)) * ends.px_per_mm[rows] < tuning.junctions.reach_px
+    is_near = np.abs(outward_mm(point)) * ends.px_per_mm[rows] < tuning.junctions.search_radius_px
     return _Corner(member_ends, point, chi_square) if is_consistent and is_near.all() else None
 
 

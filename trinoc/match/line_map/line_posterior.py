@@ -91,7 +91,7 @@ def shares_of_tail(
     tail: float, tuning: CollinearTuning = DEFAULT.collinear
 ) -> Float[np.ndarray, "3"]:
     """Share of each error factor, for errors with the given tail, (3,)."""
-    factor = np.clip(tail / tuning.error_tail, 1.0, tuning.most_error_shares)
+    factor = np.clip(tail / tuning.error_tail, 1.0, tuning.max_share_factor)
     large_shares = factor * np.array(tuning.error_shares[1:])
     return np.concatenate([[1 - large_shares.sum()], large_shares])
 

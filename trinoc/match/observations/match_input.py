@@ -271,7 +271,9 @@ def _sort_key(view: _PreparedView) -> tuple[int, list[float]]:
 
 def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None:
     check_kind(rig, Rig, "rig", A_RIG)
-    expected = "a dictionary of each camera's name and segments, such as find_segments finds"
+    expected = (
+        "a dictionary of each camera's name and segments, such as the results of find_segments"
+    )
     check_kind(segments, Mapping, "set of segments", expected)
     missing = [name for name in segments if name not in rig.names]
     if missing:
@@ -281,7 +283,7 @@ def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None
         )
     if len(segments) < 2:
         raise MatchError(
-            f"Matching needs segments of at least two cameras, but got {len(segments)}: give "
+            f"Matching needs segments of at least two cameras, but got {len(segments)}: pass "
             f"those of {list_names(rig)}."
         )
 
@@ -290,8 +292,8 @@ def _check_distinct_centres(names: Iterable[str], rig: Rig) -> None:
     pair = find_equal_centres({name: rig[name] for name in names})
     if pair is not None:
         raise MatchError(
-            f'The cameras "{pair[0]}" and "{pair[1]}" stand at one place, which leaves depth '
-            "unknown: leave one of them out, or calibrate them again."
+            f'The cameras "{pair[0]}" and "{pair[1]}" have the same centre, so they give no '
+            "depth: leave one of them out, or calibrate them again."
         )
 
 
@@ -308,8 +310,8 @@ def _check_different(views: Mapping[str, _PreparedView]) -> None:
         ends = views[first].ends_px
         if len(ends) >= MIN_COMPARED_SEGMENTS and np.array_equal(ends, views[second].ends_px):
             raise MatchError(
-                f'Views "{first}" and "{second}" have the same segments: give those of the '
-                "picture that each camera took."
+                f'Views "{first}" and "{second}" have the same segments: pass those of the '
+                "image that each camera took."
             )
 
 
@@ -318,8 +320,8 @@ def _check_counts(segments: Mapping[str, Segments | ArrayLike]) -> None:
         count = len(_endpoints(view_segments))
         if count > MAX_SEGMENTS:
             raise MatchError(
-                f"Matching takes {MAX_SEGMENTS} segments of a view at most, but "
-                f'"{name}" has {count}: leave out the shortest, or match parts of the picture.'
+                f"Matching takes at most {MAX_SEGMENTS} segments per view, but "
+                f'"{name}" has {count}: exclude the shortest, or match parts of the image.'
             )
 
 

@@ -183,18 +183,18 @@ def apply_measurements(
     rotation[:, 4, 0:3] = rotation[:, 5, 3:6] = unit
     covariance_before = rotation @ matches.covariance_mm2 @ rotation.mT
     freedom = degrees_of_misfit(matches.index)
-    is_sure = is_sound & (freedom > 0) & (matches.posterior > tuning.sure)
-    noise_tuning = NoiseTuning(tail_of_pictures=tuning.tail)
+    is_sure = is_sound & (freedom > 0) & (matches.posterior > tuning.sure_posterior)
+    noise_tuning = NoiseTuning(tail_of_images=tuning.tail)
     tail = fit_tail(misfit[is_sure], freedom[is_sure], has_images=True, tuning=noise_tuning)
     move_covariance = move_covariance * variance_factor(misfit, freedom, tail)[:, None, None]
     difference = hausman(
-        move, covariance_before[:, :4, :4], move_covariance, tuning.least_difference
+        move, covariance_before[:, :4, :4], move_covariance, tuning.min_difference_share
     )
-    limit = chi_square_limit(tuning.least_probability, _LINE_PARAMETERS)
+    limit = chi_square_limit(tuning.min_probability, _LINE_PARAMETERS)
     # If the estimates differ too much, that of the pixels is used if its views agree, as two always
     # do: segments are wrong more often than pixels. Its covariance then covers both estimates.
     in_three_views = is_observed.sum(axis=1) > 2
-    views_agree = chi_square_tail(misfit, np.maximum(freedom, 1)) > tuning.least_probability
+    views_agree = chi_square_tail(misfit, np.maximum(freedom, 1)) > tuning.min_probability
     is_measured = is_sound & ((difference <= limit) | views_agree)
     move_covariance = move_covariance * np.maximum(difference / limit, 1.0)[:, None, None]
     ends, ends_covariance = _move_lines(

@@ -154,7 +154,7 @@ def _sum_blocks(
     chi = np.asarray(fit.square / freedom / noise**2)
     median_chi_square = group_medians(chi[is_complete], line[is_complete], count)
     median_chi_square = np.where(np.isfinite(median_chi_square), median_chi_square, 1.0)
-    scale = np.maximum(median_chi_square, tuning.least_noise)
+    scale = np.maximum(median_chi_square, tuning.min_noise)
     limit = 1 + tuning.block_chi_sigmas * np.sqrt(2 / freedom)
     is_good = is_complete & (chi < scale[line] * limit)
     # All blocks of an edge have the same brighter side.

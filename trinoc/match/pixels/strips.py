@@ -75,7 +75,7 @@ def sample_strips(
         & has_ray
         & is_inside
         & is_near_one_segment
-        & (np.abs(across) <= tuning.reach_px)
+        & (np.abs(across) <= tuning.search_radius_px)
         & ~is_clipped
     )
     share = along / images.length_px[line][:, None, None]

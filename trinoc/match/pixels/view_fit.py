@@ -77,7 +77,7 @@ def _median_blur(fit: StripFit, default: float, tuning: PixelTuning) -> tuple[fl
     """Median and robust deviation of the logarithm of the blur, over the strips that determine
     it.
     """
-    is_known = (fit.information[:, 2, 2] * tuning.known_blur**2 > 1) & (fit.blocks > 1)
+    is_known = (fit.information[:, 2, 2] * tuning.precise_blur_sigma**2 > 1) & (fit.blocks > 1)
     if is_known.sum() < _MIN_STRIPS:
         return default, 0.0
     log_blur = fit.parameters[is_known, 2]
@@ -111,11 +111,11 @@ def _assess_lines(
         np.clip(inverse[:, 2, 2], 1e-9, 1.0),
     )
     widening = np.maximum(
-        np.square(log_blur_offset) - log_blur_variance - max(spread, tuning.least_blur_spread) ** 2,
+        np.square(log_blur_offset) - log_blur_variance - max(spread, tuning.min_blur_spread) ** 2,
         _expected_widening(log_blur_offset, log_blur_variance, spread, tuning),
     )
-    widening_px2 = np.square(tuning.widening_moves * np.exp(fit.parameters[:, 2]))
-    widening_px2 = widening_px2 * np.minimum(widening, tuning.most_widening**2)
+    widening_px2 = np.square(tuning.shift_per_widening * np.exp(fit.parameters[:, 2]))
+    widening_px2 = widening_px2 * np.minimum(widening, tuning.max_widening**2)
     floor = (tuning.floor_px**2 + widening_px2)[:, None, None] * np.ones((2, 2))
     covariance = inverse[:, :2, :2] * np.maximum(scatter, 1.0)[:, None, None] + floor
 
@@ -126,21 +126,21 @@ def _assess_lines(
         (weight @ (fit.parameters[:, :2] - images.offset_px)[..., None])[..., 0]
     )
     segment_variance = np.einsum("sei,sij,sej->se", weight, images.covariance_px2, weight)
-    limit_px = tuning.most_moved_widths * np.exp(log_blur) + tuning.most_moved_sigmas * np.sqrt(
-        segment_variance
-    )
+    limit_px = tuning.max_displacement_widths * np.exp(
+        log_blur
+    ) + tuning.max_displacement_sigmas * np.sqrt(segment_variance)
     end_variance = np.einsum("sei,sij,sej->se", weight, inverse[:, :2, :2], weight)
-    is_faint = (end_variance > np.square(tuning.most_sigma_widths * np.exp(log_blur))).any(axis=1)
+    is_faint = (end_variance > np.square(tuning.max_sigma_widths * np.exp(log_blur))).any(axis=1)
     median_chi_square = np.median(fit.chi_square[fit.blocks > 0]) if (fit.blocks > 0).any() else 1.0
-    is_uneven = (scatter > tuning.most_scatter) | (
-        fit.chi_square > tuning.most_chi * median_chi_square
+    is_uneven = (scatter > tuning.max_scatter) | (
+        fit.chi_square > tuning.max_chi * median_chi_square
     )
-    is_uneven |= widening > tuning.most_widening**2
+    is_uneven |= widening > tuning.max_widening**2
     block_count = np.bincount(strips.line, minlength=len(images.track))
     outcome = np.select(
         [
             block_count == 0,
-            (fit.blocks < 1) | (fit.share <= tuning.least_share),
+            (fit.blocks < 1) | (fit.share <= tuning.min_share),
             is_faint,
             is_uneven,
             (displacement_px > limit_px).any(axis=1) | ~np.isfinite(covariance).all(axis=(1, 2)),

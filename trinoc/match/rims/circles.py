@@ -216,7 +216,7 @@ def are_touching(
             offsets.offset_px[..., MIDDLE] - offsets.offset_px[..., ON_ARC].mean(axis=2)
         )
     is_tangent = offsets.cosine > np.cos(np.radians(tuning.tangent_deg))
-    is_open = offsets.axis_ratio > tuning.least_axis_ratio
+    is_open = offsets.axis_ratio > tuning.min_axis_ratio
     return is_near & is_tangent & is_open & (bow < 2 * tuning.touch_px)
 
 

@@ -106,7 +106,7 @@ def _choose_rims(chords: Chords, start: Circles, tuning: RimTuning) -> RimChoice
     is_open = np.ones(len(start.radius_mm), dtype=bool)
     while True:
         # Before the fit, some chords lie outside the limit, so one less is required.
-        has_enough = incidence @ (by_view * is_free[:, None]) >= tuning.least_chords - 1
+        has_enough = incidence @ (by_view * is_free[:, None]) >= tuning.min_chords - 1
         free_support = np.where(
             is_open & (has_enough.sum(axis=1) >= 2), support @ is_free.astype(np.float64), 0.0
         )
@@ -139,14 +139,14 @@ def _fit_rim(
     chords = take_rows(chords, rows)
     limit_px = tuning.touch_px
     before = _circle_evidence(chords, circle, 2 * limit_px, views, tuning)
-    if before.covered_share < tuning.least_covered / 2:
+    if before.covered_share < tuning.min_covered_share / 2:
         return None
     covariance = np.zeros((6, 6))
     for current_limit_px in (2 * limit_px, 1.5 * limit_px, limit_px, limit_px):
         chord_rows = np.flatnonzero(
             are_touching(circle_offsets(chords, circle), current_limit_px, tuning)[0]
         )
-        if np.sort(np.bincount(chords.view[chord_rows], minlength=views))[-2] < tuning.least_chords:
+        if np.sort(np.bincount(chords.view[chord_rows], minlength=views))[-2] < tuning.min_chords:
             return None
         circle, covariance = fit_circle(take_rows(chords, chord_rows), circle)
     after = _circle_evidence(chords, circle, limit_px, views, tuning)
@@ -154,8 +154,8 @@ def _fit_rim(
     # Two arcs in two views have three parameters each: position, direction and curvature. A circle
     # has six, so short arcs always fit one.
     only_two_views = np.count_nonzero(chords_per_view) == 2
-    smallest_share = tuning.least_covered * (2 if only_two_views else 1)
-    if np.sort(chords_per_view)[-2] < tuning.least_chords or after.covered_share < smallest_share:
+    smallest_share = tuning.min_covered_share * (2 if only_two_views else 1)
+    if np.sort(chords_per_view)[-2] < tuning.min_chords or after.covered_share < smallest_share:
         return None
     if not np.isfinite(covariance).all():
         return None
@@ -187,8 +187,8 @@ def _circle_evidence(
 
 # numerical: number of pairs (line, circle) in memory, about 100 bytes each.
 ENTRIES_AT_A_TIME = 1 << 21
-# numerical: limits for time: neighbours of each line, circles of each line, circles in all. Measured
-# scenes have fewer.
+# numerical: limits for time: neighbours of each line, circles of each line, circles in all.
+# Measured scenes have fewer.
 MAX_NEIGHBOURS, MAX_CIRCLES_PER_LINE, MAX_CIRCLES = 150, 6, 1500
 
 
@@ -227,7 +227,7 @@ def propose_rims(
         radius = np.abs(signed_radius)
         # A chord is shorter than the diameter of its circle.
         is_wide = radius > np.maximum(length[first], length[second]) / 2
-        is_valid = (closure_mm < tuning.closes_share * radius) & is_wide
+        is_valid = (closure_mm < tuning.closure_share * radius) & is_wide
         centre = (middle[first] + middle[second]) / 2
         centre = centre + signed_radius[:, None] * (inward[0] + side * inward[1]) / 2
         proposals.append(
@@ -235,7 +235,7 @@ def propose_rims(
         )
     line, circles = concatenate_rows(proposals)
     ratios = np.stack([image_circles(circles, camera).axis_ratio for camera in cameras_px])
-    visible_rows = np.flatnonzero((ratios > tuning.least_axis_ratio).sum(axis=0) >= 2)
+    visible_rows = np.flatnonzero((ratios > tuning.min_axis_ratio).sum(axis=0) >= 2)
     line, circles = line[visible_rows], take_rows(circles, visible_rows)
     support = np.zeros(len(line))
     for part in blocks(len(line), max(ENTRIES_AT_A_TIME // max(len(lines_mm), 1), 1)):
@@ -279,7 +279,7 @@ def _support(
     out_of_plane = normal @ unit.T
     radial = (middle_mm * unit).sum(axis=1) - centre @ unit.T - height * out_of_plane
     largest_sine = np.sin(np.radians(tuning.tangent_deg))
-    limit_mm = (tuning.closes_share * radius / 2)[:, None]
+    limit_mm = (tuning.closure_share * radius / 2)[:, None]
     is_on_circle = (np.abs(height) < limit_mm) & (np.abs(distance - radius[:, None]) < limit_mm)
     is_on_circle &= (np.abs(out_of_plane) < largest_sine) & (
         np.abs(radial) < largest_sine * distance

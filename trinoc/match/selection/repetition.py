@@ -51,7 +51,7 @@ def find_repetition(
         rival_log_odds, graph.slot // graph.views, log_odds[graph.rival_slot // graph.views]
     )
     rows = np.flatnonzero((log_odds > tuning.likely_log_odds) & (log_odds >= rival_log_odds))
-    contest_limit = np.maximum(log_odds[rows] - tuning.nearly_log_odds, tuning.likely_log_odds)
+    contest_limit = np.maximum(log_odds[rows] - tuning.contest_log_odds, tuning.likely_log_odds)
     is_contested = rival_log_odds[rows] > contest_limit
     middle_mm = candidates.ends_mm[rows].mean(axis=1)
     frame = label_frames(candidates.frame, len(log_odds))[rows]
@@ -65,7 +65,7 @@ def find_repetition(
         # Log odds of a pattern: ratio of two binomial distributions.
         pattern_log_odds = tuning.prior_log_odds + contested * np.log(pattern_share / usual_share)
         pattern_log_odds += (count - contested) * np.log((1 - pattern_share) / (1 - usual_share))
-        limit[frame_rows] = tuning.greatest_log_odds + np.logaddexp(0, -pattern_log_odds)
+        limit[frame_rows] = tuning.max_log_odds + np.logaddexp(0, -pattern_log_odds)
     return Repetition(middle_mm, limit, frame)
 
 

@@ -385,7 +385,7 @@ def are_near(
         distance_px = np.abs(np.einsum("tei,ti->te", segment, line[:, :2]) + line[:, 2:])
         across = np.asarray(inputs.lines.across_px2)[view, tracks.index[rows, view]]
         sigma_px = np.sqrt(np.einsum("tee->te", across))
-        limit_px = np.maximum(tuning.farthest_px, tuning.farthest_sigmas * sigma_px)
+        limit_px = np.maximum(tuning.max_distance_px, tuning.max_distance_sigmas * sigma_px)
         is_near[rows] &= (distance_px <= limit_px).all(axis=1)
     return is_near
 

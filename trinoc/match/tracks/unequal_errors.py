@@ -57,7 +57,7 @@ def fit_tails(
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> Float[np.ndarray, "f"]:
     """Tail of the error distribution for the tracks of each frame, as `fit_tail`, (f,)."""
-    prior = np.where(has_images[:, None], tuning.tail_of_pictures, tuning.tail_otherwise)
+    prior = np.where(has_images[:, None], tuning.tail_of_images, tuning.tail_otherwise)
     shape, mean = prior[:, :1], prior[:, 1:]
     tail = np.geomspace(_SMALLEST_TAIL, _LARGEST_TAIL, _TAILS)
     # The grid is uniform in log(tail), so all nodes have the same weight.

@@ -187,7 +187,7 @@ def _is_plane(adjusted: AdjustedGraph, face: Face, tuning: MatchTuning) -> bool:
     points = adjusted.points_mm[face.loop]
     variance = np.diagonal(_variance_along(face.plane[:3], adjusted.joint(face.loop)))
     size = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
-    if np.sqrt(variance.max()) > tuning.wireframe.plane_doubt * size:
+    if np.sqrt(variance.max()) > tuning.wireframe.max_plane_sigma_share * size:
         return False
     tail = chi_square_tail(face.chi_square, max(face.degrees, 1))
     return face.degrees == 0 or bool(tail >= tuning.collinear.significance)
