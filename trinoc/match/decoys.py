@@ -5,7 +5,7 @@ How often depends on the scene. Decoys are the same segments with one view mirro
 The number of tracks among decoys is the number by chance in this scene. If the rig has hardly more,
 no track is sure.
 
-Most sets need no decoy: a large share of their segments is on sure tracks of three views, or many
+Most sets need no decoy. A large share of their segments is on sure tracks of three views, or many
 of their tracks are nearly certain. Other sets are compared with up to three decoys.
 
 A set is also SUSPECT if its errors are large and a shift of one view explains them. The same holds

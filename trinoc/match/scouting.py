@@ -73,7 +73,7 @@ def scout_candidates(
         orders, tuning, prior=unbounded_prior, rows=(remaining_rows, remaining_rows)
     )
     union = concatenate_rows([regional, remaining])
-    # Each once, in their order.
+    # Remove duplicates; the result is sorted.
     return union.take(np.unique(union.index, axis=0, return_index=True)[1])
 
 
@@ -94,7 +94,7 @@ def _learn_prior(
     if is_sure.sum() < max(rules.min_sure_triples, 2):
         return None
     region = bound_region(selection.candidates.union_ends_mm[is_sure], rules)
-    # As many lines more as there are segments, and as likely wherever they lie.
+    # Scale the number of lines from the sample to all segments, with the same density.
     mixture = selection.mixture
     log_count = mixture.log_count + np.log(count / rules.sample_size)
     least_log_odds = tuning.selection.prune_log_odds - rules.slack_log_odds
@@ -128,7 +128,7 @@ def _find_unexplained(
     posterior = probability(sum_product(odds, graph, tuning.selection).log_odds)
     is_likely = posterior > tuning.scouting.explained_posterior
     length = np.abs(np.diff(interval[is_likely], axis=2)[..., 0])
-    # Where all pairs have been tried, any part is enough.
+    # If all pairs were tried, any covered part is enough.
     covered_share = 0.0 if search_prior.ends_px is None else tuning.scouting.explained_share
     return [
         np.bincount(index[is_likely, view], length[:, view], minlength=number) <= covered_share

@@ -1,7 +1,7 @@
 """Sentences that the matcher reports: numbers and names in, text out, and no decisions.
 
-First the notes on a set of matches, then the mistakes that explain a suspect set, the mirrored
-cameras, the findings on whether matches can be used, and the unfitted ends of a wire frame.
+In this order: notes on a set of matches, mistakes that explain a suspect set, mirrored cameras,
+findings on whether matches can be used, and unfitted ends of a wire frame.
 """
 
 from collections.abc import Iterable, Mapping
@@ -73,7 +73,11 @@ def two_views_leave_unlocated(unlocated: int) -> str:
 
 
 def set_does_not_belong(sure: int, by_chance: float | None, remedy: str) -> str:
-    """A set of segments seems not to belong to its rig. `by_chance` : sure lines of decoys."""
+    """A set of segments seems not to belong to its rig.
+
+    sure : number of sure lines in three views.
+    by_chance : mean number of sure lines of the decoys; None if no decoy was matched.
+    """
     decoys = (
         "" if by_chance is None else f", and {by_chance:.0f} with one image mirrored on purpose"
     )

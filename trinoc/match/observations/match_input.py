@@ -188,7 +188,7 @@ def prepare_frame(
 
 
 def stack_frames(frames: Sequence[FrameInput]) -> MatchInput:
-    """Stack frames with the same number of views to one problem."""
+    """Stack frames with the same number of views into one problem."""
     ends, covariances, polarities, sides = (
         [np.concatenate(column) for column in zip(*columns, strict=True)]
         for columns in zip(*(frame[2:6] for frame in frames), strict=True)

@@ -3,7 +3,7 @@ lines.
 
 Two segments that fit are weak evidence, because two views test only their ends. Strong evidence
 is that the ends of a pair meet those of matched lines. So the pairs of all views are evaluated
-together with the matched lines: their posterior log odds are computed as for triples and
+together with the matched lines. Their posterior log odds are computed as for triples and
 iterated to a fixed point. `pairs_beside_lines` does this. Where hardly any line is matched in
 three views, `pairs_alone` replaces it.
 """

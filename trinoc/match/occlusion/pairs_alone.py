@@ -1,9 +1,9 @@
 """Step 3 where hardly any line is matched in three views: all rates are estimated from the pairs.
 
 No third view tests a pair, so its odds are only as good as the rates that they use. EM estimates
-these from all candidates: the number of lines of each length, the agreement of ends, the frequency
-of junctions, and the density of lines in space. Broken pieces are short and seldom have a partner.
-In a scene without junctions, ends meet by chance.
+these from all candidates. They are the number of lines of each length, the agreement of ends, the
+frequency of junctions, and the density of lines in space. Broken pieces are short and seldom have a
+partner. In a scene without junctions, ends meet by chance.
 
 A wrong pair lies anywhere along its viewing rays, while right pairs lie near other lines. A box
 of their spread is enough for triples, but too coarse here, because the wrong pairs enlarge it.

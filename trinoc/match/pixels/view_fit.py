@@ -50,7 +50,10 @@ def fit_view(
     images: LineImages,
     tuning: PixelTuning,
 ) -> ViewFit:
-    """Fit the images of lines to an image. `segments_px` are all segments, in distorted pixels."""
+    """Fit the images of lines to the grey levels of a view.
+
+    `segments_px` are the ends of all segments of the view, in distorted pixels.
+    """
     if len(images.track) == 0:
         empty = np.zeros(0)
         return ViewFit(empty.astype("<U1"), images.offset_px, images.covariance_px2, empty)

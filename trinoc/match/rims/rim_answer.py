@@ -171,15 +171,15 @@ def _bows(chords: Chords, circles: Circles, row: Int[np.ndarray, "p"]) -> Float[
 
 
 class FittedRim(NamedTuple):
-    """Fitted rim.
+    """One fitted rim.
 
     circle : one row.
     covariance : of the parameters of `move_circle`.
-    chord_rows : its chords.
-    arcs : arcs that these cover.
-    covered : share of the circle that two views show.
-    support : total length of its chords, px, weighted by their distance from it.
-    only_two_views : True if only two views have chords of it.
+    chord_rows : rows of its chords.
+    arcs : arcs that the chords cover.
+    covered_share : share of the circle that two views show.
+    support : total length of its chords, px, weighted by their distance from the circle.
+    only_two_views : True if only two views have chords on it.
     """
 
     circle: Circles

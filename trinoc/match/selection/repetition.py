@@ -3,8 +3,8 @@ ones.
 
 The evidence compares one line with clutter, whose ends lie anywhere. If a pattern repeats along the
 epipolar lines, the partner one period off fits as well as the right one. Position, ends, lengths
-and junctions then differ only by noise. The set itself shows how often this happens: it is the
-share of the most likely candidates near a position that have a nearly equal rival.
+and junctions then differ only by noise. The set itself shows how often this happens. The measure is
+the share of the most likely candidates near a position that have a nearly equal rival.
 
 Let q be the probability of a pattern at a position, and w the odds of a track. The odds against
 clutter and pattern are then w / (1 + q w / m), at most m / q. The selection does not change.

@@ -60,8 +60,8 @@ def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
 def _fold_notes(frame: FrameInput) -> tuple[str, ...]:
     """Warning if segments beyond the fold of a lens are excluded."""
     counts = {
-        name: int((left_out == BEYOND_FOLD).sum())
-        for name, left_out in zip(frame.names, frame.exclusion_reasons, strict=True)
+        name: int((reasons == BEYOND_FOLD).sum())
+        for name, reasons in zip(frame.names, frame.exclusion_reasons, strict=True)
     }
     counts = {name: counts[name] for name in sorted(counts) if counts[name]}
     if not counts:

@@ -51,7 +51,7 @@ class CandidateTuning:
 
 @dataclass(frozen=True)
 class ScoutTuning:
-    """Region of the lines, estimated before all pairs are tried.
+    """Scouting of images with many segments: a sample of them gives the region of the lines.
 
     Shown by the rows of 2,900 segments per view and by the times (benchmarks/matching.py).
     """

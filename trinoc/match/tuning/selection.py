@@ -60,10 +60,10 @@ class SelectionTuning:
 
 @dataclass(frozen=True)
 class RepetitionTuning:
-    """Patterns that repeat along epipolar lines.
+    """Patterns that repeat along epipolar lines. Shown by benchmarks/repetition.py.
 
-    Shown by benchmarks/repetition.py, on whose seeds 1 to 3 it was chosen (the last value on
-    seed 1), with boxes, loose lines and blocks (seeds 701 to 703) for comparison.
+    Chosen on its seeds 1 to 3, the last value on seed 1. Boxes, loose lines and blocks (seeds
+    701 to 703) served for comparison.
     """
 
     # Smallest log odds of the candidates that are tested and of their rivals. A candidate is

@@ -7,8 +7,8 @@ pencil thus replaces the rows and disparities of rectified images. It also works
 inside the images. A segment's interpretation plane, m . ray = 0, makes its slope a sinusoid of the
 angle: slope = p cos phi + q sin phi.
 
-The file has the segments of a view in a pencil, the common part of a pair, and the search for
-pairs that share epipolar planes.
+The file has three parts: segments of a view in a pencil, the common part of a pair, and the
+search for pairs that share epipolar planes.
 """
 
 from collections.abc import Iterator

@@ -269,8 +269,9 @@ def _vertex_misfits(
 def _orient_faces(
     faces: list[Face], views: Bool[np.ndarray, "n v"], matches: Matches, rig: Rig
 ) -> tuple[list[Face], Bool[np.ndarray, "f"]]:
-    """Faces with normals toward most cameras that see them, and whether all these cameras lie
-    there.
+    """Turn the normal of each face toward most of the cameras that see it.
+
+    Returns the faces, and for each whether all of these cameras lie on the side of the normal.
     """
     centres = np.stack([np.asarray(rig[name].centre_world_mm) for name in matches.views])
     oriented, is_facing = [], []
