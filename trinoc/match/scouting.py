@@ -119,11 +119,9 @@ def _find_unexplained(
     odds = prior_log_odds(candidates, search_prior.mixture, tuning.evidence)
     rules = tuning.selection
     kept_rows = rows_within_memory(odds, candidates.index, rules.learn_log_odds, rules)
-    index, interval, odds = (
-        candidates.index[kept_rows],
-        candidates.interval[kept_rows],
-        odds[kept_rows],
-    )
+    index = candidates.index[kept_rows]
+    interval = candidates.interval[kept_rows]
+    odds = odds[kept_rows]
     graph = conflict_graph(index, interval, tuning.selection)
     posterior = probability(sum_product(odds, graph, tuning.selection).log_odds)
     is_likely = posterior > tuning.scouting.explained_posterior

@@ -224,10 +224,8 @@ def _cells_near_segments(
         return across_px[segment, 0] + slope[segment] * (clipped_px - along_px[segment, 0])
 
     side = cell_px[segment]
-    start_px, stop_px = (
-        other_coordinate(along_cell * side),
-        other_coordinate((along_cell + 1) * side),
-    )
+    start_px = other_coordinate(along_cell * side)
+    stop_px = other_coordinate((along_cell + 1) * side)
     # The margin is measured along rows or columns, which lengthens it for a slanting segment.
     margin = (margin_px * np.sqrt(1 + slope**2))[segment]
     entry, across_cell = clip_cells(

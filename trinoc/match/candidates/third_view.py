@@ -111,10 +111,8 @@ def predict(
     def covariance(s: PencilSegments, slope_effect: Vector3) -> tuple[Scalar, Scalar, Scalar]:
         at_low = (part.low - s.low) / (s.high - s.low)
         at_high = (part.high - s.low) / (s.high - s.low)
-        low, high = (
-            effect(slope_effect, image_low, u0, v0),
-            effect(slope_effect, image_high, u1, v1),
-        )
+        low = effect(slope_effect, image_low, u0, v0)
+        high = effect(slope_effect, image_high, u1, v1)
         return (
             low * low * interpolated_covariance(s.slope_variance, at_low, at_low),
             low * high * interpolated_covariance(s.slope_variance, at_low, at_high),
@@ -184,10 +182,8 @@ def prepare_order(
     """Pencil of the first two views of an ordering, and the inputs of predictions in the third."""
     first, second, third = order.tolist()
     pencil_of_pair = build_pencil(lines, first, second)
-    rounding_variance, count = (
-        rounding_px(np.asarray(lines.matrix_px), third) ** 2,
-        lines.ends_px.shape[1],
-    )
+    rounding_variance = rounding_px(np.asarray(lines.matrix_px), third) ** 2
+    count = lines.ends_px.shape[1]
     frame = None if lines.frame is None else np.asarray(lines.frame)
     if frame is not None:
         rounding_variance = rounding_variance[frame[third]]

@@ -155,10 +155,8 @@ def search_candidates(
     counts = orders.counts_of_three
     all_rows = tuple(np.arange(number) for number in counts)
     first, second = (all_rows, all_rows) if rows is None else rows
-    parts, triple_numbers = (
-        [no_candidates(3, orders.lines.frame is not None)],
-        np.zeros(0, np.int64),
-    )
+    parts = [no_candidates(3, orders.lines.frame is not None)]
+    triple_numbers = np.zeros(0, np.int64)
     for order in orders.orders:
         number_parts = [triple_numbers]
         pair = first[order.order[0]], second[order.order[1]]

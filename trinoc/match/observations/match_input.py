@@ -204,10 +204,8 @@ def stack_frames(frames: Sequence[FrameInput]) -> MatchInput:
             for column in view_columns
         ]
         frame_capacity = bucket(len(frames))
-        matrices, sizes = (
-            pad_rows(matrices, frame_capacity, matrices[0]),
-            pad_rows(sizes, frame_capacity, sizes[0]),
-        )
+        matrices = pad_rows(matrices, frame_capacity, matrices[0])
+        sizes = pad_rows(sizes, frame_capacity, sizes[0])
         lines = segment_table(matrices, sizes, ends, covariances, polarities, sides, frame_labels)
     return MatchInput(tuple(frames), ends, covariances, lines)
 

@@ -203,10 +203,8 @@ def companion_log_odds(
             / (group_sums(weight, frame, frames) + prior)
             for weight in (posterior, 1 - posterior)
         )
-        gain_with, gain_without = (
-            np.log(right_share / wrong_share),
-            np.log((1 - right_share) / (1 - wrong_share)),
-        )
+        gain_with = np.log(right_share / wrong_share)
+        gain_without = np.log((1 - right_share) / (1 - wrong_share))
         is_informative = gain_with > rules.min_companion_ratio
         gain_with, gain_without = (
             broadcast_groups(np.where(is_informative, term, 0.0), frame)

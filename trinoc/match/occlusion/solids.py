@@ -43,11 +43,9 @@ def see_through_share(
     share = np.zeros(frames)
     frame_label = np.zeros(len(index), np.int64) if frame is None else frame
     for number in range(frames):
-        rows, observed, expected = (
-            np.flatnonzero(frame_label == number),
-            0.0,
-            tuning.evidence.prior_observations,
-        )
+        rows = np.flatnonzero(frame_label == number)
+        observed = 0.0
+        expected = tuning.evidence.prior_observations
         for view, ends in enumerate(ends_px):
             frame_rows = rows[index[rows, view] >= 0]
             segment, member_number = np.unique(index[frame_rows, view], return_inverse=True)

@@ -166,9 +166,7 @@ def _is_near_ends(
     direction = direction / max(length, 1e-9)
     v, u = np.ogrid[: shape[0], : shape[1]]
     offset_u, offset_v = u + origin[0] - ends[0, 0], v + origin[1] - ends[0, 1]
-    along, across = (
-        offset_u * direction[0] + offset_v * direction[1],
-        offset_v * direction[0] - offset_u * direction[1],
-    )
+    along = offset_u * direction[0] + offset_v * direction[1]
+    across = offset_v * direction[0] - offset_u * direction[1]
     is_alongside = (along > -radius_px) & (along < length + radius_px)
     return np.asarray(is_alongside & (np.abs(across) < radius_px))

@@ -109,10 +109,8 @@ def _assess_lines(
     prior = tuning.prior_blocks
     scatter = (prior + fit.scatter) / (prior + np.maximum(fit.blocks - 2, 0.0))
     log_blur, spread = _median_blur(fit, first_log_blur, tuning)
-    log_blur_offset, log_blur_variance = (
-        fit.parameters[:, 2] - log_blur,
-        np.clip(inverse[:, 2, 2], 1e-9, 1.0),
-    )
+    log_blur_offset = fit.parameters[:, 2] - log_blur
+    log_blur_variance = np.clip(inverse[:, 2, 2], 1e-9, 1.0)
     widening = np.maximum(
         np.square(log_blur_offset) - log_blur_variance - max(spread, tuning.min_blur_spread) ** 2,
         _expected_widening(log_blur_offset, log_blur_variance, spread, tuning),

@@ -127,10 +127,8 @@ def circle_offsets(chords: Chords, circles: Circles, *, with_ends: bool = False)
     centre, normal, radius = circles
     unit = (chords.points_px[:, 4] - chords.points_px[:, 3]) / chords.length_px[:, None]
     if not with_ends:
-        points, rays = (
-            chords.points_px[:, :_COUNT_WITHOUT_ENDS],
-            chords.rays[:, :_COUNT_WITHOUT_ENDS],
-        )
+        points = chords.points_px[:, :_COUNT_WITHOUT_ENDS]
+        rays = chords.rays[:, :_COUNT_WITHOUT_ENDS]
         chords = chords._replace(points_px=points, rays=rays)
     to_plane = (normal * centre).sum(axis=1)[:, None] - normal @ chords.centre_mm.T
     normal_component = (normal @ chords.rays.reshape(-1, 3).T).reshape(
@@ -150,10 +148,8 @@ def circle_offsets(chords: Chords, circles: Circles, *, with_ends: bool = False)
         in_view = chords.view == view
         matrix = chords.matrix_px[in_view.argmax()]
         image[:, in_view] = projected = homogeneous_pixel(matrix, nearest[:, in_view])
-        uv, tangent_change = (
-            vector3(projected)[:2] / projected[..., 2],
-            vector3(tangent[:, in_view] @ matrix[:, :3].T),
-        )
+        uv = vector3(projected)[:2] / projected[..., 2]
+        tangent_change = vector3(tangent[:, in_view] @ matrix[:, :3].T)
         image_tangent[:, in_view] = np.stack(
             pixel_change((uv[0], uv[1]), projected[..., 2], tangent_change), axis=-1
         )

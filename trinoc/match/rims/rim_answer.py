@@ -136,10 +136,8 @@ def fragments_of_pieces(
     bounds_here = view_ends_line(inputs, inputs_index, lines_mm)
     interval = np.clip(line_end_positions(inputs, inputs_index, lines_mm), 0.0, 1.0)
     part_ends, covariance = cut_fragments(inputs, inputs_index, interval, bounds_here)
-    fragments, fragment_covariance = (
-        np.full(part_ends.shape, np.nan),
-        np.full(covariance.shape, np.nan),
-    )
+    fragments = np.full(part_ends.shape, np.nan)
+    fragment_covariance = np.full(covariance.shape, np.nan)
     for view, position in enumerate(view_positions):
         rows = np.flatnonzero(index[:, position] >= 0)
         direction = part_ends[rows, view, 1] - part_ends[rows, view, 0]

@@ -209,11 +209,9 @@ def propose_rims(
     normal = cross_3d(unit[first], unit[second])
     sine = np.linalg.norm(normal, axis=1)
     is_turned = sine > np.sin(np.radians(tuning.tangent_deg))
-    first, second, normal = (
-        first[is_turned],
-        second[is_turned],
-        normal[is_turned] / sine[is_turned, None],
-    )
+    first = first[is_turned]
+    second = second[is_turned]
+    normal = normal[is_turned] / sine[is_turned, None]
     between_middles = middle[second] - middle[first]
     inward = [cross_3d(normal, unit[line_rows]) for line_rows in (first, second)]
     proposals = []

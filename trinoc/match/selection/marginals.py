@@ -113,10 +113,8 @@ def select(
     kept_rows = rows_within_memory(
         odds, candidates.index, selection_tuning.prune_log_odds, selection_tuning
     )
-    log_share, discarded_index = (
-        np.zeros(len(kept_rows)),
-        candidates.index[np.setdiff1d(possible_rows, kept_rows)],
-    )
+    log_share = np.zeros(len(kept_rows))
+    discarded_index = candidates.index[np.setdiff1d(possible_rows, kept_rows)]
     if len(kept_rows) < len(possible_rows):
         log_share = log_kept_share(
             odds[possible_rows],

@@ -339,10 +339,8 @@ def _lies_beside(
 ) -> Bool[np.ndarray, "p"]:
     """Mask of the segments that lie beside the expected segment of the same row, (p,)."""
     is_beside = np.zeros(len(expected_px), dtype=bool)
-    expected_step, segment_step = (
-        expected_px[:, 1] - expected_px[:, 0],
-        segments_px[:, 1] - segments_px[:, 0],
-    )
+    expected_step = expected_px[:, 1] - expected_px[:, 0]
+    segment_step = segments_px[:, 1] - segments_px[:, 0]
     area = expected_step[:, 0] * segment_step[:, 1] - expected_step[:, 1] * segment_step[:, 0]
     squares = (expected_step**2).sum(axis=1), (segment_step**2).sum(axis=1)
     sine = np.sin(np.radians(tuning.beside_deg))

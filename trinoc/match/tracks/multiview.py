@@ -43,11 +43,9 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
     first.
     """
     order = np.lexsort((*tracks.candidates.index.T, -tracks.posterior_log_odds))
-    index, interval, ends = (
-        tracks.candidates.index.copy(),
-        tracks.candidates.interval.copy(),
-        tracks.candidates.ends_mm.copy(),
-    )
+    index = tracks.candidates.index.copy()
+    interval = tracks.candidates.interval.copy()
+    ends = tracks.candidates.ends_mm.copy()
     matrix, segment_ends = np.asarray(lines.matrix_px), np.asarray(lines.ends_px)
     conflict, smallest_share = tuning.selection.conflict_overlap, tuning.tracks.min_shared_part
     on_segment: dict[tuple[int, int], list[int]] = {}

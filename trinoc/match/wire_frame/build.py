@@ -257,10 +257,8 @@ def _vertex_misfits(
     """Chi-square of all lines across themselves at each vertex, and its degrees of freedom,
     (n,).
     """
-    vertex, residual = (
-        snooping.graph.vertex.reshape(-1),
-        snooping.adjusted.residual_mm[:, :, :2, None],
-    )
+    vertex = snooping.graph.vertex.reshape(-1)
+    residual = snooping.adjusted.residual_mm[:, :, :2, None]
     square = residual.mT @ np.linalg.solve(snooping.adjusted.across_mm2, residual)
     degree = np.bincount(vertex)
     return group_sums(square.reshape(-1), vertex, len(degree)), np.maximum(2 * degree - 3, 0)

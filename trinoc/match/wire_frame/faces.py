@@ -210,10 +210,8 @@ def flatten_faces(adjusted: AdjustedGraph, faces: list[Face]) -> AdjustedGraph:
     for part in sorted({int(adjusted.part[face.loop[0]]) for face in faces}):
         members = np.flatnonzero(adjusted.part == part)
         loops = [face.loop for face in faces if adjusted.part[face.loop[0]] == part]
-        covariance_before, start = (
-            adjusted.covariance_mm2[part],
-            adjusted.points_mm[members].reshape(-1),
-        )
+        covariance_before = adjusted.covariance_mm2[part]
+        start = adjusted.points_mm[members].reshape(-1)
         position = start
         for _ in range(FLATTEN_STEPS):
             points[members] = position.reshape(-1, 3)
