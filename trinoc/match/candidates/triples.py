@@ -85,8 +85,10 @@ def _fit_triples(
     clutter: ClutterModel,
     tuning: CandidateTuning,
 ) -> tuple[SegmentPlanes, tuple[Vector3, Vector3], Bool[ArrayLike, "h"]]:
-    """Fit a line to all three segments: (interpretation planes, ends of the line, mask of
-    possible ones).
+    """Fit a line to each triple.
+
+    Returns the segments with their planes, the two ends of the line, and the mask of possible
+    lines.
     """
     segments = triple.T
     planes_of_triple = segment_planes(lines, clutter, order, segments)

@@ -75,7 +75,7 @@ def first_of_duplicates(
     """Rows of the segments that do not duplicate an earlier one, (k,).
 
     Two segments are equal if their ends agree within a share of their sigma across, and their
-    polarities do not differ.
+    polarities are not opposite.
     """
     rows = np.arange(len(ends_px))
     while len(rows) > 1:

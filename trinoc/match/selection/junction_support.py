@@ -196,8 +196,7 @@ def junction_log_odds(
     tuning: JunctionTuning = DEFAULT.junctions,
     frame: Int[np.ndarray, "m"] | None = None,
 ) -> tuple[Float[np.ndarray, "m"], JunctionParameters]:
-    """Support of each candidate by its neighbours: (log odds to add (m,), updated junction
-    parameters).
+    """Log odds that junctions add to each candidate (m,), and the updated junction parameters.
 
     `log_ends_density` is the log of the number of line ends per volume, 1/mm^3.
     """

@@ -72,7 +72,7 @@ def find_repetition(
 def limit_log_odds(
     log_odds: Float[np.ndarray, "m"], limit: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m"]:
-    """Log odds against clutter and against a repeated pattern, (m,)."""
+    """Combine log odds against clutter with the upper limit that a repeated pattern gives, (m,)."""
     return -np.logaddexp(-log_odds, -limit)
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RimTuning:
-    """From chords to circles. Shown by benchmarks/rims.py."""
+    """Circles from chords. Shown by benchmarks/rims.py."""
 
     # Two matched lines propose a circle if the two tangent circles coincide within this share of
     # the radius. Other lines support it within half of that. By hand.

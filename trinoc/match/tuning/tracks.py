@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class TrackTuning:
-    """From selections to `Matches`.
+    """Tracks, reasons, and the verdict on matches.
 
     Shown by "Viewpoint-dependent tracks" (docs/matching.md) and, for more than three views, by
     tests/match/test_match_segments.py.

@@ -35,8 +35,11 @@ class EndFit(NamedTuple):
 
 
 class SnoopingResult(NamedTuple):
-    """Graph without outliers, its adjustment, and the removed ends: line, end, chi-square,
-    degrees.
+    """Result of removing ends that do not fit.
+
+    graph : the graph without the removed ends.
+    adjusted : its adjustment.
+    let_go : removed ends: line, end, chi-square, degrees of freedom.
     """
 
     graph: Graph
@@ -90,8 +93,11 @@ def snoop_ends(
 
 
 class RefusedEnd(NamedTuple):
-    """Free end near a corner: line, end, distance of the line from the corner, and its
-    chi-square (2 degrees).
+    """Free end whose line misses the corner beside it.
+
+    line, end : index of the line, and its end, 0 or 1.
+    distance_mm : distance of the line from the corner.
+    chi_square : of this distance, with 2 degrees of freedom.
     """
 
     line: int

@@ -1,4 +1,4 @@
-"""The wire frame: vertices, edges and planar faces with their covariance."""
+"""Result type of the wire frame: vertices, edges and planar faces with their covariance."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar
