@@ -92,7 +92,7 @@ def expect_in_table(sentence):
 ERRORS = {
     "two cameras at one place": (
         lambda: matched(AT_ONE_PLACE, loose_lines(COUNT, 3)),
-        'The cameras "a" and "b" stand at one place, which leaves depth unknown',
+        'The cameras "a" and "b" have the same centre, so they give no depth',
     ),
     "a lens that folds its picture": (
         lambda: trinoc.match_segments(seen(IN_LINE, loose_lines(COUNT, 3)), FOLDED),
@@ -102,7 +102,7 @@ ERRORS = {
         lambda: trinoc.match_segments(
             {name: seen(RIG, along([1, 0, 0]))["left"] for name in RIG}, RIG
         ),
-        "have the same segments: give those of the picture that each camera took.",
+        "have the same segments: pass those of the image that each camera took.",
     ),
     "zero length": (
         lambda: trinoc.match_segments(

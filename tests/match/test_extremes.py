@@ -79,7 +79,7 @@ def test_copies_that_differ_by_less_than_their_sigmas_make_nothing_sure():
     for view, ends in pictures(RIG, line).items():
         copies = np.repeat(ends, 20, axis=0) + 0.2 * rng.normal(size=(20, 2, 2))
         segments[view] = stated(copies, 0.3)
-    few = with_field(DEFAULT, "selection.most_conflicts", 1 << 18)
+    few = with_field(DEFAULT, "selection.max_conflicts", 1 << 18)
     tracemalloc.start()
     matches = match_segments(segments, RIG, tuning=few)
     _, peak = tracemalloc.get_traced_memory()
@@ -148,7 +148,7 @@ def test_what_is_kept_has_no_more_conflicts_than_memory_bears():
     # Many are equally likely.
     log_odds = np.round(rng.normal(0, 2, 400))
     for most in (0, 10, 3000, 10**6):
-        rules = SelectionTuning(most_conflicts=most)
+        rules = SelectionTuning(max_conflicts=most)
         kept = rows_within_memory(log_odds, index, -np.inf, rules)
         interval = np.tile([0.0, 1.0], (len(kept), 3, 1))
         assert len(conflict_graph(index[kept], interval).slot) <= most

@@ -24,7 +24,7 @@ RIG = rig_of(*VIEWS)
 
 def scouting(tuning: MatchTuning = DEFAULT) -> MatchTuning:
     """As in large pictures, for pictures of a hundred segments."""
-    for name, value in {"above": 0, "sample": 50, "fewest": 10}.items():
+    for name, value in {"min_segments": 0, "sample_size": 50, "min_sure_triples": 10}.items():
         tuning = with_field(tuning, f"scouting.{name}", value)
     return tuning
 
@@ -49,7 +49,9 @@ def test_tracks_are_those_of_the_search_of_everything(seen: dict) -> None:
 
 
 def test_lines_outside_the_box_are_found(seen: dict, lines_mm: np.ndarray) -> None:
-    narrow = with_field(with_field(scouting(), "scouting.left_out", 0.05), "scouting.margin", 0.0)
+    narrow = with_field(
+        with_field(scouting(), "scouting.trimmed_share", 0.05), "scouting.margin", 0.0
+    )
     outside = ~inside(bound_region(lines_mm, narrow.scouting), lines_mm)
     assert outside.sum() > 20
     assert outside[-3:].all()
@@ -65,7 +67,7 @@ def test_the_order_of_views_changes_nothing(seen: dict) -> None:
 
 
 def test_too_few_sure_lines_search_everything(seen: dict) -> None:
-    few = with_field(scouting(), "scouting.fewest", 1000)
+    few = with_field(scouting(), "scouting.min_sure_triples", 1000)
     one, other = match_segments(seen, RIG, tuning=few), match_segments(seen, RIG)
     np.testing.assert_array_equal(one.posterior, other.posterior)
 
@@ -85,7 +87,7 @@ def test_the_box_of_a_flat_scene_holds_what_lies_little_off_its_plane() -> None:
     side = np.ptp(flat.reshape(-1, 3), axis=0).max()
     region = bound_region(flat, DEFAULT.scouting)
     for share in (-0.9, 0.9):
-        off = share * DEFAULT.scouting.thinnest * side * normal
+        off = share * DEFAULT.scouting.min_side_share * side * normal
         assert inside(region, flat + off).mean() > 0.98
 
 
@@ -98,7 +100,7 @@ def test_the_number_of_lines_does_not_depend_on_the_size_of_the_sample(
     count of 30."""
     given = prepare(seen, RIG, None)
     clutter = fit_clutter(given.lines, given.counts)
-    tuning = with_field(scouting(), "scouting.sample", sample)
+    tuning = with_field(scouting(), "scouting.sample_size", sample)
     rows = tuple(_spread(110, sample) for _ in VIEWS)
     every = tuple(np.arange(110) for _ in VIEWS)
     found = search_candidates(orders_of(seen), tuning, rows=(rows, every))

@@ -168,9 +168,9 @@ def test_the_docs_say_every_limit() -> None:
     assert len(rows) == len(CHECKS) + len(QUESTION_ON_MATCHES)
     numbers = {
         "rig": "", "set": "SUSPECT",
-        "count": f"{TrackTuning.fewest_sure} ",
+        "count": f"{TrackTuning.min_sure_lines} ",
         "agreement": f"{DecoyTuning.noisy_above:g} times",
-        "uncertainty": f"{100 * TrackTuning.largest_sigma_of_scene:g} %",
+        "uncertainty": f"{100 * TrackTuning.max_sigma_of_scene:g} %",
     }  # fmt: skip
     for topic, (question, _) in QUESTION_ON_MATCHES.items():
         (line,) = (line for line in rows if line.startswith(f"| {question} |"))

@@ -5,7 +5,7 @@ How often depends on the scene. Decoys are the same segments with one view mirro
 The number of tracks among decoys is the number by chance in this scene. If the rig has hardly more,
 no track is sure.
 
-Most sets need no decoy: a large share of their segments is on sure tracks of three views, or many
+Most sets need no decoy. A large share of their segments is on sure tracks of three views, or many
 of their tracks are nearly certain. Other sets are compared with up to three decoys.
 
 A set is also SUSPECT if its errors are large and a shift of one view explains them. The same holds
@@ -89,7 +89,7 @@ def check_set(
         for name in names
     ]
     fewest = min(int(of_view.sum()) for of_view in is_usable)
-    if verify == "off" or len(names) != 3 or fewest < tuning.fewest_segments:
+    if verify == "off" or len(names) != 3 or fewest < tuning.min_segments:
         return matches
     sure = count_sure(matches)
     share, noise = sure.three_view / fewest, matches.noise_scale
@@ -162,7 +162,9 @@ def is_above_chance(
     Chance gives hardly any nearly certain tracks. A few of them are therefore enough where the
     views overlap little.
     """
-    certain_limit = _more_than([counts.near_certain for counts in decoy_counts], tuning.of_certain)
+    certain_limit = _more_than(
+        [counts.near_certain for counts in decoy_counts], tuning.certain_rule
+    )
     limit = least_above_chance([counts.three_view for counts in decoy_counts], share, tuning)
     return sure.three_view >= limit or sure.near_certain >= certain_limit
 
@@ -171,7 +173,7 @@ def least_above_chance(counts: Sequence[int], share: float, tuning: DecoyTuning)
     """Smallest number of sure tracks in three views that is significant against decoys with
     `counts`.
     """
-    return _more_than(counts, tuning.few if share < tuning.few_share else tuning.some)
+    return _more_than(counts, tuning.strict_rule if share < tuning.few_share else tuning.usual_rule)
 
 
 def _more_than(counts: Sequence[int], rule: tuple[float, float, float]) -> float:
@@ -202,7 +204,7 @@ def find_cause(
     too. A mistake is the cause if its correction gives far more sure lines, or as many lines
     with much smaller errors.
     """
-    sample = take_longest(frame, tuning.tried_segments)
+    sample = take_longest(frame, tuning.sample_size)
 
     shifts = list(find_shifts(sample, match, tuning))
     if not (shifts or all_kinds):
@@ -217,14 +219,14 @@ def find_cause(
     decoy_counts = sorted(count_lines(decoy)[0] for decoy in decoys(sample))[:-1]
     # The limit is stricter for a set with hardly any sure line.
     limit = max(sample_count, least_above_chance(decoy_counts, 0.0 if all_kinds else 1.0, tuning))
-    factor, constant = tuning.explained
+    factor, constant = tuning.correction_rule
     for mistakes in (*(undo_mistakes(sample) if all_kinds else ()), shifts):
         trials = [(*count_lines(mistake.corrected), mistake.description) for mistake in mistakes]
         # Several shifts may explain about as many lines. The true one leaves the smallest errors.
         corrected_count, scale, description = max(
             trials, key=lambda trial: trial[0] / trial[1], default=(0, noise, "")
         )
-        is_quieter = noise > tuning.noisy_above and scale < tuning.quieter * noise
+        is_quieter = noise > tuning.noisy_above and scale < tuning.quieter_share * noise
         is_larger = corrected_count > factor * sample_count + constant
         if corrected_count > limit and (is_quieter or is_larger):
             return sentences.most_likely_mistake(description, corrected_count, sample_count)

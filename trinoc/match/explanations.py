@@ -90,8 +90,8 @@ def seems_shifted(frame: FrameInput, index: Int[np.ndarray, "t 3"], tuning: Deco
             np.median(np.abs(offset_px - normal @ s)) for s in (np.zeros(2), shift)
         )
         if (
-            np.linalg.norm(shift) > tuning.least_shift_px
-            and median_after < tuning.quieter * median_before
+            np.linalg.norm(shift) > tuning.min_shift_px
+            and median_after < tuning.quieter_share * median_before
         ):
             return True
     return False
@@ -130,7 +130,7 @@ def find_shifts(
         lines_mm = match(take_views(frame, list(pair))).lines_mm
         expected_px = project_by_matrix(frame.cameras.matrix_px[view], lines_mm)
         shift = estimate_shift(expected_px, frame.ends_px[view], tuning)
-        if shift is not None and np.hypot(*shift) > tuning.least_shift_px:
+        if shift is not None and np.hypot(*shift) > tuning.min_shift_px:
             description = sentences.image_shifted(frame.names[view], shift)
             yield Mistake(description, change_view(frame, view, SAME, -shift))
 
@@ -159,14 +159,16 @@ def estimate_shift(
         segments_px[j],
     )
     offset_px = (ends - expected_px[i]).reshape(-1, 2)
-    offset_px = offset_px[(np.abs(offset_px) < tuning.reach_px).all(axis=1)]
+    offset_px = offset_px[(np.abs(offset_px) < tuning.shift_range_px).all(axis=1)]
     if len(offset_px) == 0:
         return None
     tree = KDTree(offset_px)
-    neighbours = tree.query_ball_point(offset_px, tuning.agree_px, return_length=True)
+    neighbours = tree.query_ball_point(offset_px, tuning.shift_tolerance_px, return_length=True)
     shift = offset_px[np.argmax(neighbours)]
     for _ in range(tuning.shift_rounds):
-        shift = np.median(offset_px[tree.query_ball_point(shift, tuning.agree_px)], axis=0)
+        shift = np.median(
+            offset_px[tree.query_ball_point(shift, tuning.shift_tolerance_px)], axis=0
+        )
     return shift
 
 

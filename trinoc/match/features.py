@@ -1,4 +1,4 @@
-"""The kinds of features in space. Files, exports, views and cards know them from here."""
+"""Kinds of features in space. Files, exports, views and cards read this list."""
 
 from trinoc.geometry.features import Feature
 from trinoc.match.rims.rims import Rims

@@ -126,7 +126,7 @@ def check_rig_consistency(
 
     def match(frame: FrameInput, *, three_views_only: bool = False) -> Matches:
         # Repeated patterns lower posteriors of rig and decoys alike, so both go without.
-        decoy_tuning = with_field(tuning, "repetition.greatest_log_odds", np.inf)
+        decoy_tuning = with_field(tuning, "repetition.max_log_odds", np.inf)
         if three_views_only:
             # No segment remains for pairs. Decoys need few passes over their noise.
             decoy_tuning = with_field(decoy_tuning, "occlusion.max_matched_share", 0.0)
@@ -150,7 +150,7 @@ def check_before_cameras(
     It is mirrored if the cameras diverge, few lines lie before them, and more lines lie behind
     them.
     """
-    few_lines = tuning.tracks.few_share * min(len(ends) for ends in frame.ends_px)
+    few_lines = tuning.tracks.mirror_test_share * min(len(ends) for ends in frame.ends_px)
     if len(matches) < few_lines and views_diverge({name: rig[name] for name in segments}):
         mirrored_frame = prepare_frame(segments, mirror_rig(rig), sigma_px, tuning.sides)
         count_behind = len(

@@ -57,10 +57,10 @@ def scout_candidates(
     """
     numbers = [counts[view] for view in views]
     orders = prepare_orders(lines, views, counts, clutter, tuning)
-    if lines.frame is not None or min(numbers) <= tuning.scouting.above:
+    if lines.frame is not None or min(numbers) <= tuning.scouting.min_segments:
         return search_candidates(orders, tuning)
     all_rows = tuple(np.arange(number) for number in numbers)
-    sample_rows = tuple(_spread(number, tuning.scouting.sample) for number in numbers)
+    sample_rows = tuple(_spread(number, tuning.scouting.sample_size) for number in numbers)
     sampled = search_candidates(orders, tuning, rows=(sample_rows, all_rows))
     search_prior = _learn_prior(sampled, float(np.mean(numbers)), clutter, tuning)
     if search_prior is None:
@@ -73,7 +73,7 @@ def scout_candidates(
         orders, tuning, prior=unbounded_prior, rows=(remaining_rows, remaining_rows)
     )
     union = concatenate_rows([regional, remaining])
-    # Each once, in their order.
+    # Remove duplicates; the result is sorted.
     return union.take(np.unique(union.index, axis=0, return_index=True)[1])
 
 
@@ -87,14 +87,16 @@ def _learn_prior(
 ) -> SearchPrior | None:
     """Search prior estimated from the triples of a sample; None if too few of them are sure."""
     rules = tuning.scouting
-    selection = select(candidates, float(rules.sample), neighbours=False, tuning=tuning)
-    is_sure = selection.is_accepted & (probability(selection.posterior_log_odds) > rules.sure)
-    if is_sure.sum() < max(rules.fewest, 2):
+    selection = select(candidates, float(rules.sample_size), neighbours=False, tuning=tuning)
+    is_sure = selection.is_accepted & (
+        probability(selection.posterior_log_odds) > rules.sure_posterior
+    )
+    if is_sure.sum() < max(rules.min_sure_triples, 2):
         return None
     region = bound_region(selection.candidates.union_ends_mm[is_sure], rules)
-    # As many lines more as there are segments, and as likely wherever they lie.
+    # Scale the number of lines from the sample to all segments, with the same density.
     mixture = selection.mixture
-    log_count = mixture.log_count + np.log(count / rules.sample)
+    log_count = mixture.log_count + np.log(count / rules.sample_size)
     least_log_odds = tuning.selection.prune_log_odds - rules.slack_log_odds
     mixture = mixture._replace(log_count=log_count)
     ends_px = end_search_radius_px(
@@ -117,17 +119,15 @@ def _find_unexplained(
     odds = prior_log_odds(candidates, search_prior.mixture, tuning.evidence)
     rules = tuning.selection
     kept_rows = rows_within_memory(odds, candidates.index, rules.learn_log_odds, rules)
-    index, interval, odds = (
-        candidates.index[kept_rows],
-        candidates.interval[kept_rows],
-        odds[kept_rows],
-    )
+    index = candidates.index[kept_rows]
+    interval = candidates.interval[kept_rows]
+    odds = odds[kept_rows]
     graph = conflict_graph(index, interval, tuning.selection)
     posterior = probability(sum_product(odds, graph, tuning.selection).log_odds)
-    is_likely = posterior > tuning.scouting.explained
+    is_likely = posterior > tuning.scouting.explained_posterior
     length = np.abs(np.diff(interval[is_likely], axis=2)[..., 0])
-    # Where all pairs have been tried, any part is enough.
-    covered_share = 0.0 if search_prior.ends_px is None else tuning.scouting.covered
+    # If all pairs were tried, any covered part is enough.
+    covered_share = 0.0 if search_prior.ends_px is None else tuning.scouting.explained_share
     return [
         np.bincount(index[is_likely, view], length[:, view], minlength=number) <= covered_share
         for number, view in zip(numbers, views, strict=True)

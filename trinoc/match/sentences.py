@@ -1,7 +1,7 @@
 """Sentences that the matcher reports: numbers and names in, text out, and no decisions.
 
-First the notes on a set of matches, then the mistakes that explain a suspect set, then the findings
-on whether matches can be used.
+In this order: notes on a set of matches, mistakes that explain a suspect set, mirrored cameras,
+findings on whether matches can be used, and unfitted ends of a wire frame.
 """
 
 from collections.abc import Iterable, Mapping
@@ -67,13 +67,17 @@ def cameras_collinear(unlocated: int) -> str:
 def two_views_leave_unlocated(unlocated: int) -> str:
     """Two views do not locate segments along epipolar lines."""
     return (
-        f"{unlocated} tracks are excluded: two views do not locate segments along their epipolar "
-        "lines. Add a third camera off the line through the two."
+        "Two views do not locate segments along their epipolar lines: "
+        f"{unlocated} tracks are excluded. Add a third camera off the line through the two."
     )
 
 
 def set_does_not_belong(sure: int, by_chance: float | None, remedy: str) -> str:
-    """A set of segments seems not to belong to its rig. `by_chance` : sure lines of decoys."""
+    """A set of segments seems not to belong to its rig.
+
+    sure : number of sure lines in three views.
+    by_chance : mean number of sure lines of the decoys; None if no decoy was matched.
+    """
     decoys = (
         "" if by_chance is None else f", and {by_chance:.0f} with one image mirrored on purpose"
     )
@@ -236,3 +240,21 @@ REDUCE_THE_SIGMA = (
     "Put the cameras farther apart or nearer to the scene, or use images with more pixels. If the "
     "positions are still good enough for you, each line has its own covariance."
 )
+
+# Line ends that do not fit the wire frame.
+
+
+def end_misses_near_corner(distance_mm: float, chi_square: float) -> str:
+    """The line of a free end does not pass through the corner beside it."""
+    return (
+        f"its line misses the corner beside its end by {distance_mm:.2f} mm: chi-square "
+        f"{chi_square:.0f} with 2 degrees of freedom. The end stays free."
+    )
+
+
+def end_leaves_corner(chi_square: float, degrees: int) -> str:
+    """A line does not pass through the corner that it was joined to."""
+    return (
+        f"its line does not pass through the corner at its end: chi-square {chi_square:.0f} with "
+        f"{degrees} degrees of freedom. The end was made free."
+    )

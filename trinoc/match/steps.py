@@ -83,9 +83,9 @@ def _wireframe(result: StepResult, inputs: StepInput) -> StepResult:
 
 
 STEPS: dict[StepName, Step] = {
-    "pixels": Step("measuring the lines in the pictures", "pictures", _measure),
-    "rims": Step("looking for rims", "arcs", _rims),
-    "wireframe": Step("putting corners, edges and faces together", "", _wireframe),
+    "pixels": Step("measuring the lines in the images", "pictures", _measure),
+    "rims": Step("detecting rims", "arcs", _rims),
+    "wireframe": Step("building the wire frame of corners, edges and faces", "", _wireframe),
 }
 
 
@@ -127,15 +127,15 @@ def improve(
     """
     unknown = [step for step in steps if step not in STEPS]
     if unknown:
-        raise InputError(f'There is no step "{unknown[0]}": choose of {", ".join(STEPS)}.')
+        raise InputError(f'There is no step "{unknown[0]}": choose from {", ".join(STEPS)}.')
     inputs = StepInput(rig, pictures or {}, arcs, depth_range_mm, response)
     result = StepResult(matches, segments)
     selected = {name: step for name, step in STEPS.items() if name in steps}
     for name, step in selected.items():
         if step.requirement == "pictures" and not set(matches.views) <= set(inputs.images):
-            raise InputError(f'The step "{name}" needs the picture of each view: give `pictures`.')
+            raise InputError(f'The step "{name}" needs the image of each view: pass `pictures`.')
         if step.requirement == "arcs" and arcs is None:
-            raise InputError(f'The step "{name}" needs segments with arcs: give `arcs`.')
+            raise InputError(f'The step "{name}" needs segments with arcs: pass `arcs`.')
     for step in selected.values():
         begin(step)
         result = step.run(result, inputs)

@@ -19,7 +19,7 @@ from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.two_view.epipolar_pencil import build_pencil, take_segments
 
 ONE_SAMPLE_PX = DEFAULT.candidates.one_sample_px
-REACH = DEFAULT.candidates.reach_sigmas
+REACH = DEFAULT.candidates.search_sigmas
 GATE = DEFAULT.candidates.gate
 SMALLEST_OVERLAP = DEFAULT.candidates.smallest_overlap
 

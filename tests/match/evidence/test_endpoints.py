@@ -10,7 +10,7 @@ from trinoc.match.evidence.endpoints import END_COMPONENTS, end_evidence, end_se
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.buckets import in_blocks
 
-AGREEING_PX = np.array(DEFAULT.ends.agreeing_px)
+AGREEING_PX = np.array(DEFAULT.ends.agreement_px)
 PAIR_PX = np.array(DEFAULT.ends.pair_px)
 
 # Rows of the one kernel that all laws share.
@@ -74,10 +74,10 @@ def test_the_component_that_made_the_ends_is_the_likeliest() -> None:
 def test_ends_reach_as_far_as_the_widest_scale_that_counts(number: int) -> None:
     rules = DEFAULT.scouting
     shares = np.zeros(END_COMPONENTS)
-    shares[[0, number, -1]] += 0.65, 0.9 * rules.ends_wider, 0.25
+    shares[[0, number, -1]] += 0.65, 0.9 * rules.wide_ends_share, 0.25
     assert end_search_radius_px(shares, 1e3, rules) == rules.ends_sigmas * AGREEING_PX[0]
     shares[number] += 0.2
     reach_px = end_search_radius_px(shares, 1e3, rules)
     assert reach_px is not None
     assert reach_px == rules.ends_sigmas * AGREEING_PX[number]
-    assert end_search_radius_px(shares, 0.9 * reach_px / rules.ends_below, rules) is None
+    assert end_search_radius_px(shares, 0.9 * reach_px / rules.max_ends_share, rules) is None

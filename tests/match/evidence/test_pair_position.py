@@ -12,7 +12,7 @@ from trinoc.match.observations.clutter import ClutterModel
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.two_view.epipolar_pencil import build_pencil, take_segments
 
-AGREEING_PX = np.array(DEFAULT.ends.agreeing_px)
+AGREEING_PX = np.array(DEFAULT.ends.agreement_px)
 
 VIEWS = np.array([0, 2])
 

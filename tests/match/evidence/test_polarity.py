@@ -7,7 +7,7 @@ import numpy as np
 from trinoc.match.evidence.side_intensity import polarity_evidence
 from trinoc.match.tuning.every_group import DEFAULT
 
-TURNED = DEFAULT.evidence.turned_share
+TURNED = DEFAULT.evidence.reversed_share
 
 
 # All ways that three members can be dark, on the right, on the left, or not known.

@@ -15,8 +15,8 @@ from trinoc.match import (
 from trinoc.match.line_map import corners as corners_file
 from trinoc.match.line_map.corners import (
     Ends,
-    _bring,
     _constrain,
+    _move_end_to_point,
     corner_candidates,
     line_ends,
 )
@@ -170,7 +170,7 @@ def test_along_its_line_an_end_brought_to_a_corner_is_known_to_the_pixels_stated
         lines[0], np.stack([-way, way]), own, np.zeros((2, 6, 6)), np.full(2, px_per_mm)
     )  # fmt: skip
     moved, spread = lines.copy(), covariance.copy()
-    _bring(moved, spread, ends, 1, lines[0, 1], free_end_px)
+    _move_end_to_point(moved, spread, ends, 1, lines[0, 1], free_end_px)
     np.testing.assert_allclose(moved, lines)
     expected = covariance[0].copy()
     expected[3:, 3:] += (free_end_px / px_per_mm) ** 2 * np.outer(way, way)

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from trinoc.match.line_map.collinearity import difference
-from trinoc.match.line_map.line_posterior import _answer, _Equations
+from trinoc.match.line_map.line_posterior import _Equations, _line_posterior
 from trinoc.match.tuning.every_group import DEFAULT
 
 
@@ -30,7 +30,7 @@ def test_the_mixture_of_fits_has_the_moments_of_the_integrated_likelihood(seed: 
     mean = density @ places
     covariance = (density[:, None] * (places - mean)).T @ (places - mean)
 
-    answer = _answer(
+    answer = _line_posterior(
         _Equations(
             np.array([0]),
             (jacobian.mT @ jacobian)[None],

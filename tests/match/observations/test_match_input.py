@@ -132,5 +132,5 @@ def test_distortion_is_taken_out_and_put_back(noisy: MadeScene) -> None:
 
 def test_more_segments_than_memory_bears_are_refused() -> None:
     many = np.random.default_rng(0).uniform(0, 400, (MAX_SEGMENTS + 1, 4))
-    with pytest.raises(MatchError, match="40000 segments of a view at most"):
+    with pytest.raises(MatchError, match="at most 40000 segments per view"):
         prepare({"upper": many[:9], "left": many}, rig_of("upper", "left"), None)

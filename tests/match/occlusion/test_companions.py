@@ -114,7 +114,7 @@ def test_where_company_is_by_chance_it_says_nothing() -> None:
 def test_nothing_more_is_added_than_may_be() -> None:
     posterior = np.repeat([0.999, 0.001], 100)
     for most in (4.0, 1.0, 0.0):
-        tuning = with_field(DEFAULT, "occlusion.most_companion", most)
+        tuning = with_field(DEFAULT, "occlusion.max_companion_log_odds", most)
         gain = companion_log_odds(in_pairs(100), posterior, tuning)
         assert np.abs(gain).max() == pytest.approx(most)
 

@@ -135,8 +135,8 @@ def test_hidden_lines_that_meet_matched_ones_are_paired(exact: MadeScene) -> Non
 
 
 def test_pairs_that_are_let_go_unseen_change_nothing(noisy, clutter, tracks, selection) -> None:
-    seen, tuning = noisy.seen, with_field(DEFAULT, "scouting.above", 0)
-    tuning = with_field(tuning, "scouting.ends_below", 0.0)
+    seen, tuning = noisy.seen, with_field(DEFAULT, "scouting.min_segments", 0)
+    tuning = with_field(tuning, "scouting.max_ends_share", 0.0)
     args = seen.lines, seen.counts, clutter, tracks, [selection], None
     one, other = occluded_pairs(*args), occluded_pairs(*args, tuning)
     for every, bounded in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):

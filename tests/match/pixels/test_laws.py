@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from trinoc.match.pixels.measure import fit_lines_to_pixels, hausman
 from trinoc.match.pixels.strip_fit import StripFit, fit_strips
-from trinoc.match.pixels.strips import COLUMNS, HALF, NOBODY, ROWS, Strips, assign_pixels
+from trinoc.match.pixels.strips import COLUMNS, HALF, NO_SEGMENT, ROWS, Strips, segments_near_pixels
 from trinoc.match.pixels.tuning import PixelTuning
 from trinoc.synth import table1_rig
 
@@ -41,7 +41,7 @@ def fitted(of: Strips, known_blur: float, log_blur: float = LOG_BLUR) -> StripFi
 
 def test_places_of_strips_scatter_as_their_information_says() -> None:
     found = fitted(strips(NOISE), known_blur=10.0)
-    off = found.place - [*PLACE_PX, LOG_BLUR]
+    off = found.parameters - [*PLACE_PX, LOG_BLUR]
     square = np.einsum("ni,nij,nj->n", off, found.information, off)
     # Three unknowns; the noise of each line is estimated, and blocks off it count a little less.
     assert square.mean() == pytest.approx(3.0, abs=0.6)
@@ -57,7 +57,7 @@ def test_what_is_known_of_the_blur_is_used_and_not_handed_on() -> None:
     of_blur = 1 / np.linalg.inv(free.information)[:, 2, 2].mean()
     known = LOG_BLUR + 0.04
     held = fitted(same, 1 / np.sqrt(of_blur), known)
-    between = (held.place[:, 2] - free.place[:, 2]) / (known - free.place[:, 2])
+    between = (held.parameters[:, 2] - free.parameters[:, 2]) / (known - free.parameters[:, 2])
     assert np.median(between) == pytest.approx(0.5, abs=0.05)
     np.testing.assert_allclose(
         held.information.mean(axis=0), free.information.mean(axis=0), rtol=0.1, atol=50.0
@@ -127,11 +127,11 @@ def test_the_difference_of_two_answers_is_a_chi_square():
 
 def test_owners_are_the_segments_within_reach():
     ends = np.array([[[20.0, 20.0], [60.0, 20.0]], [[58.0, 26.0], [58.0, 50.0]]])
-    first, last = assign_pixels(ends, (80, 64), 4.0)
+    first, last = segments_near_pixels(ends, (80, 64), 4.0)
     assert (first[20, 30], last[20, 30]) == (0, 0)
     assert (first[40, 58], last[40, 58]) == (1, 1)
     assert (first[23, 58], last[23, 58]) == (0, 1)
-    assert first[40, 20] == last[40, 20] == NOBODY
+    assert first[40, 20] == last[40, 20] == NO_SEGMENT
     # One beyond the picture owns nothing, and disturbs nothing.
-    outside = assign_pixels(ends + 500.0, (80, 64), 4.0)
-    assert (outside[1] == NOBODY).all()
+    outside = segments_near_pixels(ends + 500.0, (80, 64), 4.0)
+    assert (outside[1] == NO_SEGMENT).all()

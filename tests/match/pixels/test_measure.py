@@ -142,8 +142,8 @@ def test_a_line_whose_views_disagree_is_known_the_worse_for_it():
         assert (words_of(found)[7] == "pixels").all()
         assert found.misfit is not None
         degrees = degrees_of_misfit(found.index)
-        rules = NoiseTuning(tail_of_pictures=PixelTuning().tail)
-        sure = matches.posterior > PixelTuning().sure
+        rules = NoiseTuning(tail_of_images=PixelTuning().tail)
+        sure = matches.posterior > PixelTuning().sure_posterior
         known = found.misfit[sure], degrees[sure]
         tail = fit_tail(*known, has_images=True, tuning=rules)
         factor.append((variance_factor(found.misfit, degrees, tail), across(found, lines)[1]))
@@ -232,7 +232,7 @@ def test_words_and_lines_are_kept_in_a_file(tmp_path):
 
 def test_what_cannot_be_measured_is_refused():
     _lines, pictures, segments, matches = setting(0)
-    with pytest.raises(InputError, match="needs the picture of every view"):
+    with pytest.raises(InputError, match="needs the image of every view"):
         measure_lines(matches, segments, RIG, {"upper": pictures["upper"]})
     small = {**pictures, "left": pictures["left"][:100]}
     with pytest.raises(InputError, match="its camera has"):

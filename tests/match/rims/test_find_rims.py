@@ -67,8 +67,8 @@ def test_few_neighbours_and_small_parts_find_the_same(rig, monkeypatch) -> None:
     matches = match_segments(segments, rig)
     whole = find_rims(matches, segments, rig)
     for room in (search, support):
-        monkeypatch.setattr(room, "MOST_AT_ONCE", 1000)
-    monkeypatch.setattr(search, "MOST_NEIGHBOURS", 12)
+        monkeypatch.setattr(room, "ENTRIES_AT_A_TIME", 1000)
+    monkeypatch.setattr(search, "MAX_NEIGHBOURS", 12)
     parts = find_rims(matches, segments, rig)
     assert len(matches) > 13
     np.testing.assert_allclose(parts.centre_mm, whole.centre_mm, atol=1e-6)
@@ -201,7 +201,7 @@ def test_rows_of_bricks_are_no_circles_seen_edge_on(rig) -> None:
     segments = pictures(rig, brick_wall(seed=1), sigma_px=0.5)
     matches = match_segments(segments, rig, sigma_px=0.5)
     assert len(matches) > 100
-    edge_on = MatchTuning(rims=RimTuning(least_axis_ratio=0.0))
+    edge_on = MatchTuning(rims=RimTuning(min_axis_ratio=0.0))
     assert len(find_rims(matches, segments, rig, tuning=edge_on)) > 0
     assert len(find_rims(matches, segments, rig)) == 0
 

@@ -9,12 +9,12 @@ from trinoc.match.rims.circles import (
     GAUSS,
     Chords,
     Circles,
+    circle_offsets,
     fit_circle,
     move_circle,
-    off_circles,
     points_on_circles,
 )
-from trinoc.match.rims.rim_answer import FittedRim, _pieces, _public, cover_circle
+from trinoc.match.rims.rim_answer import FittedRim, _pieces, _public_covariance, cover_circle
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.vectors import complete_axes
 
@@ -56,14 +56,14 @@ def chords_round(circle: Circles, views=("upper", "left", "right")) -> Chords:
 
 def shifted(chords: Chords, errors_px: np.ndarray) -> Chords:
     """The chords with their two places on the arc moved across, (n, 2) px."""
-    way = chords.places_px[:, 4] - chords.places_px[:, 3]
+    way = chords.points_px[:, 4] - chords.points_px[:, 3]
     right = np.stack([-way[:, 1], way[:, 0]], axis=1) / chords.length_px[:, None]
-    places = chords.places_px.copy()
+    places = chords.points_px.copy()
     places[:, :2] += errors_px[:, :, None] * right[:, None]
     rays = np.concatenate([places, np.ones((*places.shape[:2], 1))], axis=2)
     rays = np.einsum("nij,nkj->nki", np.linalg.inv(chords.matrix_px[:, :, :3]), rays)
     rays = rays / np.linalg.norm(rays, axis=2, keepdims=True)
-    return chords._replace(places_px=places, rays=rays)
+    return chords._replace(points_px=places, rays=rays)
 
 
 def error_of(circle: Circles) -> np.ndarray:
@@ -122,7 +122,7 @@ def fitted() -> tuple[Chords, FittedRim]:
     """A rim whose parameters err by numbers of their own, all with something in common."""
     chords, root = chords_round(CIRCLE), np.random.default_rng(1).normal(size=(6, 6))
     scale = np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.15])
-    around = off_circles(chords, CIRCLE, with_ends=True).around_mm[0]
+    around = circle_offsets(chords, CIRCLE, with_ends=True).nearest_mm[0]
     return chords, FittedRim(
         CIRCLE,
         (root @ root.T) * scale[:, None] * scale,
@@ -130,7 +130,7 @@ def fitted() -> tuple[Chords, FittedRim]:
         cover_circle(around, CIRCLE),
         1.0,
         1.0,
-        of_two=False,
+        only_two_views=False,
     )
 
 
@@ -141,7 +141,9 @@ def test_a_rim_s_covariance_is_that_of_its_centre_normal_and_radius() -> None:
         moved = move_circle(CIRCLE, np.stack([step, -step]))
         change = [column[0] - column[1] for column in moved]
         slope[:, k] = np.hstack(change) / 2e-6
-    np.testing.assert_allclose(_public(rim), slope @ rim.covariance @ slope.T, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(
+        _public_covariance(rim), slope @ rim.covariance @ slope.T, rtol=1e-5, atol=1e-9
+    )
 
 
 def test_pieces_move_out_and_up_as_their_circle_does() -> None:

@@ -14,11 +14,11 @@ from trinoc.match.tuning.every_group import DEFAULT
 
 PRIOR_PARAMETERS = prior_junctions()
 GAPS_PX = np.array(DEFAULT.junctions.gaps_px)
-LOOSE_SHARE = DEFAULT.evidence.loose_share
-LOOSE_SIGMAS = DEFAULT.evidence.loose_sigmas
-PRIOR_AT_JUNCTION = DEFAULT.junctions.prior_at_junction
+LOOSE_SHARE = DEFAULT.evidence.outlier_share
+LOOSE_SIGMAS = DEFAULT.evidence.outlier_sigmas
+PRIOR_AT_JUNCTION = DEFAULT.junctions.prior_junction_share
 PRIOR_GAPS = np.array(DEFAULT.junctions.prior_gaps)
-REACH_PX = DEFAULT.junctions.reach_px
+REACH_PX = DEFAULT.junctions.search_radius_px
 SMALLEST_ANGLE = DEFAULT.junctions.smallest_sine
 
 LINES = 24

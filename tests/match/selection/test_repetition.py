@@ -23,7 +23,7 @@ from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.tables import with_field
 from trinoc.synth import table1_lens
 
-GREATEST = DEFAULT.repetition.greatest_log_odds
+GREATEST = DEFAULT.repetition.max_log_odds
 LINES, SHIFTS = 90, 4
 SHIFT = np.tile(np.arange(SHIFTS), LINES)
 
@@ -149,7 +149,7 @@ def test_matches_of_a_grating_are_not_sure_unless_the_limit_is_taken_off() -> No
         ends = ends + random.normal(scale=0.5, size=ends.shape)
         size = np.array(camera.image_size_px)
         segments[name] = Segments.from_endpoints(ends[((ends > 0) & (ends < size)).all((1, 2))])
-    rig, unlimited = Rig(cameras), with_field(DEFAULT, "repetition.greatest_log_odds", np.inf)
+    rig, unlimited = Rig(cameras), with_field(DEFAULT, "repetition.max_log_odds", np.inf)
     freely, limited = match_segments(segments, rig, tuning=unlimited), match_segments(segments, rig)
     assert (freely.posterior > 0.9).sum() > 10
     assert (limited.posterior > 0.9).sum() == 0

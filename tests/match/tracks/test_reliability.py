@@ -35,7 +35,7 @@ def scaled(matches: Matches, factor: float) -> Matches:
     count=st.integers(1, 60),
 )
 def test_the_scale_of_the_world_changes_no_verdict(share, factor, count):
-    limit = TrackTuning.largest_sigma_of_scene
+    limit = TrackTuning.max_sigma_of_scene
     if abs(share / limit - 1) < 1e-6:
         return
     matches = sure_matches(share, count)
@@ -85,11 +85,11 @@ def test_a_refused_set_is_never_usable(share, count, by_chance):
 
 
 def test_few_sure_lines_are_not_usable_however_exact():
-    fewest = TrackTuning.fewest_sure
+    fewest = TrackTuning.min_sure_lines
     for count in (0, 1, fewest - 1, fewest, fewest + 1):
         matches = sure_matches(1e-4, 40)
         sure = np.arange(40) < count
-        matches = replace(matches, posterior=np.where(sure, 0.99, DecoyTuning.sure))
+        matches = replace(matches, posterior=np.where(sure, 0.99, DecoyTuning.sure_posterior))
         assessment = assess_matches(matches)
         assert (assessment.status is MatchStatus.MATCHED) is (count >= fewest)
         if count < fewest:

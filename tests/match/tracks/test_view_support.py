@@ -116,7 +116,7 @@ def test_a_foreign_segment_is_told_from_those_of_the_line(scene: MadeScene) -> N
 
 def test_no_segment_is_far_from_its_line_however_unequal_errors_are(scene: MadeScene) -> None:
     """A heavy tail makes any misfit likely enough."""
-    rig, far_px = rig_of(*VIEWS), DEFAULT.tracks.farthest_px
+    rig, far_px = rig_of(*VIEWS), DEFAULT.tracks.max_distance_px
     for sigma_px, tail, off_px, near in (
         (0.3, 1.0, far_px / 2, True),
         (0.3, 1.0, 4 * far_px, False),

@@ -12,7 +12,7 @@ from trinoc.match.wire_frame.adjustment import (
     build_graph,
     line_axes,
 )
-from trinoc.match.wire_frame.faces import _in_plane, fit_plane
+from trinoc.match.wire_frame.faces import _vertices_near_plane, fit_plane
 from trinoc.numerics.tails import chi_square_limit
 
 # A corner of three edges and one more edge that closes a triangle; one line stands alone.
@@ -150,7 +150,7 @@ def test_vertices_beside_a_plane_are_in_it_as_far_as_all_four_err() -> None:
             np.zeros((0, 2, 3)),
             np.zeros((0, 2, 3, 2, 3)),
         )
-        near = _in_plane(answer, np.arange(3), tuning)
+        near = _vertices_near_plane(answer, np.arange(3), tuning)
         assert near is not None
         assert near.tolist() == [True, True, True, inside]
 
@@ -179,6 +179,6 @@ def test_an_error_common_to_all_vertices_moves_none_off_the_plane_of_others() ->
             np.zeros((0, 2, 3)),
             np.zeros((0, 2, 3, 2, 3)),
         )
-        near = _in_plane(answer, np.arange(3), tuning)
+        near = _vertices_near_plane(answer, np.arange(3), tuning)
         assert near is not None
         assert near.tolist() == [True, True, True, inside]

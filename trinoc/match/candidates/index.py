@@ -224,10 +224,8 @@ def _cells_near_segments(
         return across_px[segment, 0] + slope[segment] * (clipped_px - along_px[segment, 0])
 
     side = cell_px[segment]
-    start_px, stop_px = (
-        other_coordinate(along_cell * side),
-        other_coordinate((along_cell + 1) * side),
-    )
+    start_px = other_coordinate(along_cell * side)
+    stop_px = other_coordinate((along_cell + 1) * side)
     # The margin is measured along rows or columns, which lengthens it for a slanting segment.
     margin = (margin_px * np.sqrt(1 + slope**2))[segment]
     entry, across_cell = clip_cells(
@@ -338,7 +336,7 @@ def index_segments(
     sigma = np.maximum(sigma, broadcast_groups(rounding, frame))
     typical = group_medians(sigma, frame, frames)
     typical = np.where(np.isfinite(typical), typical, 1.0)
-    sigmas = tuning.reach_sigmas
+    sigmas = tuning.search_sigmas
     layers = LAYERS if count <= MANY_SEGMENTS or frame is not None else CROWDED_LAYERS
     prediction_sigma = broadcast_groups(typical, frame) * np.array(
         [[layer.sigmas] for layer in layers]
@@ -359,7 +357,7 @@ def keys_of_prediction(
     du, dv = prediction.u1 - prediction.u0, prediction.v1 - prediction.v0
     length = jnp.sqrt(du * du + dv * dv)
     slack = (
-        tuning.reach_sigmas
+        tuning.search_sigmas
         * jnp.sqrt(prediction.c00 + prediction.c11 - 2 * prediction.c01)
         / length
     )

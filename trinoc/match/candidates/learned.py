@@ -57,9 +57,9 @@ def bound_region(ends_mm: Float[np.ndarray, "m 2 3"], tuning: ScoutTuning) -> Re
     points = ends_mm.reshape(-1, 3)
     axes = np.linalg.eigh(np.cov(points.T))[1].T
     positions = points @ axes.T
-    low, high = np.quantile(positions, [tuning.left_out, 1 - tuning.left_out], axis=0)
+    low, high = np.quantile(positions, [tuning.trimmed_share, 1 - tuning.trimmed_share], axis=0)
     # A planar scene has a few lines beside its plane.
-    margin = np.maximum(tuning.margin * (high - low), tuning.thinnest * (high - low).max())
+    margin = np.maximum(tuning.margin * (high - low), tuning.min_side_share * (high - low).max())
     return Region(axes, low - margin, high + margin)
 
 

@@ -111,10 +111,8 @@ def predict(
     def covariance(s: PencilSegments, slope_effect: Vector3) -> tuple[Scalar, Scalar, Scalar]:
         at_low = (part.low - s.low) / (s.high - s.low)
         at_high = (part.high - s.low) / (s.high - s.low)
-        low, high = (
-            effect(slope_effect, image_low, u0, v0),
-            effect(slope_effect, image_high, u1, v1),
-        )
+        low = effect(slope_effect, image_low, u0, v0)
+        high = effect(slope_effect, image_high, u1, v1)
         return (
             low * low * interpolated_covariance(s.slope_variance, at_low, at_low),
             low * high * interpolated_covariance(s.slope_variance, at_low, at_high),
@@ -130,10 +128,10 @@ def predict(
     possible &= (middle_v > -margin_share * height) & (middle_v < (1 + margin_share) * height)
     # A limit on the crossing angle of the planes would exclude all pairs with a short baseline, so
     # the limit is on the uncertainty of the prediction.
-    possible &= c00 + c11 < tuning.vaguest_px**2
+    possible &= c00 + c11 < tuning.max_prediction_sigma_px**2
     direction_variance = c00 + c11 - 2 * c01
-    is_precise = (c00 + c11 < tuning.well_known_px**2) & (
-        direction_variance < (tuning.well_known_rad * length) ** 2
+    is_precise = (c00 + c11 < tuning.precise_px**2) & (
+        direction_variance < (tuning.precise_rad * length) ** 2
     )
     crosses_best = _crosses_best(direction_matrix, image_low, image_high, a, b, tuning)
     possible &= crosses_best | (any_order & is_precise)
@@ -155,7 +153,7 @@ def _crosses_best(
     crossings = [cross3(*both) for both in combinations((a.normal, b.normal, normal_c), 2)]
     sine_ab, sine_ac, sine_bc = (dot3(normal, normal) for normal in crossings)
     best_sine = jnp.maximum(sine_ac, sine_bc)
-    return sine_ab > tuning.nearly_best**2 * best_sine
+    return sine_ab > tuning.min_crossing_share**2 * best_sine
 
 
 # numerical: relative rounding error of a few operations.
@@ -184,10 +182,8 @@ def prepare_order(
     """Pencil of the first two views of an ordering, and the inputs of predictions in the third."""
     first, second, third = order.tolist()
     pencil_of_pair = build_pencil(lines, first, second)
-    rounding_variance, count = (
-        rounding_px(np.asarray(lines.matrix_px), third) ** 2,
-        lines.ends_px.shape[1],
-    )
+    rounding_variance = rounding_px(np.asarray(lines.matrix_px), third) ** 2
+    count = lines.ends_px.shape[1]
     frame = None if lines.frame is None else np.asarray(lines.frame)
     if frame is not None:
         rounding_variance = rounding_variance[frame[third]]

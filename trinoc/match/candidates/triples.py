@@ -85,8 +85,10 @@ def _fit_triples(
     clutter: ClutterModel,
     tuning: CandidateTuning,
 ) -> tuple[SegmentPlanes, tuple[Vector3, Vector3], Bool[ArrayLike, "h"]]:
-    """Fit a line to all three segments: (interpretation planes, ends of the line, mask of
-    possible ones).
+    """Fit a line to each triple.
+
+    Returns the segments with their planes, the two ends of the line, and the mask of possible
+    lines.
     """
     segments = triple.T
     planes_of_triple = segment_planes(lines, clutter, order, segments)
@@ -155,17 +157,15 @@ def search_candidates(
     counts = orders.counts_of_three
     all_rows = tuple(np.arange(number) for number in counts)
     first, second = (all_rows, all_rows) if rows is None else rows
-    parts, triple_numbers = (
-        [no_candidates(3, orders.lines.frame is not None)],
-        np.zeros(0, np.int64),
-    )
+    parts = [no_candidates(3, orders.lines.frame is not None)]
+    triple_numbers = np.zeros(0, np.int64)
     for order in orders.orders:
         number_parts = [triple_numbers]
         pair = first[order.order[0]], second[order.order[1]]
         for number, part in _search_ordering(orders, order, triple_numbers, tuning, prior, pair):
             number_parts.append(number)
             parts.append(part)
-            if sum(len(part.index) for part in parts) > tuning.candidates.most_candidates:
+            if sum(len(part.index) for part in parts) > tuning.candidates.max_candidates:
                 all_parts = concatenate_rows(parts)
                 odds = _log_odds_without_position(all_parts, float(np.mean(counts)), tuning)
                 parts = [all_parts.take(odds > np.median(odds))]

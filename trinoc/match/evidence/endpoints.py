@@ -44,13 +44,13 @@ def end_search_radius_px(
 
     None if the distance is too large relative to the typical length of segments to be useful.
     """
-    scales = np.array([*tuning.agreeing_px, *tuning.pair_px, *tuning.pair_px])
-    sorted_scales = np.sort(tuning.agreeing_px)
+    scales = np.array([*tuning.agreement_px, *tuning.pair_px, *tuning.pair_px])
+    sorted_scales = np.sort(tuning.agreement_px)
     wider_share = np.array([shares[:-1][scales > scale].sum() for scale in sorted_scales])
     radius_px = scouting.ends_sigmas * float(
-        sorted_scales[np.argmax(wider_share <= scouting.ends_wider)]
+        sorted_scales[np.argmax(wider_share <= scouting.wide_ends_share)]
     )
-    return radius_px if radius_px < scouting.ends_below * typical_px else None
+    return radius_px if radius_px < scouting.max_ends_share * typical_px else None
 
 
 def _components(
@@ -65,7 +65,7 @@ def _components(
 
     mean = (first + second + third) / 3
     scatter = (first - mean) ** 2 + (second - mean) ** 2 + (third - mean) ** 2
-    scale = scales(tuning.agreeing_px)
+    scale = scales(tuning.agreement_px)
     log_normaliser = np.log(2 * np.pi * np.sqrt(3.0) * scale**2).astype(first.dtype)
     agreeing = 2 * log_longest - log_normaliser - scatter[None] / (2 * scale**2)
     # Difference of two ends, and whether the third ("odd") end stops short of their mean. Each of

@@ -140,7 +140,7 @@ def em_step(
 ) -> MixtureParameters:
     """One step of expectation maximisation, given the current posterior of each candidate."""
     evidence, frames = tuning.evidence, np.size(mixture.log_count)
-    rows = np.flatnonzero(posterior > evidence.negligible)
+    rows = np.flatnonzero(posterior > evidence.negligible_posterior)
     weight, frame, side_log = posterior[rows], take_groups(frame, rows), side_log[rows]
 
     def learn_shares(
@@ -186,7 +186,7 @@ def fit_volume(
         spread = group_sums(square, frame, frames) / count[..., None]
     variance, axes = np.linalg.eigh(spread)
     largest = variance.max(axis=-1, keepdims=True)
-    variance = np.maximum(variance, tuning.thinnest**2 * largest + 1e-30)
+    variance = np.maximum(variance, tuning.min_thickness_share**2 * largest + 1e-30)
     # Each side of a box is sqrt(12) standard deviations.
     log_size = 0.5 * np.log(12 * variance).sum(axis=-1)
     return Volume(centre, (axes / variance[..., None, :]) @ axes.mT, log_size)

@@ -30,7 +30,7 @@ def polarity_evidence(
     direction = np.where(interval[..., 1] > interval[..., 0], 1.0, -1.0)
     side = np.where(index >= 0, polarity[views, index] * direction, 0.0)
     right_count, left_count = (side > 0).sum(axis=1), (side < 0).sum(axis=1)
-    reversed_share, equal_share = tuning.turned_share, 1 - tuning.turned_share
+    reversed_share, equal_share = tuning.reversed_share, 1 - tuning.reversed_share
     likelihood = (
         equal_share**right_count * reversed_share**left_count
         + equal_share**left_count * reversed_share**right_count
@@ -38,7 +38,7 @@ def polarity_evidence(
     return np.log(likelihood) + (right_count + left_count - 1) * np.log(2)
 
 
-_DISAGREE = len(DEFAULT.sides.agreeing)
+_DISAGREE = len(DEFAULT.sides.agreement_scales)
 # numerical: unordered pairs of agreement scales, one for each side.
 SIDE_COMPONENTS = list(combinations_with_replacement(range(_DISAGREE + 1), 2))
 
@@ -79,7 +79,7 @@ def _contrast_evidence(
     log_clutter = member_contrast[..., 1].sum(axis=1) * (count - 1) / count
     for column, (first, second) in enumerate(SIDE_COMPONENTS):
         if second < _DISAGREE:
-            variance = tuning.agreeing[first] ** 2 + tuning.agreeing[second] ** 2
+            variance = tuning.agreement_scales[first] ** 2 + tuning.agreement_scales[second] ** 2
             log_agreement = -0.5 * scatter / variance - (count - 1) / 2 * np.log(
                 2 * np.pi * variance
             )
@@ -108,7 +108,7 @@ def _level_evidence(
     # Under clutter every member draws its own level; under one line all share a single draw. So
     # the clutter density enters (count - 1) times.
     log_clutter = member_level[..., 2:].sum(axis=1) * (count - 1) / count
-    agreeing = np.array(tuning.agreeing)
+    agreeing = np.array(tuning.agreement_scales)
     log_agreement = (
         -0.5 * scatter[..., None] / agreeing**2
         - (count - 1)[..., None] * np.log(np.sqrt(2 * np.pi) * agreeing)

@@ -317,7 +317,7 @@ def _pair_end_components(
     difference: Scalar, cut_variance: Scalar, longest: Scalar, tuning: EndTuning
 ) -> Float[ArrayLike, "c 2 *h"]:
     xp = array_namespace(difference)
-    scale = np.array(tuning.agreeing_px, difference.dtype).reshape(-1, *(1,) * difference.ndim)
+    scale = np.array(tuning.agreement_px, difference.dtype).reshape(-1, *(1,) * difference.ndim)
     variance = 2 * scale**2 + cut_variance[None]
     density = xp.exp(-0.5 * difference[None] ** 2 / variance) / xp.sqrt(2 * np.pi * variance)
     agreeing = xp.log(longest[None] * density + SMALLEST_DENSITY)

@@ -1,1 +1,1 @@
-"""After matching: collinear tracks as one line, ends that meet as corners, depth maps."""
+"""After matching: join collinear tracks to one line, and ends that meet to corners."""

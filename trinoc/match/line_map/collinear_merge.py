@@ -1,8 +1,8 @@
-"""Tracks that are pieces of one straight line, joined: the best pair first, until none is left.
+"""Join tracks that are pieces of one straight line, the best pair first.
 
-The log odds that two are one line are those of `collinearity`. Each joined line is fitted anew to
-all of its segments, must fit them as a whole, and is compared with the others as it is then:
-what is joined does not depend on the order of anything.
+`collinearity` gives the log odds that two tracks are one line. Each joined line is fitted again
+to all of its segments, must fit them as a whole, and is compared with its neighbours again. The
+result does not depend on the order of the tracks.
 """
 
 import heapq
@@ -35,10 +35,12 @@ from trinoc.numerics.tails import chi_square_tail
 
 
 class _Group(NamedTuple):
-    """Tracks taken for one line so far, their segments (view, segment), and that line.
+    """Tracks joined so far, their segments (view, segment), and their line.
 
-    common_mm : ends of the parts that all views of each track show. posterior : the least.
-    chi_square, degrees : 0 for a track alone. parallel : how dense parallel lines are.
+    common_mm : ends of the common part of each track.
+    posterior : smallest posterior of the tracks.
+    chi_square, degrees : 0 for a single track.
+    parallel_density : density of parallel lines.
     """
 
     tracks: tuple[int, ...]
@@ -48,7 +50,7 @@ class _Group(NamedTuple):
     covariance_mm2: Float[np.ndarray, "6 6"]
     chi_square: float
     degrees: int
-    parallel: float
+    parallel_density: float
     posterior: float
 
 
@@ -60,38 +62,50 @@ class _Problem(NamedTuple):
 
 @in_float64
 def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT) -> JoinedLines:
-    """The straight lines that the tracks lie on, each estimated from all segments of its tracks.
+    """Join collinear tracks to straight lines, each estimated from all segments of its tracks.
 
-    Two tracks are one line where that is at least 0.9 likely, and 0.7 that both are right: their
-    difference under their covariances against how dense parallel and other lines are
-    thereabouts, and how wide the gap is in pixels. The line then must fit all segments of all
-    its tracks, at a level of 0.001. A segment that serves several tracks of a line
-    counts once. Where the misfit of most tracks says that segments err by more than they state,
-    all covariances are that much larger; and in few cases segments err by up to four times as much.
+    Two tracks are joined if the probability of one line is at least 0.9, and that of both tracks
+    being right at least 0.7. The probability compares their difference with the density of parallel
+    and other lines, and includes the gap in pixels. The joined line must fit all segments at a
+    significance of 0.001. A segment that serves several tracks of a line counts once. If the misfit
+    of most tracks shows larger errors than stated, all covariances are scaled. A few segments may
+    have errors up to five times as large.
 
-    Raises InputError where the covariance of the fragments is not known.
+    Parameters
+    ----------
+    matches : the tracks, with the covariance of their fragments.
+    rig : the cameras.
+    tuning : all tuned constants; the group `collinear` is used here.
+
+    Returns
+    -------
+    JoinedLines
+
+    Raises
+    ------
+    InputError : the matches hold no covariance of their fragments.
     """
     if matches.fragments_covariance_px2 is None:
         raise InputError(
             "These matches do not hold the covariance of their fragments, from which lines are "
             "estimated: match the segments again with this version."
         )
-    # In an order of their own, so that that of the matches is nothing to the answer.
+    # Sorted by position, so that the result does not depend on the order of the matches.
     order = np.lexsort(np.asarray(matches.lines_mm).reshape(-1, 6).T)
     pieces = track_table(matches, rig, order, tuning.tracks)
     if len(order) == 0:
-        return _as_lines([], pieces, order, 0.0, tuning.collinear)
-    rules = tuning.collinear
-    near = nearby_lines(pieces.ends_mm, pieces.covariance_mm2, rules)
-    one, other = near.pairs.T
-    apart = difference(
-        *(a[k] for k in (one, other) for a in (pieces.ends_mm, pieces.covariance_mm2)),
+        return _build_lines([], pieces, order, 0.0, tuning.collinear)
+    line_tuning = tuning.collinear
+    nearby = nearby_lines(pieces.ends_mm, pieces.covariance_mm2, line_tuning)
+    first, second = nearby.pairs.T
+    differences = difference(
+        *(a[k] for k in (first, second) for a in (pieces.ends_mm, pieces.covariance_mm2)),
         tuning=tuning.evidence,
     )
     scene = line_density(pieces.ends_mm, tuning.evidence)
-    parallel = parallel_density(near, apart, scene, rules)
-    surely_others = apart.square > rules.gate_sigmas**2
-    alone = [
+    density = parallel_density(nearby, differences, scene, line_tuning)
+    is_other_line = differences.square > line_tuning.gate_sigmas**2
+    single_tracks = [
         _Group(
             (t,),
             frozenset((v, s) for v, s in enumerate(pieces.index[t].tolist()) if s >= 0),
@@ -100,128 +114,142 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
             pieces.covariance_mm2[t],
             0.0,
             0,
-            float(parallel[t]),
+            float(density[t]),
             float(pieces.posterior[t]),
         )
         for t in range(len(order))
     ]
     problem = _Problem(pieces, scene, tuning)
-    groups = _agglomerate(alone, near.pairs[~surely_others], problem)
-    return _as_lines(groups, pieces, order, matches.noise_tail, rules)
+    groups = _agglomerate(single_tracks, nearby.pairs[~is_other_line], problem)
+    return _build_lines(groups, pieces, order, matches.noise_tail, line_tuning)
 
 
 def _agglomerate(
     groups: list[_Group], pairs: Int[np.ndarray, "p 2"], problem: _Problem
 ) -> list[_Group]:
-    """Groups of which no two more are one line."""
+    """Merge groups until no two of them are likely to be one line."""
     rules = problem.tuning.collinear
-    alive = dict(enumerate(groups))
-    beside: dict[int, set[int]] = {number: set() for number in alive}
-    for one, other in pairs.tolist():
-        beside[one].add(other)
-        beside[other].add(one)
+    active = dict(enumerate(groups))
+    neighbours: dict[int, set[int]] = {number: set() for number in active}
+    for first, second in pairs.tolist():
+        neighbours[first].add(second)
+        neighbours[second].add(first)
     queue: list[tuple[float, int, int]] = []
 
-    def compare(found: np.ndarray) -> None:
-        ones, others = ([alive[i] for i in side] for side in found.T.tolist())
-        odds = _odds(ones, others, problem)
-        right = np.array([a.posterior * b.posterior for a, b in zip(ones, others, strict=True)])
-        sure = (expit(odds) >= rules.min_posterior) & (right >= rules.trusted_posterior)
-        for value, (one, other) in zip(odds[sure].tolist(), found[sure].tolist(), strict=True):
-            heapq.heappush(queue, (-value, one, other))
+    def compare(group_pairs: np.ndarray) -> None:
+        first_groups, second_groups = ([active[i] for i in side] for side in group_pairs.T.tolist())
+        odds = _pair_log_odds(first_groups, second_groups, problem)
+        both_right = np.array(
+            [a.posterior * b.posterior for a, b in zip(first_groups, second_groups, strict=True)]
+        )
+        is_likely = (expit(odds) >= rules.min_posterior) & (both_right >= rules.trusted_posterior)
+        for value, (first, second) in zip(
+            odds[is_likely].tolist(), group_pairs[is_likely].tolist(), strict=True
+        ):
+            heapq.heappush(queue, (-value, first, second))
 
     compare(pairs)
     number = len(groups)
     while queue:
-        _, one, other = heapq.heappop(queue)
-        if one not in alive or other not in alive:
+        _, first, second = heapq.heappop(queue)
+        if first not in active or second not in active:
             continue
-        joined = _join_groups(alive[one], alive[other], problem)
-        if joined is None:
+        merged = _join_groups(active[first], active[second], problem)
+        if merged is None:
             continue
-        near = sorted((beside.pop(one) | beside.pop(other)) - {one, other})
-        del alive[one], alive[other]
-        alive[number], beside[number] = joined, set(near)
-        for neighbour in near:
-            beside[neighbour] -= {one, other}
-            beside[neighbour].add(number)
-        if near:
-            compare(np.array([[neighbour, number] for neighbour in near]))
+        near_groups = sorted((neighbours.pop(first) | neighbours.pop(second)) - {first, second})
+        del active[first], active[second]
+        active[number], neighbours[number] = merged, set(near_groups)
+        for neighbour in near_groups:
+            neighbours[neighbour] -= {first, second}
+            neighbours[neighbour].add(number)
+        if near_groups:
+            compare(np.array([[neighbour, number] for neighbour in near_groups]))
         number += 1
-    return list(alive.values())
+    return list(active.values())
 
 
-def _least_gaps(ones: list[_Group], others: list[_Group]) -> Float[np.ndarray, "p"]:
-    """The smallest gap between a piece of one and a piece of the other."""
-    rows, first, second = [], [], []
-    for row, (one, other) in enumerate(zip(ones, others, strict=True)):
-        for piece in one.common_mm:
-            rows.extend([row] * len(other.common_mm))
-            first.extend([piece] * len(other.common_mm))
-            second.extend(other.common_mm)
-    least = np.full(len(ones), np.inf)
-    np.minimum.at(least, rows, gap_mm(np.array(first), np.array(second)))
-    return least
+def _smallest_gaps(
+    first_groups: list[_Group], second_groups: list[_Group]
+) -> Float[np.ndarray, "p"]:
+    """Smallest gap between a piece of the first group and a piece of the second, for each pair,
+    (p,).
+    """
+    rows, first_pieces, second_pieces = [], [], []
+    for row, (first_group, second_group) in enumerate(
+        zip(first_groups, second_groups, strict=True)
+    ):
+        for piece in first_group.common_mm:
+            rows.extend([row] * len(second_group.common_mm))
+            first_pieces.extend([piece] * len(second_group.common_mm))
+            second_pieces.extend(second_group.common_mm)
+    smallest = np.full(len(first_groups), np.inf)
+    np.minimum.at(smallest, rows, gap_mm(np.array(first_pieces), np.array(second_pieces)))
+    return smallest
 
 
-def _odds(ones: list[_Group], others: list[_Group], problem: _Problem) -> Float[np.ndarray, "p"]:
-    if not ones:
+def _pair_log_odds(
+    first_groups: list[_Group], second_groups: list[_Group], problem: _Problem
+) -> Float[np.ndarray, "p"]:
+    if not first_groups:
         return np.zeros(0)
-    apart = difference(
+    differences = difference(
         *(
             np.stack([getattr(group, field) for group in groups])
-            for groups in (ones, others)
+            for groups in (first_groups, second_groups)
             for field in ("ends_mm", "covariance_mm2")
         ),
         tuning=problem.tuning.evidence,
     )
     scale = problem.pieces.px_per_mm
-    both = list(zip(ones, others, strict=True))
+    group_pairs = list(zip(first_groups, second_groups, strict=True))
     evidence = CollinearEvidence(
-        apart,
-        np.array([max(a.parallel, b.parallel) for a, b in both]),
-        np.array([not a.segments.isdisjoint(b.segments) for a, b in both]),
-        _least_gaps(ones, others),
-        np.array([scale[[*a.tracks, *b.tracks]].mean() for a, b in both]),
+        differences,
+        np.array([max(a.parallel_density, b.parallel_density) for a, b in group_pairs]),
+        np.array([not a.segments.isdisjoint(b.segments) for a, b in group_pairs]),
+        _smallest_gaps(first_groups, second_groups),
+        np.array([scale[[*a.tracks, *b.tracks]].mean() for a, b in group_pairs]),
     )
     return collinear_log_odds(evidence, problem.scene, problem.tuning)
 
 
-def _join_groups(one: _Group, other: _Group, problem: _Problem) -> _Group | None:
-    """The line of both groups' segments; None where it does not fit them."""
-    tracks = tuple(sorted(one.tracks + other.tracks))
-    longer = max(one, other, key=_length_mm)
-    way = longer.ends_mm[1] - longer.ends_mm[0]
-    way /= np.linalg.norm(way)
-    ends = np.concatenate([one.ends_mm, other.ends_mm])
+def _join_groups(first: _Group, second: _Group, problem: _Problem) -> _Group | None:
+    """Line of the segments of both groups; None if it does not fit them."""
+    tracks = tuple(sorted(first.tracks + second.tracks))
+    longer = max(first, second, key=_length_mm)
+    direction = longer.ends_mm[1] - longer.ends_mm[0]
+    direction /= np.linalg.norm(direction)
+    ends = np.concatenate([first.ends_mm, second.ends_mm])
     blocks = np.stack(
-        [g.covariance_mm2[k : k + 3, k : k + 3] for g in (one, other) for k in (0, 3)]
+        [g.covariance_mm2[k : k + 3, k : k + 3] for g in (first, second) for k in (0, 3)]
     )
-    place = (ends - longer.ends_mm[0]) @ way
-    outer = [int(np.argmin(place)), int(np.argmax(place))]
+    positions = (ends - longer.ends_mm[0]) @ direction
+    outer = [int(np.argmin(positions)), int(np.argmax(positions))]
     rules = problem.tuning.collinear
-    reach = longer.ends_mm[0] + place[outer, None] * way
-    fit = fit_line(collect_fragments(problem.pieces, tracks), reach, rules)
-    fits = chi_square_tail(fit.chi_square, fit.degrees) >= rules.significance
-    if not (fits and np.isfinite(fit.covariance_mm2).all()):
+    start_ends = longer.ends_mm[0] + positions[outer, None] * direction
+    fit = fit_line(collect_fragments(problem.pieces, tracks), start_ends, rules)
+    is_consistent = chi_square_tail(fit.chi_square, fit.degrees) >= rules.significance
+    if not (is_consistent and np.isfinite(fit.covariance_mm2).all()):
         return None
-    way = fit.ends_mm[1] - fit.ends_mm[0]
-    way /= np.linalg.norm(way)
+    direction = fit.ends_mm[1] - fit.ends_mm[0]
+    direction /= np.linalg.norm(direction)
     covariance = fit.covariance_mm2.copy()
     for end in (0, 1):
-        along = way @ blocks[outer[end]] @ way
-        covariance[3 * end : 3 * end + 3, 3 * end : 3 * end + 3] += along * np.outer(way, way)
-    parallel = max(one.parallel, other.parallel)
+        variance_along = direction @ blocks[outer[end]] @ direction
+        covariance[3 * end : 3 * end + 3, 3 * end : 3 * end + 3] += variance_along * np.outer(
+            direction, direction
+        )
+    parallel_density = max(first.parallel_density, second.parallel_density)
     return _Group(
         tracks,
-        one.segments | other.segments,
-        np.concatenate([one.common_mm, other.common_mm]),
+        first.segments | second.segments,
+        np.concatenate([first.common_mm, second.common_mm]),
         fit.ends_mm,
         covariance,
         fit.chi_square,
         fit.degrees,
-        parallel,
-        min(one.posterior, other.posterior),
+        parallel_density,
+        min(first.posterior, second.posterior),
     )
 
 
@@ -229,35 +257,35 @@ def _length_mm(group: _Group) -> float:
     return float(np.linalg.norm(group.ends_mm[1] - group.ends_mm[0]))
 
 
-def _as_lines(
+def _build_lines(
     groups: list[_Group],
     pieces: TrackTable,
     order: Int[np.ndarray, "t"],
     tail: float,
     rules: CollinearTuning,
 ) -> JoinedLines:
-    """Lines in the order of the first of the caller's tracks on each."""
+    """Lines in the order of the caller's first track on each."""
     groups = sorted(groups, key=lambda group: int(order[list(group.tracks)].min()))
-    given = np.array([group.ends_mm for group in groups]).reshape(-1, 2, 3)
+    group_ends = np.array([group.ends_mm for group in groups]).reshape(-1, 2, 3)
     blocks = np.array([group.covariance_mm2 for group in groups]).reshape(-1, 6, 6)
-    shown = [collect_fragments(pieces, group.tracks) for group in groups]
+    fragments = [collect_fragments(pieces, group.tracks) for group in groups]
     posterior = np.array([group.posterior for group in groups])
-    likely = line_posteriors(shown, given, posterior, tail, rules)
+    posteriors = line_posteriors(fragments, group_ends, posterior, tail, rules)
     line_of_track = np.zeros(len(order), dtype=np.int64)
-    place = np.zeros((len(order), 2))
+    interval = np.zeros((len(order), 2))
     for number, group in enumerate(groups):
-        tracks, ends = list(group.tracks), likely.ends_mm[number]
-        way = ends[1] - ends[0]
-        along = (pieces.ends_mm[tracks] - ends[0]) @ (way / np.linalg.norm(way))
-        line_of_track[order[tracks]], place[order[tracks]] = number, np.sort(along, axis=1)
+        tracks, ends = list(group.tracks), posteriors.ends_mm[number]
+        step = ends[1] - ends[0]
+        positions = (pieces.ends_mm[tracks] - ends[0]) @ (step / np.linalg.norm(step))
+        line_of_track[order[tracks]], interval[order[tracks]] = number, np.sort(positions, axis=1)
     scale = [pieces.px_per_mm[list(group.tracks)].mean() for group in groups]
     return JoinedLines(
-        likely.ends_mm,
-        likely.covariance_mm2 + _project_along(likely.ends_mm, blocks),
+        posteriors.ends_mm,
+        posteriors.covariance_mm2 + _project_along(posteriors.ends_mm, blocks),
         np.array([group.chi_square for group in groups]),
         np.array([group.degrees for group in groups], dtype=np.int64),
         line_of_track,
-        place,
+        interval,
         np.array(scale),
         posterior,
     )
@@ -266,10 +294,10 @@ def _as_lines(
 def _project_along(
     ends_mm: Float[np.ndarray, "e 2 3"], covariance_mm2: Float[np.ndarray, "e 6 6"]
 ) -> Float[np.ndarray, "e 6 6"]:
-    """What of a covariance lies along the lines, at each end alone."""
-    way = ends_mm[:, 1] - ends_mm[:, 0]
-    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    """Part of a covariance along the lines, at each end separately."""
+    direction = ends_mm[:, 1] - ends_mm[:, 0]
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     blocks = covariance_mm2.reshape(-1, 2, 3, 2, 3)
-    variance = np.einsum("ni,neiej,nj->ne", way, blocks, way)
-    spread = np.einsum("ne,ef,ni,nj->neifj", variance, np.eye(2), way, way)
+    variance = np.einsum("ni,neiej,nj->ne", direction, blocks, direction)
+    spread = np.einsum("ne,ef,ni,nj->neifj", variance, np.eye(2), direction, direction)
     return spread.reshape(-1, 6, 6)

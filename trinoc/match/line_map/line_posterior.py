@@ -1,10 +1,10 @@
-"""Where lines are, given segments of which some err by more than they say.
+"""Posterior of lines in space, given segments of which some have larger errors than stated.
 
-Each segment errs by one of a few factors times what it states, and which is not known. Given the
-factors, a line is a least squares fit; its posterior is the mixture of these fits, each as likely
-as it makes the segments. Where views agree it is hardly wider than the fit. Where they disagree it
-reaches as far as any of them may be right, and where only two views show a line, nothing tells:
-then it has the variance that segments have on the average.
+The error of each segment is the stated one times one of a few factors, which is unknown. Given
+the factors, the line is a least-squares fit. Its posterior is the mixture of these fits,
+weighted by the likelihood of the segments. If the views agree, it is hardly wider than one fit.
+If they disagree, it covers every view that may be right. If only two views show a line, nothing
+indicates the factors, and the variance is the mean one of all segments.
 """
 
 from itertools import combinations, product
@@ -18,19 +18,20 @@ from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.line_map import CollinearTuning
 from trinoc.numerics.vectors import complete_axes
 
-# numerical: of lines of more segments than this, factors are tried that differ from the likeliest
-# in two.
+# numerical: up to this number of segments, all combinations of factors are evaluated. Above it,
+# only those that differ from the most likely one for at most two segments.
 ALL_FACTORS_TO = 4
-# numerical: see above.
+# numerical: above this number of segments, combinations differ for at most one segment.
 PAIRS_TO = 16
-# numerical: a guard of the logarithm.
-LEAST_POSTERIOR = 1e-6
+# numerical: avoids the logarithm of 0.
+MIN_POSTERIOR = 1e-6
 
 
 class LinePosteriors(NamedTuple):
-    """Mean and covariance across of lines at the places they were asked for.
+    """Mean and covariance of lines at given points.
 
-    ends_mm : moved across only. covariance_mm2 : of the ends, nothing along the line.
+    ends_mm : the points, displaced across the line only.
+    covariance_mm2 : covariance of the points, zero along the line.
     """
 
     ends_mm: Float[np.ndarray, "e 2 3"]
@@ -38,8 +39,10 @@ class LinePosteriors(NamedTuple):
 
 
 class _Equations(NamedTuple):
-    """Of lines of as many segments each, every segment's part: of the information, of the
-    gradient, and its square. `lines` : which lines they are."""
+    """Normal equations of lines with equally many segments: one term per segment.
+
+    `lines` are the indices of the lines.
+    """
 
     lines: Int[np.ndarray, "l"]
     information: Float[np.ndarray, "l n 4 4"]
@@ -47,35 +50,35 @@ class _Equations(NamedTuple):
     square: Float[np.ndarray, "l n"]
 
 
-class _Answer(NamedTuple):
-    """Of each line: mean and covariance of its four offsets."""
+class _Posterior(NamedTuple):
+    """Mean and covariance of the four offsets of each line."""
 
     offset: Float[np.ndarray, "l 4"]
     covariance: Float[np.ndarray, "l 4 4"]
 
 
 def line_posteriors(
-    shown: list[LineFragments],
+    fragments: list[LineFragments],
     ends_mm: Float[np.ndarray, "e 2 3"],
     posterior: Float[np.ndarray, "e"],
     tail: float = 0.0,
     tuning: CollinearTuning = DEFAULT.collinear,
 ) -> LinePosteriors:
-    """Lines near their ends, each with the segments that show it and the posterior of the match;
-    `tail` is the `noise_tail` of the matches.
+    """Posterior of each line, given its segments, a first estimate, and the posterior of its match.
 
-    Where a match is wrong, a segment of it is of another edge beside: it errs by the widest.
+    A wrong match contains a segment of a neighbouring edge. Its error then has the largest scale
+    of the mixture. `tail` is the `noise_tail` of the matches.
     """
-    way = ends_mm[:, 1] - ends_mm[:, 0]
-    axes = complete_axes(way / np.linalg.norm(way, axis=1, keepdims=True))
-    equations = _equations(shown, ends_mm, axes)
-    # None is surely wrong: every factor keeps a share.
-    right = np.maximum(posterior, LEAST_POSTERIOR)[:, None]
+    step = ends_mm[:, 1] - ends_mm[:, 0]
+    axes = complete_axes(step / np.linalg.norm(step, axis=1, keepdims=True))
+    equations = _equations(fragments, ends_mm, axes)
+    # No match is surely wrong, so that every factor has a share.
+    match_posterior = np.maximum(posterior, MIN_POSTERIOR)[:, None]
     scales, shares = np.array(tuning.error_scales), shares_of_tail(tail, tuning)
-    of_line = right * shares + (1 - right) * np.array([0.0, 0.0, 1.0])
+    shares_of_line = match_posterior * shares + (1 - match_posterior) * np.array([0.0, 0.0, 1.0])
     ends, covariance = ends_mm.copy(), np.zeros((len(ends_mm), 6, 6))
     for group in equations:
-        answer = _answer(group, of_line[group.lines], scales)
+        answer = _line_posterior(group, shares_of_line[group.lines], scales)
         across = axes[group.lines]
         ends[group.lines] += answer.offset.reshape(-1, 2, 2) @ across
         spread = answer.covariance.reshape(-1, 2, 2, 2, 2)
@@ -87,44 +90,44 @@ def line_posteriors(
 def shares_of_tail(
     tail: float, tuning: CollinearTuning = DEFAULT.collinear
 ) -> Float[np.ndarray, "3"]:
-    """How often segments err by each factor."""
-    more = np.clip(tail / tuning.error_tail, 1.0, tuning.most_error_shares)
-    larger = more * np.array(tuning.error_shares[1:])
-    return np.concatenate([[1 - larger.sum()], larger])
+    """Share of each error factor, for errors with the given tail, (3,)."""
+    factor = np.clip(tail / tuning.error_tail, 1.0, tuning.max_share_factor)
+    large_shares = factor * np.array(tuning.error_shares[1:])
+    return np.concatenate([[1 - large_shares.sum()], large_shares])
 
 
 def _equations(
-    shown: list[LineFragments], ends_mm: Float[np.ndarray, "e 2 3"], axes: np.ndarray
+    fragments: list[LineFragments], ends_mm: Float[np.ndarray, "e 2 3"], axes: np.ndarray
 ) -> list[_Equations]:
-    """All lines of two segments, all of three, and so on; those of many one by one."""
-    counts = np.array([len(each.ends_px) for each in shown], dtype=np.int64)
+    """Normal equations, grouped by number of segments. Lines of many segments form a group each."""
+    counts = np.array([len(line_fragments.ends_px) for line_fragments in fragments], dtype=np.int64)
     groups = [np.flatnonzero(counts == count) for count in np.unique(counts)]
-    few = [group for group in groups if counts[group[0]] <= ALL_FACTORS_TO]
-    many = np.flatnonzero(counts > ALL_FACTORS_TO)[:, None]
-    found = []
-    for lines in (*few, *many):
-        parts = [line_residuals(shown[line], ends_mm[line], axes[line]) for line in lines]
+    small_groups = [group for group in groups if counts[group[0]] <= ALL_FACTORS_TO]
+    large_lines = np.flatnonzero(counts > ALL_FACTORS_TO)[:, None]
+    equations = []
+    for lines in (*small_groups, *large_lines):
+        parts = [line_residuals(fragments[line], ends_mm[line], axes[line]) for line in lines]
         residual = np.concatenate([part.residual for part in parts])
         jacobian = np.concatenate([part.jacobian for part in parts])
         gradient = (jacobian.mT @ residual[..., None])[..., 0]
         square = (residual**2).sum(axis=2)
-        found.append(_Equations(lines, jacobian.mT @ jacobian, gradient, square))
-    return found
+        equations.append(_Equations(lines, jacobian.mT @ jacobian, gradient, square))
+    return equations
 
 
-def _answer(
+def _line_posterior(
     equations: _Equations, shares: Float[np.ndarray, "l 3"], scales: Float[np.ndarray, "3"]
-) -> _Answer:
-    """The mixture over factors, as its mean and covariance."""
+) -> _Posterior:
+    """Mean and covariance of the mixture over all likely factors."""
     factors = _likely_factors(equations, shares, scales)
     log_weight, offset, covariance = _fits(equations, factors, shares, scales)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
     mean = np.einsum("lk,lka->la", weight, offset)
     spread = np.einsum("lk,lkab->lab", weight, covariance)
-    apart = offset - mean[:, None]
-    spread += (weight[..., None] * apart).mT @ apart
-    return _Answer(mean, spread)
+    deviation = offset - mean[:, None]
+    spread += (weight[..., None] * deviation).mT @ deviation
+    return _Posterior(mean, spread)
 
 
 def _fits(
@@ -133,7 +136,9 @@ def _fits(
     shares: Float[np.ndarray, "l 3"],
     scales: Float[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, "l k"], Float[np.ndarray, "l k 4"], Float[np.ndarray, "l k 4 4"]]:
-    """(log likelihood, the line integrated out; best offsets; their covariance) for factors."""
+    """Fit for each combination of factors: (log likelihood with the line integrated out,
+    offsets, covariance).
+    """
     scale = scales[factors]
     weight = scale**-2
     covariance = np.linalg.inv(np.einsum("kn,lnab->lkab", weight, equations.information))
@@ -148,30 +153,32 @@ def _fits(
 def _likely_factors(
     equations: _Equations, shares: Float[np.ndarray, "l 3"], scales: Float[np.ndarray, "3"]
 ) -> Int[np.ndarray, "k n"]:
-    """All combinations of few segments; of the many of one line, the likeliest and its like."""
+    """Combinations of factors: all of them for few segments, else the most likely one and its
+    neighbours.
+    """
     count, kinds = equations.square.shape[1], len(scales)
     if count <= ALL_FACTORS_TO:
         return np.array(list(product(range(kinds), repeat=count)))
-    here = np.zeros(count, dtype=np.int64)
+    current = np.zeros(count, dtype=np.int64)
     while True:
-        around = _neighbouring_factors(here, kinds)
-        best = around[np.argmax(_fits(equations, around, shares, scales)[0][0])]
-        if (best == here).all():
-            return around
-        here = best
+        neighbours = _neighbouring_factors(current, kinds)
+        best = neighbours[np.argmax(_fits(equations, neighbours, shares, scales)[0][0])]
+        if (best == current).all():
+            return neighbours
+        current = best
 
 
-def _neighbouring_factors(here: Int[np.ndarray, "n"], kinds: int) -> Int[np.ndarray, "k n"]:
-    """These factors, and those that differ in one place or two."""
-    count = len(here)
-    places = [(), *((i,) for i in range(count))]
+def _neighbouring_factors(current: Int[np.ndarray, "n"], kinds: int) -> Int[np.ndarray, "k n"]:
+    """The given factors, and those that differ for one segment or two."""
+    count = len(current)
+    changed_sets = [(), *((i,) for i in range(count))]
     if count <= PAIRS_TO:
-        places += combinations(range(count), 2)
-    found = []
-    for chosen in places:
-        others = [[kind for kind in range(kinds) if kind != here[i]] for i in chosen]
-        for values in product(*others):
-            there = here.copy()
-            there[list(chosen)] = values
-            found.append(there)
-    return np.array(found)
+        changed_sets += combinations(range(count), 2)
+    combinations_found = []
+    for changed in changed_sets:
+        alternatives = [[kind for kind in range(kinds) if kind != current[i]] for i in changed]
+        for values in product(*alternatives):
+            changed_factors = current.copy()
+            changed_factors[list(changed)] = values
+            combinations_found.append(changed_factors)
+    return np.array(combinations_found)

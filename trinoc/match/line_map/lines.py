@@ -1,4 +1,4 @@
-"""Straight lines in space, each from all the tracks that lie on it."""
+"""Straight lines in space, each estimated from all tracks on it."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -7,22 +7,22 @@ from trinoc.numerics.values import Value
 
 
 class JoinedLines(Value):
-    """Lines that one or more tracks show.
+    """Lines of one or more tracks each.
 
     Fields
     ------
-    lines_mm : (e, 2, 3) the mean line that all segments of its tracks leave, from the first to
-        the last place that a track shows.
-    covariance_mm2 : (e, 6, 6) of the ends; along the line, that of the track which ends there.
-        It allows for segments that err by more than they say, above all where views disagree or
-        only two see the line.
-    chi_square, degrees : (e,) misfit of all its segments, and its degrees of freedom; 0 where
-        one track is alone.
-    line_of_track : (t,) the line of each track of the matches.
-    place_mm : (t, 2) where each track begins and ends on its line, from the line's first end.
-    px_per_mm : (e,) of its pictures at the line's middle, the mean: image displacement
-        per mm across the viewing direction.
-    posterior : (e,) the least of its tracks'.
+    lines_mm : (e, 2, 3) posterior mean given all segments of the tracks, from the first to the last
+        point that a track shows.
+    covariance_mm2 : (e, 6, 6) covariance of the ends. Along the line it is that of the track which
+        ends there. It includes segments with larger errors than stated, mainly if views disagree or
+        only two views show the line.
+    chi_square, degrees : (e,) misfit of all segments and its degrees of freedom; 0 for a single
+        track.
+    line_of_track : (t,) line of each track of the matches.
+    place_mm : (t, 2) interval of each track on its line, from the line's first end.
+    px_per_mm : (e,) image displacement per mm across the viewing direction at the line's middle,
+        mean over the views.
+    posterior : (e,) smallest posterior of its tracks.
     """
 
     lines_mm: Float[np.ndarray, "e 2 3"]
@@ -39,27 +39,27 @@ class JoinedLines(Value):
 
     @property
     def pieces(self) -> Int[np.ndarray, "e"]:
-        """(e,) number of tracks on each line."""
+        """Number of tracks on each line, (e,)."""
         return np.bincount(self.line_of_track, minlength=len(self))
 
     def tracks_of(self, line: int | np.integer) -> Int[np.ndarray, "_"]:
-        """The tracks of one line, in order along it."""
+        """Tracks of one line, in order along it."""
         tracks = np.flatnonzero(self.line_of_track == line)
         return tracks[np.argsort(self.place_mm[tracks, 0], kind="stable")]
 
     def gaps_mm(self, line: int | np.integer) -> Float[np.ndarray, "g 2"]:
-        """From where to where no track shows the line, from its first end."""
+        """Intervals of a line that no track shows, (g, 2) mm from its first end."""
         return _gaps(self.place_mm[self.tracks_of(line)])
 
     def overlaps_mm(self, line: int | np.integer) -> Float[np.ndarray, "o 2"]:
-        """From where to where two tracks or more show the line, from its first end."""
-        place = self.place_mm[self.tracks_of(line)]
-        reached = np.maximum.accumulate(place[:, 1])
-        again = np.stack([place[1:, 0], np.minimum(reached[:-1], place[1:, 1])], axis=1)
-        return again[again[:, 1] > again[:, 0]]
+        """Intervals of a line that two or more tracks show, (o, 2) mm from its first end."""
+        interval = self.place_mm[self.tracks_of(line)]
+        end_so_far = np.maximum.accumulate(interval[:, 1])
+        overlap = np.stack([interval[1:, 0], np.minimum(end_so_far[:-1], interval[1:, 1])], axis=1)
+        return overlap[overlap[:, 1] > overlap[:, 0]]
 
 
-def _gaps(place: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "g 2"]:
-    reached = np.maximum.accumulate(place[:, 1])
-    gap = np.stack([reached[:-1], place[1:, 0]], axis=1)
+def _gaps(interval: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "g 2"]:
+    end_so_far = np.maximum.accumulate(interval[:, 1])
+    gap = np.stack([end_so_far[:-1], interval[1:, 0]], axis=1)
     return gap[gap[:, 1] > gap[:, 0]]

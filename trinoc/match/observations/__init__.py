@@ -1,1 +1,3 @@
-"""The caller's segments and rig, checked, undistorted, ordered, in padded tables; the clutter."""
+"""Step 0: check, undistort and sort the caller's segments, build padded tables, fit the clutter
+model.
+"""

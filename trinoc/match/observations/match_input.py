@@ -188,7 +188,7 @@ def prepare_frame(
 
 
 def stack_frames(frames: Sequence[FrameInput]) -> MatchInput:
-    """Stack frames with the same number of views to one problem."""
+    """Stack frames with the same number of views into one problem."""
     ends, covariances, polarities, sides = (
         [np.concatenate(column) for column in zip(*columns, strict=True)]
         for columns in zip(*(frame[2:6] for frame in frames), strict=True)
@@ -204,10 +204,8 @@ def stack_frames(frames: Sequence[FrameInput]) -> MatchInput:
             for column in view_columns
         ]
         frame_capacity = bucket(len(frames))
-        matrices, sizes = (
-            pad_rows(matrices, frame_capacity, matrices[0]),
-            pad_rows(sizes, frame_capacity, sizes[0]),
-        )
+        matrices = pad_rows(matrices, frame_capacity, matrices[0])
+        sizes = pad_rows(sizes, frame_capacity, sizes[0])
         lines = segment_table(matrices, sizes, ends, covariances, polarities, sides, frame_labels)
     return MatchInput(tuple(frames), ends, covariances, lines)
 
@@ -271,7 +269,9 @@ def _sort_key(view: _PreparedView) -> tuple[int, list[float]]:
 
 def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None:
     check_kind(rig, Rig, "rig", A_RIG)
-    expected = "a dictionary of each camera's name and segments, such as find_segments finds"
+    expected = (
+        "a dictionary of each camera's name and segments, such as the results of find_segments"
+    )
     check_kind(segments, Mapping, "set of segments", expected)
     missing = [name for name in segments if name not in rig.names]
     if missing:
@@ -281,7 +281,7 @@ def _check_names(segments: Mapping[str, Segments | ArrayLike], rig: Rig) -> None
         )
     if len(segments) < 2:
         raise MatchError(
-            f"Matching needs segments of at least two cameras, but got {len(segments)}: give "
+            f"Matching needs segments of at least two cameras, but got {len(segments)}: pass "
             f"those of {list_names(rig)}."
         )
 
@@ -290,8 +290,8 @@ def _check_distinct_centres(names: Iterable[str], rig: Rig) -> None:
     pair = find_equal_centres({name: rig[name] for name in names})
     if pair is not None:
         raise MatchError(
-            f'The cameras "{pair[0]}" and "{pair[1]}" stand at one place, which leaves depth '
-            "unknown: leave one of them out, or calibrate them again."
+            f'The cameras "{pair[0]}" and "{pair[1]}" have the same centre, so they give no '
+            "depth: leave one of them out, or calibrate them again."
         )
 
 
@@ -308,8 +308,8 @@ def _check_different(views: Mapping[str, _PreparedView]) -> None:
         ends = views[first].ends_px
         if len(ends) >= MIN_COMPARED_SEGMENTS and np.array_equal(ends, views[second].ends_px):
             raise MatchError(
-                f'Views "{first}" and "{second}" have the same segments: give those of the '
-                "picture that each camera took."
+                f'Views "{first}" and "{second}" have the same segments: pass those of the '
+                "image that each camera took."
             )
 
 
@@ -318,8 +318,8 @@ def _check_counts(segments: Mapping[str, Segments | ArrayLike]) -> None:
         count = len(_endpoints(view_segments))
         if count > MAX_SEGMENTS:
             raise MatchError(
-                f"Matching takes {MAX_SEGMENTS} segments of a view at most, but "
-                f'"{name}" has {count}: leave out the shortest, or match parts of the picture.'
+                f"Matching takes at most {MAX_SEGMENTS} segments per view, but "
+                f'"{name}" has {count}: exclude the shortest, or match parts of the image.'
             )
 
 

@@ -29,14 +29,14 @@ def check_pictures(
     """Raise InputError if a view has no image, or one of another size. `task` begins the
     message.
     """
-    _expect_all(task, views, "picture", pictures)
+    _expect_all(task, views, "image", pictures)
     for name in views:
         width, height = rig[name].image_size_px
         shape = np.shape(pictures[name])[:2]
         if shape != (height, width):
             raise InputError(
-                f'The picture of "{name}" has the shape {shape}, but its camera has {width} x '
-                f"{height} px: give the picture that its segments were found in."
+                f'The image of "{name}" has the shape {shape}, but its camera has {width} x '
+                f"{height} px: give the image that its segments were detected in."
             )
 
 
@@ -44,6 +44,6 @@ def _expect_all(task: str, views: Sequence[str], kind: str, values: Mapping[str,
     missing = [name for name in views if name not in values]
     if missing:
         raise InputError(
-            f'{task} needs the {kind} of every view, but "{missing[0]}" has none: give what was '
-            f"matched of {list_names(views)}."
+            f'{task} needs the {kind} of every view, but "{missing[0]}" has none: pass those '
+            f"of {list_names(views)}."
         )

@@ -130,7 +130,7 @@ def _level_density_nearby(
     difference = levels[:, None, :, None] - levels[nearest][:, :, None, :]
     # The kernel has the smallest agreement scale. Levels that are equal everywhere then give no
     # evidence.
-    width = tuning.agreeing[0]
+    width = tuning.agreement_scales[0]
     kernel = np.exp(-0.5 * (difference / width) ** 2) / (np.sqrt(2 * np.pi) * width)
     joint = kernel[..., 0, 0] * kernel[..., 1, 1] + kernel[..., 0, 1] * kernel[..., 1, 0]
     marginal = kernel.sum(axis=3)
@@ -155,7 +155,7 @@ def _contrast_density_nearby(
     """The same density among the nearest segments of each segment, (n,)."""
     nearest = _nearest(middles_px, tuning)
     # The difference of two levels has twice the variance of one.
-    width = np.sqrt(2) * tuning.agreeing[0]
+    width = np.sqrt(2) * tuning.agreement_scales[0]
     kernel = np.exp(-0.5 * ((contrast[:, None] - contrast[nearest]) / width) ** 2)
     return kernel.sum(axis=1) / (max(nearest.shape[1], 1) * np.sqrt(2 * np.pi) * width)
 

@@ -38,7 +38,7 @@ def exclude_unusable(
     ):
         sigma = sigma_across_px(ends, covariance)
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-        located = np.flatnonzero(sigma < np.minimum(tuning.largest_across_px, length))
+        located = np.flatnonzero(sigma < np.minimum(tuning.max_sigma_across_px, length))
         distinct = located[
             first_of_duplicates(ends[located], sigma[located], polarity[located], tuning)
         ]
@@ -75,12 +75,12 @@ def first_of_duplicates(
     """Rows of the segments that do not duplicate an earlier one, (k,).
 
     Two segments are equal if their ends agree within a share of their sigma across, and their
-    polarities do not differ.
+    polarities are not opposite.
     """
     rows = np.arange(len(ends_px))
     while len(rows) > 1:
         first, second = _duplicate_pairs(
-            ends_px[rows].reshape(-1, 4), tuning.equal_sigmas * sigma_px[rows], polarity[rows]
+            ends_px[rows].reshape(-1, 4), tuning.duplicate_sigmas * sigma_px[rows], polarity[rows]
         )
         label = group_labels(len(rows), first, second)
         if len(first) == 0:

@@ -65,7 +65,7 @@ def _find_parallels(
     """Neighbours that are nearly parallel, close, on one side, and overlap by half of the
     shorter.
     """
-    smallest_px, largest_px = tuning.occlusion.beside_px
+    smallest_px, largest_px = tuning.occlusion.companion_distance_px
     # Sample points on each segment, dense enough that two parallel neighbours have near samples.
     pieces = np.maximum(np.ceil(length / largest_px).astype(np.int64), 1)
     owner = np.repeat(np.arange(len(length)), pieces)
@@ -99,7 +99,7 @@ def _find_continuations(
     """Neighbours with a near end and nearly the same direction. Ends at an angle are junctions
     instead.
     """
-    radius_px = tuning.occlusion.continues_px
+    radius_px = tuning.occlusion.continuation_px
     near_ends = KDTree(ends_px.reshape(-1, 2)).query_pairs(radius_px, output_type="ndarray")
     near_ends = np.concatenate([near_ends, near_ends[:, ::-1]])
     (i, j), (end, other) = near_ends.T // 2, near_ends.T % 2
@@ -203,16 +203,14 @@ def companion_log_odds(
             / (group_sums(weight, frame, frames) + prior)
             for weight in (posterior, 1 - posterior)
         )
-        gain_with, gain_without = (
-            np.log(right_share / wrong_share),
-            np.log((1 - right_share) / (1 - wrong_share)),
-        )
-        is_informative = gain_with > rules.least_companion_ratio
+        gain_with = np.log(right_share / wrong_share)
+        gain_without = np.log((1 - right_share) / (1 - wrong_share))
+        is_informative = gain_with > rules.min_companion_ratio
         gain_with, gain_without = (
             broadcast_groups(np.where(is_informative, term, 0.0), frame)
             for term in (gain_with, gain_without)
         )
-        limit = rules.most_companion
+        limit = rules.max_companion_log_odds
         gain += np.clip(
             has_companion * gain_with + (1 - has_companion) * gain_without, -limit, limit
         )

@@ -3,7 +3,7 @@ lines.
 
 Two segments that fit are weak evidence, because two views test only their ends. Strong evidence
 is that the ends of a pair meet those of matched lines. So the pairs of all views are evaluated
-together with the matched lines: their posterior log odds are computed as for triples and
+together with the matched lines. Their posterior log odds are computed as for triples and
 iterated to a fixed point. `pairs_beside_lines` does this. Where hardly any line is matched in
 three views, `pairs_alone` replaces it.
 """
@@ -103,14 +103,14 @@ def occluded_pairs(
     is_stack_or_alone = lines.frame is not None or is_alone.any()
     bound, agree_px = None, None
     # For few segments, compiling one more program takes longer than the bound saves.
-    if rates is not None and not is_stack_or_alone and max(counts) > tuning.scouting.above:
+    if rates is not None and not is_stack_or_alone and max(counts) > tuning.scouting.min_segments:
         mixture, junctions = rates
         bound = pair_bound(lines, mixture, end_shares(mixture, tuning.ends), tuning)
         # In a scene with junctions, a pair may be right although its ends do not agree.
-        if not np.any(junctions.end_at_junction >= tuning.junctions.min_at_junction):
+        if not np.any(junctions.end_at_junction >= tuning.junctions.min_junction_share):
             typical_px = float(np.asarray(clutter.typical_px))
             reach_px = end_search_radius_px(mixture.ends, typical_px, tuning.scouting, tuning.ends)
-            agree_px = None if reach_px is None else tuning.occlusion.ends_reach * reach_px
+            agree_px = None if reach_px is None else tuning.occlusion.ends_factor * reach_px
 
     def keep_likely(pairs: Candidates) -> Candidates:
         """Pairs in the depth range that are likely by the rates known so far. This limits the
@@ -127,7 +127,7 @@ def occluded_pairs(
         arguments = lines, np.array(views), free_segments, clutter, tuning, bound, agree_px
         for part in possible_pairs(*arguments):
             parts.append(keep_likely(part))
-            if sum(len(pairs.index) for pairs in parts) > tuning.candidates.most_candidates:
+            if sum(len(pairs.index) for pairs in parts) > tuning.candidates.max_candidates:
                 parts = [_likelier_half(concatenate_rows(parts), mean_counts, tuning)]
     pairs = concatenate_rows(parts)
     initial_rates = _initial_rates(pairs, selections, mean_counts, tuning)
@@ -219,7 +219,7 @@ def pairs_beside_lines(
 ) -> Pairs:
     """Pairs among matched lines, with posterior log odds at their fixed point."""
     rules = tuning.occlusion
-    log_missed = float(np.log(rules.missed))
+    log_missed = float(np.log(rules.miss_probability))
     mixture, junctions = initial_rates
     evidence = log_odds_among_lines(pairs, mixture, tuning)
     kept_rows, log_share = likely_pair_rows(pairs, matched.candidates, evidence, tuning)
@@ -236,7 +236,7 @@ def pairs_beside_lines(
     pair_share = np.full(np.shape(mixture.log_count), prior)
     density = mixture.log_count - mixture.volume.log_size + np.log(2)
     has_junctions = broadcast_groups(
-        junctions.end_at_junction >= tuning.junctions.min_at_junction, frame
+        junctions.end_at_junction >= tuning.junctions.min_junction_share, frame
     )
     gain = np.zeros(len(evidence))
     odds = posterior_log_odds = gain

@@ -1,9 +1,9 @@
 """Step 3 where hardly any line is matched in three views: all rates are estimated from the pairs.
 
 No third view tests a pair, so its odds are only as good as the rates that they use. EM estimates
-these from all candidates: the number of lines of each length, the agreement of ends, the frequency
-of junctions, and the density of lines in space. Broken pieces are short and seldom have a partner.
-In a scene without junctions, ends meet by chance.
+these from all candidates. They are the number of lines of each length, the agreement of ends, the
+frequency of junctions, and the density of lines in space. Broken pieces are short and seldom have a
+partner. In a scene without junctions, ends meet by chance.
 
 A wrong pair lies anywhere along its viewing rays, while right pairs lie near other lines. A box
 of their spread is enough for triples, but too coarse here, because the wrong pairs enlarge it.
@@ -114,7 +114,7 @@ def _profile_bins(
     """
     centred = ends_mm - np.expand_dims(centre_mm, -2)
     coordinates = np.einsum("mej,...ij->mei" if axes.ndim == 2 else "mej,mij->mei", centred, axes)
-    share = (coordinates / tuning.place_reach + 1) / 2
+    share = (coordinates / tuning.profile_sigmas + 1) / 2
     return np.clip(np.floor(share * BINS), 0, BINS - 1).astype(np.int64)
 
 
@@ -122,12 +122,12 @@ def _prior_profile(
     tuning: OcclusionTuning,
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """Width of each bin, and its prior share: a box, and a small share beyond."""
-    bins, reach = BINS, tuning.place_reach
+    bins, reach = BINS, tuning.profile_sigmas
     edges, half = np.linspace(-reach, reach, bins + 1), np.sqrt(3.0)
     inside = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0.0)
-    prior_share = (1 - tuning.place_anywhere) * inside / inside.sum() + tuning.place_anywhere / bins
+    prior_share = (1 - tuning.uniform_share) * inside / inside.sum() + tuning.uniform_share / bins
     width = np.full(bins, 2 * reach / bins)
-    width[[0, -1]] *= tuning.place_beyond
+    width[[0, -1]] *= tuning.outer_bin_factor
     return width, prior_share
 
 
@@ -230,7 +230,7 @@ def match_pairs_alone(
     evidence = (
         pairs.log_density
         + log_sides(pairs.side_log, mixture, frame)
-        + pairs.expected_views * float(np.log(rules.missed))
+        + pairs.expected_views * float(np.log(rules.miss_probability))
         + offset
     )
     frames, classes = np.shape(mixture.log_count), len(rules.length_classes_px) + 1
@@ -276,14 +276,14 @@ def match_pairs_alone(
         posterior_log_odds = beliefs.log_odds
         posterior = probability(posterior_log_odds)
         if companion_graph is None:
-            likely_rows = np.flatnonzero(posterior > rules.companion_likely)
+            likely_rows = np.flatnonzero(posterior > rules.min_companion_posterior)
             companion_graph = find_companions(candidates, likely_rows, ends_px, tuning)
         companion_gain = companion_log_odds(companion_graph, posterior, tuning, frame, count)
         density = rates.mixture.log_count - rates.mixture.volume.log_size + np.log(2)
         gain, junctions = junction_log_odds(
             end_pairs, posterior, density, rates.junctions, tuning.junctions, frame
         )
-        has_junctions = junctions.end_at_junction >= tuning.junctions.min_at_junction
+        has_junctions = junctions.end_at_junction >= tuning.junctions.min_junction_share
         gain = np.where(broadcast_groups(has_junctions, frame), gain, 0.0)
         rates = learn_rates(candidates, posterior, rates, junctions, typical_px, tuning)
     posterior_log_odds = with_log_share(posterior_log_odds, log_share)
@@ -302,11 +302,11 @@ def match_pairs_alone(
     bodies = Bodies(*(broadcast_groups(each, frame) for each in body_fields))
     pair_arguments = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
     tempered = temper_pairs(*pair_arguments, tuning)
-    limited_posterior = rules.most_alone * probability(tempered)
+    limited_posterior = rules.max_posterior_alone * probability(tempered)
     in_images = candidates.side_log.any(axis=1)
     tempered = np.where(
         in_images, tempered, np.log(limited_posterior) - np.log1p(-limited_posterior)
     )
     expected = candidates.expected_views
-    miss_log_odds = np.where(expected > 0, expected * float(np.log(rules.missed)), 0.0)
+    miss_log_odds = np.where(expected > 0, expected * float(np.log(rules.miss_probability)), 0.0)
     return Pairs(candidates, odds, tempered, is_accepted, miss_log_odds)

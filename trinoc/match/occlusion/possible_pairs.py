@@ -86,7 +86,7 @@ def _evaluate_pairs(
     tuning: MatchTuning,
     bound: PairBound | None,
 ) -> Candidates:
-    ends = len(tuning.ends.agreeing_px) + 1
+    ends = len(tuning.ends.agreement_px) + 1
     shapes = ((2, 2), (2, 3), (), (2, ends), (2, 3), (2, 6), (), (), ())
 
     def evaluate(segments: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
@@ -151,7 +151,7 @@ def pair_bound(
         np.log(end_shares),
         volume.centre_mm,
         volume.precision,
-        float(np.log(pair_tuning.missed)),
+        float(np.log(pair_tuning.miss_probability)),
         float(prior),
         tuning.selection.prune_log_odds,
     )
@@ -243,7 +243,7 @@ def log_odds_among_lines(
     evidence = (
         candidates.log_density
         + member_evidence
-        + candidates.expected_views * float(np.log(rules.missed))
+        + candidates.expected_views * float(np.log(rules.miss_probability))
     )
     position_density = log_position_density(
         candidates.ends_mm, mixture.volume, tuning.evidence, frame
@@ -258,7 +258,7 @@ def log_ends(candidates: Candidates, shares: Float[np.ndarray, "*m c"]) -> Float
 
 def end_shares(mixture: MixtureParameters, tuning: EndTuning) -> Float[np.ndarray, "*f c"]:
     """Shares of the end components of two views, derived from those of three."""
-    all_agree, two_agree = len(tuning.agreeing_px), len(tuning.pair_px)
+    all_agree, two_agree = len(tuning.agreement_px), len(tuning.pair_px)
     agreeing = mixture.ends[..., :all_agree].copy()
     # If two of three views agree, they are a given pair in one of three cases.
     stops_short = mixture.ends[..., all_agree : all_agree + two_agree]

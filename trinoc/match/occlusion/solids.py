@@ -43,11 +43,9 @@ def see_through_share(
     share = np.zeros(frames)
     frame_label = np.zeros(len(index), np.int64) if frame is None else frame
     for number in range(frames):
-        rows, observed, expected = (
-            np.flatnonzero(frame_label == number),
-            0.0,
-            tuning.evidence.prior_observations,
-        )
+        rows = np.flatnonzero(frame_label == number)
+        observed = 0.0
+        expected = tuning.evidence.prior_observations
         for view, ends in enumerate(ends_px):
             frame_rows = rows[index[rows, view] >= 0]
             segment, member_number = np.unique(index[frame_rows, view], return_inverse=True)
@@ -133,7 +131,7 @@ def temper_tracks(
     """Temper the log odds of tracks and of their rivals."""
     candidates, rules = tracks.candidates, tuning.occlusion
     # Edges of see-through bodies meet at corners too, but are hidden less often.
-    share = bodies.junction_share * (1 - rules.seen_through_gain * bodies.see_through_share)
+    share = bodies.junction_share * (1 - rules.see_through_gain * bodies.see_through_share)
     share_of_candidate = broadcast_groups(share, candidates.frame)
     posterior, rival_log_odds = (
         _temper_log_odds(
@@ -162,7 +160,7 @@ def temper_pairs(
     correction.
     """
     rules, solid_share = tuning.occlusion, bodies.junction_share * (1 - bodies.see_through_share)
-    viewpoint_offset = solid_share * (rules.solid_offset - rules.doubt_turned * crossing_sine)
+    viewpoint_offset = solid_share * (rules.solid_offset - rules.viewpoint_penalty * crossing_sine)
     arguments = posterior_log_odds, side_log, solid_share, rules.solid_temperature, tuning.evidence
     return _temper_log_odds(*arguments) + np.where(side_log.any(axis=1), 0.0, viewpoint_offset)
 

@@ -1,2 +1,3 @@
-"""Matched lines measured in the grey levels of all their views: `measure.py` fits each line to the
-pixels beside it."""
+"""After matching: fit the matched lines to the grey levels of all their views; `measure.py` runs
+this.
+"""

@@ -1,4 +1,4 @@
-"""Matched lines measured in the grey levels of all their views."""
+"""Fit matched lines to the grey levels of all their views."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -38,57 +38,66 @@ def measure_lines(
 ) -> Matches:
     """Fit every matched line to the grey levels of all its views.
 
-    Beside the image of a line, each view's pixels are a step between two levels, blurred by a
-    Gaussian. Levels and blur are fitted in every view and eliminated. What remains says where the
-    line's image is, and the four parameters of the line in space follow from all views together.
-    A view that shows no clean step there keeps its segment's place. A Hausman test compares both
-    answers.
-
     Parameters
     ----------
-    matches : of `match_segments`.
-    segments : those that the matches number.
-    rig : the cameras that they were matched with.
-    pictures : for each view of `matches` its picture, as `find_segments` takes it.
-    response : how the cameras make grey levels of light, as in `find_segments`.
-    tuning : every tuned constant.
+    matches : result of `match_segments`.
+    segments : the matched segments, by view.
+    rig : the cameras of the matches.
+    pictures : image of each view, as for `find_segments`.
+    response : response of the cameras to light, as for `find_segments`.
+    tuning : all tuned constants.
 
     Returns
     -------
-    The same tracks. `measure` says which view rests on its pixels, or why it does not. Lines,
-    fragments, their covariances and `misfit` follow; ends keep their places along the lines.
+    Matches
+        The same tracks. The mark `measure` states for each view that its pixels are used
+        ("pixels"), or why they are not. Lines, fragments, their covariances and `misfit` are
+        updated. The ends keep their positions along the lines.
 
     Raises
     ------
-    InputError : views without a picture or segments, pictures of another size than their camera's.
+    InputError : a view without image or segments, or an image of another size than its camera's.
 
-    Source of the test: J. A. Hausman, "Specification tests in econometrics", 1978,
-    doi:10.2307/1913827.
+    Notes
+    -----
+    Beside the image of a line, the grey levels are a step between two levels, blurred by a
+    Gaussian. Levels and blur are estimated in every view and eliminated. The position of the line's
+    image remains. The four parameters of the line in space are estimated from the positions in all
+    views together. A view without a clean step keeps the position of its segment. A Hausman test
+    compares both estimates of the line.
+
+    References
+    ----------
+    J. A. Hausman, "Specification tests in econometrics", 1978, doi:10.2307/1913827.
     """
     check_pictures("Measuring lines", matches.views, rig, pictures)
-    given = segments_of_views("Measuring lines", matches.views, segments)
-    images, views = [], []
+    segments_of_view = segments_of_views("Measuring lines", matches.views, segments)
+    image_tables, views = [], []
     for view, name in enumerate(matches.views):
-        own = given[name]
+        view_segments = segments_of_view[name]
         lens = rig[name].intrinsics
-        seen = line_images(matches, view, own, np.asarray(rig[name].matrix_px), lens)
+        view_images = line_images(
+            matches, view, view_segments, np.asarray(rig[name].matrix_px), lens
+        )
         light = Light.from_picture(pictures[name], response)
-        every = np.asarray(own.endpoints_px, dtype=np.float64)
-        images.append(seen)
-        views.append(fit_view(light, every, lens, seen, tuning))
-    return apply_measurements(matches, rig, images, views, tuning)
+        all_ends_px = np.asarray(view_segments.endpoints_px, dtype=np.float64)
+        image_tables.append(view_images)
+        views.append(fit_view(light, all_ends_px, lens, view_images, tuning))
+    return apply_measurements(matches, rig, image_tables, views, tuning)
 
 
-# numerical: Gauss-Newton steps, which converge.
+# numerical: number of Gauss-Newton steps.
 _STEPS = 4
 
 
 class PixelLineFit(NamedTuple):
-    """Fields
+    """Lines fitted to pixels.
+
+    Fields
     ------
-    move_mm : (t, 4) of the first end, then of the last, along the two axes across the line.
-    covariance_mm2 : (t, 4, 4) of these, NaN of lines that the views do not determine.
-    misfit : (t,) chi-square by which the views disagree.
+    move_mm : (t, 4) displacement of the first and the last end, along the two axes across the line.
+    covariance_mm2 : (t, 4, 4) covariance of these, NaN if the views do not determine the line.
+    misfit : (t,) chi-square of the disagreement between the views.
     """
 
     move_mm: Float[np.ndarray, "t 4"]
@@ -100,31 +109,36 @@ def fit_lines_to_pixels(
     matrices_px: Float[np.ndarray, "v 3 4"],
     ends_mm: Float[np.ndarray, "t 2 3"],
     axes: Float[np.ndarray, "t 2 3"],
-    places_px: Float[np.ndarray, "t v 2 2"],
+    points_px: Float[np.ndarray, "t v 2 2"],
     covariance_px2: Float[np.ndarray, "t v 2 2"],
-    seen: Float[np.ndarray, "t v"],
+    weight_of_view: Float[np.ndarray, "t v"],
 ) -> PixelLineFit:
-    """Lines whose images go through places, known to this across; views that see none count 0."""
+    """Fit lines to points of their images, with a covariance across the image.
+
+    Views with `weight_of_view` 0 are ignored.
+    """
     count = len(ends_mm)
     matrices = np.broadcast_to(matrices_px, (count, *matrices_px.shape))
-    white = whitening(covariance_px2)
+    whitener = whitening(covariance_px2)
 
     def move_across(move: Float[np.ndarray, "t 4"]) -> Float[np.ndarray, "t 2 3"]:
         return ends_mm + move.reshape(count, 2, 2) @ axes
 
     def residuals(move: Float[np.ndarray, "t 4"]) -> Residuals:
-        found = distances_from_line(matrices, move_across(move)[:, None], places_px)
-        by_move = np.einsum("tvpei,tai->tvpea", found.by_ends, axes).reshape(*white.shape[:3], 4)
-        distance = (white @ found.distance_px[..., None])[..., 0]
-        return Residuals(distance, white @ by_move, seen)
+        distances = distances_from_line(matrices, move_across(move)[:, None], points_px)
+        by_move = np.einsum("tvpei,tai->tvpea", distances.by_ends, axes).reshape(
+            *whitener.shape[:3], 4
+        )
+        distance = (whitener @ distances.distance_px[..., None])[..., 0]
+        return Residuals(distance, whitener @ by_move, weight_of_view)
 
     move, equations = gauss_newton(residuals, np.add, np.zeros((count, 4)), steps=_STEPS)
     return PixelLineFit(move, equations.covariance(), equations.chi_square)
 
 
 DISAGREES = "disagrees"
-# numerical: a line has four.
-_UNKNOWNS = 4
+# numerical: number of parameters of a line.
+_LINE_PARAMETERS = 4
 
 
 def apply_measurements(
@@ -134,142 +148,175 @@ def apply_measurements(
     views: Sequence[ViewFit],
     tuning: PixelTuning,
 ) -> Matches:
-    """Matches whose lines and fragments rest on pixels where these hold."""
-    tracks, sides = matches.index.shape
-    words = np.full((tracks, sides), "", dtype="<U16")
-    place = np.zeros((tracks, sides, 2, 2))
-    place[..., 0, :] = 1.0
-    covariance = np.tile(np.eye(2), (tracks, sides, 1, 1))
-    for view, (seen, fit) in enumerate(zip(images, views, strict=True)):
-        rows = seen.track
-        words[rows, view] = fit.words
-        place[rows, view] = seen.ends_px + fit.offset_px[..., None] * seen.right[:, None]
-        covariance[rows, view] = fit.covariance_px2
-    way = matches.lines_mm[:, 1] - matches.lines_mm[:, 0]
-    unit = way / np.linalg.norm(way, axis=1)[:, None]
+    """Matches with lines and fragments from the pixels, where these are valid."""
+    tracks, view_count = matches.index.shape
+    outcome = np.full((tracks, view_count), "", dtype="<U16")
+    points_px = np.zeros((tracks, view_count, 2, 2))
+    points_px[..., 0, :] = 1.0
+    covariance = np.tile(np.eye(2), (tracks, view_count, 1, 1))
+    for view, (view_images, view_fit) in enumerate(zip(images, views, strict=True)):
+        rows = view_images.track
+        outcome[rows, view] = view_fit.outcome
+        points_px[rows, view] = (
+            view_images.ends_px + view_fit.offset_px[..., None] * view_images.normal[:, None]
+        )
+        covariance[rows, view] = view_fit.covariance_px2
+    step = matches.lines_mm[:, 1] - matches.lines_mm[:, 0]
+    unit = step / np.linalg.norm(step, axis=1)[:, None]
     axes = complete_axes(unit)
     matrices = np.stack([np.asarray(rig[name].matrix_px) for name in matches.views])
-    seen = matches.index >= 0
-    found = fit_lines_to_pixels(
-        matrices, matches.lines_mm, axes, place, covariance, seen.astype(np.float64)
+    is_observed = matches.index >= 0
+    fit = fit_lines_to_pixels(
+        matrices, matches.lines_mm, axes, points_px, covariance, is_observed.astype(np.float64)
     )
-    sound = np.asarray(np.isfinite(found.covariance_mm2).all(axis=(1, 2)))
-    move = np.where(sound[:, None], found.move_mm, 0.0)
-    spread = np.where(sound[:, None, None], found.covariance_mm2, np.eye(_UNKNOWNS))
-    misfit = np.where(sound, found.misfit, 0.0)
-    sound &= (words == PIXELS).any(axis=1)
+    is_sound = np.asarray(np.isfinite(fit.covariance_mm2).all(axis=(1, 2)))
+    move = np.where(is_sound[:, None], fit.move_mm, 0.0)
+    move_covariance = np.where(
+        is_sound[:, None, None], fit.covariance_mm2, np.eye(_LINE_PARAMETERS)
+    )
+    misfit = np.where(is_sound, fit.misfit, 0.0)
+    is_sound &= (outcome == PIXELS).any(axis=1)
 
-    # Both answers in coordinates across both ends and along the line.
-    turn = np.zeros((tracks, 6, 6))
-    turn[:, 0:2, 0:3] = turn[:, 2:4, 3:6] = axes
-    turn[:, 4, 0:3] = turn[:, 5, 3:6] = unit
-    before = turn @ matches.covariance_mm2 @ turn.mT
+    # Both estimates, in coordinates across both ends and along the line.
+    rotation = np.zeros((tracks, 6, 6))
+    rotation[:, 0:2, 0:3] = rotation[:, 2:4, 3:6] = axes
+    rotation[:, 4, 0:3] = rotation[:, 5, 3:6] = unit
+    covariance_before = rotation @ matches.covariance_mm2 @ rotation.mT
     freedom = degrees_of_misfit(matches.index)
-    sure = sound & (freedom > 0) & (matches.posterior > tuning.sure)
-    rules = NoiseTuning(tail_of_pictures=tuning.tail)
-    tail = fit_tail(misfit[sure], freedom[sure], has_images=True, tuning=rules)
-    spread = spread * variance_factor(misfit, freedom, tail)[:, None, None]
-    difference = hausman(move, before[:, :4, :4], spread, tuning.least_difference)
-    limit = chi_square_limit(tuning.least_probability, _UNKNOWNS)
-    # Where the answers differ too much, the pixels' holds if its views agree among themselves, as
-    # two always do: segments are off more often than pixels. Its covariance then covers both.
-    three = seen.sum(axis=1) > 2
-    agree = chi_square_tail(misfit, np.maximum(freedom, 1)) > tuning.least_probability
-    holds = sound & ((difference <= limit) | agree)
-    spread = spread * np.maximum(difference / limit, 1.0)[:, None, None]
-    ends, of_ends = _move_lines(matches.lines_mm, turn, before, move, spread)
+    is_sure = is_sound & (freedom > 0) & (matches.posterior > tuning.sure_posterior)
+    noise_tuning = NoiseTuning(tail_of_images=tuning.tail)
+    tail = fit_tail(misfit[is_sure], freedom[is_sure], has_images=True, tuning=noise_tuning)
+    move_covariance = move_covariance * variance_factor(misfit, freedom, tail)[:, None, None]
+    difference = hausman(
+        move, covariance_before[:, :4, :4], move_covariance, tuning.min_difference_share
+    )
+    limit = chi_square_limit(tuning.min_probability, _LINE_PARAMETERS)
+    # If the estimates differ too much, that of the pixels is used if its views agree, as two always
+    # do: segments are wrong more often than pixels. Its covariance then covers both estimates.
+    in_three_views = is_observed.sum(axis=1) > 2
+    views_agree = chi_square_tail(misfit, np.maximum(freedom, 1)) > tuning.min_probability
+    is_measured = is_sound & ((difference <= limit) | views_agree)
+    move_covariance = move_covariance * np.maximum(difference / limit, 1.0)[:, None, None]
+    ends, ends_covariance = _move_lines(
+        matches.lines_mm, rotation, covariance_before, move, move_covariance
+    )
     depth = np.einsum("vj,tej->tve", matrices[:, 2, :3], ends) + matrices[:, 2, 3][:, None]
-    holds &= ((depth > 0).all(axis=2) | ~seen).all(axis=1) & np.isfinite(ends).all(axis=(1, 2))
-    words = np.where((words == PIXELS) & ~holds[:, None], DISAGREES, words)
-    fragments, of_fragments = _fragments(matches, rig, images, views, words)
+    is_measured &= ((depth > 0).all(axis=2) | ~is_observed).all(axis=1) & np.isfinite(ends).all(
+        axis=(1, 2)
+    )
+    outcome = np.where((outcome == PIXELS) & ~is_measured[:, None], DISAGREES, outcome)
+    fragments, fragments_covariance = _measured_fragments(matches, rig, images, views, outcome)
     counts = {
-        "measured: lines by their pixels": int(holds.sum()),
-        "measured: lines by their segments": int((~holds).sum()),
+        "measured: lines by their pixels": int(is_measured.sum()),
+        "measured: lines by their segments": int((~is_measured).sum()),
     }
     measured = dataclasses.replace(
         matches,
         fragments_px=fragments,
-        lines_mm=np.where(holds[:, None, None], ends, matches.lines_mm),
-        covariance_mm2=np.where(holds[:, None, None], of_ends, matches.covariance_mm2),
+        lines_mm=np.where(is_measured[:, None, None], ends, matches.lines_mm),
+        covariance_mm2=np.where(
+            is_measured[:, None, None], ends_covariance, matches.covariance_mm2
+        ),
         counts=matches.counts | counts,
-        fragments_covariance_px2=of_fragments,
+        fragments_covariance_px2=fragments_covariance,
         rig_covariance_mm2=None,
-        misfit=None if matches.misfit is None else np.where(holds & three, misfit, matches.misfit),
+        misfit=None
+        if matches.misfit is None
+        else np.where(is_measured & in_three_views, misfit, matches.misfit),
     )
-    return measured.with_marks(measure=words)
+    return measured.with_marks(measure=outcome)
 
 
 def hausman(
     difference: Float[np.ndarray, "t k"],
-    usual: Float[np.ndarray, "t k k"],
+    robust: Float[np.ndarray, "t k k"],
     efficient: Float[np.ndarray, "t k k"],
-    least: float,
+    smallest_share: float,
 ) -> Float[np.ndarray, "t"]:
-    """Chi-square, with k degrees of freedom, of the difference of two answers to one question.
+    """Hausman statistic of the difference of two estimates, (t,): chi-square with k degrees of
+    freedom.
 
-    Its covariance is the difference of theirs, if one of them is efficient; where that is not
-    positive, or small, it is `least` of the efficient one's.
+    If one estimate is efficient, the covariance of the difference is the difference of the
+    covariances. It is at least `smallest_share` of the efficient one's, in every direction.
     """
     root = np.linalg.cholesky(efficient)
     inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ usual @ inverse.mT)
+    values, vectors = np.linalg.eigh(inverse @ robust @ inverse.mT)
     along = (vectors.mT @ inverse @ difference[..., None])[..., 0]
-    return (along**2 / np.maximum(values - 1, least)).sum(axis=1)
+    return (along**2 / np.maximum(values - 1, smallest_share)).sum(axis=1)
 
 
 def _move_lines(
     ends_mm: Float[np.ndarray, "t 2 3"],
-    turn: Float[np.ndarray, "t 6 6"],
-    before: Float[np.ndarray, "t 6 6"],
+    rotation: Float[np.ndarray, "t 6 6"],
+    covariance_before: Float[np.ndarray, "t 6 6"],
     move: Float[np.ndarray, "t 4"],
-    spread: Float[np.ndarray, "t 4 4"],
+    move_covariance: Float[np.ndarray, "t 4 4"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(ends, covariance) after lines moved across: along, ends follow as they did before."""
-    follow = np.linalg.solve(before[:, :4, :4], before[:, :4, 4:]).mT
-    along = (follow @ move[..., None])[..., 0]
-    own = before[:, 4:, 4:] - follow @ before[:, :4, 4:]
-    both = follow @ spread
-    after = np.zeros_like(before)
-    after[:, :4, :4], after[:, 4:, :4], after[:, :4, 4:] = spread, both, both.mT
-    after[:, 4:, 4:] = own + both @ follow.mT
-    step = (turn.mT @ np.concatenate([move, along], axis=1)[..., None])[..., 0]
-    return ends_mm + step.reshape(-1, 2, 3), turn.mT @ after @ turn
+    """Ends and covariance of lines moved across. The ends follow along the line by their
+    correlation.
+    """
+    regression = np.linalg.solve(covariance_before[:, :4, :4], covariance_before[:, :4, 4:]).mT
+    move_along = (regression @ move[..., None])[..., 0]
+    conditional = covariance_before[:, 4:, 4:] - regression @ covariance_before[:, :4, 4:]
+    cross_covariance = regression @ move_covariance
+    covariance_after = np.zeros_like(covariance_before)
+    covariance_after[:, :4, :4], covariance_after[:, 4:, :4], covariance_after[:, :4, 4:] = (
+        move_covariance,
+        cross_covariance,
+        cross_covariance.mT,
+    )
+    covariance_after[:, 4:, 4:] = conditional + cross_covariance @ regression.mT
+    step = (rotation.mT @ np.concatenate([move, move_along], axis=1)[..., None])[..., 0]
+    return ends_mm + step.reshape(-1, 2, 3), rotation.mT @ covariance_after @ rotation
 
 
-def _fragments(
+def _measured_fragments(
     matches: Matches,
     rig: Rig,
     images: Sequence[LineImages],
     views: Sequence[ViewFit],
-    words: np.ndarray,
+    outcome: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Fragments on the images of lines that their pixels show, with covariance."""
+    """Fragments moved to the measured images of the lines, with their covariance."""
     fragments, covariance = matches.fragments_px.copy(), None
     if matches.fragments_covariance_px2 is not None:
         covariance = matches.fragments_covariance_px2.copy()
-    for view, (seen, fit) in enumerate(zip(images, views, strict=True)):
-        lens, rows = rig[matches.views[view]].intrinsics, seen.track
-        good = words[rows, view] == PIXELS
-        flat = undistort_pixels(lens, matches.fragments_px[rows, view])
-        along = np.einsum("sei,si->se", flat - seen.ends_px[:, :1], seen.way)
-        share = along / seen.length_px[:, None]
-        across = interpolate_offset(fit.offset_px, share)
-        place = seen.ends_px[:, :1] + along[..., None] * seen.way[:, None]
-        place = distort_pixels(lens, place + across[..., None] * seen.right[:, None])
-        # A part that is moved across may end beyond the fold of the lens: it stays as it was.
-        inside = good & np.isfinite(place).all(axis=(1, 2))
-        fragments[rows[inside], view] = place[inside]
+    for view, (view_images, fit) in enumerate(zip(images, views, strict=True)):
+        lens, rows = rig[matches.views[view]].intrinsics, view_images.track
+        is_measured = outcome[rows, view] == PIXELS
+        undistorted = undistort_pixels(lens, matches.fragments_px[rows, view])
+        along_px = np.einsum(
+            "sei,si->se", undistorted - view_images.ends_px[:, :1], view_images.direction
+        )
+        share = along_px / view_images.length_px[:, None]
+        across_px = interpolate_offset(fit.offset_px, share)
+        moved_px = view_images.ends_px[:, :1] + along_px[..., None] * view_images.direction[:, None]
+        moved_px = distort_pixels(
+            lens, moved_px + across_px[..., None] * view_images.normal[:, None]
+        )
+        # A fragment that would end beyond the fold of the lens is not moved.
+        is_valid = is_measured & np.isfinite(moved_px).all(axis=(1, 2))
+        fragments[rows[is_valid], view] = moved_px[is_valid]
         if covariance is None:
             continue
         weight = np.stack([1 - share, share], axis=2)
-        spread = np.where(
-            good[:, None, None],
+        covariance_across = np.where(
+            is_measured[:, None, None],
             weight @ fit.covariance_px2 @ weight.mT,
-            fit.widened_px2[:, None, None] * np.ones((2, 2)),
+            fit.widening_px2[:, None, None] * np.ones((2, 2)),
         )
-        added = np.einsum("sef,si,sj->seifj", spread, seen.right, seen.right).reshape(-1, 4, 4)
-        beside = np.einsum("ef,si,sj->seifj", np.eye(2), seen.way, seen.way).reshape(-1, 4, 4)
-        old = covariance[rows, view]
-        kept = np.where(good[:, None, None], beside @ old @ beside, old)
-        covariance[rows, view] = kept + added
+        added_covariance = np.einsum(
+            "sef,si,sj->seifj", covariance_across, view_images.normal, view_images.normal
+        ).reshape(-1, 4, 4)
+        along_projector = np.einsum(
+            "ef,si,sj->seifj", np.eye(2), view_images.direction, view_images.direction
+        ).reshape(-1, 4, 4)
+        covariance_before = covariance[rows, view]
+        retained = np.where(
+            is_measured[:, None, None],
+            along_projector @ covariance_before @ along_projector,
+            covariance_before,
+        )
+        covariance[rows, view] = retained + added_covariance
     return fragments, covariance

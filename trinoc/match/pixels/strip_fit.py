@@ -1,4 +1,4 @@
-"""All blocks beside a line together: where its image is, by Gauss and Newton."""
+"""Fit the image of a line to all blocks of pixels beside it, by Gauss-Newton."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.image.step_edge import BlockFit, fit_block
-from trinoc.match.pixels.strips import Strips, outward
+from trinoc.match.pixels.strips import Strips, connected_to_middle
 from trinoc.match.pixels.tuning import PixelTuning
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.joins import group_medians, group_sums
@@ -15,31 +15,33 @@ from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.small_least_squares import NormalEquations
 
-# numerical: a block size.
+# numerical: number of blocks per call.
 BLOCKS_AT_ONCE = 64
-# numerical: Gauss-Newton steps, which converge.
+# numerical: number of Gauss-Newton steps.
 _STEPS = 7
-# numerical: the first steps fit the core alone, with all blocks alike.
+# numerical: number of first steps that use only the core, with equal weights of all blocks.
 _CORE_STEPS = 2
-# Of both offsets, and of the logarithm of the blur.
-# numerical: limits of a step.
+# numerical: largest step of both offsets, px, and of the logarithm of the blur.
 _LARGEST_STEP = np.array([0.7, 0.7, 0.3])
-# numerical: pixels that a block must have on either side, and unknowns that it has of its own.
-_LEAST_PIXELS, _OWN_UNKNOWNS = 8, 6
+# numerical: smallest number of pixels of a block on either side, and its own parameters.
+_MIN_PIXELS, _BLOCK_PARAMETERS = 8, 6
 
 
 class StripFit(NamedTuple):
-    """What the pixels say of the images of lines.
+    """Images of lines fitted to pixels.
 
     Fields
     ------
-    place : (s, 3) offsets at both ends, and logarithm of the blur. information : (s, 3, 3) of it.
-    chi_square : (s,) of usual blocks, over degrees of freedom, at the picture's noise.
-    scatter : (s,) sum of squares of the blocks' distances from the line, in standard deviations.
-    blocks : (s,) how many count. share : (s,) of all.
+    parameters : (s, 3) offsets at both ends, px, and logarithm of the blur.
+    information : (s, 3, 3) information matrix of the parameters.
+    chi_square : (s,) median chi-square of the blocks over their degrees of freedom, at the image's
+        noise.
+    scatter : (s,) sum of squared distances of the blocks from the line, in standard deviations.
+    blocks : (s,) number of accepted blocks.
+    share : (s,) share of blocks with a weight above 0.3.
     """
 
-    place: Float[np.ndarray, "s 3"]
+    parameters: Float[np.ndarray, "s 3"]
     information: Float[np.ndarray, "s 3 3"]
     chi_square: Float[np.ndarray, "s"]
     scatter: Float[np.ndarray, "s"]
@@ -55,12 +57,12 @@ def _blocks(
     share: Float[ArrayLike, "b r c"],
     level: Float[ArrayLike, "b r c"],
     usable: Bool[ArrayLike, "b r c"],
-    reach: Bool[ArrayLike, "b c"],
-    place: Float[ArrayLike, "b 3"],
+    columns: Bool[ArrayLike, "b c"],
+    parameters: Float[ArrayLike, "b 3"],
     noise: Float[ArrayLike, "b"],
 ) -> BlockFit:
     return jax.vmap(fit_block, in_axes=(None, None, 0, 0, 0, 0, 0, 0, 0))(
-        core, slopes, across_px, share, level, usable, reach, place, noise
+        core, slopes, across_px, share, level, usable, columns, parameters, noise
     )
 
 
@@ -71,48 +73,60 @@ def fit_strips(
     log_blur: tuple[float, float],
     tuning: PixelTuning,
 ) -> StripFit:
-    """Fit the images of lines to their pixels, from offsets at their ends.
+    """Fit the images of lines to their pixels.
 
-    `log_blur` is what is known of the logarithm of the blur before: mean and standard deviation.
-    Each line's own levels, blur and noise are fitted; blocks that do not belong count less.
+    Each line has its own levels, blur and noise. Blocks that do not fit have small weights.
+
+    Parameters
+    ----------
+    start_px : offsets at both ends of each line, (s, 2).
+    noise : standard deviation of the grey levels.
+    log_blur : prior mean and standard deviation of the logarithm of the blur.
     """
     count, line = len(start_px), strips.line
-    place = np.column_stack([start_px, np.full(count, log_blur[0])])
-    reach = np.zeros(strips.level.shape[::2], dtype=bool)
+    parameters = np.column_stack([start_px, np.full(count, log_blur[0])])
+    columns = np.zeros(strips.level.shape[::2], dtype=bool)
     core = np.array([tuning.core_widths, tuning.core_px])
     slopes = np.array([tuning.across_slope, tuning.along_slope])
-    every = np.full(len(line), noise)
+    block_noise = np.full(len(line), noise)
 
     def blocks(*columns: np.ndarray) -> BlockFit:
         return _blocks(core, slopes, *columns)
 
-    known = np.array([0.0, 0.0, 1 / log_blur[1] ** 2])
+    prior_information = np.array([0.0, 0.0, 1 / log_blur[1] ** 2])
     for step in range(_STEPS):
-        here = (*strips[:4], reach, place[line], every)
-        found = in_blocks(blocks, BLOCKS_AT_ONCE, *here)
-        weighed = _weigh(found, line, count, noise, step > 1, tuning)
+        arguments = (*strips[:4], columns, parameters[line], block_noise)
+        blocks_fit = in_blocks(blocks, BLOCKS_AT_ONCE, *arguments)
+        sums = _sum_blocks(blocks_fit, line, count, noise, step > 1, tuning)
         if step == _STEPS - 1:
             break
-        off = place - np.array([0.0, 0.0, log_blur[0]])
+        prior_offset = parameters - np.array([0.0, 0.0, log_blur[0]])
         equations = NormalEquations(
-            weighed.information + np.diag(known), known * off - weighed.gradient, off, off
+            sums.information + np.diag(prior_information),
+            prior_information * prior_offset - sums.gradient,
+            prior_offset,
+            prior_offset,
         )
-        place = place + equations.step(_LARGEST_STEP)
+        parameters = parameters + equations.step(_LARGEST_STEP)
         if step + 1 >= _CORE_STEPS:
-            reach = _grow(found, strips.usable, noise * np.sqrt(weighed.noise[line]), tuning)
+            columns = _extend_columns(
+                blocks_fit, strips.usable, noise * np.sqrt(sums.noise[line]), tuning
+            )
     total = np.maximum(np.bincount(line, minlength=count), 1)
     return StripFit(
-        place,
-        weighed.information,
-        weighed.chi_square,
-        weighed.scatter,
-        weighed.blocks,
-        weighed.believed / total,
+        parameters,
+        sums.information,
+        sums.chi_square,
+        sums.scatter,
+        sums.blocks,
+        sums.accepted_blocks / total,
     )
 
 
 class _LineSums(NamedTuple):
-    """Of each line, by its pixels alone; `noise` and `chi_square` over the picture's variance."""
+    """Sums over the blocks of each line. `noise` and `chi_square` are relative to the image's
+    variance.
+    """
 
     information: Float[np.ndarray, "s 3 3"]
     gradient: Float[np.ndarray, "s 3"]
@@ -120,56 +134,60 @@ class _LineSums(NamedTuple):
     chi_square: Float[np.ndarray, "s"]
     scatter: Float[np.ndarray, "s"]
     blocks: Float[np.ndarray, "s"]
-    believed: Float[np.ndarray, "s"]
+    accepted_blocks: Float[np.ndarray, "s"]
 
 
-def _weigh(
-    found: BlockFit,
+def _sum_blocks(
+    fit: BlockFit,
     line: Int[np.ndarray, "b"],
     count: int,
     noise: float,
     robust: bool,
     tuning: PixelTuning,
 ) -> _LineSums:
-    """Sums over the blocks of each line; what is no step like the others' counts little."""
-    found = BlockFit(*(np.asarray(column) for column in found))
-    freedom = np.maximum(found.count.sum(axis=1) - _OWN_UNKNOWNS, 1)
-    complete = (found.count >= _LEAST_PIXELS).all(axis=1)
-    chi = np.asarray(found.square / freedom / noise**2)
-    usual = group_medians(chi[complete], line[complete], count)
-    usual = np.where(np.isfinite(usual), usual, 1.0)
-    scale = np.maximum(usual, tuning.least_noise)
+    """Sum the normal equations over the blocks of each line. Blocks unlike the others have small
+    weights.
+    """
+    fit = BlockFit(*(np.asarray(column) for column in fit))
+    freedom = np.maximum(fit.count.sum(axis=1) - _BLOCK_PARAMETERS, 1)
+    is_complete = (fit.count >= _MIN_PIXELS).all(axis=1)
+    chi = np.asarray(fit.square / freedom / noise**2)
+    median_chi_square = group_medians(chi[is_complete], line[is_complete], count)
+    median_chi_square = np.where(np.isfinite(median_chi_square), median_chi_square, 1.0)
+    scale = np.maximum(median_chi_square, tuning.min_noise)
     limit = 1 + tuning.block_chi_sigmas * np.sqrt(2 / freedom)
-    good = complete & (chi < scale[line] * limit)
-    # All blocks of an edge are brighter on the same side.
-    brighter = np.sign(group_sums(np.where(good, found.step, 0.0), line, count))
-    good &= np.sign(found.step) == brighter[line]
+    is_good = is_complete & (chi < scale[line] * limit)
+    # All blocks of an edge have the same brighter side.
+    bright_side = np.sign(group_sums(np.where(is_good, fit.step, 0.0), line, count))
+    is_good &= np.sign(fit.step) == bright_side[line]
     variance = (scale * noise**2)[line]
-    own = found.information[:, :2, :2].sum(axis=(1, 2))
-    off = found.gradient[:, :2].sum(axis=1) / np.sqrt(np.maximum(own, 1e-12) * variance)
-    weight = np.where(good, 1.0, 0.0)
+    information = fit.information[:, :2, :2].sum(axis=(1, 2))
+    distance_sigmas = fit.gradient[:, :2].sum(axis=1) / np.sqrt(
+        np.maximum(information, 1e-12) * variance
+    )
+    weight = np.where(is_good, 1.0, 0.0)
     if robust:
-        weight = weight / (1 + np.square(off / tuning.block_sigmas))
-    share = weight / variance
+        weight = weight / (1 + np.square(distance_sigmas / tuning.block_sigmas))
+    weight_over_variance = weight / variance
     return _LineSums(
-        group_sums(np.asarray(found.information * share[:, None, None]), line, count),
-        group_sums(np.asarray(found.gradient * share[:, None]), line, count),
+        group_sums(np.asarray(fit.information * weight_over_variance[:, None, None]), line, count),
+        group_sums(np.asarray(fit.gradient * weight_over_variance[:, None]), line, count),
         scale,
-        usual,
-        group_sums(np.where(good, off**2, 0.0), line, count),
-        group_sums(good.astype(np.float64), line, count),
+        median_chi_square,
+        group_sums(np.where(is_good, distance_sigmas**2, 0.0), line, count),
+        group_sums(is_good.astype(np.float64), line, count),
         group_sums((weight > 0.3).astype(np.float64), line, count),
     )
 
 
-def _grow(
-    found: BlockFit,
+def _extend_columns(
+    fit: BlockFit,
     usable: Bool[np.ndarray, "b r c"],
     noise: Float[np.ndarray, "b"],
     tuning: PixelTuning,
 ) -> Bool[np.ndarray, "b c"]:
-    """The columns, from the core outward, whose mean the levels of their block explain."""
-    number = usable.sum(axis=1)
-    most = tuning.ring_sigmas * noise[:, None] * np.sqrt(np.maximum(number, 1))
-    alike = (number > 0) & (np.abs(found.column) <= most)
-    return outward(alike | found.inner)
+    """Columns, from the core outward, whose mean agrees with the levels of their block."""
+    pixel_count = usable.sum(axis=1)
+    limit = tuning.ring_sigmas * noise[:, None] * np.sqrt(np.maximum(pixel_count, 1))
+    is_explained = (pixel_count > 0) & (np.abs(fit.column) <= limit)
+    return connected_to_middle(is_explained | fit.inner)

@@ -1,7 +1,7 @@
-"""The pixels beside the images of lines, in blocks of a few rows along each.
+"""Pixels beside the images of lines, in blocks of a few rows along each line.
 
-A block is so short that the grey levels on either side hardly change along it: each block has its
-own, and no shadow or second face farther along disturbs it.
+A block is so short that the grey levels hardly change along it. Each block has its own levels,
+so a shadow or another face farther along does not disturb it.
 """
 
 from typing import NamedTuple
@@ -14,29 +14,30 @@ from trinoc.image.strip import list_pixels_across, take_levels
 from trinoc.match.pixels.images import LineImages
 from trinoc.match.pixels.tuning import PixelTuning
 
-# numerical: rows along the edge, and columns to either side of the one in the middle. Rows and
-# columns are the picture's own, whichever crosses the edge more steeply.
+# numerical: rows of a block along the edge, and columns on either side of the middle one. The rows
+# are rows or columns of the image, whichever cross the edge more steeply.
 ROWS, HALF = 6, 11
-# numerical: both sides and the middle.
+# numerical: columns of both sides and the middle.
 COLUMNS = 2 * HALF + 1
-# numerical: fewer say nothing of a slope.
-_LEAST_ROWS = 3
-# numerical: a lens bends the image of a line by less than this many chords show.
+# numerical: a slope needs at least this number of rows.
+_MIN_ROWS = 3
+# numerical: chords that approximate the curved image of a line.
 _CHORDS = 16
-# numerical: whose the surroundings of a pixel are, where no segment is near.
-NOBODY = -1
+# numerical: label of pixels without a near segment.
+NO_SEGMENT = -1
 
 
 class Strips(NamedTuple):
-    """Blocks of pixels beside lines; those of a line follow one another.
+    """Blocks of pixels beside lines; the blocks of a line follow each other.
 
     Fields
     ------
     across_px : (b, r, c) distance from the line's image, in undistorted pixels.
-    share : (b, r, c) position along it, 0 and 1 at the ends.
-    level : (b, r, c) grey level, or light. usable : (b, r, c) whether a pixel is near this line
-        alone, with nothing between.
-    line : (b,) whose each block is.
+    share : (b, r, c) position along the image, 0 and 1 at its ends.
+    level : (b, r, c) grey level, or light.
+    usable : (b, r, c) mask of the pixels that are near this line only, with no other segment
+        between.
+    line : (b,) line of each block.
     """
 
     across_px: Float[np.ndarray, "b r c"]
@@ -55,99 +56,117 @@ def sample_strips(
     blur_px: float,
     tuning: PixelTuning,
 ) -> Strips:
-    """The blocks of all lines of a picture; lines without room for one have none."""
-    inside = images.extent_px + np.array([1.0, -1.0]) * tuning.end_widths * blur_px
-    pixels, valid, line = _strip_pixels(lens, images, inside)
-    flat = undistort_pixels(lens, pixels.astype(np.float64))
-    # Some pixels beside a line that ends at the fold of the lens have no ray.
-    has_ray = np.isfinite(flat).all(axis=-1)
-    off = np.nan_to_num(flat) - images.ends_px[line, 0][:, None, None]
+    """Sample the blocks of all lines of an image. A line that is too short has none."""
+    interval_px = images.extent_px + np.array([1.0, -1.0]) * tuning.end_widths * blur_px
+    pixels, valid, line = _strip_pixels(lens, images, interval_px)
+    undistorted = undistort_pixels(lens, pixels.astype(np.float64))
+    # Pixels beyond the fold of the lens have no ray.
+    has_ray = np.isfinite(undistorted).all(axis=-1)
+    offset = np.nan_to_num(undistorted) - images.ends_px[line, 0][:, None, None]
     across, along = (
-        np.einsum("brci,bi->brc", off, axis[line]) for axis in (images.right, images.way)
+        np.einsum("brci,bi->brc", offset, axis[line]) for axis in (images.normal, images.direction)
     )
-    level, within = take_levels(light, pixels)
-    is_clipped, first, last = (take_levels(each, pixels)[0] for each in (clipped, *owners))
-    own = images.segment[line][:, None, None]
-    alone = (last == NOBODY) | ((first == own) & (last == own))
-    usable = valid & has_ray & within & alone & (np.abs(across) <= tuning.reach_px) & ~is_clipped
+    level, is_inside = take_levels(light, pixels)
+    is_clipped, first, last = (take_levels(mask, pixels)[0] for mask in (clipped, *owners))
+    segment = images.segment[line][:, None, None]
+    is_near_one_segment = (last == NO_SEGMENT) | ((first == segment) & (last == segment))
+    is_usable = (
+        valid
+        & has_ray
+        & is_inside
+        & is_near_one_segment
+        & (np.abs(across) <= tuning.search_radius_px)
+        & ~is_clipped
+    )
     share = along / images.length_px[line][:, None, None]
-    return Strips(across, share, level.astype(np.float64), outward(usable), line)
+    return Strips(across, share, level.astype(np.float64), connected_to_middle(is_usable), line)
 
 
-def outward(good: Bool[np.ndarray, "*b c"]) -> Bool[np.ndarray, "*b c"]:
-    """Whether all columns from the middle one to each are good."""
-    left = np.logical_and.accumulate(good[..., HALF::-1], axis=-1)[..., ::-1]
-    right = np.logical_and.accumulate(good[..., HALF:], axis=-1)
-    return np.concatenate([left[..., :-1], right], axis=-1)
+def connected_to_middle(is_good: Bool[np.ndarray, "*b c"]) -> Bool[np.ndarray, "*b c"]:
+    """Mask of the columns that are good together with all columns up to the middle one."""
+    left_half = np.logical_and.accumulate(is_good[..., HALF::-1], axis=-1)[..., ::-1]
+    right_half = np.logical_and.accumulate(is_good[..., HALF:], axis=-1)
+    return np.concatenate([left_half[..., :-1], right_half], axis=-1)
 
 
 def _strip_pixels(
-    lens: Intrinsics, images: LineImages, inside_px: Float[np.ndarray, "s 2"]
+    lens: Intrinsics, images: LineImages, interval_px: Float[np.ndarray, "s 2"]
 ) -> tuple[Int[np.ndarray, "b r c 2"], Bool[np.ndarray, "b r 1"], Int[np.ndarray, "b"]]:
-    """(pixels across each line, whether a block has this row, line)."""
-    chord = np.linspace(0, 1, _CHORDS)
-    along = inside_px[:, :1] + chord * (inside_px[:, 1:] - inside_px[:, :1])
-    path = images.ends_px[:, None, 0] + along[..., None] * images.way[:, None]
+    """Pixels across each line: (pixels of each block, mask of its rows, its line)."""
+    chord_share = np.linspace(0, 1, _CHORDS)
+    along = interval_px[:, :1] + chord_share * (interval_px[:, 1:] - interval_px[:, :1])
+    path = images.ends_px[:, None, 0] + along[..., None] * images.direction[:, None]
     path = distort_pixels(lens, path)
     span = path[:, -1] - path[:, 0]
-    upright = np.abs(span[:, 1]) > np.abs(span[:, 0])
+    is_steep = np.abs(span[:, 1]) > np.abs(span[:, 0])
     middles, valid, line = [], [], []
     is_imaged = np.isfinite(path).all(axis=(1, 2))
-    for number in np.flatnonzero(is_imaged & (inside_px[:, 1] > inside_px[:, 0])):
-        main = int(upright[number])
-        walk = path[number] if span[number, main] > 0 else path[number, ::-1]
-        first, last = np.ceil(walk[0, main]), np.floor(walk[-1, main])
+    for number in np.flatnonzero(is_imaged & (interval_px[:, 1] > interval_px[:, 0])):
+        axis = int(is_steep[number])
+        ordered_path = path[number] if span[number, axis] > 0 else path[number, ::-1]
+        first, last = np.ceil(ordered_path[0, axis]), np.floor(ordered_path[-1, axis])
         length = int(last - first) + 1
-        if length < _LEAST_ROWS:
+        if length < _MIN_ROWS:
             continue
-        # Rows beyond the last block are spare, unless they are enough for one of their own.
-        count = length // ROWS + int(length % ROWS >= _LEAST_ROWS or length < ROWS)
-        places = first + np.arange(count * ROWS)
-        other = np.rint(np.interp(places, walk[:, main], walk[:, 1 - main]))
-        middles.append(np.stack([other, places] if main else [places, other], axis=1))
+        # Remaining rows form another block if there are enough of them.
+        count = length // ROWS + int(length % ROWS >= _MIN_ROWS or length < ROWS)
+        main_coordinate = first + np.arange(count * ROWS)
+        other_coordinate = np.rint(
+            np.interp(main_coordinate, ordered_path[:, axis], ordered_path[:, 1 - axis])
+        )
+        middles.append(
+            np.stack(
+                [other_coordinate, main_coordinate]
+                if axis
+                else [main_coordinate, other_coordinate],
+                axis=1,
+            )
+        )
         valid.append(np.arange(count * ROWS) < length)
         line.append(np.full(count, number))
     if not line:
-        none = np.zeros((0, ROWS, COLUMNS, 2), dtype=np.int64)
-        return none, np.zeros((0, ROWS, 1), dtype=bool), np.zeros(0, dtype=np.int64)
+        empty = np.zeros((0, ROWS, COLUMNS, 2), dtype=np.int64)
+        return empty, np.zeros((0, ROWS, 1), dtype=bool), np.zeros(0, dtype=np.int64)
     owner = np.concatenate(line)
     middle = np.concatenate(middles).astype(np.int64).reshape(-1, ROWS, 2)
-    along_u = np.broadcast_to(upright[owner][:, None], middle.shape[:2])
-    have = np.concatenate(valid).reshape(-1, ROWS, 1)
-    return list_pixels_across(middle, along_u, HALF), have, owner
+    along_u = np.broadcast_to(is_steep[owner][:, None], middle.shape[:2])
+    has_row = np.concatenate(valid).reshape(-1, ROWS, 1)
+    return list_pixels_across(middle, along_u, HALF), has_row, owner
 
 
-def assign_pixels(
-    ends_px: Float[np.ndarray, "n 2 2"], size_px: tuple[int, int], reach_px: float
+def segments_near_pixels(
+    ends_px: Float[np.ndarray, "n 2 2"], size_px: tuple[int, int], radius_px: float
 ) -> tuple[Int[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
-    """The first and the last of the segments within reach of each pixel, NOBODY without any.
+    """First and last segment within a radius of each pixel, (h, w) each; NO_SEGMENT if there is
+    none.
 
-    Where they are the same, the pixel is near that segment alone.
+    If both are equal, the pixel is near that segment only.
     """
     width, height = size_px
     first = np.full((height, width), len(ends_px), dtype=np.int64)
-    last = np.full((height, width), NOBODY, dtype=np.int64)
+    last = np.full((height, width), NO_SEGMENT, dtype=np.int64)
     for number, ends in enumerate(ends_px):
-        low = np.clip(np.floor(ends.min(axis=0) - reach_px), 0, None).astype(np.int64)
-        high = np.ceil(ends.max(axis=0) + reach_px).astype(np.int64) + 1
-        rows, columns = slice(low[1], max(high[1], 0)), slice(low[0], max(high[0], 0))
-        near = _is_near_ends(ends, first[rows, columns].shape, low, reach_px)
-        first[rows, columns][near] = np.minimum(first[rows, columns][near], number)
-        last[rows, columns][near] = number
-    return np.where(last == NOBODY, NOBODY, first), last
+        lower = np.clip(np.floor(ends.min(axis=0) - radius_px), 0, None).astype(np.int64)
+        upper = np.ceil(ends.max(axis=0) + radius_px).astype(np.int64) + 1
+        rows, columns = slice(lower[1], max(upper[1], 0)), slice(lower[0], max(upper[0], 0))
+        is_near = _is_near_ends(ends, first[rows, columns].shape, lower, radius_px)
+        first[rows, columns][is_near] = np.minimum(first[rows, columns][is_near], number)
+        last[rows, columns][is_near] = number
+    return np.where(last == NO_SEGMENT, NO_SEGMENT, first), last
 
 
 def _is_near_ends(
     ends: Float[np.ndarray, "2 2"],
     shape: tuple[int, ...],
     origin: Int[np.ndarray, "2"],
-    reach_px: float,
+    radius_px: float,
 ) -> Bool[np.ndarray, "_ _"]:
-    way = ends[1] - ends[0]
-    length = np.linalg.norm(way)
-    way = way / max(length, 1e-9)
+    direction = ends[1] - ends[0]
+    length = np.linalg.norm(direction)
+    direction = direction / max(length, 1e-9)
     v, u = np.ogrid[: shape[0], : shape[1]]
-    off_u, off_v = u + origin[0] - ends[0, 0], v + origin[1] - ends[0, 1]
-    along, across = off_u * way[0] + off_v * way[1], off_v * way[0] - off_u * way[1]
-    beside = (along > -reach_px) & (along < length + reach_px)
-    return np.asarray(beside & (np.abs(across) < reach_px))
+    offset_u, offset_v = u + origin[0] - ends[0, 0], v + origin[1] - ends[0, 1]
+    along = offset_u * direction[0] + offset_v * direction[1]
+    across = offset_v * direction[0] - offset_u * direction[1]
+    is_alongside = (along > -radius_px) & (along < length + radius_px)
+    return np.asarray(is_alongside & (np.abs(across) < radius_px))

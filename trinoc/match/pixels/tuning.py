@@ -1,7 +1,7 @@
-"""The tuned constants of `measure_lines`, in one frozen value.
+"""Tuned constants of `measure_lines`, as one frozen value.
 
-By hand on rendered scenes of blocks, seeds 0 to 11 and 200 to 205, unless a comment says more;
-shown by benchmarks/measured_lines.py.
+All were chosen by hand on rendered scenes of blocks, seeds 0 to 11 and 200 to 205, unless a comment
+states otherwise. `benchmarks/measured_lines.py` shows their effect.
 """
 
 from dataclasses import dataclass
@@ -9,65 +9,67 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PixelTuning:
-    """How an edge's pixels are chosen, modelled and believed."""
+    """Selection, model and acceptance of the pixels beside an edge."""
 
-    # Pixels so far from the line are looked at, px,
-    reach_px: float = 8.0
-    # from so many blur widths inside the ends of the segment on,
+    # Largest distance of a pixel from the line, px.
+    search_radius_px: float = 8.0
+    # Smallest distance of a pixel from the ends of the segment, in blur widths.
     end_widths: float = 1.5
-    # and so many widths, and px, away from other segments.
+    # Smallest distance of a pixel from other segments, in blur widths plus px.
     clear_widths: float = 2.0
     clear_px: float = 0.5
-    # So many widths, and px, to both sides are fitted before anything is known of the levels;
+    # Half width of the core, in blur widths plus px. It is fitted before the levels are known.
     core_widths: float = 2.2
     core_px: float = 0.7
-    # further out, columns of a block whose mean lies within so many standard deviations.
+    # Columns outside the core are used if their mean is within this number of standard deviations.
     ring_sigmas: float = 3.0
-    # Standard deviation of the slope of the levels across the edge, and along it, per px.
+    # Prior standard deviation of the slope of the levels across the edge, and along it, per px.
     across_slope: float = 0.07
     along_slope: float = 0.1
-    # Of the logarithm of a strip's blur about the picture's, in the fit.
+    # Prior standard deviation of the logarithm of a strip's blur about that of the image.
     blur_sigma: float = 0.1
-    # A block counts less the more standard deviations it lies off the line,
+    # Scale of the robust weight of a block, in standard deviations of its distance from the line.
     block_sigmas: float = 3.0
-    # and is left out if its chi-square is so many standard deviations too large.
+    # A block is excluded if its chi-square is too large by this number of standard deviations.
     block_chi_sigmas: float = 4.0
-    # A strip is no clean step if its chi-square is this many times that of usual strips, if its
-    # blocks scatter so much more than noise explains, or if less than this share of them counts.
-    most_chi: float = 2.0
-    most_scatter: float = 3.0
-    least_share: float = 0.4
-    # Blocks that scatter as noise explains, in the estimate of a strip's scatter.
+    # A strip is no clean step if its chi-square exceeds this factor of the typical one, if the
+    # scatter of its blocks exceeds this factor of the noise, or if fewer of its blocks are accepted
+    # than this share.
+    max_chi: float = 2.0
+    max_scatter: float = 3.0
+    min_share: float = 0.4
+    # Number of prior blocks without excess scatter in the estimate of a strip's scatter.
     prior_blocks: float = 4.0
-    # What the model leaves out of the place of a clean step, px.
+    # Model error of the position of a clean step, px.
     floor_px: float = 0.01
-    # A second edge that is too near to be seen by itself widens the profile and moves it: the
-    # standard deviation of that, in blur widths per logarithm of the widening; at most so much
-    # widening is measured at all.
-    widening_moves: float = 2.5
-    least_blur_spread: float = 0.02
-    most_widening: float = 0.4
-    # Where a strip's own blur is not known, it is widened as others of the picture are: that much
-    # at least, and at most.
+    # A second edge too near to be resolved widens the profile and shifts it. `shift_per_widening`
+    # is the standard deviation of the shift, in blur widths per logarithm of the widening. Strips
+    # with a larger widening than `max_widening` are rejected.
+    shift_per_widening: float = 2.5
+    min_blur_spread: float = 0.02
+    max_widening: float = 0.4
+    # If a strip does not determine its blur, the widening of other strips of the image is assumed,
+    # within these limits.
     hidden_widening: tuple[float, float] = (0.004, 0.05)
-    # Where an end is not known to this many blur widths, the pixels show no edge.
-    most_sigma_widths: float = 1.0
-    # A place this many blur widths and standard deviations from the segment is another edge's.
-    most_moved_widths: float = 1.0
-    most_moved_sigmas: float = 4.0
-    # Tail of the errors of lines before it is known, as in `NoiseTuning.tail_of_pictures`; lines as
-    # likely as this tell.
+    # Largest standard deviation of an end, in blur widths. Above it, the edge is too faint.
+    max_sigma_widths: float = 1.0
+    # Largest displacement from the segment, in blur widths plus standard deviations. Above it, the
+    # pixels show another edge.
+    max_displacement_widths: float = 1.0
+    max_displacement_sigmas: float = 4.0
+    # Prior of the tail of the lines' errors, as `NoiseTuning.tail_of_images`, and smallest
+    # posterior of the lines that estimate it.
     tail: tuple[float, float] = (3.0, 0.35)
-    sure: float = 0.9
-    # Probability of a larger difference between both answers, if both are right.
-    least_probability: float = 0.001
-    # The variance of their difference is at least this share of the smaller variance.
-    least_difference: float = 0.5
-    # Noise grows with the light, and before the place is found misfit counts as noise: a line's own
-    # variance, over the picture's, is this at least.
-    least_noise: float = 0.5
-    # A blur known this well, in its logarithm, tells what is usual.
-    known_blur: float = 0.15
+    sure_posterior: float = 0.9
+    # Significance of the test whether both estimates of a line agree.
+    min_probability: float = 0.001
+    # Smallest variance of their difference, as a share of the smaller variance.
+    min_difference_share: float = 0.5
+    # Smallest variance of a line's noise over that of the image. Noise grows with the light, and
+    # before the position is known, misfit counts as noise.
+    min_noise: float = 0.5
+    # Largest standard deviation of the logarithm of the blur in strips that give the typical blur.
+    precise_blur_sigma: float = 0.15
 
 
 DEFAULT = PixelTuning()

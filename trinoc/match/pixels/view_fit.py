@@ -1,4 +1,4 @@
-"""What one picture says of the images of the lines that it shows, and where that cannot hold."""
+"""Fit the images of lines in one view, and reject those that the model does not describe."""
 
 from typing import NamedTuple
 
@@ -9,136 +9,152 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.image.light import Light
 from trinoc.match.pixels.images import LineImages
 from trinoc.match.pixels.strip_fit import StripFit, fit_strips
-from trinoc.match.pixels.strips import Strips, assign_pixels, sample_strips
+from trinoc.match.pixels.strips import Strips, sample_strips, segments_near_pixels
 from trinoc.match.pixels.tuning import PixelTuning
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
 PIXELS = "pixels"
 SHORT, NEIGHBOURS, FAINT = "too short", "neighbours", "too faint"
 UNEVEN, MOVED = "no clean step", "another edge"
-# The blur of a picture is found first, from this many of its longest lines and this guess, px.
-# numerical: a start, which the fit leaves.
+# numerical: the blur of an image is estimated first, from this number of its longest lines, with
+# this initial value (px) and standard deviation of its logarithm.
 _FIRST_LINES, _FIRST_BLUR_PX, _FIRST_SIGMA = 32, 1.0, 0.5
-# numerical: of fewer strips the guess stays.
-_FEWEST = 6
-# numerical: beside clipped pixels levels are not what they were before blur and noise, either.
+# numerical: with fewer strips, the initial blur stays.
+_MIN_STRIPS = 6
+# numerical: pixels this near to clipped ones are excluded, because blur mixes their levels.
 _CLIPPED_PX = 2
 
 
 class ViewFit(NamedTuple):
-    """Of each line image, what holds of it.
+    """Result for each line image of a view.
 
     Fields
     ------
-    words : (s,) PIXELS, or why the segment's place is kept.
-    offset_px : (s, 2) at the line's ends: from the pixels, or the segment's own.
-    covariance_px2 : (s, 2, 2) of these.
-    widened_px2 : (s,) part of it that a profile which is too wide adds; it is the segment's, too.
+    outcome : (s,) PIXELS, or the reason why the position of the segment is kept.
+    offset_px : (s, 2) offset at the line's ends, from the pixels or from the segment.
+    covariance_px2 : (s, 2, 2) covariance of these offsets.
+    widening_px2 : (s,) part of the covariance due to a profile that is too wide. It is part of
+        the segment's covariance too.
     """
 
-    words: Shaped[np.ndarray, "s"]
+    outcome: Shaped[np.ndarray, "s"]
     offset_px: Float[np.ndarray, "s 2"]
     covariance_px2: Float[np.ndarray, "s 2 2"]
-    widened_px2: Float[np.ndarray, "s"]
+    widening_px2: Float[np.ndarray, "s"]
 
 
 def fit_view(
-    picture: Light,
-    every_px: Float[np.ndarray, "n 2 2"],
+    light: Light,
+    segments_px: Float[np.ndarray, "n 2 2"],
     lens: Intrinsics,
     images: LineImages,
     tuning: PixelTuning,
 ) -> ViewFit:
-    """Fit the images of lines to a picture; `every_px` are all segments, as they lie in it."""
+    """Fit the images of lines to the grey levels of a view.
+
+    `segments_px` are the ends of all segments of the view, in distorted pixels.
+    """
     if len(images.track) == 0:
-        none = np.zeros(0)
-        return ViewFit(none.astype("<U1"), images.offset_px, images.covariance_px2, none)
+        empty = np.zeros(0)
+        return ViewFit(empty.astype("<U1"), images.offset_px, images.covariance_px2, empty)
 
-    clipped, noise = picture.find_clipped(_CLIPPED_PX), picture.noise_sigma()
+    clipped, noise = light.find_clipped(_CLIPPED_PX), light.noise_sigma()
 
-    def fit_some(of: LineImages, blur: float, sigma: float) -> tuple[Strips, StripFit]:
-        reach = tuning.clear_widths * blur + tuning.clear_px
-        owners = assign_pixels(every_px, lens.image_size_px, reach)
-        strips = sample_strips(picture.light, clipped, owners, lens, of, blur, tuning)
-        known = float(np.log(blur)), sigma
-        return strips, fit_strips(strips, of.offset_px, noise, known, tuning)
+    def fit_some(line_images: LineImages, blur: float, sigma: float) -> tuple[Strips, StripFit]:
+        radius = tuning.clear_widths * blur + tuning.clear_px
+        near_segments = segments_near_pixels(segments_px, lens.image_size_px, radius)
+        strips = sample_strips(light.light, clipped, near_segments, lens, line_images, blur, tuning)
+        blur_prior = float(np.log(blur)), sigma
+        return strips, fit_strips(strips, line_images.offset_px, noise, blur_prior, tuning)
 
     span = np.diff(images.extent_px, axis=1)[:, 0]
     longest = np.sort(np.argsort(-span, kind="stable")[:_FIRST_LINES])
-    few = LineImages(*(column[longest] for column in images))
-    _, first = fit_some(few, _FIRST_BLUR_PX, _FIRST_SIGMA)
-    usual, _ = _usual_blur(first, np.log(_FIRST_BLUR_PX), tuning)
-    strips, found = fit_some(images, float(np.exp(usual)), tuning.blur_sigma)
-    return _assess_lines(images, strips, found, usual, tuning)
+    longest_images = LineImages(*(column[longest] for column in images))
+    _, first_fit = fit_some(longest_images, _FIRST_BLUR_PX, _FIRST_SIGMA)
+    log_blur, _ = _median_blur(first_fit, np.log(_FIRST_BLUR_PX), tuning)
+    strips, fit = fit_some(images, float(np.exp(log_blur)), tuning.blur_sigma)
+    return _assess_lines(images, strips, fit, log_blur, tuning)
 
 
-def _usual_blur(found: StripFit, otherwise: float, tuning: PixelTuning) -> tuple[float, float]:
-    """(median, robust deviation) of the logarithm of the blur, where strips know it."""
-    known = (found.information[:, 2, 2] * tuning.known_blur**2 > 1) & (found.blocks > 1)
-    if known.sum() < _FEWEST:
-        return otherwise, 0.0
-    log = found.place[known, 2]
-    middle = float(np.median(log))
-    return middle, float(MAD_TO_SIGMA * np.median(np.abs(log - middle)))
+def _median_blur(fit: StripFit, default: float, tuning: PixelTuning) -> tuple[float, float]:
+    """Median and robust deviation of the logarithm of the blur, over the strips that determine
+    it.
+    """
+    is_known = (fit.information[:, 2, 2] * tuning.precise_blur_sigma**2 > 1) & (fit.blocks > 1)
+    if is_known.sum() < _MIN_STRIPS:
+        return default, 0.0
+    log_blur = fit.parameters[is_known, 2]
+    median = float(np.median(log_blur))
+    return median, float(MAD_TO_SIGMA * np.median(np.abs(log_blur - median)))
 
 
 def _expected_widening(
-    off: Float[np.ndarray, "s"], own: Float[np.ndarray, "s"], spread: float, tuning: PixelTuning
+    log_blur_offset: Float[np.ndarray, "s"],
+    log_blur_variance: Float[np.ndarray, "s"],
+    spread: float,
+    tuning: PixelTuning,
 ) -> Float[np.ndarray, "s"]:
-    """Mean square of the widening that is to be expected where the blur is not known well."""
-    least, most = tuning.hidden_widening
-    typical = np.clip(spread**2 - np.median(own), least**2, most**2)
-    share = typical / (typical + own)
-    return share * own + np.square(share * off)
+    """Expected mean square of the widening, for strips that do not determine their blur well."""
+    smallest, largest = tuning.hidden_widening
+    hidden_variance = np.clip(spread**2 - np.median(log_blur_variance), smallest**2, largest**2)
+    share = hidden_variance / (hidden_variance + log_blur_variance)
+    return share * log_blur_variance + np.square(share * log_blur_offset)
 
 
 def _assess_lines(
-    images: LineImages, strips: Strips, found: StripFit, guess: float, tuning: PixelTuning
+    images: LineImages, strips: Strips, fit: StripFit, first_log_blur: float, tuning: PixelTuning
 ) -> ViewFit:
-    """Covariances with what the blocks' scatter and the blur add, and a word for each line."""
-    inverse = np.linalg.inv(found.information + 1e-6 * np.eye(3))
+    """Add the effects of scatter and blur to the covariances, and set the outcome of each line."""
+    inverse = np.linalg.inv(fit.information + 1e-6 * np.eye(3))
     prior = tuning.prior_blocks
-    scatter = (prior + found.scatter) / (prior + np.maximum(found.blocks - 2, 0.0))
-    usual, spread = _usual_blur(found, guess, tuning)
-    off, own = found.place[:, 2] - usual, np.clip(inverse[:, 2, 2], 1e-9, 1.0)
+    scatter = (prior + fit.scatter) / (prior + np.maximum(fit.blocks - 2, 0.0))
+    log_blur, spread = _median_blur(fit, first_log_blur, tuning)
+    log_blur_offset = fit.parameters[:, 2] - log_blur
+    log_blur_variance = np.clip(inverse[:, 2, 2], 1e-9, 1.0)
     widening = np.maximum(
-        np.square(off) - own - max(spread, tuning.least_blur_spread) ** 2,
-        _expected_widening(off, own, spread, tuning),
+        np.square(log_blur_offset) - log_blur_variance - max(spread, tuning.min_blur_spread) ** 2,
+        _expected_widening(log_blur_offset, log_blur_variance, spread, tuning),
     )
-    widened = np.square(tuning.widening_moves * np.exp(found.place[:, 2]))
-    widened = widened * np.minimum(widening, tuning.most_widening**2)
-    floor = (tuning.floor_px**2 + widened)[:, None, None] * np.ones((2, 2))
+    widening_px2 = np.square(tuning.shift_per_widening * np.exp(fit.parameters[:, 2]))
+    widening_px2 = widening_px2 * np.minimum(widening, tuning.max_widening**2)
+    floor = (tuning.floor_px**2 + widening_px2)[:, None, None] * np.ones((2, 2))
     covariance = inverse[:, :2, :2] * np.maximum(scatter, 1.0)[:, None, None] + floor
 
-    # Where a segment says nothing of the places beyond it, neither is asked.
+    # Positions are compared at the segment's ends, because it gives no information beyond them.
     share = images.extent_px / images.length_px[:, None]
     weight = np.stack([1 - share, share], axis=2)
-    moved = np.abs((weight @ (found.place[:, :2] - images.offset_px)[..., None])[..., 0])
-    own = np.einsum("sei,sij,sej->se", weight, images.covariance_px2, weight)
-    most = tuning.most_moved_widths * np.exp(usual) + tuning.most_moved_sigmas * np.sqrt(own)
-    known = np.einsum("sei,sij,sej->se", weight, inverse[:, :2, :2], weight)
-    faint = (known > np.square(tuning.most_sigma_widths * np.exp(usual))).any(axis=1)
-    typical = np.median(found.chi_square[found.blocks > 0]) if (found.blocks > 0).any() else 1.0
-    uneven = (scatter > tuning.most_scatter) | (found.chi_square > tuning.most_chi * typical)
-    uneven |= widening > tuning.most_widening**2
-    number = np.bincount(strips.line, minlength=len(images.track))
-    words = np.select(
+    displacement_px = np.abs(
+        (weight @ (fit.parameters[:, :2] - images.offset_px)[..., None])[..., 0]
+    )
+    segment_variance = np.einsum("sei,sij,sej->se", weight, images.covariance_px2, weight)
+    limit_px = tuning.max_displacement_widths * np.exp(
+        log_blur
+    ) + tuning.max_displacement_sigmas * np.sqrt(segment_variance)
+    end_variance = np.einsum("sei,sij,sej->se", weight, inverse[:, :2, :2], weight)
+    is_faint = (end_variance > np.square(tuning.max_sigma_widths * np.exp(log_blur))).any(axis=1)
+    median_chi_square = np.median(fit.chi_square[fit.blocks > 0]) if (fit.blocks > 0).any() else 1.0
+    is_uneven = (scatter > tuning.max_scatter) | (
+        fit.chi_square > tuning.max_chi * median_chi_square
+    )
+    is_uneven |= widening > tuning.max_widening**2
+    block_count = np.bincount(strips.line, minlength=len(images.track))
+    outcome = np.select(
         [
-            number == 0,
-            (found.blocks < 1) | (found.share <= tuning.least_share),
-            faint,
-            uneven,
-            (moved > most).any(axis=1) | ~np.isfinite(covariance).all(axis=(1, 2)),
+            block_count == 0,
+            (fit.blocks < 1) | (fit.share <= tuning.min_share),
+            is_faint,
+            is_uneven,
+            (displacement_px > limit_px).any(axis=1) | ~np.isfinite(covariance).all(axis=(1, 2)),
         ],
         [SHORT, NEIGHBOURS, FAINT, UNEVEN, MOVED],
         PIXELS,
     )
-    good = words == PIXELS
-    widened = np.where((number > 0) & (found.blocks > 0), widened, 0.0)
-    kept = images.covariance_px2 + widened[:, None, None] * np.ones((2, 2))
+    is_measured = outcome == PIXELS
+    widening_px2 = np.where((block_count > 0) & (fit.blocks > 0), widening_px2, 0.0)
+    segment_covariance = images.covariance_px2 + widening_px2[:, None, None] * np.ones((2, 2))
     return ViewFit(
-        words,
-        np.where(good[:, None], found.place[:, :2], images.offset_px),
-        np.where(good[:, None, None], covariance, kept),
-        widened,
+        outcome,
+        np.where(is_measured[:, None], fit.parameters[:, :2], images.offset_px),
+        np.where(is_measured[:, None, None], covariance, segment_covariance),
+        widening_px2,
     )

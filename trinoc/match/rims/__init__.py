@@ -1,5 +1,5 @@
-"""Circular rims by the chords that the views show of them.
+"""After matching: circular rims, from the chords that the views show of them.
 
-Pairs of matched lines suggest circles; the segments of all views support them; each circle is
-fitted, its rivals are left out, and it is put out with sigmas.
+Pairs of matched lines propose circles, and the segments of all views support them. Each circle
+is fitted, ambiguous ones are rejected, and the others are returned with sigmas.
 """

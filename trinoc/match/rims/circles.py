@@ -1,4 +1,6 @@
-"""Circles in space, how far the segments of pictures are off them, and least squares of one."""
+"""Circles in space, the offsets of segments from their images, and the least-squares fit of one
+circle.
+"""
 
 from typing import NamedTuple
 
@@ -12,33 +14,38 @@ from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton, misfit_factor
 from trinoc.numerics.vectors import complete_axes, cross_3d, vector3
 
-# numerical: where a chord, fitted to the points of an arc, lies on it: the places of Gauss, as
-# shares of its half length. What noise moves one of them by tells nothing of the other.
+# numerical: a chord fitted to the points of an arc crosses it at the Gauss points, given as shares
+# of its half length. The errors at both points are independent.
 GAUSS = 1 / np.sqrt(3)
-# numerical: places along a chord: both of these, its middle, its ends.
-_PLACES = np.array([-GAUSS, GAUSS, 0.0, -1.0, 1.0])
-# numerical: columns of `_PLACES`.
+# numerical: positions along a chord: both Gauss points, its middle, its ends.
+_POSITIONS = np.array([-GAUSS, GAUSS, 0.0, -1.0, 1.0])
+# numerical: columns of `_POSITIONS`.
 ON_ARC, MIDDLE, ENDS = slice(0, 2), 2, slice(3, 5)
-# numerical: a column of `_PLACES`.
-_BUT_ENDS = 3
-# numerical: points round a circle that tell the axes of its image.
-_AROUND = 8
+# numerical: number of columns without the ends.
+_COUNT_WITHOUT_ENDS = 3
+# numerical: number of points round a circle that determine the axes of its image.
+_CIRCLE_POINTS = 8
 
 
 def usual_mm_per_px(
     lines_mm: Float[np.ndarray, "t 2 3"], rig: Rig, views: tuple[str, ...]
 ) -> float:
-    """Usual size of a pixel at the lines; 1 where there are none."""
+    """Median size of a pixel at the lines, mm; 1 if there are no lines."""
     length = np.linalg.norm(lines_mm[:, 1] - lines_mm[:, 0], axis=1)
-    shares = []
+    scales = []
     for name in views:
         image = project_by_matrix(np.asarray(rig[name].matrix_px), lines_mm)
-        shares.append(length / np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
-    return float(np.median(shares)) if len(lines_mm) else 1.0
+        scales.append(length / np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
+    return float(np.median(scales)) if len(lines_mm) else 1.0
 
 
 class Circles(NamedTuple):
-    """centre_mm : (h, 3). normal : (h, 3) unit vectors across their planes. radius_mm : (h,)."""
+    """Circles in space.
+
+    centre_mm : (h, 3) centres.
+    normal : (h, 3) unit vectors across their planes.
+    radius_mm : (h,) radii.
+    """
 
     centre_mm: Float[np.ndarray, "h 3"]
     normal: Float[np.ndarray, "h 3"]
@@ -48,14 +55,18 @@ class Circles(NamedTuple):
 class Chords(NamedTuple):
     """Segments of all views in one table.
 
-    view : in the order of the matches. segment : the caller's number. places_px : (n, 5, 2)
-    undistorted, see `ON_ARC`, `MIDDLE` and `ENDS`. rays : (n, 5, 3) of them. centre_mm, matrix_px :
-    of the camera. sigma_px : of each of the first two places, across. length_px : of each.
+    view : view of each, in the order of the matches.
+    segment : the caller's number.
+    points_px : (n, 5, 2) undistorted points on each, see `ON_ARC`, `MIDDLE` and `ENDS`.
+    rays : (n, 5, 3) unit viewing rays of these points.
+    centre_mm, matrix_px : of the camera.
+    sigma_px : standard deviation of each of the first two points, across.
+    length_px : length of each.
     """
 
     view: Int[np.ndarray, "n"]
     segment: Int[np.ndarray, "n"]
-    places_px: Float[np.ndarray, "n k 2"]
+    points_px: Float[np.ndarray, "n k 2"]
     rays: Float[np.ndarray, "n k 3"]
     centre_mm: Float[np.ndarray, "n 3"]
     matrix_px: Float[np.ndarray, "n 3 4"]
@@ -63,183 +74,217 @@ class Chords(NamedTuple):
     length_px: Float[np.ndarray, "n"]
 
 
-class Off(NamedTuple):
-    """Of chords s from circles h.
+class CircleOffsets(NamedTuple):
+    """Offsets of chords s from circles h.
 
-    px : (h, s, k) how far each place is outside the circle's image. cosine : (h, s) of the angle
-    between chord and tangent. axis_ratio : (h, s) shorter over longer axis of the circle's image in
-    the chord's view. around_mm : (h, s, k, 3) the circle's points next to the places.
+    offset_px : (h, s, k) distance of each point outside the circle's image.
+    cosine : (h, s) cosine of the angle between chord and tangent.
+    axis_ratio : (h, s) shorter over longer axis of the circle's image in the chord's view.
+    nearest_mm : (h, s, k, 3) points of the circle next to the chord's points.
     """
 
-    px: Float[np.ndarray, "h s k"]
+    offset_px: Float[np.ndarray, "h s k"]
     cosine: Float[np.ndarray, "h s"]
     axis_ratio: Float[np.ndarray, "h s"]
-    around_mm: Float[np.ndarray, "h s k 3"]
+    nearest_mm: Float[np.ndarray, "h s k 3"]
 
 
-def collect_chords(seen: MatchInput, views: tuple[str, ...]) -> Chords:
-    """All segments of all views."""
+def collect_chords(inputs: MatchInput, views: tuple[str, ...]) -> Chords:
+    """Collect the segments of all views in one table."""
     parts = []
     for number, name in enumerate(views):
-        view = seen.names.index(name)
-        matrix = np.asarray(seen.frames[0].cameras.matrix_px)[view]
-        ends, covariance = seen.ends_px[view], seen.covariance_px2[view]
+        view = inputs.names.index(name)
+        matrix = np.asarray(inputs.frames[0].cameras.matrix_px)[view]
+        ends, covariance = inputs.ends_px[view], inputs.covariance_px2[view]
         half = (ends[:, 1] - ends[:, 0]) / 2
         length = 2 * np.linalg.norm(half, axis=1)
-        places = ends.mean(axis=1)[:, None] + _PLACES[:, None] * half[:, None]
+        points = ends.mean(axis=1)[:, None] + _POSITIONS[:, None] * half[:, None]
         inverse = np.linalg.inv(matrix[:, :3])
-        rays = np.concatenate([places, np.ones((len(ends), len(_PLACES), 1))], axis=2) @ inverse.T
-        right = np.stack([-half[:, 1], half[:, 0]], axis=1) / (length / 2)[:, None]
+        rays = (
+            np.concatenate([points, np.ones((len(ends), len(_POSITIONS), 1))], axis=2) @ inverse.T
+        )
+        normal = np.stack([-half[:, 1], half[:, 0]], axis=1) / (length / 2)[:, None]
         blocks = covariance.reshape(-1, 2, 2, 2, 2)
-        of_ends = np.einsum("neiej,ni,nj->ne", blocks, right, right).mean(axis=1)
+        end_variance = np.einsum("neiej,ni,nj->ne", blocks, normal, normal).mean(axis=1)
         parts.append(
             Chords(
                 np.full(len(ends), number),
-                seen.order[view],
-                places,
+                inputs.order[view],
+                points,
                 rays / np.linalg.norm(rays, axis=2, keepdims=True),
                 np.tile(-inverse @ matrix[:, 3], (len(ends), 1)),
                 np.tile(matrix, (len(ends), 1, 1)),
-                # The ends of a line through many points have twice the variance.
-                np.sqrt(of_ends / 2),
+                # The ends of a fitted line have twice the variance of its Gauss points.
+                np.sqrt(end_variance / 2),
                 length,
             )
         )
     return Chords(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def off_circles(chords: Chords, circles: Circles, *, with_ends: bool = False) -> Off:
-    """How far chords are off circles, at three places of each or, with the ends, at all five."""
+def circle_offsets(chords: Chords, circles: Circles, *, with_ends: bool = False) -> CircleOffsets:
+    """Offsets of chords from circles, at three points of each chord, or at five with its ends."""
     centre, normal, radius = circles
-    unit = (chords.places_px[:, 4] - chords.places_px[:, 3]) / chords.length_px[:, None]
+    unit = (chords.points_px[:, 4] - chords.points_px[:, 3]) / chords.length_px[:, None]
     if not with_ends:
-        places, rays = chords.places_px[:, :_BUT_ENDS], chords.rays[:, :_BUT_ENDS]
-        chords = chords._replace(places_px=places, rays=rays)
+        points = chords.points_px[:, :_COUNT_WITHOUT_ENDS]
+        rays = chords.rays[:, :_COUNT_WITHOUT_ENDS]
+        chords = chords._replace(points_px=points, rays=rays)
     to_plane = (normal * centre).sum(axis=1)[:, None] - normal @ chords.centre_mm.T
-    toward = (normal @ chords.rays.reshape(-1, 3).T).reshape(len(normal), *chords.rays.shape[:2])
-    depth = to_plane[..., None] / np.where(np.abs(toward) > 1e-9, toward, 1e-9)
-    out = chords.centre_mm[:, None] + depth[..., None] * chords.rays - centre[:, None, None]
-    distance = np.linalg.norm(out, axis=3)
-    radial = out / np.maximum(distance, 1e-12)[..., None]
-    around = centre[:, None, None] + radius[:, None, None, None] * radial
+    normal_component = (normal @ chords.rays.reshape(-1, 3).T).reshape(
+        len(normal), *chords.rays.shape[:2]
+    )
+    depth = to_plane[..., None] / np.where(np.abs(normal_component) > 1e-9, normal_component, 1e-9)
+    radial_vector = (
+        chords.centre_mm[:, None] + depth[..., None] * chords.rays - centre[:, None, None]
+    )
+    distance = np.linalg.norm(radial_vector, axis=3)
+    radial = radial_vector / np.maximum(distance, 1e-12)[..., None]
+    nearest = centre[:, None, None] + radius[:, None, None, None] * radial
     tangent = cross_3d(normal[:, None, None], radial)
-    image, way = np.empty_like(around), np.empty_like(around[..., :2])
-    ratio = np.zeros(distance.shape[:2])
+    image, image_tangent = np.empty_like(nearest), np.empty_like(nearest[..., :2])
+    axis_ratio = np.zeros(distance.shape[:2])
     for view in np.unique(chords.view).tolist():
-        own = chords.view == view
-        matrix = chords.matrix_px[own.argmax()]
-        image[:, own] = here = homogeneous_pixel(matrix, around[:, own])
-        uv, along = vector3(here)[:2] / here[..., 2], vector3(tangent[:, own] @ matrix[:, :3].T)
-        way[:, own] = np.stack(pixel_change((uv[0], uv[1]), here[..., 2], along), axis=-1)
-        ratio[:, own] = image_circles(circles, matrix).axis_ratio[:, None]
-    uv, behind = image[..., :2] / image[..., 2:], image[..., 2] <= 0
-    way = way / np.maximum(np.linalg.norm(way, axis=3, keepdims=True), 1e-12)
-    gap = chords.places_px - uv
-    across = np.abs(gap[..., 0] * way[..., 1] - gap[..., 1] * way[..., 0])
-    across = np.where(behind | (depth <= 0), np.inf, across)
-    cosine = np.abs((way[:, :, MIDDLE] * unit).sum(axis=2))
-    return Off(np.where(distance >= radius[:, None, None], across, -across), cosine, ratio, around)
+        in_view = chords.view == view
+        matrix = chords.matrix_px[in_view.argmax()]
+        image[:, in_view] = projected = homogeneous_pixel(matrix, nearest[:, in_view])
+        uv = vector3(projected)[:2] / projected[..., 2]
+        tangent_change = vector3(tangent[:, in_view] @ matrix[:, :3].T)
+        image_tangent[:, in_view] = np.stack(
+            pixel_change((uv[0], uv[1]), projected[..., 2], tangent_change), axis=-1
+        )
+        axis_ratio[:, in_view] = image_circles(circles, matrix).axis_ratio[:, None]
+    uv, is_behind = image[..., :2] / image[..., 2:], image[..., 2] <= 0
+    image_tangent = image_tangent / np.maximum(
+        np.linalg.norm(image_tangent, axis=3, keepdims=True), 1e-12
+    )
+    gap = chords.points_px - uv
+    distance_px = np.abs(gap[..., 0] * image_tangent[..., 1] - gap[..., 1] * image_tangent[..., 0])
+    distance_px = np.where(is_behind | (depth <= 0), np.inf, distance_px)
+    cosine = np.abs((image_tangent[:, :, MIDDLE] * unit).sum(axis=2))
+    return CircleOffsets(
+        np.where(distance >= radius[:, None, None], distance_px, -distance_px),
+        cosine,
+        axis_ratio,
+        nearest,
+    )
 
 
-class Images(NamedTuple):
-    """Circles in one view. middle_px : (h, 2). axes_px : (h, 2) half of them, the longer one first;
-    not a number and 0 where the camera does not look at a circle."""
+class CircleImages(NamedTuple):
+    """Images of circles in one view.
+
+    middle_px : (h, 2) centre of the image, NaN if a part of the circle lies behind the camera.
+    axes_px : (h, 2) half axes, the longer one first; 0 in that case.
+    """
 
     middle_px: Float[np.ndarray, "h 2"]
     axes_px: Float[np.ndarray, "h 2"]
 
     @property
     def axis_ratio(self) -> Float[np.ndarray, "h"]:
-        """Shorter over longer axis."""
+        """Shorter over longer axis, (h,)."""
         return self.axes_px[:, 1] / np.maximum(self.axes_px[:, 0], 1e-12)
 
 
-def image_circles(circles: Circles, matrix_px: Float[np.ndarray, "3 4"]) -> Images:
-    """Where a view shows circles."""
-    angle = np.arange(_AROUND) * (2 * np.pi / _AROUND)
+def image_circles(circles: Circles, matrix_px: Float[np.ndarray, "3 4"]) -> CircleImages:
+    """Images of circles in a view."""
+    angle = np.arange(_CIRCLE_POINTS) * (2 * np.pi / _CIRCLE_POINTS)
     points = points_on_circles(circles, np.tile(angle, (len(circles.radius_mm), 1)))
     image = homogeneous_pixel(matrix_px, points)
     depth = image[..., 2:]
-    seen = (depth.min(axis=(1, 2)) > 0)[:, None]
+    is_visible = (depth.min(axis=(1, 2)) > 0)[:, None]
     uv = image[..., :2] / np.where(depth > 0, depth, 1.0)
     middle = uv.mean(axis=1)
-    axes = np.linalg.svd(uv - middle[:, None], compute_uv=False) * np.sqrt(2 / _AROUND)
-    return Images(np.where(seen, middle, np.nan), np.where(seen, axes, 0.0))
+    axes = np.linalg.svd(uv - middle[:, None], compute_uv=False) * np.sqrt(2 / _CIRCLE_POINTS)
+    return CircleImages(np.where(is_visible, middle, np.nan), np.where(is_visible, axes, 0.0))
 
 
-def touching(off: Off, within_px: float, tuning: RimTuning) -> Bool[np.ndarray, "h s"]:
-    """Whether chords are those of arcs of circles, in views that do not show them edge-on."""
-    near = np.abs(off.px[..., ON_ARC]).max(axis=2) < within_px
-    # Between the places on the arc a chord lies a third of its bow inside.
+def are_touching(
+    offsets: CircleOffsets, limit_px: float, tuning: RimTuning
+) -> Bool[np.ndarray, "h s"]:
+    """Mask of the chords that lie on an arc of each circle, in views that do not show it
+    edge-on, (h, s).
+    """
+    is_near = np.abs(offsets.offset_px[..., ON_ARC]).max(axis=2) < limit_px
+    # In the middle between its intersections, a chord lies a third of the sagitta inside the arc.
     with np.errstate(invalid="ignore"):
-        bow = 3 * np.abs(off.px[..., MIDDLE] - off.px[..., ON_ARC].mean(axis=2))
-    tangent = off.cosine > np.cos(np.radians(tuning.tangent_deg))
-    opened = off.axis_ratio > tuning.least_axis_ratio
-    return near & tangent & opened & (bow < 2 * tuning.touch_px)
+        bow = 3 * np.abs(
+            offsets.offset_px[..., MIDDLE] - offsets.offset_px[..., ON_ARC].mean(axis=2)
+        )
+    is_tangent = offsets.cosine > np.cos(np.radians(tuning.tangent_deg))
+    is_open = offsets.axis_ratio > tuning.min_axis_ratio
+    return is_near & is_tangent & is_open & (bow < 2 * tuning.touch_px)
 
 
 def points_on_circles(
     circles: Circles, angle: Float[np.ndarray, "h n"]
 ) -> Float[np.ndarray, "h n 3"]:
-    """Points of circles; angles are counted from the first of the axes across their normals."""
+    """Points of circles at given angles from the first axis across their normal, (h, n, 3)."""
     frame = complete_axes(circles.normal)
-    around = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ frame
-    return circles.centre_mm[:, None] + circles.radius_mm[:, None, None] * around
+    radial = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ frame
+    return circles.centre_mm[:, None] + circles.radius_mm[:, None, None] * radial
 
 
-# numerical: Gauss-Newton steps, which converge.
+# numerical: number of Gauss-Newton steps.
 _STEPS = 2
-# numerical: a step further than this share of the radius, or of a radian, has left what is nearly
-# linear.
+# numerical: largest step, as a share of the radius or of a radian. Larger steps are not linear.
 _LARGEST_STEP = 0.3
-# numerical: derivatives are differences over this share of the radius.
-_SHARE = 1e-5
-# numerical: of standard deviations: further off is as far off.
-_FAR = 1e3
+# numerical: step of the numerical derivatives, as a share of the radius.
+_DIFFERENCE_STEP = 1e-5
+# numerical: limit of residuals, in standard deviations.
+_MAX_SIGMAS = 1e3
 
 
 class CircleFit(NamedTuple):
-    """The likeliest circle near one. covariance : of what `move_circle` moves, that of the errors
-    found where they are larger than stated; not a number where the chords leave it open."""
+    """Fitted circle.
+
+    covariance : of the parameters of `move_circle`, scaled if the errors are larger than stated.
+        NaN if the chords do not determine the circle.
+    """
 
     circle: Circles
     covariance: Float[np.ndarray, "6 6"]
 
 
-def move_circle(circle: Circles, by: Float[np.ndarray, "k 6"]) -> Circles:
-    """One circle moved in k ways: by its centre (mm), its normal toward its two axes across (rad),
-    and its radius (mm)."""
-    normal = circle.normal + by[:, 3:5] @ complete_axes(circle.normal)[0]
+def move_circle(circle: Circles, parameters: Float[np.ndarray, "k 6"]) -> Circles:
+    """Apply k steps to one circle: centre (mm), normal toward its two axes (rad), and radius
+    (mm).
+    """
+    normal = circle.normal + parameters[:, 3:5] @ complete_axes(circle.normal)[0]
     normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return Circles(circle.centre_mm + by[:, :3], normal, circle.radius_mm + by[:, 5])
+    return Circles(
+        circle.centre_mm + parameters[:, :3], normal, circle.radius_mm + parameters[:, 5]
+    )
 
 
 def fit_circle(chords: Chords, circle: Circles) -> CircleFit:
-    """The likeliest circle near this one, by the two places of each chord that lie on its arc."""
+    """Fit a circle to the two points of each chord that lie on its arc, from an initial circle."""
     circle, equations = gauss_newton(
-        lambda at: _residuals(chords, at),
-        lambda at, step: move_circle(at, step * _scale(at)),
+        lambda current: _residuals(chords, current),
+        lambda current, step: move_circle(current, step * _scale(current)),
         circle,
         steps=_STEPS,
         largest_step=_LARGEST_STEP,
     )
     scale = _scale(circle)
-    places, parameters = equations.squared.shape[1], len(scale)
-    factor = misfit_factor(equations.chi_square, places - parameters)[0]
+    point_count, parameters = equations.squared.shape[1], len(scale)
+    factor = misfit_factor(equations.chi_square, point_count - parameters)[0]
     return CircleFit(circle, factor * equations.covariance()[0] * scale[:, None] * scale)
 
 
 def _scale(circle: Circles) -> Float[np.ndarray, "6"]:
-    """What of each parameter moves the circle by about its radius."""
+    """Size of each parameter's step that moves the circle by about its radius."""
     radius = float(circle.radius_mm[0])
     return np.array([radius, radius, radius, 1.0, 1.0, radius])
 
 
 def _residuals(chords: Chords, circle: Circles) -> Residuals:
-    """How far each place is off the circle's image, by parameters in units of their scale."""
-    steps = _SHARE * np.diag(_scale(circle))
-    every = move_circle(circle, np.concatenate([np.zeros((1, 6)), steps, -steps]))
-    off = off_circles(chords, every).px[..., ON_ARC] / chords.sigma_px[:, None]
-    here, forth, back = np.split(np.clip(off, -_FAR, _FAR).reshape(len(off), -1), [1, 7])
-    slope = (forth - back).T / (2 * _SHARE)
-    return Residuals(here[..., None], slope[None, :, None])
+    """Offsets of all points from the circle's image, by parameters in units of their scale."""
+    steps = _DIFFERENCE_STEP * np.diag(_scale(circle))
+    circles = move_circle(circle, np.concatenate([np.zeros((1, 6)), steps, -steps]))
+    scaled = circle_offsets(chords, circles).offset_px[..., ON_ARC] / chords.sigma_px[:, None]
+    at_circle, forward, backward = np.split(
+        np.clip(scaled, -_MAX_SIGMAS, _MAX_SIGMAS).reshape(len(scaled), -1), [1, 7]
+    )
+    slope = (forward - backward).T / (2 * _DIFFERENCE_STEP)
+    return Residuals(at_circle[..., None], slope[None, :, None])

@@ -1,5 +1,6 @@
-"""What rims leave of matches: tracks that none explains, those of outlines below rims marked; and
-rims beside matches of straight edges."""
+"""Combine rims with matches: remove tracks that a rim explains, mark outlines, and add pieces of
+rims.
+"""
 
 import dataclasses
 from collections.abc import Mapping
@@ -18,9 +19,9 @@ from trinoc.match.rims.circles import (
     ON_ARC,
     Chords,
     Circles,
+    are_touching,
+    circle_offsets,
     collect_chords,
-    off_circles,
-    touching,
     usual_mm_per_px,
 )
 from trinoc.match.rims.rims import Rims
@@ -35,40 +36,46 @@ from trinoc.numerics.vectors import cross_3d
 def are_outlines(
     chords: Chords, circles: Circles, mm_per_px: float, tuning: RimTuning
 ) -> Bool[np.ndarray, "n"]:
-    """Whether the rays of a segment's ends touch the cylinder over any of the circles, one of them
-    nearer to it than its radius."""
-    found = np.zeros(len(chords.view), dtype=bool)
+    """Mask of the segments that may be an outline of the cylinder below a circle, (n,).
+
+    The viewing rays of both ends touch the cylinder, and one of them near the circle.
+    """
+    is_outline = np.zeros(len(chords.view), dtype=bool)
     rays = chords.rays[:, ENDS]
-    within_mm = 2 * tuning.touch_px * mm_per_px
+    limit_mm = 2 * tuning.touch_px * mm_per_px
     for centre, axis, radius in zip(*circles, strict=True):
         across = cross_3d(rays, axis)
         sine = np.maximum(np.linalg.norm(across, axis=2), 1e-9)
-        off = (chords.centre_mm - centre)[:, None]
-        distance = np.abs((off * across).sum(axis=2)) / sine
-        height = abs_height(rays, off, axis)
-        near = np.abs(distance - radius).max(axis=1) < within_mm
-        begins = height.min(axis=1) < radius
-        # From the rim down: a line across it does not leave its plane.
-        leaves = height.max(axis=1) - height.min(axis=1) > within_mm
-        found |= near & begins & leaves
-    return found
+        offset = (chords.centre_mm - centre)[:, None]
+        distance = np.abs((offset * across).sum(axis=2)) / sine
+        height = heights_of_closest_approach(rays, offset, axis)
+        is_near = np.abs(distance - radius).max(axis=1) < limit_mm
+        begins_at_rim = height.min(axis=1) < radius
+        # An outline leaves the plane of the rim, and a line across the rim does not.
+        leaves_plane = height.max(axis=1) - height.min(axis=1) > limit_mm
+        is_outline |= is_near & begins_at_rim & leaves_plane
+    return is_outline
 
 
-def abs_height(
+def heights_of_closest_approach(
     rays: Float[np.ndarray, "n e 3"],
-    off_mm: Float[np.ndarray, "n 1 3"],
+    offset_mm: Float[np.ndarray, "n 1 3"],
     axis: Float[np.ndarray, "3"],
 ) -> Float[np.ndarray, "n e"]:
-    """How far from the circle's plane, along its axis, the rays pass nearest to the axis."""
+    """Height above the circle's plane at which each ray passes nearest to the axis, (n, e) mm."""
     cosine = rays @ axis
-    along, up = (rays * off_mm).sum(axis=2), off_mm @ axis
-    depth = (cosine * up - along) / np.maximum(1 - cosine**2, 1e-12)
-    return np.abs(up + depth * cosine)
+    ray_component, height_of_camera = (rays * offset_mm).sum(axis=2), offset_mm @ axis
+    depth = (cosine * height_of_camera - ray_component) / np.maximum(1 - cosine**2, 1e-12)
+    return np.abs(height_of_camera + depth * cosine)
 
 
 class TracksBesideRims(NamedTuple):
-    """kept : (k,) the tracks that no rim explains. silhouette : (k,) probability that each holds an
-    outline. outlines : how many are thought to."""
+    """Tracks that no rim explains.
+
+    kept : (k,) their numbers.
+    silhouette : (k,) probability that each contains an outline.
+    outlines : number of tracks that probably contain one.
+    """
 
     kept: Int[np.ndarray, "k"]
     silhouette: Float[np.ndarray, "k"]
@@ -83,20 +90,20 @@ def tracks_beside_rims(
     mm_per_px: float,
     tuning: RimTuning,
 ) -> TracksBesideRims:
-    """What rims leave of the tracks; `rim` is that of each segment, -1 for none."""
+    """Tracks that no rim explains. `rim` is the rim of each segment, -1 if none."""
     kept = np.flatnonzero(~_explains_tracks(matches, chords, rim))
-    outline = are_outlines(chords, circles, mm_per_px, tuning) & (rim < 0)
-    held = _on_tracks(matches, chords, outline).sum(axis=1) >= 2
-    mark = np.where(held, tuning.posterior, 0.0)[kept]
+    is_outline = are_outlines(chords, circles, mm_per_px, tuning) & (rim < 0)
+    holds_outline = _segments_on_tracks(matches, chords, is_outline).sum(axis=1) >= 2
+    silhouette = np.where(holds_outline, tuning.posterior, 0.0)[kept]
     if "silhouette" in matches.marks:
-        mark = np.maximum(mark, matches.marks["silhouette"][kept])
-    return TracksBesideRims(kept, mark, int(held[kept].sum()))
+        silhouette = np.maximum(silhouette, matches.marks["silhouette"][kept])
+    return TracksBesideRims(kept, silhouette, int(holds_outline[kept].sum()))
 
 
 def count_tracks(
     rims: int, matches: Matches, tracks: TracksBesideRims, pieces: int
 ) -> dict[str, int]:
-    """What became of the tracks, by name."""
+    """Numbers of explained, marked and added tracks, by name."""
     return {
         "rims": rims,
         "tracks that rims explain": len(matches) - len(tracks.kept),
@@ -108,40 +115,42 @@ def count_tracks(
 def with_rows(
     matches: Matches, tracks: TracksBesideRims, rows: Mapping[str, np.ndarray]
 ) -> Matches:
-    """The tracks that are kept, and after them the rows of pieces, whose segments are matched."""
+    """The remaining tracks followed by the rows of pieces, whose segments become matched."""
     index = rows["index"]
-    # Nothing is known of what the rig adds to the rows.
+    # The effect of the rig's errors on the new rows is not available.
     matches = dataclasses.replace(matches, rig_covariance_mm2=None)
     if matches.member_posterior is not None:
         members = np.where(index >= 0, np.asarray(rows["posterior"])[:, None], np.nan)
         rows = {**rows, "member_posterior": members}
     silhouette = np.append(tracks.silhouette, np.zeros(len(index)))
-    longer = matches.take(tracks.kept).append(rows).with_marks(silhouette=silhouette)
-    words = {name: column.copy() for name, column in matches.reasons.items()}
+    extended = matches.take(tracks.kept).append(rows).with_marks(silhouette=silhouette)
+    reasons = {name: column.copy() for name, column in matches.reasons.items()}
     for view, name in enumerate(matches.views):
-        words[name][index[index[:, view] >= 0, view]] = "matched"
-    return dataclasses.replace(longer, reasons=words)
+        reasons[name][index[index[:, view] >= 0, view]] = "matched"
+    return dataclasses.replace(extended, reasons=reasons)
 
 
-def _on_tracks(
-    matches: Matches, chords: Chords, which: Bool[np.ndarray, "n"]
+def _segments_on_tracks(
+    matches: Matches, chords: Chords, is_selected: Bool[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "t v"]:
-    """Whether the segment of each view on each track is one of these."""
-    found = np.zeros(matches.index.shape, dtype=bool)
+    """Mask (t, v) of the track members that are selected segments."""
+    is_on_track = np.zeros(matches.index.shape, dtype=bool)
     for view in range(matches.index.shape[1]):
-        own = chords.segment[which & (chords.view == view)]
-        found[:, view] = np.isin(matches.index[:, view], own)
-    return found
+        selected = chords.segment[is_selected & (chords.view == view)]
+        is_on_track[:, view] = np.isin(matches.index[:, view], selected)
+    return is_on_track
 
 
 def _explains_tracks(
     matches: Matches, chords: Chords, rim: Int[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "t"]:
-    """Tracks of which two segments are chords of one rim, or one of two is a rim's chord."""
-    number = np.zeros(len(matches), dtype=np.int64)
-    for each in range(rim.max(initial=-1) + 1):
-        number = np.maximum(number, _on_tracks(matches, chords, rim == each).sum(axis=1))
-    return number > np.where((matches.index >= 0).sum(axis=1) > 2, 1, 0)
+    """Mask of the tracks that a rim explains: two segments are its chords, or one of two."""
+    largest_count = np.zeros(len(matches), dtype=np.int64)
+    for rim_number in range(rim.max(initial=-1) + 1):
+        largest_count = np.maximum(
+            largest_count, _segments_on_tracks(matches, chords, rim == rim_number).sum(axis=1)
+        )
+    return largest_count > np.where((matches.index >= 0).sum(axis=1) > 2, 1, 0)
 
 
 _ROWS = (
@@ -159,14 +168,14 @@ _ROWS = (
 
 
 class MatchesWithRims(Value):
-    """Matches of straight edges and pieces of rims, and the segments that they number.
+    """Matches of straight edges and pieces of rims, with the segments that they number.
 
     Fields
     ------
-    segments : of each view, those that were given, in their order, and after them chords of rims.
-    matches : the given tracks that no rim explains, in their order, and after them pieces of rims;
-        tracks that hold an outline of the body below a rim have the mark "silhouette".
-    kept : (k,) the numbers that the first k tracks had before.
+    segments : for each view, the given segments in their order, followed by chords of rims.
+    matches : the given tracks that no rim explains, in their order, followed by pieces of rims.
+        Tracks with an outline of the body below a rim have the mark "silhouette".
+    kept : (k,) previous numbers of the first k tracks.
     """
 
     segments: dict[str, Segments]
@@ -184,55 +193,70 @@ def add_rims(
     *,
     tuning: MatchTuning = DEFAULT,
 ) -> MatchesWithRims:
-    """Matches of straight edges, with the rims that were found among the chords of arcs.
-
-    A detector that keeps the chords of arcs (`find_segments(arcs=True)`) keeps what is no edge,
-    too. So edges are matched without them, rims are found with them, and joined here.
+    """Add rims, detected among the chords of arcs, to matches of straight edges.
 
     Parameters
     ----------
-    matches : of `match_segments`, of segments without arcs.
-    segments : those that were matched.
-    rims : of `find_rims`, of segments with arcs.
-    chords : the segments that the rims were found among.
+    matches : result of `match_segments` for segments without arcs.
+    segments : the matched segments.
+    rims : result of `find_rims` for segments with arcs.
+    chords : the segments that the rims were detected in.
     rig : the cameras of both.
-    tuning : every tuned constant; `rims` are those of this function.
+    tuning : all tuned constants; the group `rims` is used here.
+
+    Returns
+    -------
+    MatchesWithRims
 
     Raises
     ------
-    InputError : views without segments, or rims of other views than the matches.
+    InputError : a view without segments, or rims of other views than the matches.
+
+    Notes
+    -----
+    A detector that keeps the chords of arcs (`find_segments(arcs=True)`) also keeps segments
+    that are no edge. So edges are matched without arcs, rims are found with them, and both are
+    combined here.
     """
     views = matches.views
-    given, more = (segments_of_views("Adding rims", views, each) for each in (segments, chords))
+    edge_segments, chord_segments = (
+        segments_of_views("Adding rims", views, segment_set) for segment_set in (segments, chords)
+    )
     if rims.views != views:
         raise InputError(
             f"The rims are of the views {list_names(rims.views)}, but the matches of "
             f"{list_names(views)}: find both in the same pictures, the views in one order."
         )
-    own = collect_chords(prepare(given, rig, None), views)
+    all_chords = collect_chords(prepare(edge_segments, rig, None), views)
     circles = Circles(rims.centre_mm, rims.normal, rims.radius_mm)
-    rim = _assign_rims(own, circles, tuning.rims)
+    rim = _assign_rims(all_chords, circles, tuning.rims)
     scale = usual_mm_per_px(matches.lines_mm, rig, views)
-    tracks = tracks_beside_rims(matches, own, circles, rim, scale, tuning.rims)
-    first = len(rims.kept)
-    rows = {name: np.asarray(getattr(rims.matches, name))[first:].copy() for name in _ROWS}
-    joined, reasons = {}, {}
+    tracks = tracks_beside_rims(matches, all_chords, circles, rim, scale, tuning.rims)
+    first_piece = len(rims.kept)
+    rows = {name: np.asarray(getattr(rims.matches, name))[first_piece:].copy() for name in _ROWS}
+    all_segments, reasons = {}, {}
     for view, name in enumerate(views):
         column = rows["index"][:, view]
-        used = np.unique(column[column >= 0])
-        column[column >= 0] = len(given[name]) + np.searchsorted(used, column[column >= 0])
-        joined[name] = given[name].append(more[name].take(used))
-        reasons[name] = np.concatenate([matches.reasons[name], np.full(len(used), "matched")])
+        used_chords = np.unique(column[column >= 0])
+        column[column >= 0] = len(edge_segments[name]) + np.searchsorted(
+            used_chords, column[column >= 0]
+        )
+        all_segments[name] = edge_segments[name].append(chord_segments[name].take(used_chords))
+        reasons[name] = np.concatenate(
+            [matches.reasons[name], np.full(len(used_chords), "matched")]
+        )
     counts = count_tracks(len(rims), matches, tracks, len(rows["index"]))
-    before = dataclasses.replace(matches, reasons=reasons, counts=matches.counts | counts)
-    return MatchesWithRims(joined, with_rows(before, tracks, rows), tracks.kept)
+    extended = dataclasses.replace(matches, reasons=reasons, counts=matches.counts | counts)
+    return MatchesWithRims(all_segments, with_rows(extended, tracks, rows), tracks.kept)
 
 
 def _assign_rims(chords: Chords, circles: Circles, tuning: RimTuning) -> Int[np.ndarray, "n"]:
-    """The rim that each segment is a chord of, the nearest of several; -1 for none."""
+    """Rim that each segment is a chord of, (n,): the nearest one, -1 if none."""
     if len(circles.radius_mm) == 0:
         return np.full(len(chords.view), -1)
-    off = off_circles(chords, circles)
-    apart = np.abs(off.px[..., ON_ARC]).max(axis=2)
-    apart = np.where(touching(off, tuning.touch_px, tuning), apart, np.inf)
-    return np.where(np.isfinite(apart.min(axis=0)), apart.argmin(axis=0), -1)
+    offsets = circle_offsets(chords, circles)
+    largest_offset = np.abs(offsets.offset_px[..., ON_ARC]).max(axis=2)
+    largest_offset = np.where(
+        are_touching(offsets, tuning.touch_px, tuning), largest_offset, np.inf
+    )
+    return np.where(np.isfinite(largest_offset.min(axis=0)), largest_offset.argmin(axis=0), -1)

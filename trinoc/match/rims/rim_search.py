@@ -1,5 +1,6 @@
-"""From matches to rims: circles that two matched lines suggest, those first for which other lines
-speak, fitted and chosen."""
+"""Search for rims: circles proposed by pairs of matched lines, ranked by the support of other
+lines, and fitted.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -16,11 +17,11 @@ from trinoc.match.observations.pictures_of_views import segments_of_views
 from trinoc.match.rims.circles import (
     Chords,
     Circles,
+    are_touching,
+    circle_offsets,
     collect_chords,
     fit_circle,
     image_circles,
-    off_circles,
-    touching,
     usual_mm_per_px,
 )
 from trinoc.match.rims.rim_answer import (
@@ -29,9 +30,9 @@ from trinoc.match.rims.rim_answer import (
     RimChoice,
     build_rims,
     cover_circle,
-    share_of_two_views,
+    share_in_two_views,
 )
-from trinoc.match.rims.rim_support import about, has_rival, sum_support, supports
+from trinoc.match.rims.rim_support import are_near_images, has_rival, sum_support, support_matrix
 from trinoc.match.rims.rims import Rims
 from trinoc.match.tracks.matches import Matches
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
@@ -41,12 +42,11 @@ from trinoc.numerics.precision import ArrayLike, in_float64
 from trinoc.numerics.tables import concatenate_rows, take_rows
 from trinoc.numerics.vectors import cross_3d
 
-# Of the circles of most support so many are fitted before the best is chosen.
-# numerical: a block size.
-_AT_ONCE = 6
-# While it is fitted, a circle's image moves by less than this.
-# numerical: a margin for time: only what lies nearer is fitted.
-_ROOM_PX = 15.0
+# numerical: number of circles with the largest support that are fitted before one is accepted.
+_FITS_PER_ROUND = 6
+# numerical: margin about a circle's image, px, that limits the chords of a fit, for time. The image
+# moves less than this during the fit.
+_MARGIN_PX = 15.0
 
 
 @in_float64
@@ -57,126 +57,139 @@ def find_rims(
     *,
     tuning: MatchTuning = DEFAULT,
 ) -> Rims:
-    """Circles in space whose arcs the views show in chords, such as rims of cylinders.
-
-    Chords of one arc are cut at other places in every view, so that matched chords are near the
-    arc, and not on it. All chords of a rim, in all views, leave six numbers: its centre, its plane
-    and its radius. Circles are suggested by pairs of matched lines, judged by the segments of all
-    views, and put out where chords of two views show more than a quarter. Tracks of their chords
-    are replaced by pieces of the circle, cut where segments end; tracks of the body's outlines
-    below a rim have the mark "silhouette".
+    """Find circles in space whose arcs the views show as chords, such as rims of cylinders.
 
     Parameters
     ----------
-    matches : of `match_segments`.
-    segments : those that were matched, found with `arcs=True`: else there are hardly any chords.
-    rig : the cameras that they were matched with, which count as exact.
-    tuning : every tuned constant; `rims` are those of this function.
+    matches : result of `match_segments`.
+    segments : the matched segments, detected with `arcs=True`. Without arcs there are hardly any
+        chords.
+    rig : the cameras of the matches, which are assumed exact.
+    tuning : all tuned constants; the group `rims` is used here.
+
+    Returns
+    -------
+    Rims
 
     Raises
     ------
-    InputError : views of the matches without segments.
+    InputError : a view of the matches without segments.
+
+    Notes
+    -----
+    Each view cuts an arc into chords at other positions, so matched chords are near the arc and
+    not on it. All chords of a rim, in all views, have six unknowns: its centre, its plane and
+    its radius. Pairs of matched lines propose circles. The segments of all views support them. A
+    circle is accepted if chords of two views show more than a quarter of it. Pieces of the
+    circle, cut where segments end, replace the tracks of its chords. Tracks of the body's
+    outlines below a rim have the mark "silhouette".
     """
-    stated = prepare(segments_of_views("Finding rims", matches.views, segments), rig, None)
-    # Matched chords disagree: what that makes of their errors is none of the rims'.
-    chords = collect_chords(stated, matches.views)
-    seen = with_noise_scale(stated, np.array([matches.noise_scale]))
+    inputs = prepare(segments_of_views("Finding rims", matches.views, segments), rig, None)
+    # The noise scale of the matches is not used here, because matched chords disagree.
+    chords = collect_chords(inputs, matches.views)
+    scaled_inputs = with_noise_scale(inputs, np.array([matches.noise_scale]))
     scale = usual_mm_per_px(matches.lines_mm, rig, matches.views)
-    cameras = np.asarray(stated.frames[0].cameras.matrix_px)
-    start = propose_rims(matches.lines_mm, cameras, tuning.rims)
-    chosen = _choose_rims(chords, start, tuning.rims)
-    return build_rims(matches, seen, chords, chosen, scale, tuning.rims)
+    cameras = np.asarray(inputs.frames[0].cameras.matrix_px)
+    proposals = propose_rims(matches.lines_mm, cameras, tuning.rims)
+    choice = _choose_rims(chords, proposals, tuning.rims)
+    return build_rims(matches, scaled_inputs, chords, choice, scale, tuning.rims)
 
 
 def _choose_rims(chords: Chords, start: Circles, tuning: RimTuning) -> RimChoice:
-    """Rims, one after the other, those of the longest chords first; a chord belongs to one."""
-    support = supports(chords, start, 2 * tuning.touch_px, tuning)
-    ones = np.ones_like(support.data)
-    touches = csr_array((ones, support.indices, support.indptr), support.shape)
+    """Accept rims one by one, those with the longest chords first. A chord belongs to one rim."""
+    support = support_matrix(chords, start, 2 * tuning.touch_px, tuning)
+    unit_entries = np.ones_like(support.data)
+    incidence = csr_array((unit_entries, support.indices, support.indptr), support.shape)
     views = int(chords.view.max(initial=-1)) + 1
     by_view = (chords.view[:, None] == np.arange(views)).astype(np.float64)
-    free, found, ambiguous = np.ones(len(chords.view), dtype=bool), [], 0
-    left = np.ones(len(start.radius_mm), dtype=bool)
+    is_free, rims, ambiguous = np.ones(len(chords.view), dtype=bool), [], 0
+    is_open = np.ones(len(start.radius_mm), dtype=bool)
     while True:
-        # Some of a circle's chords lie further off before it is fitted.
-        number = touches @ (by_view * free[:, None]) >= tuning.least_chords - 1
-        total = np.where(left & (number.sum(axis=1) >= 2), support @ free.astype(np.float64), 0.0)
-        tried = np.argsort(-total, kind="stable")[:_AT_ONCE]
-        tried = tried[total[tried] > 0]
-        if len(tried) == 0:
-            return RimChoice(found, ambiguous)
+        # Before the fit, some chords lie outside the limit, so one less is required.
+        has_enough = incidence @ (by_view * is_free[:, None]) >= tuning.min_chords - 1
+        free_support = np.where(
+            is_open & (has_enough.sum(axis=1) >= 2), support @ is_free.astype(np.float64), 0.0
+        )
+        rows = np.argsort(-free_support, kind="stable")[:_FITS_PER_ROUND]
+        rows = rows[free_support[rows] > 0]
+        if len(rows) == 0:
+            return RimChoice(rims, ambiguous)
         best = None
-        for row in tried:
-            rim = _fit_rim(chords, take_rows(start, row[None]), free, views, tuning)
+        for row in rows:
+            rim = _fit_rim(chords, take_rows(start, row[None]), is_free, views, tuning)
             if rim is None:
-                # Nor will it be one later, since chords are taken and never given back.
-                left[row] = False
+                # It will not become one later, because the number of free chords only decreases.
+                is_open[row] = False
             elif best is None or rim.support > best.support:
                 best = rim
         if best is None:
             continue
-        free[best.own] = False
-        if best.of_two and has_rival(chords, best.circle, best.own, tuning):
+        is_free[best.chord_rows] = False
+        if best.only_two_views and has_rival(chords, best.circle, best.chord_rows, tuning):
             ambiguous += 1
         else:
-            found.append(best)
+            rims.append(best)
 
 
 def _fit_rim(
-    chords: Chords, circle: Circles, free: Bool[np.ndarray, "n"], views: int, tuning: RimTuning
+    chords: Chords, circle: Circles, is_free: Bool[np.ndarray, "n"], views: int, tuning: RimTuning
 ) -> FittedRim | None:
-    """The rim near a circle; None where too little touches it."""
-    rows = np.flatnonzero(about(chords, circle, _ROOM_PX)[0] & free)
+    """Fit the rim near a circle; None if too few chords touch it."""
+    rows = np.flatnonzero(are_near_images(chords, circle, _MARGIN_PX)[0] & is_free)
     chords = take_rows(chords, rows)
-    touch = tuning.touch_px
-    first = _circle_evidence(chords, circle, 2 * touch, views, tuning)
-    if first.covered < tuning.least_covered / 2:
+    limit_px = tuning.touch_px
+    before = _circle_evidence(chords, circle, 2 * limit_px, views, tuning)
+    if before.covered_share < tuning.min_covered_share / 2:
         return None
     covariance = np.zeros((6, 6))
-    for within in (2 * touch, 1.5 * touch, touch, touch):
-        own = np.flatnonzero(touching(off_circles(chords, circle), within, tuning)[0])
-        if np.sort(np.bincount(chords.view[own], minlength=views))[-2] < tuning.least_chords:
+    for current_limit_px in (2 * limit_px, 1.5 * limit_px, limit_px, limit_px):
+        chord_rows = np.flatnonzero(
+            are_touching(circle_offsets(chords, circle), current_limit_px, tuning)[0]
+        )
+        if np.sort(np.bincount(chords.view[chord_rows], minlength=views))[-2] < tuning.min_chords:
             return None
-        circle, covariance = fit_circle(take_rows(chords, own), circle)
-    last = _circle_evidence(chords, circle, touch, views, tuning)
-    number = np.bincount(chords.view[last.own], minlength=views)
-    # Two arcs of two views leave three numbers each, place, direction and bend, as many as a circle
-    # takes: they always lie on one, unless they are long.
-    of_two = np.count_nonzero(number) == 2
-    least = tuning.least_covered * (2 if of_two else 1)
-    if np.sort(number)[-2] < tuning.least_chords or last.covered < least:
+        circle, covariance = fit_circle(take_rows(chords, chord_rows), circle)
+    after = _circle_evidence(chords, circle, limit_px, views, tuning)
+    chords_per_view = np.bincount(chords.view[after.chord_rows], minlength=views)
+    # Two arcs in two views have three parameters each: position, direction and curvature. A circle
+    # has six, so short arcs always fit one.
+    only_two_views = np.count_nonzero(chords_per_view) == 2
+    smallest_share = tuning.min_covered_share * (2 if only_two_views else 1)
+    if np.sort(chords_per_view)[-2] < tuning.min_chords or after.covered_share < smallest_share:
         return None
     if not np.isfinite(covariance).all():
         return None
-    own, arcs, covered, support = last
-    return FittedRim(circle, covariance, rows[own], arcs, covered, support, of_two)
+    chord_rows, arcs, covered_share, support = after
+    return FittedRim(
+        circle, covariance, rows[chord_rows], arcs, covered_share, support, only_two_views
+    )
 
 
 class _CircleEvidence(NamedTuple):
-    """What chords show of a circle. support : in all."""
+    """Chords of a circle and the arcs that they cover. `support` is their total weight."""
 
-    own: Int[np.ndarray, "k"]
+    chord_rows: Int[np.ndarray, "k"]
     arcs: Arcs
-    covered: float
+    covered_share: float
     support: float
 
 
 def _circle_evidence(
-    chords: Chords, circle: Circles, within_px: float, views: int, tuning: RimTuning
+    chords: Chords, circle: Circles, limit_px: float, views: int, tuning: RimTuning
 ) -> _CircleEvidence:
-    off = off_circles(chords, circle, with_ends=True)
-    support = sum_support(chords, off, within_px, tuning)[0]
-    own = np.flatnonzero(support > 0)
-    arcs = cover_circle(off.around_mm[0, own], circle)
-    covered = share_of_two_views(arcs, chords.view[own], views)
-    return _CircleEvidence(own, arcs, covered, float(support.sum()))
+    offsets = circle_offsets(chords, circle, with_ends=True)
+    support = sum_support(chords, offsets, limit_px, tuning)[0]
+    chord_rows = np.flatnonzero(support > 0)
+    arcs = cover_circle(offsets.nearest_mm[0, chord_rows], circle)
+    covered_share = share_in_two_views(arcs, chords.view[chord_rows], views)
+    return _CircleEvidence(chord_rows, arcs, covered_share, float(support.sum()))
 
 
-# numerical: lines that are held against circles at once: for memory, some 100 bytes each.
-MOST_AT_ONCE = 1 << 21
-# numerical: for time: of each line so many nearest others are tried with it, and so many circles
-# kept, and so many in all: measured scenes have fewer.
-MOST_NEIGHBOURS, MOST_OF_LINE, MOST_CIRCLES = 150, 6, 1500
+# numerical: number of pairs (line, circle) in memory, about 100 bytes each.
+ENTRIES_AT_A_TIME = 1 << 21
+# numerical: limits for time: neighbours of each line, circles of each line, circles in all.
+# Measured scenes have fewer.
+MAX_NEIGHBOURS, MAX_CIRCLES_PER_LINE, MAX_CIRCLES = 150, 6, 1500
 
 
 def propose_rims(
@@ -184,57 +197,65 @@ def propose_rims(
     cameras_px: Float[np.ndarray, "v 3 4"],
     tuning: RimTuning,
 ) -> Circles:
-    """Circles that touch two lines each at their middles and that two cameras at least do not see
-    edge-on, the best supported ones."""
+    """Circles that touch two lines each at their middles, the best supported ones.
+
+    At least two cameras do not see them edge-on.
+    """
     middle = lines_mm.mean(axis=1)
-    way = lines_mm[:, 1] - lines_mm[:, 0]
-    length = np.linalg.norm(way, axis=1)
-    unit = way / np.maximum(length, 1e-12)[:, None]
-    one, other = _neighbours(middle, MOST_NEIGHBOURS)
-    normal = cross_3d(unit[one], unit[other])
+    step = lines_mm[:, 1] - lines_mm[:, 0]
+    length = np.linalg.norm(step, axis=1)
+    unit = step / np.maximum(length, 1e-12)[:, None]
+    first, second = _neighbour_pairs(middle, MAX_NEIGHBOURS)
+    normal = cross_3d(unit[first], unit[second])
     sine = np.linalg.norm(normal, axis=1)
-    turned = sine > np.sin(np.radians(tuning.tangent_deg))
-    one, other, normal = one[turned], other[turned], normal[turned] / sine[turned, None]
-    step = middle[other] - middle[one]
-    inward = [cross_3d(normal, unit[own]) for own in (one, other)]
-    found = []
-    # Both touch from the same side of their directions, or from opposite ones.
+    is_turned = sine > np.sin(np.radians(tuning.tangent_deg))
+    first = first[is_turned]
+    second = second[is_turned]
+    normal = normal[is_turned] / sine[is_turned, None]
+    between_middles = middle[second] - middle[first]
+    inward = [cross_3d(normal, unit[line_rows]) for line_rows in (first, second)]
+    proposals = []
+    # The circle lies on the same side of both directions, or on opposite sides.
     for side in (1.0, -1.0):
-        between = inward[0] - side * inward[1]
-        reach = (between * step).sum(axis=1) / np.maximum((between**2).sum(axis=1), 1e-12)
-        open_mm = np.linalg.norm(step - reach[:, None] * between, axis=1)
-        radius = np.abs(reach)
-        # Each line is a chord, shorter than the circle is wide.
-        wide = radius > np.maximum(length[one], length[other]) / 2
-        good = (open_mm < tuning.closes_share * radius) & wide
-        centre = (middle[one] + middle[other]) / 2
-        centre = centre + reach[:, None] * (inward[0] + side * inward[1]) / 2
-        found.append((one[good], Circles(centre[good], normal[good], radius[good])))
-    line, circles = concatenate_rows(found)
+        difference = inward[0] - side * inward[1]
+        signed_radius = (difference * between_middles).sum(axis=1) / np.maximum(
+            (difference**2).sum(axis=1), 1e-12
+        )
+        closure_mm = np.linalg.norm(between_middles - signed_radius[:, None] * difference, axis=1)
+        radius = np.abs(signed_radius)
+        # A chord is shorter than the diameter of its circle.
+        is_wide = radius > np.maximum(length[first], length[second]) / 2
+        is_valid = (closure_mm < tuning.closure_share * radius) & is_wide
+        centre = (middle[first] + middle[second]) / 2
+        centre = centre + signed_radius[:, None] * (inward[0] + side * inward[1]) / 2
+        proposals.append(
+            (first[is_valid], Circles(centre[is_valid], normal[is_valid], radius[is_valid]))
+        )
+    line, circles = concatenate_rows(proposals)
     ratios = np.stack([image_circles(circles, camera).axis_ratio for camera in cameras_px])
-    opened = np.flatnonzero((ratios > tuning.least_axis_ratio).sum(axis=0) >= 2)
-    line, circles = line[opened], take_rows(circles, opened)
+    visible_rows = np.flatnonzero((ratios > tuning.min_axis_ratio).sum(axis=0) >= 2)
+    line, circles = line[visible_rows], take_rows(circles, visible_rows)
     support = np.zeros(len(line))
-    for part in blocks(len(line), max(MOST_AT_ONCE // max(len(lines_mm), 1), 1)):
-        some = Circles(*(column[part] for column in circles))
-        support[part] = _support(some, middle, unit, length, tuning)
-    # The best of each line, so that one rim of many chords does not hide another.
-    best = np.lexsort((-support, line))
-    rank = np.arange(len(best)) - np.searchsorted(line[best], line[best])
-    best = best[rank < MOST_OF_LINE]
-    best = best[np.argsort(-support[best], kind="stable")[:MOST_CIRCLES]]
-    return take_rows(circles, best)
+    for part in blocks(len(line), max(ENTRIES_AT_A_TIME // max(len(lines_mm), 1), 1)):
+        block = Circles(*(column[part] for column in circles))
+        support[part] = _support(block, middle, unit, length, tuning)
+    # Only the best circles of each line, so that a rim with many chords does not displace others.
+    order = np.lexsort((-support, line))
+    rank = np.arange(len(order)) - np.searchsorted(line[order], line[order])
+    order = order[rank < MAX_CIRCLES_PER_LINE]
+    order = order[np.argsort(-support[order], kind="stable")[:MAX_CIRCLES]]
+    return take_rows(circles, order)
 
 
-def _neighbours(
-    middle_mm: Float[np.ndarray, "t 3"], most: int
+def _neighbour_pairs(
+    middle_mm: Float[np.ndarray, "t 3"], limit: int
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
-    """Pairs of lines, each with the nearest so many others."""
+    """Pairs of lines, each with its nearest neighbours."""
     count = len(middle_mm)
-    if count <= most + 1:
+    if count <= limit + 1:
         return np.triu_indices(count, 1)
-    near = np.asarray(KDTree(middle_mm).query(middle_mm, most + 1)[1])
-    pairs = np.stack([np.repeat(np.arange(count), most + 1), near.ravel()], axis=1)
+    nearest = np.asarray(KDTree(middle_mm).query(middle_mm, limit + 1)[1])
+    pairs = np.stack([np.repeat(np.arange(count), limit + 1), nearest.ravel()], axis=1)
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
     first, second = pairs[pairs[:, 0] < pairs[:, 1]].T
     return first, second
@@ -247,7 +268,7 @@ def _support(
     length_mm: Float[np.ndarray, "t"],
     tuning: RimTuning,
 ) -> Float[np.ndarray, "h"]:
-    """Length of the lines that lie on each circle, as far as lines in space are known."""
+    """Total length of the lines in space that lie on each circle, (h,) mm."""
     centre, normal, radius = circles
     height = normal @ middle_mm.T - (normal * centre).sum(axis=1)[:, None]
     square = (middle_mm**2).sum(axis=1) - 2 * centre @ middle_mm.T
@@ -255,8 +276,10 @@ def _support(
     distance = np.sqrt(np.maximum(square - height**2, 1e-12))
     out_of_plane = normal @ unit.T
     radial = (middle_mm * unit).sum(axis=1) - centre @ unit.T - height * out_of_plane
-    alike = np.sin(np.radians(tuning.tangent_deg))
-    near = (tuning.closes_share * radius / 2)[:, None]
-    on = (np.abs(height) < near) & (np.abs(distance - radius[:, None]) < near)
-    on &= (np.abs(out_of_plane) < alike) & (np.abs(radial) < alike * distance)
-    return on @ length_mm
+    largest_sine = np.sin(np.radians(tuning.tangent_deg))
+    limit_mm = (tuning.closure_share * radius / 2)[:, None]
+    is_on_circle = (np.abs(height) < limit_mm) & (np.abs(distance - radius[:, None]) < limit_mm)
+    is_on_circle &= (np.abs(out_of_plane) < largest_sine) & (
+        np.abs(radial) < largest_sine * distance
+    )
+    return is_on_circle @ length_mm

@@ -1,6 +1,4 @@
-"""Which chords speak for which circles, looked at in parts for memory; and whether two views show
-another circle as well in place of one: then neither is known.
-"""
+"""Support of circles by chords, and the test whether a rim in two views is ambiguous."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,120 +8,136 @@ from trinoc.match.rims.circles import (
     MIDDLE,
     ON_ARC,
     Chords,
+    CircleOffsets,
     Circles,
-    Off,
+    are_touching,
+    circle_offsets,
     image_circles,
-    off_circles,
-    touching,
 )
 from trinoc.match.tuning.rims import RimTuning
 from trinoc.numerics.buckets import blocks
 from trinoc.numerics.tables import take_rows
 
-# numerical: chords that are held against circles at once, some 800 bytes each.
-MOST_AT_ONCE = 1 << 16
-# numerical: circles whose centres share a cell of so many radii are looked at together.
+# numerical: number of pairs (chord, circle) in memory, about 800 bytes each.
+ENTRIES_AT_A_TIME = 1 << 16
+# numerical: side of a cell in median radii. Circles with centres in one cell share a block.
 _CELL_RADII = 2.0
 
 
-def supports(chords: Chords, circles: Circles, within_px: float, tuning: RimTuning) -> csr_array:
-    """(h, s) Support of all chords for all circles, of which few touch; neighbours are held
-    against what is about them."""
+def support_matrix(
+    chords: Chords, circles: Circles, limit_px: float, tuning: RimTuning
+) -> csr_array:
+    """Sparse support (h, s) of each chord for each circle, in blocks to limit the memory."""
     shape = len(circles.radius_mm), len(chords.view)
     entries = [(np.zeros(0), (np.zeros(0, np.int64), np.zeros(0, np.int64)))]
     cell = _CELL_RADII * np.median(circles.radius_mm) if shape[0] else 1.0
     order = np.lexsort(np.floor(circles.centre_mm / cell).T)
-    for part in blocks(shape[0], max(MOST_AT_ONCE // max(shape[1], 1), 1)):
-        some = take_rows(circles, order[part])
-        near = np.flatnonzero(about(chords, some, within_px).any(axis=0))
-        own = take_rows(chords, near)
-        found = sum_support(own, off_circles(own, some), within_px, tuning)
-        row, column = np.nonzero(found)
-        entries.append((found[row, column], (order[part][row], near[column])))
+    for part in blocks(shape[0], max(ENTRIES_AT_A_TIME // max(shape[1], 1), 1)):
+        block = take_rows(circles, order[part])
+        near_chords = np.flatnonzero(are_near_images(chords, block, limit_px).any(axis=0))
+        block_chords = take_rows(chords, near_chords)
+        support = sum_support(block_chords, circle_offsets(block_chords, block), limit_px, tuning)
+        row, column = np.nonzero(support)
+        entries.append((support[row, column], (order[part][row], near_chords[column])))
     values = np.concatenate([value for value, _ in entries])
-    index = np.concatenate([np.stack(places) for _, places in entries], axis=1)
+    index = np.concatenate([np.stack(positions) for _, positions in entries], axis=1)
     return coo_array((values, (index[0], index[1])), shape=shape).tocsr()
 
 
 def sum_support(
-    chords: Chords, off: Off, within_px: float, tuning: RimTuning
+    chords: Chords, offsets: CircleOffsets, limit_px: float, tuning: RimTuning
 ) -> Float[np.ndarray, "h s"]:
-    """Length of the chords that touch circles; those that lie near count for more, so that of the
-    circles about one rim the truest comes first."""
-    apart = np.abs(off.px[..., ON_ARC]).max(axis=2) / within_px
-    weight = np.sqrt(np.clip(1 - apart, 0.0, 1.0)) * chords.length_px
-    return np.where(touching(off, within_px, tuning), weight, 0.0)
+    """Length of the chords that touch each circle, (h, s).
+
+    Nearer chords have a larger weight, so that the best of the circles about one rim ranks
+    first.
+    """
+    relative_offset = np.abs(offsets.offset_px[..., ON_ARC]).max(axis=2) / limit_px
+    weight = np.sqrt(np.clip(1 - relative_offset, 0.0, 1.0)) * chords.length_px
+    return np.where(are_touching(offsets, limit_px, tuning), weight, 0.0)
 
 
-def about(chords: Chords, circles: Circles, margin_px: float) -> Bool[np.ndarray, "h s"]:
-    """Whether chords have their middles within circles' images, or this near to them."""
-    found = np.zeros((len(circles.radius_mm), len(chords.view)), dtype=bool)
+def are_near_images(chords: Chords, circles: Circles, margin_px: float) -> Bool[np.ndarray, "h s"]:
+    """Mask of the chords whose middle is inside a circle's image, or within a margin of it, (h,
+    s).
+    """
+    is_near = np.zeros((len(circles.radius_mm), len(chords.view)), dtype=bool)
     for view in np.unique(chords.view):
-        own = np.flatnonzero(chords.view == view)
-        image = image_circles(circles, chords.matrix_px[own[0]])
-        off = chords.places_px[own, MIDDLE] - image.middle_px[:, None]
-        # In perspective, the image reaches further on the side that is nearer.
-        reach = 1.5 * image.axes_px[:, :1] + margin_px
-        found[:, own] = (off**2).sum(axis=2) < reach**2
-    return found
+        chord_rows = np.flatnonzero(chords.view == view)
+        image = image_circles(circles, chords.matrix_px[chord_rows[0]])
+        offset = chords.points_px[chord_rows, MIDDLE] - image.middle_px[:, None]
+        # In perspective, the nearer half of a circle has the larger image.
+        radius = 1.5 * image.axes_px[:, :1] + margin_px
+        is_near[:, chord_rows] = (offset**2).sum(axis=2) < radius**2
+    return is_near
 
 
-# numerical: the inverse depth of what is looked for, in units of the circle's own.
-_NEAREST, _MOST_STEPS = 3.0, 2000
+# numerical: largest inverse depth of the search, relative to the circle's, and largest number of
+# steps.
+_MAX_INVERSE_DEPTH, _MOST_STEPS = 3.0, 2000
 
 
 def has_rival(
-    chords: Chords, circle: Circles, own: Int[np.ndarray, "k"], tuning: RimTuning
+    chords: Chords, circle: Circles, chord_rows: Int[np.ndarray, "k"], tuning: RimTuning
 ) -> bool:
-    """Whether the chords of one of two views lie on another circle, too, with others of the second.
+    """Test whether the chords of one of two views also lie on another circle, with other chords of
+    the second view.
 
-    Circles moved toward a camera or away from it, their planes parallel, have one image there. So
-    an arc of one view may go with any arc of the second that such a circle meets.
+    Circles shifted toward a camera or away from it, with parallel planes, have the same image in
+    this camera. So an arc of one view may belong to any arc of the second view on such a circle.
     """
-    one, other = np.unique(chords.view[own]).tolist()
+    first_view, second_view = np.unique(chords.view[chord_rows]).tolist()
     return any(
-        _has_other_chords(chords, circle, own, first, second, tuning)
-        for first, second in ((one, other), (other, one))
+        _has_other_chords(chords, circle, chord_rows, first, second, tuning)
+        for first, second in ((first_view, second_view), (second_view, first_view))
     )
 
 
 def _has_other_chords(
     chords: Chords,
     circle: Circles,
-    own: Int[np.ndarray, "k"],
+    chord_rows: Int[np.ndarray, "k"],
     first: int,
     second: int,
     tuning: RimTuning,
 ) -> bool:
-    """Whether the second view shows a circle of the same image in the first by other chords, half
-    as long."""
-    there = chords.view == second
-    rows = np.setdiff1d(np.flatnonzero(there), own)
+    """Test whether other chords of the second view, half as long, support a circle with the same
+    image in the first.
+    """
+    in_second = chords.view == second
+    rows = np.setdiff1d(np.flatnonzero(in_second), chord_rows)
     if len(rows) == 0:
         return False
     eye = chords.centre_mm[(chords.view == first).argmax()]
-    moved = _of_one_image(circle, eye, chords.matrix_px[there.argmax()], tuning)
-    others = take_rows(chords, rows)
-    longest = (supports(others, moved, 2 * tuning.touch_px, tuning) > 0) @ others.length_px
-    return bool(longest.max() > 0.5 * chords.length_px[own[there[own]]].sum())
+    circles = _circles_with_equal_image(circle, eye, chords.matrix_px[in_second.argmax()], tuning)
+    other_chords = take_rows(chords, rows)
+    support_length = (
+        support_matrix(other_chords, circles, 2 * tuning.touch_px, tuning) > 0
+    ) @ other_chords.length_px
+    return bool(
+        support_length.max() > 0.5 * chords.length_px[chord_rows[in_second[chord_rows]]].sum()
+    )
 
 
-def _of_one_image(
+def _circles_with_equal_image(
     circle: Circles,
     eye_mm: Float[np.ndarray, "3"],
     other_px: Float[np.ndarray, "3 4"],
     tuning: RimTuning,
 ) -> Circles:
-    """The circles with this one's image from `eye_mm`, a step in the other view apart."""
-    way = circle.centre_mm[0] - eye_mm
-    here = other_px @ np.append(circle.centre_mm[0], 1.0)
-    afar = other_px[:, :3] @ way
-    # From what is far away to here; where it leaves the view sideways, as many steps as allowed.
-    path = np.linalg.norm(here[:2] / here[2] - afar[:2] / max(afar[2], 1e-9 * abs(here[2])))
-    steps = int(np.clip(_NEAREST * path / (2 * tuning.touch_px), 1, _MOST_STEPS))
-    larger = steps / (_NEAREST * np.arange(1, steps + 1))
+    """Circles with the same image as this one from `eye_mm`, one step apart in the other view."""
+    from_eye = circle.centre_mm[0] - eye_mm
+    image = other_px @ np.append(circle.centre_mm[0], 1.0)
+    image_at_infinity = other_px[:, :3] @ from_eye
+    # Image path from infinity to the circle. If it leaves the view sideways, the steps are limited.
+    image_path = np.linalg.norm(
+        image[:2] / image[2]
+        - image_at_infinity[:2] / max(image_at_infinity[2], 1e-9 * abs(image[2]))
+    )
+    steps = int(np.clip(_MAX_INVERSE_DEPTH * image_path / (2 * tuning.touch_px), 1, _MOST_STEPS))
+    scale = steps / (_MAX_INVERSE_DEPTH * np.arange(1, steps + 1))
     return Circles(
-        eye_mm + larger[:, None] * way,
+        eye_mm + scale[:, None] * from_eye,
         np.tile(circle.normal, (steps, 1)),
-        larger * circle.radius_mm,
+        scale * circle.radius_mm,
     )

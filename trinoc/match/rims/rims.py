@@ -1,4 +1,4 @@
-"""Rims in space, the segments that are their chords, and the matches with them."""
+"""Result type of the rims: circles in space, their chords, and the matches with them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar
@@ -21,29 +21,30 @@ from trinoc.numerics.tables import (
 )
 
 _CENTRE, _NORMAL = ("x_mm", "y_mm", "z_mm"), ("normal_x", "normal_y", "normal_z")
-# numerical: what rounding leaves of the length of a normal, and of a share.
-_ROUNDING, _OF_SHARE = 1e-6, 1e-9
+# numerical: rounding error of the length of a normal, and of a share.
+_ROUNDING, _SHARE_ROUNDING = 1e-6, 1e-9
 
 
 class Rims(Feature):
-    """Circles, each from its chords in two views or more.
+    """Circles in space, each from its chords in two or more views.
 
-    `rim`, `view` and `segment` are one table with a row for each chord.
+    `rim`, `view` and `segment` form one table with a row for each chord.
 
     Fields
     ------
-    views : names of the views, the order of their numbers.
-    centre_mm : (c, 3), in the world frame. normal : (c, 3) unit vectors across their planes.
-    radius_mm : (c,)
-    covariance_mm2 : (c, 7, 7) of centre, normal (no unit) and radius.
+    views : names of the views, in the order of their numbers.
+    centre_mm : (c, 3) centres, world frame.
+    normal : (c, 3) unit vectors across the planes of the circles.
+    radius_mm : (c,) radii.
+    covariance_mm2 : (c, 7, 7) covariance of centre, normal (no unit) and radius.
     covered : (c,) share of each circle that chords of two views show.
     rim, view, segment : (m,) number of the rim, of the view, and of the segment there.
-    matches : the given matches without the tracks that rims explain, and after them pieces of the
-        rims, each a chord of its circle. A fragment is the segment's part abreast of it, and its
-        covariance holds how far the segment bows. Tracks that hold an outline of the body below a
-        rim have the mark "silhouette".
-    kept : (k,) the numbers that the first k tracks had before.
-    counts : what each step of the search produced, by name.
+    matches : the given matches without the tracks that rims explain, followed by pieces of the
+        rims, each a chord of its circle. The fragment of a piece is the corresponding part of the
+        segment. Its covariance includes the distance between chord and arc. Tracks with an outline
+        of the body below a rim have the mark "silhouette".
+    kept : (k,) previous numbers of the first k tracks.
+    counts : numbers of each step of the search, by name.
     """
 
     KIND: ClassVar[str] = "rims"
@@ -85,7 +86,9 @@ class Rims(Feature):
     covered: Annotated[
         Float[np.ndarray, "c"],
         Column(
-            ColumnCheck("is no share", lambda share, _: (share >= 0) & (share <= 1 + _OF_SHARE))
+            ColumnCheck(
+                "is no share", lambda share, _: (share >= 0) & (share <= 1 + _SHARE_ROUNDING)
+            )
         ),
     ]
     rim: Annotated[Int[np.ndarray, "m"], Column(check_number("c", "is no rim"))]
@@ -105,24 +108,24 @@ class Rims(Feature):
 
     @property
     def radius_sigma_mm(self) -> Float[np.ndarray, "c"]:
-        """(c,) standard deviation of each radius."""
+        """Standard deviation of each radius, (c,) mm."""
         return np.sqrt(self.covariance_mm2[:, 6, 6])
 
     def summary(self) -> str:
-        """How many there are."""
-        found = "1 rim" if len(self) == 1 else f"{len(self)} rims"
-        return f"{found} of round bodies, in pieces after the other tracks."
+        """Number of rims, as a sentence."""
+        count = "1 rim" if len(self) == 1 else f"{len(self)} rims"
+        return f"{count} of round bodies, in pieces after the other tracks."
 
     def record(self) -> dict[str, Any]:
-        """The counts."""
+        """The counts, for the record of a run."""
         return {"counts": self.counts}
 
     def circles_mm(self, sides: int = 48) -> Float[np.ndarray, "c n 3"]:
-        """(c, sides, 3) points round each."""
+        """Points round each circle, (c, sides, 3) mm."""
         angle = np.tile(np.arange(sides) * (2 * np.pi / sides), (len(self), 1))
         return points_on_circles(Circles(self.centre_mm, self.normal, self.radius_mm), angle)
 
     def wires(self) -> Wires:
-        """Each circle, closed."""
+        """Each circle as a closed line."""
         circles = self.circles_mm()
         return wires_of_lines([[np.concatenate([circle, circle[:1]])] for circle in circles])

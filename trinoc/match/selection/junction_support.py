@@ -55,7 +55,7 @@ def prior_junctions(
     """
     gaps = np.array(tuning.prior_gaps)
     return JunctionParameters(
-        np.full(frames, tuning.prior_at_junction), np.broadcast_to(gaps, (*frames, len(gaps)))
+        np.full(frames, tuning.prior_junction_share), np.broadcast_to(gaps, (*frames, len(gaps)))
     )
 
 
@@ -74,9 +74,9 @@ def endpoint_pairs(
     ends = candidates.union_ends_mm.reshape(-1, 3)
     frame = candidates.frame
     frames = 1 if frame is None else int(frame.max()) + 1
-    radius_mm = tuning.reach_px / group_medians(candidates.px_per_mm, frame, frames)
+    radius_mm = tuning.search_radius_px / group_medians(candidates.px_per_mm, frame, frames)
     if frame is None:
-        pairs = _pairs_of_near_ends(ends, log_odds, float(radius_mm), tuning.most_meetings)
+        pairs = _pairs_of_near_ends(ends, log_odds, float(radius_mm), tuning.max_meetings)
     else:
         frame_of_end = np.repeat(frame, 2)
         pairs = _pairs_of_near_ends_in_frames(ends / radius_mm[frame_of_end, None], frame_of_end)
@@ -170,7 +170,7 @@ def _log_ratio(
         ends[pairs[:, 0]], direction[m], ends[pairs[:, 1]], direction[n]
     )
     px_per_mm = np.stack([candidates.px_per_mm[m], candidates.px_per_mm[n]], axis=1)
-    loose_share, loose_sigmas = evidence.loose_share, evidence.loose_sigmas
+    loose_share, loose_sigmas = evidence.outlier_share, evidence.outlier_sigmas
     with np.errstate(divide="ignore", invalid="ignore"):
         covariance = candidates.union_covariance_mm2.reshape(-1, 6)
         covariance_sum = covariance[pairs[:, 0]] + covariance[pairs[:, 1]]
@@ -196,8 +196,7 @@ def junction_log_odds(
     tuning: JunctionTuning = DEFAULT.junctions,
     frame: Int[np.ndarray, "m"] | None = None,
 ) -> tuple[Float[np.ndarray, "m"], JunctionParameters]:
-    """Support of each candidate by its neighbours: (log odds to add (m,), updated junction
-    parameters).
+    """Log odds that junctions add to each candidate (m,), and the updated junction parameters.
 
     `log_ends_density` is the log of the number of line ends per volume, 1/mm^3.
     """

@@ -101,7 +101,7 @@ def select(
     likely = candidates.take(kept_rows)
     graph = conflict_graph(likely.index, likely.interval, selection_tuning)
     beliefs = None
-    for _ in range(selection_tuning.rounds):
+    for _ in range(selection_tuning.em_rounds):
         odds = prior_log_odds(likely, mixture, evidence)
         beliefs = sum_product(odds, graph, selection_tuning, likely.frame, beliefs)
         c, posterior = likely, probability(beliefs.log_odds)
@@ -113,10 +113,8 @@ def select(
     kept_rows = rows_within_memory(
         odds, candidates.index, selection_tuning.prune_log_odds, selection_tuning
     )
-    log_share, discarded_index = (
-        np.zeros(len(kept_rows)),
-        candidates.index[np.setdiff1d(possible_rows, kept_rows)],
-    )
+    log_share = np.zeros(len(kept_rows))
+    discarded_index = candidates.index[np.setdiff1d(possible_rows, kept_rows)]
     if len(kept_rows) < len(possible_rows):
         log_share = log_kept_share(
             odds[possible_rows],
@@ -187,7 +185,7 @@ def _with_junctions(
         odds = without_junctions[0] + gain
         beliefs = sum_product(odds, graph, tuning.selection, frame, beliefs)
     has_junctions = broadcast_groups(
-        junctions.end_at_junction >= tuning.junctions.min_at_junction, frame
+        junctions.end_at_junction >= tuning.junctions.min_junction_share, frame
     )
     odds, posterior_log_odds = (
         np.where(has_junctions, with_gain, without_gain)
@@ -216,7 +214,9 @@ def residual_scale(
     prior = -2 * np.log1p(-quantile)  # quantiles of chi-square with two degrees of freedom
     chi_square, frame = [np.tile(prior, frames)], [np.repeat(np.arange(frames), len(prior))]
     for selection in selections:
-        is_sure = selection.is_accepted & (probability(selection.posterior_log_odds) > tuning.sure)
+        is_sure = selection.is_accepted & (
+            probability(selection.posterior_log_odds) > tuning.sure_posterior
+        )
         index = selection.candidates.index[is_sure]
         member_is_informative = np.take_along_axis(is_informative.T, np.maximum(index, 0), axis=0)
         is_sure[is_sure] = (member_is_informative | (index < 0)).all(axis=1)
@@ -226,7 +226,7 @@ def residual_scale(
         frame.append(frame_label[is_sure])
     median_chi_square = group_medians(np.concatenate(chi_square), np.concatenate(frame), frames)
     scale = np.sqrt(median_chi_square / (2 * np.log(2)))
-    return np.clip(scale, 1 / tuning.largest, tuning.largest)
+    return np.clip(scale, 1 / tuning.max_change, tuning.max_change)
 
 
 def learn_noise_scale(
@@ -243,6 +243,6 @@ def learn_noise_scale(
     factor = (
         residual_scale(selections, across_px2, len(previous_scale), tuning) if selections else 1.0
     )
-    scale = np.clip(previous_scale * factor, 1 / tuning.most, tuning.most)
+    scale = np.clip(previous_scale * factor, 1 / tuning.max_scale, tuning.max_scale)
     change = scale / previous_scale
-    return scale, (change >= tuning.again_above) | (change <= tuning.again_below)
+    return scale, (change >= tuning.repeat_above) | (change <= tuning.repeat_below)

@@ -95,11 +95,11 @@ def rows_within_memory(
         return sum(int((count**2).sum()) for count in counts)
 
     threshold = -np.inf
-    if conflicts(threshold) > tuning.most_conflicts:
+    if conflicts(threshold) > tuning.max_conflicts:
         # Candidates with equal log odds are kept or discarded together.
         ordered = np.append(np.unique(log_odds), np.inf)
         position = bisect_left(
-            ordered, True, key=lambda odds: conflicts(odds) <= tuning.most_conflicts
+            ordered, True, key=lambda odds: conflicts(odds) <= tuning.max_conflicts
         )
         threshold = ordered[position]
     return kept_rows[log_odds >= threshold]
@@ -260,7 +260,7 @@ def sum_product(
         slot,
         rival_slot,
         pad_rows(label_frames(frame, count)[rows], candidates),
-        _Iteration(tuning.damping, tuning.settled, tuning.iterations),
+        _Iteration(tuning.damping, tuning.tolerance, tuning.iterations),
         graph.views,
     )
     messages[rows] = np.asarray(final_messages)[: len(rows)]

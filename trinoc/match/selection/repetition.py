@@ -3,8 +3,8 @@ ones.
 
 The evidence compares one line with clutter, whose ends lie anywhere. If a pattern repeats along the
 epipolar lines, the partner one period off fits as well as the right one. Position, ends, lengths
-and junctions then differ only by noise. The set itself shows how often this happens: it is the
-share of the most likely candidates near a position that have a nearly equal rival.
+and junctions then differ only by noise. The set itself shows how often this happens. The measure is
+the share of the most likely candidates near a position that have a nearly equal rival.
 
 Let q be the probability of a pattern at a position, and w the odds of a track. The odds against
 clutter and pattern are then w / (1 + q w / m), at most m / q. The selection does not change.
@@ -51,7 +51,7 @@ def find_repetition(
         rival_log_odds, graph.slot // graph.views, log_odds[graph.rival_slot // graph.views]
     )
     rows = np.flatnonzero((log_odds > tuning.likely_log_odds) & (log_odds >= rival_log_odds))
-    contest_limit = np.maximum(log_odds[rows] - tuning.nearly_log_odds, tuning.likely_log_odds)
+    contest_limit = np.maximum(log_odds[rows] - tuning.contest_log_odds, tuning.likely_log_odds)
     is_contested = rival_log_odds[rows] > contest_limit
     middle_mm = candidates.ends_mm[rows].mean(axis=1)
     frame = label_frames(candidates.frame, len(log_odds))[rows]
@@ -65,14 +65,14 @@ def find_repetition(
         # Log odds of a pattern: ratio of two binomial distributions.
         pattern_log_odds = tuning.prior_log_odds + contested * np.log(pattern_share / usual_share)
         pattern_log_odds += (count - contested) * np.log((1 - pattern_share) / (1 - usual_share))
-        limit[frame_rows] = tuning.greatest_log_odds + np.logaddexp(0, -pattern_log_odds)
+        limit[frame_rows] = tuning.max_log_odds + np.logaddexp(0, -pattern_log_odds)
     return Repetition(middle_mm, limit, frame)
 
 
 def limit_log_odds(
     log_odds: Float[np.ndarray, "m"], limit: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m"]:
-    """Log odds against clutter and against a repeated pattern, (m,)."""
+    """Combine log odds against clutter with the upper limit that a repeated pattern gives, (m,)."""
     return -np.logaddexp(-log_odds, -limit)
 
 

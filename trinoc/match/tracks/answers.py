@@ -28,7 +28,7 @@ def cameras_are_collinear(centre_mm: Float[np.ndarray, "f v 3"]) -> Bool[np.ndar
     """For each frame: True if the camera centres lie on one line."""
     centred = centre_mm - centre_mm.mean(axis=1, keepdims=True)
     spread = np.linalg.svd(centred, compute_uv=False)
-    return spread[:, 1] < DEFAULT.tracks.in_line_share * spread[:, 0]
+    return spread[:, 1] < DEFAULT.tracks.collinear_share * spread[:, 0]
 
 
 def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
@@ -60,8 +60,8 @@ def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
 def _fold_notes(frame: FrameInput) -> tuple[str, ...]:
     """Warning if segments beyond the fold of a lens are excluded."""
     counts = {
-        name: int((left_out == BEYOND_FOLD).sum())
-        for name, left_out in zip(frame.names, frame.exclusion_reasons, strict=True)
+        name: int((reasons == BEYOND_FOLD).sum())
+        for name, reasons in zip(frame.names, frame.exclusion_reasons, strict=True)
     }
     counts = {name: counts[name] for name in sorted(counts) if counts[name]}
     if not counts:
@@ -120,7 +120,7 @@ def write_notes(
     notes = []
     if discarded:
         notes.append(sentences.triples_discarded(discarded))
-    if not 1 / tuning.noted <= noise_scale <= tuning.noted:
+    if not 1 / tuning.warning_factor <= noise_scale <= tuning.warning_factor:
         notes.append(sentences.noise_differs(noise_scale))
     if views > 2:
         if are_cameras_collinear:
@@ -341,7 +341,7 @@ def _with_unequal_errors(
     Returns the lines, and the tail of the errors in each frame.
     """
     degrees = degrees_of_misfit(lines.index)
-    is_sure = (degrees > 0) & (probability(lines.posterior_log_odds) > tuning.sure)
+    is_sure = (degrees > 0) & (probability(lines.posterior_log_odds) > tuning.sure_posterior)
     has_images = np.array(
         [any(np.isfinite(view).any() for view in frame_input.sides) for frame_input in frames]
     )

@@ -108,8 +108,8 @@ def assemble(
         "tracks in two views": [pairs.candidates.index[pairs.is_accepted]],
         UNLOCATED_TRACKS: [unlocated],
         "tracks that seem to move with the viewpoint": [lines.index[lines.viewpoint_dependent]],
-        SURE: [lines.index_likelier_than(tuning.decoys.sure)],
-        CERTAIN: [lines.index_likelier_than(tuning.decoys.certain)],
+        SURE: [lines.index_likelier_than(tuning.decoys.sure_posterior)],
+        CERTAIN: [lines.index_likelier_than(tuning.decoys.certain_posterior)],
     }
     counts = {name: _count_per_frame(inputs, groups) for name, groups in counted_groups.items()}
     frame = look_up_frames(inputs.lines, lines.index)
@@ -155,7 +155,7 @@ def _build_lines(
         members[: len(track_members)] = track_members
     common_mm = np.concatenate([tracks.candidates.ends_mm, accepted.candidates.ends_mm])
     doubt = direction_doubt(inputs.lines, index)
-    is_located = doubt < track_tuning.largest_direction_doubt
+    is_located = doubt < track_tuning.max_direction_doubt
     extents = segment_extents(inputs, index, common_mm)
     ends_here = view_bounds_span(extents, np.array([0.0, 1.0]))
     fragments, covariance = cut_fragments(inputs, index, interval, ends_here)
@@ -339,10 +339,8 @@ def _lies_beside(
 ) -> Bool[np.ndarray, "p"]:
     """Mask of the segments that lie beside the expected segment of the same row, (p,)."""
     is_beside = np.zeros(len(expected_px), dtype=bool)
-    expected_step, segment_step = (
-        expected_px[:, 1] - expected_px[:, 0],
-        segments_px[:, 1] - segments_px[:, 0],
-    )
+    expected_step = expected_px[:, 1] - expected_px[:, 0]
+    segment_step = segments_px[:, 1] - segments_px[:, 0]
     area = expected_step[:, 0] * segment_step[:, 1] - expected_step[:, 1] * segment_step[:, 0]
     squares = (expected_step**2).sum(axis=1), (segment_step**2).sum(axis=1)
     sine = np.sin(np.radians(tuning.beside_deg))

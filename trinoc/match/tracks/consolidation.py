@@ -92,7 +92,7 @@ def tail_of_tracks(
 ) -> float:
     """Tail of the tracks' errors (`fit_tail`), limited because wrong tracks make it larger."""
     noise_tail = fit_tail(misfit, degrees_of_misfit(index), has_images=False)
-    return min(noise_tail, tuning.tracks.largest_tail)
+    return min(noise_tail, tuning.tracks.max_tail)
 
 
 def _grow(
@@ -104,7 +104,7 @@ def _grow(
     """
     significance = chi_square_tail(tuning.candidates.gate, 2)
     gate = float(misfit_limit(significance, np.array(2), noise_tail))
-    gate = min(gate, tuning.tracks.widest_gate)
+    gate = min(gate, tuning.tracks.max_gate)
     is_alive = np.asarray((fitted.index >= 0).any(axis=1))
     rejected: set[tuple[int, ...]] = set()
     is_changed = is_alive.copy()
@@ -230,7 +230,8 @@ def _trial(
     length_before = np.linalg.norm(fitted.common_mm[track][1] - fitted.common_mm[track][0])
     if (
         common_mm is None
-        or np.linalg.norm(common_mm[1] - common_mm[0]) < tuning.tracks.min_shared * length_before
+        or np.linalg.norm(common_mm[1] - common_mm[0])
+        < tuning.tracks.min_shared_part * length_before
     ):
         return None
     ends, matrix = inputs.ends_px[view][segment], np.asarray(inputs.lines.matrix_px)[view]
@@ -253,7 +254,8 @@ def _trial(
     common_mm = common_part(inputs, index, fitted.common_mm[track])
     if (
         common_mm is None
-        or np.linalg.norm(common_mm[1] - common_mm[0]) < tuning.tracks.min_shared * length_before
+        or np.linalg.norm(common_mm[1] - common_mm[0])
+        < tuning.tracks.min_shared_part * length_before
     ):
         return None
     return _Trial(track, joined, index, common_mm)

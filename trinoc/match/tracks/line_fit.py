@@ -283,10 +283,8 @@ def fit_lines(
     part_mm, ends_here = points_on_lines(common_mm, span), view_bounds_span(extents, span)
     observed = cut_fragments(inputs, index, line_end_positions(inputs, index, part_mm), ends_here)
     # Rows of padding have no view. Their lines are undetermined, which does no harm.
-    block, frame = (
-        min(inputs.lines.ends_px.shape[1], ROWS_AT_A_TIME),
-        look_up_frames(inputs.lines, index),
-    )
+    block = min(inputs.lines.ends_px.shape[1], ROWS_AT_A_TIME)
+    frame = look_up_frames(inputs.lines, index)
 
     def triangulate(
         fragments: np.ndarray, covariance: np.ndarray, members: np.ndarray, *frames: np.ndarray
@@ -385,7 +383,7 @@ def are_near(
         distance_px = np.abs(np.einsum("tei,ti->te", segment, line[:, :2]) + line[:, 2:])
         across = np.asarray(inputs.lines.across_px2)[view, tracks.index[rows, view]]
         sigma_px = np.sqrt(np.einsum("tee->te", across))
-        limit_px = np.maximum(tuning.farthest_px, tuning.farthest_sigmas * sigma_px)
+        limit_px = np.maximum(tuning.max_distance_px, tuning.max_distance_sigmas * sigma_px)
         is_near[rows] &= (distance_px <= limit_px).all(axis=1)
     return is_near
 

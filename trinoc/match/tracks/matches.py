@@ -259,7 +259,7 @@ class Matches(Displayable, Table):
 
         A camera that was moved has a small share.
         """
-        is_sure = (self.posterior > DecoyTuning.sure) & (self.stage == TRINOCULAR)
+        is_sure = (self.posterior > DecoyTuning.sure_posterior) & (self.stage == TRINOCULAR)
         return min(
             len(np.setdiff1d(view_index, -1)) / max(len(self.reasons[name]), 1)
             for name, view_index in zip(self.views, self.index[is_sure].T, strict=True)

@@ -25,7 +25,7 @@ def view_triplets(
     views.
     """
     views = lines.size_px.shape[-2]
-    if views <= tuning.all_triplets:
+    if views <= tuning.max_views_all_triplets:
         return list(combinations(range(views), 3))
     centre = np.asarray(lines.centre_mm)
     distance = np.linalg.norm(centre[:, None] - centre, axis=2)
@@ -43,13 +43,11 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
     first.
     """
     order = np.lexsort((*tracks.candidates.index.T, -tracks.posterior_log_odds))
-    index, interval, ends = (
-        tracks.candidates.index.copy(),
-        tracks.candidates.interval.copy(),
-        tracks.candidates.ends_mm.copy(),
-    )
+    index = tracks.candidates.index.copy()
+    interval = tracks.candidates.interval.copy()
+    ends = tracks.candidates.ends_mm.copy()
     matrix, segment_ends = np.asarray(lines.matrix_px), np.asarray(lines.ends_px)
-    conflict, smallest_share = tuning.selection.conflict_overlap, tuning.tracks.min_shared
+    conflict, smallest_share = tuning.selection.conflict_overlap, tuning.tracks.min_shared_part
     on_segment: dict[tuple[int, int], list[int]] = {}
     kept_rows, links = [], []
     for row in order.tolist():

@@ -53,7 +53,10 @@ def predict_segments(
         uv = image.uv_px[part]
         spread = _across_image(uv, image.by_point[part], covariance_mm2[part])
         # A vague prediction fits any segment.
-        is_precise = np.maximum(spread[:, 0, 0], spread[:, 1, 1]) < tuning.candidates.vaguest_px**2
+        is_precise = (
+            np.maximum(spread[:, 0, 0], spread[:, 1, 1])
+            < tuning.candidates.max_prediction_sigma_px**2
+        )
         track, segment, chi_square = _segments_near_images(
             uv[is_precise],
             spread[is_precise],

@@ -103,7 +103,7 @@ def _sure_lines(matches: Matches) -> Bool[np.ndarray, "t"]:
     """Mask of the sure tracks in three or more views, or of all sure tracks if there are two
     views.
     """
-    is_sure = np.asarray(matches.posterior) > DecoyTuning.sure
+    is_sure = np.asarray(matches.posterior) > DecoyTuning.sure_posterior
     return (
         is_sure if len(matches.views) < 3 else is_sure & (np.asarray(matches.stage) == TRINOCULAR)
     )
@@ -147,9 +147,9 @@ def _count_finding(matches: Matches, is_chosen: Bool[np.ndarray, "t"]) -> MatchF
         )
     figure = f"{count} sure lines in three views or more"
     explanation = sentences.sure_lines(len(matches), matches.share_in_three_views)
-    if count >= TrackTuning.fewest_sure:
+    if count >= TrackTuning.min_sure_lines:
         return MatchFinding("count", MatchStatus.MATCHED, figure, explanation)
-    remedy = depth_range_remedy(matches) or sentences.too_few_sure_lines(TrackTuning.fewest_sure)
+    remedy = depth_range_remedy(matches) or sentences.too_few_sure_lines(TrackTuning.min_sure_lines)
     return MatchFinding("count", MatchStatus.UNCERTAIN, figure, explanation, remedy)
 
 
@@ -180,7 +180,7 @@ def _uncertainty_findings(matches: Matches, is_chosen: Bool[np.ndarray, "t"]) ->
     if np.isfinite(sigma):
         figure = f"± {_format_length(sigma)}, {100 * sigma / max(extent, sigma):.2g} % of the scene"
     explanation = sentences.sigma_of_lines(int(is_chosen.sum()), _format_length(extent))
-    if sigma <= TrackTuning.largest_sigma_of_scene * extent:
+    if sigma <= TrackTuning.max_sigma_of_scene * extent:
         return [MatchFinding("uncertainty", MatchStatus.MATCHED, figure, explanation)]
     return [
         MatchFinding(

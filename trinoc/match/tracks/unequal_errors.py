@@ -4,10 +4,10 @@ from all.
 Each segment states a variance, and `noise_scale` corrects it for most segments. Some errors are
 larger nevertheless, such as that of an edge beside a shadow. So the variance of a track is the
 stated one times a factor of its own. The inverse of the factor has a gamma distribution with mean
-1. Errors then have a Student distribution, and the misfit of a track in n views has a
-Fisher-Snedecor distribution with 2 (n - 2) and nu degrees of freedom. The tail is 1 / nu: 0 for
-normal errors, larger for unequal ones. The estimate is its posterior mean over all sure tracks
-(empirical Bayes).
+1. Errors then have a Student distribution with nu degrees of freedom. The misfit of a track in n
+views has a Fisher-Snedecor distribution with 2 (n - 2) and nu degrees of freedom. The tail is 1 /
+nu: 0 for normal errors, larger for unequal ones. The estimate is its posterior mean over all sure
+tracks (empirical Bayes).
 
 Given its own misfit, the error of a track again has a Student distribution. It is narrower if
 the views agree and wider if they disagree. The misfit of two views gives no information.
@@ -57,7 +57,7 @@ def fit_tails(
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> Float[np.ndarray, "f"]:
     """Tail of the error distribution for the tracks of each frame, as `fit_tail`, (f,)."""
-    prior = np.where(has_images[:, None], tuning.tail_of_pictures, tuning.tail_otherwise)
+    prior = np.where(has_images[:, None], tuning.tail_of_images, tuning.tail_otherwise)
     shape, mean = prior[:, :1], prior[:, 1:]
     tail = np.geomspace(_SMALLEST_TAIL, _LARGEST_TAIL, _TAILS)
     # The grid is uniform in log(tail), so all nodes have the same weight.

@@ -44,7 +44,7 @@ class HitRates(NamedTuple):
 def with_view_support(inputs: MatchInput, tracks: Tracks, tuning: MatchTuning) -> Tracks:
     """Add the evidence of further views to the posterior of each track."""
     index, rules = tracks.candidates.index, tuning.view_support
-    if index.shape[1] <= 3 or len(index) < rules.fewest_tracks:
+    if index.shape[1] <= 3 or len(index) < rules.min_tracks:
         return tracks
     fitted = fit_tracks(inputs, index, tracks.candidates.ends_mm)
     is_sound = np.isfinite(fitted.misfit) & np.isfinite(fitted.ends_mm).all(axis=(1, 2))
@@ -106,7 +106,9 @@ def chance_rates(
     centre = np.asarray(inputs.lines.centre_mm)
     members = tracks.index >= 0
     origin = (members @ centre / members.sum(axis=1, keepdims=True))[:, None]
-    depth_change = random.uniform(*rules.moved, len(rows)) * random.choice([-1, 1], len(rows))
+    depth_change = random.uniform(*rules.displacement, len(rows)) * random.choice(
+        [-1, 1], len(rows)
+    )
     factor = (1 + depth_change)[:, None, None]
     ends_mm = origin + factor * (tracks.ends_mm - origin)
     covariance_mm2 = tracks.covariance_mm2 * factor**2
@@ -120,7 +122,7 @@ def chance_rates(
         is_other_segment = hit.segment != tracks.index[visible_rows[hit.track], view]
         hits[view] = len(np.unique(hit.track[is_other_segment]))
     number = visible.sum(axis=0)
-    return (hits + rules.prior_chance * rules.prior_lines) / (number + rules.prior_lines)
+    return (hits + rules.prior_random_rate * rules.prior_lines) / (number + rules.prior_lines)
 
 
 def right_rates(
@@ -141,7 +143,7 @@ def right_rates(
     trials = weight.T @ is_member.astype(float)
     np.fill_diagonal(hits, 0.0)
     np.fill_diagonal(trials, 0.0)
-    mean = (hits.sum() + rules.prior_right) / (trials.sum() + 1)
+    mean = (hits.sum() + rules.prior_true_rate) / (trials.sum() + 1)
     return (hits + rules.prior_lines * mean) / (trials + rules.prior_lines)
 
 
@@ -171,7 +173,7 @@ def expected_rates(
     rate_by_view = np.where((index >= 0)[:, None, :], rates.true_lines[None], 0.0)
     views = np.arange(index.shape[1])
     rate_by_view[:, views, views] = 0.0
-    return np.maximum(np.minimum(rate_by_view.max(axis=2), rules.largest_rate), rates.random_lines)
+    return np.maximum(np.minimum(rate_by_view.max(axis=2), rules.max_rate), rates.random_lines)
 
 
 def member_posteriors(

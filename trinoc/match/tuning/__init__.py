@@ -1,13 +1,14 @@
-"""Every tuned constant of the matcher, in one frozen value that can be swept.
+"""Every tuned constant of the matcher, in one frozen value that a benchmark can vary.
 
     tuning = with_field(MatchTuning(), "selection.damping", 0.5)     # trinoc.numerics
     matches = match_segments(segments, rig, tuning=tuning)
 
-Each group says which figure shows it; `benchmarks/sweep.py` tries other values. Most values were
-chosen by hand, on made scenes, or come from the prototype, a numerical study that went before; a
-comment says where one was fitted or measured, and on what. Numbers of scales and of components
-are fixed: tables have a column for each. Block sizes, the layers of the table of cells and
-numerical guards stand where they are used, marked `# numerical:`, as no answer should depend on
-them. `in_line_share` and `narrow_share` with what belongs to it are read from `DEFAULT`; to try
-others, change that.
+The docstring of each group names the benchmark that shows its effect. `benchmarks/sweep.py` tries
+other values. Most values were chosen by hand on simulated scenes, or come from the prototype, an
+earlier numerical study. A comment states where a value was fitted or measured, and on which data.
+
+The numbers of scales and of components are fixed, because tables have a column for each. Block
+sizes, layers of the spatial index and numerical guards are not tuned. They are in the files that
+use them, with the mark `# numerical:`, and should not affect any result. `collinear_share` and the
+constants `narrow_...` are read from `DEFAULT`; change `DEFAULT` to try others.
 """

@@ -1,85 +1,86 @@
-"""Tuned constants of step 1: candidates.
-
-Tuned constants of scouting: what is learned from a sample of the segments of large pictures.
-"""
+"""Tuned constants of step 1: candidates, and scouting in images with many segments."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class CandidateTuning:
-    """Step 1: which segments can be one line at all. Shown by row "1" of the fresh scenes and by
-    "near epipolar" (benchmarks/matching.py); looser values cost time. Static in the kernels: one
-    compilation for each value."""
+    """Step 1: which segments can be images of one line.
 
-    # Least common part, as a share of the shorter segment. From the prototype.
+    Shown by row "1" of the fresh scenes and by "near epipolar" (benchmarks/matching.py). Looser
+    values cost time. The values are static in the kernels, which are compiled for each of them.
+    """
+
+    # Smallest common part, as a share of the shorter segment. From the prototype.
     smallest_overlap: float = 0.15
-    # Chi-square (2 degrees of freedom) up to which three segments can be one line. By hand; one
-    # in 22,000 true triples lies beyond if covariances are true.
+    # Largest chi-square (2 degrees of freedom) of three segments of one line. By hand: with correct
+    # covariances, one in 22,000 true triples exceeds it.
     gate: float = 20.0
-    # The gate in the picture, before the line is adjusted to all views, is so much wider. By hand.
+    # Factor of the gate before the line is fitted to all views. By hand.
     gate_slack: float = 1.1
-    # The second longest segment is at least this share of the longest, on the line: chords of a
-    # cylinder's rim against its silhouette are not. From the prototype.
+    # Smallest ratio of the second longest to the longest segment, on the line. It rejects chords of
+    # a cylinder's rim matched with its silhouette. From the prototype.
     shortest_to_longest: float = 0.2
-    # Sine of the least angle between the interpretation planes of a pair: below, its depth is
-    # anything. By hand.
+    # Smallest sine of the angle between the interpretation planes of a pair. Below it, the depth is
+    # undetermined. By hand.
     smallest_crossing: float = 0.003
-    # A pair that predicts worse than this in the third view predicts nothing, px. By hand, so
-    # that short baselines predict too: their planes cross at small angles, all of them.
-    vaguest_px: float = 6.0
-    # Of the three orderings of a triple, that whose pair crosses best finds it, or one whose sine
-    # is this share of the best. By hand.
-    nearly_best: float = 0.8
-    # What is predicted as well as this, in place and in direction, may be found by any ordering
-    # where not all pairs are tried (large pictures). By hand, for time: vaguer ones find too much.
-    well_known_px: float = 1.2
-    well_known_rad: float = 0.0175
-    # The middle of a prediction may lie this share of the picture outside. By hand.
+    # Largest standard deviation of a pair's prediction in the third view, px. By hand. It allows
+    # short baselines, whose planes all cross at small angles.
+    max_prediction_sigma_px: float = 6.0
+    # A pair predicts if the sine of its crossing angle is at least this share of the best of the
+    # three orderings. By hand.
+    min_crossing_share: float = 0.8
+    # A prediction with smaller errors of position (px) and direction (rad) may be used in any
+    # ordering, where not all pairs are tried (many segments). By hand, for time.
+    precise_px: float = 1.2
+    precise_rad: float = 0.0175
+    # The middle of a prediction may lie this share of the image size outside the image. By hand.
     outside_share: float = 0.1
-    # Standard deviations within which a segment may lie of where a pair predicts it. By hand.
-    reach_sigmas: float = 4.0
-    # Predictions shorter than this are looked up in their middle alone, px. By hand.
+    # Search radius about a prediction, in standard deviations. By hand.
+    search_sigmas: float = 4.0
+    # Predictions shorter than this are searched at their middle only, px. By hand.
     one_sample_px: float = 16.0
-    # Of more candidates than this in one block, those with log odds below are not kept: most of
-    # what passes the gate is wrong, and takes memory. By hand, for large scenes.
+    # If one block has more candidates than this, those with lower log odds are discarded: most of
+    # them are wrong, and they occupy memory. By hand, for large scenes.
     prune_above: int = 5000
     prune_log_odds: float = -9.0
-    # Of more candidates than this in all, the likelier half is kept: it bounds the memory, some
-    # 2 kB for each. By hand; no scene of 10,000 segments per view has them.
-    most_candidates: int = 1 << 18
+    # If there are more candidates than this in all, the more likely half is kept. It limits the
+    # memory, about 2 kB each. By hand; no scene of 10,000 segments per view reaches it.
+    max_candidates: int = 1 << 18
 
 
 @dataclass(frozen=True)
 class ScoutTuning:
-    """Where lines lie, learned before all pairs are tried. Shown by the rows of 2,900 segments per
-    view and by the times (benchmarks/matching.py)."""
+    """Scouting of images with many segments: a sample of them gives the region of the lines.
 
-    # Pictures with more segments than this are scouted, by hand: below, it gains no time.
-    above: int = 1500
-    # Segments of each view that are matched for it, spread over the picture. By hand.
-    sample: int = 300
-    # Triples as likely as this say where lines lie; fewer than so many say nothing. By hand.
-    sure: float = 0.9
-    fewest: int = 60
-    # Share of their ends that is left out at either side of the box, the margin about the rest as
-    # a share of its side, and the least margin as a share of its longest side. By hand: what lies
-    # further out is found by the segments that nothing inside explains.
-    left_out: float = 0.0025
+    Shown by the rows of 2,900 segments per view and by the times (benchmarks/matching.py).
+    """
+
+    # Images with more segments are scouted. By hand: with fewer, scouting saves no time.
+    min_segments: int = 1500
+    # Number of segments of each view in the sample, spread over the image. By hand.
+    sample_size: int = 300
+    # Posterior of the triples that determine the region, and their smallest number. By hand.
+    sure_posterior: float = 0.9
+    min_sure_triples: int = 60
+    # Share of the ends that is trimmed at either side of the box; margin, as a share of the side;
+    # smallest margin, as a share of the longest side. By hand. Lines outside are found later, since
+    # nothing inside the box explains their segments.
+    trimmed_share: float = 0.0025
     margin: float = 0.16
-    thinnest: float = 0.02
-    # Candidates are let go that are so much less likely than selection asks, as far as the
-    # sample tells. By hand: it learns the parameters anew.
+    min_side_share: float = 0.02
+    # Candidates are discarded if their log odds are this much below the limit of the selection. By
+    # hand: the selection estimates the parameters again.
     slack_log_odds: float = 1.5
-    # Segments are explained by candidates as likely as this. By hand.
-    explained: float = 0.5
-    # Only pairs of which an end agrees are tried first, where ends agree: each end may be off by so
-    # many of the largest scales of agreement, but for a share of wider ones, and by no more than a
-    # share of the usual length of segments. By hand.
+    # Posterior of the candidates that explain a segment. By hand.
+    explained_posterior: float = 0.5
+    # If ends agree, only pairs that agree at one end are tried first. An end may deviate by this
+    # number of the largest agreement scales, apart from a share of wider ones, and by no more than
+    # a share of the typical length. By hand.
     ends_sigmas: float = 3.0
-    ends_wider: float = 0.05
-    ends_below: float = 0.125
-    # Segments are searched again everywhere of which likely candidates show no more than this
-    # share. By hand: .9 lost .002 of the triples of random2000_x4, .8 .003 and any part .013 of
-    # those of 9,500 segments per view.
-    covered: float = 0.95
+    wide_ends_share: float = 0.05
+    max_ends_share: float = 0.125
+    # Segments are searched again everywhere if likely candidates cover no more than this share of
+    # them. By hand: 0.9 lost 0.002 of the triples of random2000_x4. In scenes of 9,500 segments per
+    # view, 0.8 lost 0.003 and any coverage 0.013.
+    explained_share: float = 0.95

@@ -28,7 +28,7 @@ from trinoc.match.tuning.tracks import DecoyTuning, TrackTuning, ViewSupportTuni
 
 @dataclass(frozen=True)
 class MatchTuning:
-    """All groups; the default is what everything was measured with."""
+    """All groups. All published figures use the default values."""
 
     observations: ObservationTuning = field(default_factory=ObservationTuning)
     clutter: ClutterTuning = field(default_factory=ClutterTuning)

@@ -1,56 +1,63 @@
-"""Tuned constants of the line map: straight lines, corners, faces."""
+"""Tuned constants of the line map and of the wire frame: straight lines, corners, faces."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class CollinearTuning:
-    """Tracks joined to straight lines. Shown by "pairs of tracks joined" and by the errors of lines
-    of benchmarks/joined_lines.py."""
+    """Tracks joined to straight lines.
 
-    # Tracks are joined, and ends meet, where that is as likely as this; of tracks both are right as
-    # likely as that.
+    Shown by "pairs of tracks joined" and by the errors of lines of benchmarks/joined_lines.py.
+    """
+
+    # Smallest probability that two tracks are one line, or that two ends meet; and smallest
+    # probability that both tracks are right.
     min_posterior: float = 0.9
     trusted_posterior: float = 0.7
-    # A line that fits its segments as badly as this share of true lines does is none, nor a corner
-    # that fits its lines so, nor a face its vertices.
+    # Significance of the tests of joined lines, corners and faces: a larger misfit has this
+    # probability.
     significance: float = 1e-3
-    # How often a line has another piece. By hand: at .1 to .5 the same are joined, but one of 62.
-    share: float = 0.2
-    # Of half of the pieces, which a detector broke, gaps are spread exponentially with this mean,
-    # px; the rest is hidden by something, with gaps of any length. By hand.
+    # Prior probability that a line has another piece. By hand: with 0.1 to 0.5 the same tracks are
+    # joined, except one of 62.
+    continuation_share: float = 0.2
+    # Half of the pieces were broken by a detector: their gaps have an exponential distribution with
+    # this mean, px. Occlusion separates the others, with gaps of any length. By hand.
     break_px: float = 15.0
-    # Lines further apart than so many sigmas are surely others, stay apart, and tell how dense
-    # parallel lines are; those within as many in direction count as parallel, but not beyond the
-    # widest, degrees. By hand: on rendered scenes (seeds 18 to 20) 24 of 72 pairs are joined
-    # wrongly, at 40 degrees 31 of 79.
+    # Lines that differ by more sigmas are different lines, and give the density of parallel lines.
+    # Lines that differ by less in direction count as parallel, up to the largest angle, degrees.
+    # By hand: on rendered scenes (seeds 18 to 20) 24 of 72 pairs are joined wrongly, with 40
+    # degrees 31 of 79.
     gate_sigmas: float = 5.0
-    widest_deg: float = 20.0
-    # Segments err by more than they say: by one of these factors, in so many cases. Fitted to the
-    # segments of 18 rendered scenes (seeds 0 to 11 and 200 to 205). Smaller errors are not assumed,
-    # so that no covariance is smaller than the segments' own. The shares of larger errors are those
-    # of tracks with this tail (`Matches.noise_tail`), and grow with it, at most so many times: both
-    # from seeds 0 to 11 and 200 to 205.
+    max_angle_deg: float = 20.0
+    # Factors of the stated errors of segments, and their shares. Fitted to the segments of 18
+    # rendered scenes (seeds 0 to 11 and 200 to 205). No factor is below 1, so that no covariance is
+    # smaller than the segments' own. The shares are those of tracks with the tail `error_tail`
+    # (`Matches.noise_tail`). Those of larger errors grow with the tail, up to the largest factor.
+    # Both are from seeds 0 to 11 and 200 to 205.
     error_scales: tuple[float, float, float] = (1.0, 2.0, 5.0)
     error_shares: tuple[float, float, float] = (0.84, 0.12, 0.04)
     error_tail: float = 0.1
-    most_error_shares: float = 2.5
+    max_share_factor: float = 2.5
 
 
 @dataclass(frozen=True)
 class CornerTuning:
-    """Ends snapped to corners, with `JunctionTuning` and `CollinearTuning`. Shown by the corners
-    and the lengths of benchmarks/joined_lines.py."""
+    """Ends snapped to corners, with `JunctionTuning` and `CollinearTuning`.
 
-    # Standard deviation along its line of where a detector stops, px. By hand; free ends are 6.9 px
-    # off in the median (docs/segments.md).
+    Shown by the corners and the lengths of benchmarks/joined_lines.py.
+    """
+
+    # Standard deviation along its line of the end of a segment, px. By hand; the median error of
+    # free ends is 6.9 px (docs/segments.md).
     free_end_px: float = 7.0
 
 
 @dataclass(frozen=True)
 class WireframeTuning:
-    """Faces of the wire frame, with `CornerTuning` for what fits its corner. Shown by
-    benchmarks/wireframe.py."""
+    """Faces of the wire frame, with `CornerTuning` for the fit of ends to corners.
 
-    # A loop is a face where its vertices are known across it to this share of its size. By hand.
-    plane_doubt: float = 0.1
+    Shown by benchmarks/wireframe.py.
+    """
+
+    # Largest sigma of a face's vertices across it, as a share of its size. By hand.
+    max_plane_sigma_share: float = 0.1

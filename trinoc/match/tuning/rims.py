@@ -5,30 +5,29 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RimTuning:
-    """From chords to circles. Shown by benchmarks/rims.py."""
+    """Circles from chords. Shown by benchmarks/rims.py."""
 
-    # Two matched lines suggest a circle where what touches both closes within this share of its
-    # radius; others speak for it within half of that. By hand.
-    closes_share: float = 0.2
-    # Directions are those of a circle where they differ from its tangent by less than this,
-    # degrees; those of two lines that suggest one differ by more. By hand.
+    # Two matched lines propose a circle if the two tangent circles coincide within this share of
+    # the radius. Other lines support it within half of that. By hand.
+    closure_share: float = 0.2
+    # A line follows a circle if its direction differs from the tangent by less than this, degrees.
+    # Two lines that propose a circle differ by more. By hand.
     tangent_deg: float = 15.0
-    # A chord touches a circle within so many px, and twice as many before it is fitted and at its
-    # middle: more than detectors let pass. By hand: at half of it a rim of 13 is lost.
+    # Largest distance of a chord from its circle, px; twice that before the fit and at the middle
+    # of the chord. By hand: detectors allow less, but half of this loses one rim of 13.
     touch_px: float = 1.0
-    # Chords speak for a circle in views whose image of it has more than this, its shorter over its
-    # longer axis: a row of bricks lies on many a narrow ellipse. By hand: 18 wrong circles on
-    # photographs of Merton College have less than .08 in all views, the rims of seeds 0 to 11 more
-    # than .6.
-    least_axis_ratio: float = 0.15
-    # A circle is put out where so many chords touch it in each of two views and two views show this
-    # share of it, half of that before it is fitted, twice where no third view has chords. By hand,
-    # on seeds 0 to 11 and the demo: wrong ones showed .10 to .25.
-    least_chords: int = 3
-    least_covered: float = 0.28
-    # Of the 23 that were put out on these, and of 10 tracks of outlines below them, none was wrong:
-    # one more of each kind would be .97.
+    # Smallest ratio of the axes of a circle's image in a view whose chords count, because a row of
+    # bricks lies on many narrow ellipses. By hand: 18 wrong circles on photographs of Merton
+    # College have less than 0.08 in all views, the rims of seeds 0 to 11 more than 0.6.
+    min_axis_ratio: float = 0.15
+    # A circle is accepted if this number of chords touches it in each of two views, and two views
+    # show this share of it: half before the fit, twice if no third view has chords. By hand, on
+    # seeds 0 to 11 and the demo: wrong circles had shares of 0.10 to 0.25.
+    min_chords: int = 3
+    min_covered_share: float = 0.28
+    # Posterior of accepted circles and of outline tracks. None of 23 circles and 10 tracks on these
+    # scenes was wrong; with one more of each kind it would be 0.97.
     posterior: float = 0.95
-    # Standard deviation of a piece's ends along the rim, px: where detectors cut an arc; shorter
-    # pieces are none. By hand.
+    # Standard deviation of a piece's ends along the rim, px, where detectors cut an arc. Shorter
+    # pieces are discarded. By hand.
     end_px: float = 1.0

@@ -1,1 +1,1 @@
-"""Two views: the pencil of epipolar planes, the common part of a pair, interpretation planes."""
+"""Step 0: epipolar pencil of two views, common part of a pair, interpretation planes."""

@@ -7,8 +7,8 @@ pencil thus replaces the rows and disparities of rectified images. It also works
 inside the images. A segment's interpretation plane, m . ray = 0, makes its slope a sinusoid of the
 angle: slope = p cos phi + q sin phi.
 
-The file has the segments of a view in a pencil, the common part of a pair, and the search for
-pairs that share epipolar planes.
+The file has three parts: segments of a view in a pencil, the common part of a pair, and the
+search for pairs that share epipolar planes.
 """
 
 from collections.abc import Iterator
@@ -113,15 +113,19 @@ class PencilSegments(NamedTuple):
 
 
 def take_segments(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilSegments:
-    """The segments of given numbers."""
+    """Return the segments with the given indices."""
     return PencilSegments(table.columns[:, index])
 
 
 class Pencil(NamedTuple):
-    """Frame of the planes through two centres, and the segments of both views in it.
+    """Pencil of planes through two camera centres, with the segments of both views in its frame.
 
-    frame : rows axis, first, second. origin_mm : centre of the first view.
-    baseline_mm : distance of the centres. Of each frame of a stack.
+    frame : rows axis, first, second, world frame.
+    origin_mm : centre of the first view, world frame.
+    baseline_mm : distance of the centres.
+    first, second : segments of both views.
+
+    Camera fields have one value per frame of a stack.
     """
 
     frame: Float[ArrayLike, "*f 3 3"]

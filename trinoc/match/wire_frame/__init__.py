@@ -1,1 +1,1 @@
-"""Corners, edges and planar faces as one graph: joined lines and their corners made consistent."""
+"""After matching: corners, edges and planar faces as one consistent graph in space."""

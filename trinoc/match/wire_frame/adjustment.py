@@ -1,9 +1,11 @@
-"""Lines between vertices, and the least squares that puts every line through both of its own.
+"""Least-squares adjustment of the vertices of a graph, so that every line passes through both of
+its vertices.
 
-A line is observed across itself, at both ends with their covariance, and along itself where it
-stops, which is known to some pixels. Where the vertices lie abreast of other places of the line,
-its covariance is carried there. Vertices that no chain of edges ties together are independent, so
-that the covariance is a block for each part of the graph.
+A line is observed across itself at both ends, with covariance. It is also observed along itself,
+with a sigma of some pixels for the position where the detector stopped. If a vertex lies at
+another position of the line, the covariance is extrapolated to it. Vertices without a chain of
+edges between them are independent, so the covariance has one block per connected part of the
+graph.
 """
 
 from typing import NamedTuple
@@ -21,11 +23,11 @@ from trinoc.numerics.vectors import complete_axes
 
 
 class Graph(NamedTuple):
-    """Lines between vertices; lines between the same two are one edge.
+    """Lines between vertices; lines between the same two vertices are one edge.
 
-    lines_mm, covariance_mm2 : the lines as they were measured.
-    along_mm : standard deviation of both ends along each line: a detector stops where it does.
-    vertex : of both ends of each line.
+    lines_mm, covariance_mm2 : the measured lines.
+    along_mm : standard deviation of both ends along each line, because a detector may stop early.
+    vertex : vertex at both ends of each line.
     """
 
     lines_mm: Float[np.ndarray, "l 2 3"]
@@ -40,31 +42,33 @@ class Graph(NamedTuple):
 
 
 def build_graph(joined: JoinedLines, corners: Corners, free_end_px: float) -> Graph:
-    """A vertex for each corner, and one for each end that is at none."""
+    """Graph with a vertex for each corner, and one for each end that is at no corner."""
     count = len(joined)
     vertex = np.full((count, 2), -1)
     vertex[corners.line, corners.end] = corners.corner
-    free = np.flatnonzero(vertex.reshape(-1) < 0)
-    vertex.reshape(-1)[free] = len(corners) + np.arange(len(free))
-    way = joined.lines_mm[:, 1] - joined.lines_mm[:, 0]
-    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    free_ends = np.flatnonzero(vertex.reshape(-1) < 0)
+    vertex.reshape(-1)[free_ends] = len(corners) + np.arange(len(free_ends))
+    direction = joined.lines_mm[:, 1] - joined.lines_mm[:, 0]
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     blocks = joined.covariance_mm2.reshape(-1, 2, 3, 2, 3)
-    variance = np.einsum("ni,neiej,nj->ne", way, blocks, way)
-    stops = (free_end_px / joined.px_per_mm)[:, None]
-    return Graph(joined.lines_mm, joined.covariance_mm2, np.sqrt(variance + stops**2), vertex)
+    variance = np.einsum("ni,neiej,nj->ne", direction, blocks, direction)
+    stop_sigma = (free_end_px / joined.px_per_mm)[:, None]
+    return Graph(joined.lines_mm, joined.covariance_mm2, np.sqrt(variance + stop_sigma**2), vertex)
 
 
-# numerical: the covariance of a line depends on where along it its vertices lie.
+# numerical: number of steps. The covariance of a line depends on the positions of its vertices.
 STEPS = 3
 
 
 class AdjustedGraph(NamedTuple):
-    """Vertices, and what each line says of its two.
+    """Adjusted vertices, and the residuals of each line at its two vertices.
 
-    points_mm : (n, 3). part : (n,). covariance_mm2 : for each part, of its vertices in their
-    order. axes : (l, 3, 3) rows: two across each line, then along it. residual_mm : (l, 2, 3) both
-    vertices less where the line has them, in its axes; own_mm2 : (l, 2, 3, 2, 3) what of this the
-    line itself leaves open.
+    points_mm : (n, 3) vertices.
+    part : (n,) connected part of each vertex.
+    covariance_mm2 : for each part, covariance of its vertices in their order.
+    axes : (l, 3, 3) rows: two axes across each line, then the one along it.
+    residual_mm : (l, 2, 3) vertices minus observed positions, in the axes of the line.
+    observation_covariance_mm2 : (l, 2, 3, 2, 3) covariance of the observed positions.
     """
 
     points_mm: Float[np.ndarray, "n 3"]
@@ -72,83 +76,93 @@ class AdjustedGraph(NamedTuple):
     covariance_mm2: tuple[Float[np.ndarray, "_ _"], ...]
     axes: Float[np.ndarray, "l 3 3"]
     residual_mm: Float[np.ndarray, "l 2 3"]
-    own_mm2: Float[np.ndarray, "l 2 3 2 3"]
+    observation_covariance_mm2: Float[np.ndarray, "l 2 3 2 3"]
 
     def joint(self, vertices: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k 3 k 3"]:
-        """Covariance of some vertices of one part."""
+        """Joint covariance of vertices of one part."""
         part = int(self.part[vertices[0]])
-        at = np.searchsorted(np.flatnonzero(self.part == part), vertices)
+        rows = np.searchsorted(np.flatnonzero(self.part == part), vertices)
         blocks = self.covariance_mm2[part]
         blocks = blocks.reshape(len(blocks) // 3, 3, -1, 3)
-        return blocks[at][:, :, at]
+        return blocks[rows][:, :, rows]
 
     @property
-    def each_mm2(self) -> Float[np.ndarray, "n 3 3"]:
+    def vertex_covariances_mm2(self) -> Float[np.ndarray, "n 3 3"]:
         """Covariance of each vertex."""
-        found = np.empty((len(self.part), 3, 3))
+        covariances = np.empty((len(self.part), 3, 3))
         for part, joint in enumerate(self.covariance_mm2):
             blocks = joint.reshape(len(joint) // 3, 3, -1, 3)
-            found[self.part == part] = np.einsum("iaib->iab", blocks)
-        return found
+            covariances[self.part == part] = np.einsum("iaib->iab", blocks)
+        return covariances
 
     @property
     def across_mm2(self) -> Float[np.ndarray, "l 2 2 2"]:
-        """What each line leaves open across itself, at both ends."""
-        return np.einsum("leaeb->leab", self.own_mm2)[:, :, :2, :2]
+        """Covariance of each line's observed positions across itself, at both ends."""
+        return np.einsum("leaeb->leab", self.observation_covariance_mm2)[:, :, :2, :2]
 
 
 def adjust_vertices(graph: Graph) -> AdjustedGraph:
-    """The likeliest vertices."""
+    """Maximum-likelihood vertices of a graph."""
     vertex, count = graph.vertex, graph.count
     axes = line_axes(graph.lines_mm)
-    ties = sparse.csr_matrix((np.ones(len(vertex)), vertex.T), shape=(count, count))
-    parts, part = connected_components(ties, directed=False)
-    number = np.bincount(vertex.reshape(-1), minlength=count)
-    points = group_sums(graph.lines_mm.reshape(-1, 3), vertex.reshape(-1), count) / number[:, None]
+    adjacency = sparse.csr_matrix((np.ones(len(vertex)), vertex.T), shape=(count, count))
+    parts, part = connected_components(adjacency, directed=False)
+    degree = np.bincount(vertex.reshape(-1), minlength=count)
+    points = group_sums(graph.lines_mm.reshape(-1, 3), vertex.reshape(-1), count) / degree[:, None]
     jacobian = np.zeros((len(vertex), 6, 6))
     jacobian[:, :3, :3] = jacobian[:, 3:, 3:] = axes
     rows = (3 * vertex[:, :, None] + np.arange(3)).reshape(-1, 6)
     covariance: list[np.ndarray] = []
-    residual, own = _vertex_observations(graph, axes, points)
+    residual, observation_covariance = _vertex_observations(graph, axes, points)
     for _ in range(STEPS):
-        # Each line is a problem of its two vertices; the graph adds them up.
-        by = whitening(own.reshape(-1, 6, 6))
-        observed = Residuals((by @ residual.reshape(-1, 6, 1)).mT, (by @ jacobian)[:, None])
-        each = normal_equations(observed)
-        information = _assemble_sparse(each.information, rows, 3 * count)
-        gradient = np.bincount(rows.reshape(-1), each.gradient.reshape(-1), 3 * count)
+        # Each line gives normal equations of its two vertices, which are then summed.
+        whitener = whitening(observation_covariance.reshape(-1, 6, 6))
+        whitened = Residuals(
+            (whitener @ residual.reshape(-1, 6, 1)).mT, (whitener @ jacobian)[:, None]
+        )
+        equations = normal_equations(whitened)
+        information = _assemble_sparse(equations.information, rows, 3 * count)
+        gradient = np.bincount(rows.reshape(-1), equations.gradient.reshape(-1), 3 * count)
         covariance = []
-        for of in (np.flatnonzero(part == k) for k in range(parts)):
-            at = (3 * of[:, None] + np.arange(3)).reshape(-1)
-            covariance.append(np.linalg.inv(information[at][:, at].toarray()))
-            points[of] -= (covariance[-1] @ gradient[at]).reshape(-1, 3)
-        residual, own = _vertex_observations(graph, axes, points)
-    return AdjustedGraph(points, part.astype(np.int64), tuple(covariance), axes, residual, own)
+        for vertices in (np.flatnonzero(part == k) for k in range(parts)):
+            parameter_rows = (3 * vertices[:, None] + np.arange(3)).reshape(-1)
+            covariance.append(
+                np.linalg.inv(information[parameter_rows][:, parameter_rows].toarray())
+            )
+            points[vertices] -= (covariance[-1] @ gradient[parameter_rows]).reshape(-1, 3)
+        residual, observation_covariance = _vertex_observations(graph, axes, points)
+    return AdjustedGraph(
+        points, part.astype(np.int64), tuple(covariance), axes, residual, observation_covariance
+    )
 
 
 def line_axes(ends_mm: Float[np.ndarray, "l 2 3"]) -> Float[np.ndarray, "l 3 3"]:
-    """Two directions across each line, and the one along it."""
-    way = ends_mm[:, 1] - ends_mm[:, 0]
-    way = way / np.linalg.norm(way, axis=1, keepdims=True)
-    return np.concatenate([complete_axes(way), way[:, None]], axis=1)
+    """Two directions across each line, and the direction along it, (l, 3, 3)."""
+    direction = ends_mm[:, 1] - ends_mm[:, 0]
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.concatenate([complete_axes(direction), direction[:, None]], axis=1)
 
 
 def _vertex_observations(
     graph: Graph, axes: Float[np.ndarray, "l 3 3"], points_mm: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "l 2 3"], Float[np.ndarray, "l 2 3 2 3"]]:
-    """(both vertices less where each line has them, in its axes; covariance of the latter)."""
+    """Residuals of both vertices of each line, in its axes, and the covariance of the observed
+    positions.
+    """
     ends = graph.lines_mm
     residual = np.einsum("lai,lei->lea", axes, points_mm[graph.vertex] - ends)
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     share = residual[:, :, 2] / length[:, None] + np.array([0.0, 1.0])
-    carry = np.stack([1 - share, share], axis=2)
+    extrapolation = np.stack([1 - share, share], axis=2)
     across, blocks = axes[:, :2], graph.covariance_mm2.reshape(-1, 2, 3, 2, 3)
     measured = np.einsum("lai,lfigj,lbj->lfagb", across, blocks, across)
-    own = np.zeros((len(ends), 2, 3, 2, 3))
-    own[:, :, :2, :, :2] = np.einsum("lef,lfagb,lhg->leahb", carry, measured, carry)
+    covariance = np.zeros((len(ends), 2, 3, 2, 3))
+    covariance[:, :, :2, :, :2] = np.einsum(
+        "lef,lfagb,lhg->leahb", extrapolation, measured, extrapolation
+    )
     for end in (0, 1):
-        own[:, end, 2, end, 2] = graph.along_mm[:, end] ** 2
-    return residual, own
+        covariance[:, end, 2, end, 2] = graph.along_mm[:, end] ** 2
+    return residual, covariance
 
 
 def _assemble_sparse(

@@ -1,4 +1,6 @@
-"""From matches to the wire frame: lines joined, corners found, all made consistent."""
+"""Build the wire frame from matches: join lines, detect corners, adjust all vertices, find
+faces.
+"""
 
 from typing import NamedTuple
 
@@ -7,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from trinoc.geometry.rig import Rig
+from trinoc.match import sentences
 from trinoc.match.line_map.collinear_merge import join_collinear
 from trinoc.match.line_map.corners import snap_corners
 from trinoc.match.line_map.lines import JoinedLines
@@ -19,68 +22,83 @@ from trinoc.numerics.joins import group_sums
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tails import chi_square_tail
 
-# numerical: of the variance of an end: less than this share is left where nothing else knows the
-# vertex.
-LEAST_SHARE = 1e-6
+# numerical: smallest share of an end's variance that counts as redundant. It is below this if
+# nothing else determines the vertex.
+MIN_VARIANCE_SHARE = 1e-6
 
 
 class EndFit(NamedTuple):
-    """Of both ends of each line of an adjustment: chi-square, and its degrees of freedom."""
+    """Misfit of both ends of each line: chi-square and its degrees of freedom."""
 
     square: Float[np.ndarray, "l 2"]
     degrees: Int[np.ndarray, "l 2"]
 
 
 class SnoopingResult(NamedTuple):
-    """The graph that fits, its adjustment, and the ends let go: line, end, chi-square, degrees."""
+    """Result of removing ends that do not fit.
+
+    graph : the graph without the removed ends.
+    adjusted : its adjustment.
+    let_go : removed ends: line, end, chi-square, degrees of freedom.
+    """
 
     graph: Graph
-    answer: AdjustedGraph
+    adjusted: AdjustedGraph
     let_go: tuple[tuple[int, int, float, int], ...]
 
 
-def end_fit(graph: Graph, answer: AdjustedGraph) -> EndFit:
-    """Each end against the vertex that all lines together give."""
-    shared = np.bincount(graph.vertex.reshape(-1))[graph.vertex] > 1
-    own, axes = answer.across_mm2, answer.axes[:, None, :2]
-    known = axes @ answer.each_mm2[graph.vertex] @ axes.mT
-    value, way = np.linalg.eigh(own - known)
-    left = value > LEAST_SHARE * np.trace(own, axis1=2, axis2=3)[..., None]
-    left &= shared[..., None]
-    part = (answer.residual_mm[:, :, None, :2] @ way)[:, :, 0]
-    square = np.where(left, part**2 / np.where(left, value, 1.0), 0.0).sum(axis=2)
-    return EndFit(square, left.sum(axis=2))
+def end_fit(graph: Graph, adjusted: AdjustedGraph) -> EndFit:
+    """Misfit of each line end to the vertex that all lines together give."""
+    is_shared = np.bincount(graph.vertex.reshape(-1))[graph.vertex] > 1
+    line_covariance, axes = adjusted.across_mm2, adjusted.axes[:, None, :2]
+    vertex_covariance = axes @ adjusted.vertex_covariances_mm2[graph.vertex] @ axes.mT
+    variance, axis = np.linalg.eigh(line_covariance - vertex_covariance)
+    is_checked = (
+        variance > MIN_VARIANCE_SHARE * np.trace(line_covariance, axis1=2, axis2=3)[..., None]
+    )
+    is_checked &= is_shared[..., None]
+    component = (adjusted.residual_mm[:, :, None, :2] @ axis)[:, :, 0]
+    square = np.where(is_checked, component**2 / np.where(is_checked, variance, 1.0), 0.0).sum(
+        axis=2
+    )
+    return EndFit(square, is_checked.sum(axis=2))
 
 
 def snoop_ends(
     graph: Graph, posterior: Float[np.ndarray, "l"], significance: float
 ) -> SnoopingResult:
-    """Let ends go, the worst first, until all fit at this level.
+    """Remove line ends from their vertices, the worst first, until all fit at this significance.
 
-    Where two fit equally badly, as at a vertex of two lines, the line of the lower posterior goes.
+    If two ends fit equally badly, as at a vertex of two lines, the line with the lower posterior
+    is removed.
     """
     let_go: list[tuple[int, int, float, int]] = []
     while True:
-        answer = adjust_vertices(graph)
-        fit = end_fit(graph, answer)
+        adjusted = adjust_vertices(graph)
+        fit = end_fit(graph, adjusted)
         tail = np.where(fit.degrees > 0, chi_square_tail(fit.square, fit.degrees), 1.0)
         if tail.size == 0 or tail.min() >= significance:
-            return SnoopingResult(graph, answer, tuple(let_go))
-        worst = fit.square >= 0.99 * fit.square[np.unravel_index(tail.argmin(), tail.shape)]
-        worst &= tail < significance
+            return SnoopingResult(graph, adjusted, tuple(let_go))
+        is_worst = fit.square >= 0.99 * fit.square[np.unravel_index(tail.argmin(), tail.shape)]
+        is_worst &= tail < significance
         line, end = min(
-            map(tuple, np.argwhere(worst).tolist()),
-            key=lambda at: (posterior[at[0]], -fit.square[at], at),
+            map(tuple, np.argwhere(is_worst).tolist()),
+            key=lambda position: (posterior[position[0]], -fit.square[position], position),
         )
         let_go.append((line, end, float(fit.square[line, end]), int(fit.degrees[line, end])))
         vertex = graph.vertex.copy()
-        # Others stay at the vertex that it leaves.
+        # The other lines stay at the vertex.
         vertex[line, end] = graph.count
         graph = graph._replace(vertex=vertex)
 
 
 class RefusedEnd(NamedTuple):
-    """An end of a line, how far the line passes its corner, and the chi-square of that (2)."""
+    """Free end whose line misses the corner beside it.
+
+    line, end : index of the line, and its end, 0 or 1.
+    distance_mm : distance of the line from the corner.
+    chi_square : of this distance, with 2 degrees of freedom.
+    """
 
     line: int
     end: int
@@ -90,92 +108,111 @@ class RefusedEnd(NamedTuple):
 
 def find_refused_ends(
     graph: Graph,
-    answer: AdjustedGraph,
+    adjusted: AdjustedGraph,
     px_per_mm: Float[np.ndarray, "l"],
-    reach_px: float,
+    radius_px: float,
     significance: float,
 ) -> tuple[RefusedEnd, ...]:
-    """Of each free end, the nearest corner within reach, where its line misses that for sure."""
-    vertex, each = graph.vertex, answer.each_mm2
-    shared = np.bincount(vertex.reshape(-1), minlength=graph.count) > 1
-    corners = np.flatnonzero(shared)
+    """Free ends near a corner whose line significantly misses that corner; the nearest corner
+    counts.
+    """
+    vertex, vertex_covariances = graph.vertex, adjusted.vertex_covariances_mm2
+    is_shared = np.bincount(vertex.reshape(-1), minlength=graph.count) > 1
+    corners = np.flatnonzero(is_shared)
     if len(corners) == 0:
         return ()
-    near = KDTree(answer.points_mm[corners])
-    found = []
-    for line, end in np.argwhere(~shared[vertex]).tolist():
-        # The corner at the line's other end is no candidate; the next one may be.
-        apart, numbers = map(np.asarray, near.query(answer.points_mm[vertex[line, end]], k=2))
-        close = corners[numbers[apart < reach_px / px_per_mm[line]]]
-        at = close[close != vertex[line, 1 - end]]
-        if len(at) == 0:
+    tree = KDTree(adjusted.points_mm[corners])
+    refused = []
+    for line, end in np.argwhere(~is_shared[vertex]).tolist():
+        # The corner at the line's other end is excluded, so two neighbours are queried.
+        distance, indices = map(np.asarray, tree.query(adjusted.points_mm[vertex[line, end]], k=2))
+        near_corners = corners[indices[distance < radius_px / px_per_mm[line]]]
+        candidates = near_corners[near_corners != vertex[line, 1 - end]]
+        if len(candidates) == 0:
             continue
-        axes = answer.axes[line, :2]
-        offset = axes @ (answer.points_mm[at[0]] - graph.lines_mm[line, end])
-        spread = answer.across_mm2[line, end] + axes @ each[at[0]] @ axes.T
-        square = float(offset @ np.linalg.solve(spread, offset))
+        axes = adjusted.axes[line, :2]
+        offset = axes @ (adjusted.points_mm[candidates[0]] - graph.lines_mm[line, end])
+        covariance = (
+            adjusted.across_mm2[line, end] + axes @ vertex_covariances[candidates[0]] @ axes.T
+        )
+        square = float(offset @ np.linalg.solve(covariance, offset))
         if chi_square_tail(square, 2) < significance:
-            found.append(RefusedEnd(line, end, float(np.linalg.norm(offset)), square))
-    return tuple(found)
-
-
-# More likely than not.
+            refused.append(RefusedEnd(line, end, float(np.linalg.norm(offset)), square))
+    return tuple(refused)
 
 
 @in_float64
 def wireframe(
     matches: Matches, rig: Rig, *, flat: bool = True, tuning: MatchTuning = DEFAULT
 ) -> Wireframe:
-    """The corners, edges and planar faces that the matches show, as one consistent graph.
+    """Build the wire frame of matches: corners, edges and planar faces as one consistent graph.
 
-    Collinear tracks are joined (`join_collinear`), ends that meet are corners (`snap_corners`).
-    Then all vertices are estimated at once: every edge runs through both of its vertices, and its
-    line was measured with the covariance of its segments. An end that does not fit its corner at a
-    level of 0.001 is let go, the worst first, and stays as a free end. It is named in `let_go`, as
-    is an end that stops beside a corner, within 7 pixels, but does not run through it. Lines
-    between the same two vertices are one edge. A face is a shortest loop of three edges or more
-    whose vertices lie in one plane at that level, too; with `flat` they are then held to it.
+    Parameters
+    ----------
+    matches : the tracks, with the covariance of their fragments.
+    rig : the cameras, which are assumed exact.
+    flat : True constrains the vertices of each face to its plane.
+    tuning : all tuned constants; the groups of the line map and `wireframe` are used here.
 
-    Free ends are where detectors stopped: along its edge each has a standard deviation of 7 pixels
-    and more. The cameras count as exact. Raises InputError where the covariance of the fragments
-    is not known.
+    Returns
+    -------
+    Wireframe
+
+    Raises
+    ------
+    InputError : the matches hold no covariance of their fragments.
+
+    Notes
+    -----
+    Collinear tracks are joined (`join_collinear`), and ends that meet are corners
+    (`snap_corners`). Then all vertices are estimated jointly, such that every edge passes
+    through both of its vertices. An end that does not fit its corner at a significance of 0.001
+    is removed, the worst first, and stays as a free end. `let_go` lists it, and ends within 7
+    pixels of a corner whose line misses it. Lines between the same two vertices are one edge. A
+    face is a shortest loop of three or more edges whose vertices lie in one plane, at the same
+    significance. Free ends are where detectors stopped: each has a standard deviation of 7
+    pixels or more along its edge.
     """
     joined = join_collinear(matches, rig, tuning=tuning)
     corners = snap_corners(joined, tuning=tuning)
     graph = build_graph(joined, corners, tuning.corners.free_end_px)
-    found = snoop_ends(graph, joined.posterior, tuning.collinear.significance)
-    edges, edge_of_line = _edges(found.graph)
+    snooping = snoop_ends(graph, joined.posterior, tuning.collinear.significance)
+    edges, edge_of_line = _edges(snooping.graph)
     edge_of_track = edge_of_line[joined.line_of_track]
-    fit = end_fit(found.graph, found.answer)
-    loops = find_faces(found.answer, edges, tuning)
-    answer = flatten_faces(found.answer, loops) if flat else found.answer
+    fit = end_fit(snooping.graph, snooping.adjusted)
+    loops = find_faces(snooping.adjusted, edges, tuning)
+    adjusted = flatten_faces(snooping.adjusted, loops) if flat else snooping.adjusted
     faces = [
-        fit_plane(answer, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
+        fit_plane(adjusted, face.loop, flattened=flat)._replace(chi_square=face.chi_square)
         for face in loops
     ]
-    seen = _combine_members(np.logical_or, False, np.asarray(matches.index) >= 0, edge_of_track)
-    seen_at = _combine_members(np.logical_or, False, np.repeat(seen, 2, axis=0), edges.reshape(-1))
-    faces, facing = _orient_faces(faces, seen_at, matches, rig)
-    square, degrees = _of_vertices(found)
-    refused = find_refused_ends(
-        found.graph,
-        found.answer,
+    is_observed = _combine_members(
+        np.logical_or, False, np.asarray(matches.index) >= 0, edge_of_track
+    )
+    is_vertex_observed = _combine_members(
+        np.logical_or, False, np.repeat(is_observed, 2, axis=0), edges.reshape(-1)
+    )
+    faces, facing = _orient_faces(faces, is_vertex_observed, matches, rig)
+    vertex_chi_square, vertex_degrees = _vertex_misfits(snooping)
+    refused_ends = find_refused_ends(
+        snooping.graph,
+        snooping.adjusted,
         joined.px_per_mm,
         tuning.corners.free_end_px,
         tuning.collinear.significance,
     )
     return Wireframe(
-        vertices_mm=answer.points_mm,
-        corner=np.bincount(edges.reshape(-1), minlength=len(answer.points_mm)) > 1,
-        vertex_chi_square=square,
-        vertex_degrees=degrees,
-        part=answer.part,
-        joint_covariance_mm2=answer.covariance_mm2,
+        vertices_mm=adjusted.points_mm,
+        corner=np.bincount(edges.reshape(-1), minlength=len(adjusted.points_mm)) > 1,
+        vertex_chi_square=vertex_chi_square,
+        vertex_degrees=vertex_degrees,
+        part=adjusted.part,
+        joint_covariance_mm2=adjusted.covariance_mm2,
         edges=edges,
         posterior=_combine_members(np.maximum, 0, joined.posterior, edge_of_line),
-        views=seen.sum(axis=1),
+        views=is_observed.sum(axis=1),
         viewpoint_dependent=_combine_members(
-            np.logical_and, True, _no_line(matches), edge_of_track
+            np.logical_and, True, _is_no_line(matches), edge_of_track
         ),
         chi_square=_combine_members(np.maximum, 0, fit.square.sum(axis=1), edge_of_line),
         degrees=_combine_members(np.maximum, 0, fit.degrees.sum(axis=1), edge_of_line),
@@ -187,12 +224,12 @@ def wireframe(
         face_chi_square=np.array([face.chi_square for face in faces]),
         face_degrees=np.array([face.degrees for face in faces], dtype=np.int64),
         facing=facing,
-        let_go=_describe_refusals(found, refused, joined),
+        let_go=_describe_unfitted_ends(snooping, refused_ends, joined),
     )
 
 
 def _edges(graph: Graph) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "l"]]:
-    """(the vertices of each edge, in the order of its first line; the edge of each line)."""
+    """Vertices of each edge, in the order of its first line, and the edge of each line."""
     pairs = np.sort(graph.vertex, axis=1)
     unique, first, inverse = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -202,64 +239,70 @@ def _edges(graph: Graph) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "l"]]:
 
 
 def _combine_members(
-    combine: np.ufunc, start: float, values: np.ndarray, of: np.ndarray
+    combine: np.ufunc, start: float, values: np.ndarray, group: np.ndarray
 ) -> np.ndarray:
-    """The values of each edge's lines or tracks combined, from the start that changes none."""
-    result = np.full((int(of.max(initial=-1)) + 1, *values.shape[1:]), start, values.dtype)
-    combine.at(result, of, values)
+    """Combine the values of each edge's lines or tracks, from a neutral start value."""
+    result = np.full((int(group.max(initial=-1)) + 1, *values.shape[1:]), start, values.dtype)
+    combine.at(result, group, values)
     return result
 
 
-def _no_line(matches: Matches) -> Bool[np.ndarray, "t"]:
-    """Which tracks are likely to be no line in space."""
-    no_line = np.zeros(len(matches), dtype=bool)
+def _is_no_line(matches: Matches) -> Bool[np.ndarray, "t"]:
+    """Mask of the tracks that are probably no line in space, (t,)."""
+    is_no_line = np.zeros(len(matches), dtype=bool)
     if matches.viewpoint_dependent is not None:
-        no_line |= matches.viewpoint_dependent
+        is_no_line |= matches.viewpoint_dependent
     if "silhouette" in matches.marks:
-        no_line |= matches.marks["silhouette"] > EVEN_POSTERIOR
-    return no_line
+        is_no_line |= matches.marks["silhouette"] > EVEN_POSTERIOR
+    return is_no_line
 
 
-def _of_vertices(found: SnoopingResult) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Chi-square of what lines say across themselves at each vertex, and degrees of freedom."""
-    vertex, residual = found.graph.vertex.reshape(-1), found.answer.residual_mm[:, :, :2, None]
-    square = residual.mT @ np.linalg.solve(found.answer.across_mm2, residual)
-    number = np.bincount(vertex)
-    return group_sums(square.reshape(-1), vertex, len(number)), np.maximum(2 * number - 3, 0)
+def _vertex_misfits(
+    snooping: SnoopingResult,
+) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    """Chi-square of all lines across themselves at each vertex, and its degrees of freedom,
+    (n,).
+    """
+    vertex = snooping.graph.vertex.reshape(-1)
+    residual = snooping.adjusted.residual_mm[:, :, :2, None]
+    square = residual.mT @ np.linalg.solve(snooping.adjusted.across_mm2, residual)
+    degree = np.bincount(vertex)
+    return group_sums(square.reshape(-1), vertex, len(degree)), np.maximum(2 * degree - 3, 0)
 
 
 def _orient_faces(
     faces: list[Face], views: Bool[np.ndarray, "n v"], matches: Matches, rig: Rig
 ) -> tuple[list[Face], Bool[np.ndarray, "f"]]:
-    """(faces whose normals point to most cameras that see them, whether all lie there)."""
+    """Turn the normal of each face toward most of the cameras that see it.
+
+    Returns the faces, and for each whether all of these cameras lie on the side of the normal.
+    """
     centres = np.stack([np.asarray(rig[name].centre_world_mm) for name in matches.views])
-    turned, facing = [], []
+    oriented, is_facing = [], []
     for face in faces:
         sides = np.sign(centres @ face.plane[:3] - face.plane[3])[views[face.loop].any(axis=0)]
         if sides.sum() < 0:
             face = face._replace(loop=face.loop[::-1], plane=-face.plane)
-        turned.append(face)
-        facing.append(abs(sides.sum()) == len(sides))
-    return turned, np.array(facing, dtype=bool)
+        oriented.append(face)
+        is_facing.append(abs(sides.sum()) == len(sides))
+    return oriented, np.array(is_facing, dtype=bool)
 
 
-def _describe_refusals(
-    found: SnoopingResult, refused: tuple[RefusedEnd, ...], joined: JoinedLines
+def _describe_unfitted_ends(
+    snooping: SnoopingResult, refused: tuple[RefusedEnd, ...], joined: JoinedLines
 ) -> LetGo:
-    """What was let go, in words: an end once, and that it left its corner rather than why not."""
-    words = {
-        (each.line, each.end): f"ends beside a corner that it passes at {each.distance_mm:.2f} mm: "
-        f"chi-square {each.chi_square:.0f} with 2 degrees of freedom; not held to it"
-        for each in refused
+    """Table of the ends that do not fit. A removed end is listed once, with the corner that it
+    left.
+    """
+    reasons = {
+        (end.line, end.end): sentences.end_misses_near_corner(end.distance_mm, end.chi_square)
+        for end in refused
     }
-    for line, end, square, degrees in found.let_go:
-        words[line, end] = (
-            f"does not run through the corner that it ends at: chi-square {square:.0f} with "
-            f"{degrees} degrees of freedom; its end is free"
-        )
-    ends = np.array(sorted(words), dtype=np.int64).reshape(-1, 2)
+    for line, end, square, degrees in snooping.let_go:
+        reasons[line, end] = sentences.end_leaves_corner(square, degrees)
+    ends = np.array(sorted(reasons), dtype=np.int64).reshape(-1, 2)
     return LetGo(
         np.array([joined.tracks_of(line)[0] for line in ends[:, 0]], dtype=np.int64),
         joined.lines_mm[ends[:, 0], ends[:, 1]],
-        np.array([words[line, end] for line, end in ends.tolist()], dtype=np.str_),
+        np.array([reasons[line, end] for line, end in ends.tolist()], dtype=np.str_),
     )

@@ -1,4 +1,4 @@
-"""Depth as one view sees it: along the matched lines, and on the faces of their wire frame."""
+"""Depth map of one view, along the matched lines and on the faces of their wire frame."""
 
 import jax
 import numpy as np
@@ -22,23 +22,31 @@ def depth_map(
     filled: bool = False,
     tuning: MatchTuning = DEFAULT,
 ) -> Float[np.ndarray, "h w"]:
-    """Depth in mm before a camera at each pixel, NaN where nothing is known.
+    """Depth before a camera at each pixel, (h, w) mm; NaN where it is unknown.
 
-    Along every line that the view sees; with `filled` also inside every face of the wire frame
-    (`wireframe`), whichever views see it, the nearest where several overlap. Nothing is guessed
-    where a loop is not closed. Raises InputError for an unknown view, and with `filled` where the
-    covariance of the fragments is not known.
+    Parameters
+    ----------
+    matches : the tracks.
+    rig : the cameras.
+    view : name of the view.
+    filled : True also fills the faces of the wire frame (`wireframe`), with the nearest one where
+        several overlap. Otherwise only the lines that the view shows have a depth.
+    tuning : all tuned constants.
+
+    Raises
+    ------
+    InputError : unknown view, or `filled` without the covariance of the fragments.
     """
     camera = rig[view]
     width, height = camera.image_size_px
     depth = np.full((height, width), np.inf)
-    seen = matches.index[:, matches.views.index(view)] >= 0
-    for line in matches.lines_mm[seen]:
-        _put_line(depth, camera, line)
+    is_observed = matches.index[:, matches.views.index(view)] >= 0
+    for line in matches.lines_mm[is_observed]:
+        _draw_line(depth, camera, line)
     if filled:
         frame = wireframe(matches, rig, tuning=tuning)
         for loop in frame.faces:
-            _put_face(depth, camera, frame.vertices_mm[loop])
+            _draw_face(depth, camera, frame.vertices_mm[loop])
     return np.where(np.isfinite(depth), depth, np.nan)
 
 
@@ -47,17 +55,17 @@ def _depths(camera: Camera, points_mm: Float[np.ndarray, "n 3"]) -> Float[np.nda
     return points_mm @ pose[2, :3] + pose[2, 3]
 
 
-def _put_line(depth: Float[np.ndarray, "h w"], camera: Camera, line: np.ndarray) -> None:
+def _draw_line(depth: Float[np.ndarray, "h w"], camera: Camera, line: np.ndarray) -> None:
     ends = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, line))
     # A line that ends beyond the fold of the lens may cross the whole image.
     length_px = np.nan_to_num(np.linalg.norm(ends[1] - ends[0]), nan=float(sum(depth.shape)))
     samples = max(int(2 * length_px), 2)
     points = line[0] + np.linspace(0, 1, samples)[:, None] * (line[1] - line[0])
     uv = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, points))
-    _put(depth, np.rint(uv[:, 1]), np.rint(uv[:, 0]), _depths(camera, points))
+    _draw_nearest(depth, np.rint(uv[:, 1]), np.rint(uv[:, 0]), _depths(camera, points))
 
 
-def _put_face(depth: Float[np.ndarray, "h w"], camera: Camera, face: np.ndarray) -> None:
+def _draw_face(depth: Float[np.ndarray, "h w"], camera: Camera, face: np.ndarray) -> None:
     if (_depths(camera, face) <= 0).any():
         return
     uv = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, face))
@@ -72,14 +80,14 @@ def _put_face(depth: Float[np.ndarray, "h w"], camera: Camera, face: np.ndarray)
     centre = corners.mean(axis=0)
     normal = np.linalg.svd(corners - centre)[2][2]
     with np.errstate(divide="ignore"):
-        _put(depth, rows, columns, (centre @ normal) / (rays @ normal))
+        _draw_nearest(depth, rows, columns, (centre @ normal) / (rays @ normal))
 
 
-def _put(
+def _draw_nearest(
     depth: Float[np.ndarray, "h w"], rows: np.ndarray, columns: np.ndarray, value: np.ndarray
 ) -> None:
-    """The nearer of what is there and what comes."""
+    """Write depths into the map where they are nearer than the present ones."""
     height, width = depth.shape
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width) & (value > 0)
-    place = rows[inside].astype(np.int64), columns[inside].astype(np.int64)
-    np.minimum.at(depth, place, value[inside])
+    is_inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width) & (value > 0)
+    pixels = rows[is_inside].astype(np.int64), columns[is_inside].astype(np.int64)
+    np.minimum.at(depth, pixels, value[is_inside])

@@ -1,4 +1,4 @@
-"""The wire frame: vertices, edges and planar faces with their covariance."""
+"""Result type of the wire frame: vertices, edges and planar faces with their covariance."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar
@@ -21,18 +21,18 @@ from trinoc.numerics.tables import (
     is_covariance,
 )
 
-# numerical: a number of views.
+# numerical: number of views.
 TWO_VIEWS = 2
 
 
 class LetGo(Table):
-    """What did not fit.
+    """Line ends that do not fit.
 
     Fields
     ------
-    track : (k,) the first track of the line.
-    place_mm : (k, 3) where, in the world frame.
-    reason : (k,) why, in a sentence.
+    track : (k,) first track of the line.
+    place_mm : (k, 3) position of the end, world frame.
+    reason : (k,) reason, as a sentence.
     """
 
     SIDES: ClassVar[Mapping[str, str]] = {"k": "rows of what was let go"}
@@ -43,40 +43,42 @@ class LetGo(Table):
 
 
 def _sizes_of_parts(table: Content) -> list[int]:
-    """The numbers of vertices that each part has, in rows of its covariance."""
+    """Number of covariance rows of each part: three per vertex."""
     part = table.values["part"]
     return [] if (part < 0).any() else (3 * np.bincount(part)).tolist()
 
 
 class Wireframe(Feature):
-    """A graph in space: edges are straight from vertex to vertex, faces are loops of edges.
+    """Graph in space: straight edges between vertices, and faces that are loops of edges.
 
-    Vertices, edges and faces are numbered from 0. `face` and `face_vertex` are one table with a
+    Vertices, edges and faces are numbered from 0. `face` and `face_vertex` form one table with a
     row for each vertex of each face, in order round it.
 
     Fields
     ------
-    vertices_mm : (n, 3) corners, and free ends where an edge's evidence stops.
-    corner : (n,) whether two edges or more meet there; False for a free end.
-    vertex_chi_square, vertex_degrees : (n,) how well the edges pass through one point.
-    part : (n,) which vertices hang together, and are known together.
-    joint_covariance_mm2 : for each part, (3 k, 3 k) of its vertices in their order.
+    vertices_mm : (n, 3) corners, and free ends where an edge's evidence stops, world frame.
+    corner : (n,) True if two or more edges meet there, False for a free end.
+    vertex_chi_square, vertex_degrees : (n,) misfit of the edges to one point, and its degrees of
+        freedom.
+    part : (n,) connected part of each vertex. Vertices of different parts are independent.
+    joint_covariance_mm2 : for each part, (3 k, 3 k) covariance of its vertices in their order.
     edges : (e, 2) the two vertices of each edge, the lower number first.
     posterior : (e,) probability that the best match on it is right.
-    views : (e,) number of views that see it; an edge of two is checked by no third.
-    viewpoint_dependent : (e,) whether all of its tracks are likely to be no line in space, by the
-        matches' column of this name or as outlines of round bodies (the mark "silhouette").
-    chi_square, degrees : (e,) how well its lines fit what else is known of its vertices; 0
-        degrees where nothing else is.
-    edge_of_track : (t,) the edge that each track of the matches is on, -1 where let go.
+    views : (e,) number of views that show it. No third view confirms an edge in two views.
+    viewpoint_dependent : (e,) True if all of its tracks are probably no line in space, by the field
+        of this name of the matches or by the mark "silhouette".
+    chi_square, degrees : (e,) misfit of its lines to the rest of the graph, with 0 degrees if
+        nothing else determines its vertices.
+    edge_of_track : (t,) edge of each track of the matches, -1 if the track was removed.
     face, face_vertex : (m,) number of the face, and of the vertex.
-    planes : (f, 4) unit normal and offset in mm of each face, normal . x = offset. The vertices
-        run counter-clockwise about the normal.
-    planes_covariance : (f, 4, 4) of these.
-    face_chi_square, face_degrees : (f,) how well the vertices lie in one plane.
-    facing : (f,) whether all cameras that see its edges lie on the normal's side; where not, the
-        normal points to most of them.
-    let_go : what did not fit, and why.
+    planes : (f, 4) unit normal and offset in mm of each face, normal . x = offset. The vertices run
+        counter-clockwise about the normal.
+    planes_covariance : (f, 4, 4) covariance of these.
+    face_chi_square, face_degrees : (f,) misfit of the vertices to one plane, and its degrees of
+        freedom.
+    facing : (f,) True if all cameras that see its edges lie on the side of the normal. Otherwise
+        the normal points to most of them.
+    let_go : line ends that do not fit, with reasons.
     """
 
     KIND: ClassVar[str] = "wireframe"
@@ -147,31 +149,31 @@ class Wireframe(Feature):
 
     @property
     def checked(self) -> Bool[np.ndarray, "e"]:
-        """(e,) whether three views or more see the edge."""
+        """Mask of the edges in three or more views, (e,)."""
         return self.views > TWO_VIEWS
 
     @property
     def lines_mm(self) -> Float[np.ndarray, "e 2 3"]:
-        """(e, 2, 3) both ends of each edge."""
+        """Both ends of each edge, (e, 2, 3) mm."""
         return self.vertices_mm[self.edges].reshape(-1, 2, 3)
 
     @property
     def corners(self) -> Bool[np.ndarray, "e 2"]:
-        """(e, 2) whether each edge ends in a corner."""
+        """Mask of the ends of each edge that are corners, (e, 2)."""
         return self.corner[self.edges]
 
     @property
     def length_mm(self) -> Float[np.ndarray, "e"]:
-        """(e,) length of each edge."""
+        """Length of each edge, (e,) mm."""
         return line_sigmas(self.lines_mm, self.covariance_mm2).length_mm
 
     @property
     def length_sigma_mm(self) -> Float[np.ndarray, "e"]:
-        """(e,) standard deviation of each length."""
+        """Standard deviation of each length, (e,) mm."""
         return line_sigmas(self.lines_mm, self.covariance_mm2).length_sigma_mm
 
     def summary(self) -> str:
-        """Numbers of edges, corners, free ends and faces."""
+        """Numbers of edges, corners, free ends and faces, as a sentence."""
         corners, unchecked = int(self.corner.sum()), int((~self.checked).sum())
         return (
             f"{len(self)} edges, {unchecked} of them seen by two views only; {corners} corners, "
@@ -179,47 +181,49 @@ class Wireframe(Feature):
         )
 
     def record(self) -> dict[str, Any]:
-        """The same numbers, and what was let go."""
+        """The same numbers, and the ends that do not fit."""
         corners = int(self.corner.sum())
-        let_go = zip(self.let_go.track.tolist(), self.let_go.reason.tolist(), strict=True)
+        unfitted_ends = zip(self.let_go.track.tolist(), self.let_go.reason.tolist(), strict=True)
         return {
             "edges": len(self),
             "edges_of_two_views": int((~self.checked).sum()),
             "corners": corners,
             "free_ends": len(self.corner) - corners,
             "faces": len(self.planes),
-            "let_go": [{"track": track, "reason": reason} for track, reason in let_go],
+            "let_go": [{"track": track, "reason": reason} for track, reason in unfitted_ends],
         }
 
     def wires(self) -> Wires:
-        """The edges, and the faces as loops."""
+        """The edges as lines, and the faces as loops."""
         return Wires(self.vertices_mm, self.edges, np.arange(len(self)), self.faces)
 
     @property
     def covariance_mm2(self) -> Float[np.ndarray, "e 6 6"]:
-        """(e, 6, 6) of both ends of each edge together."""
-        found = [self.covariance_of(pair) for pair in self.edges]
-        return np.array(found).reshape(-1, 6, 6)
+        """Joint covariance of both ends of each edge, (e, 6, 6) mm^2."""
+        covariances = [self.covariance_of(pair) for pair in self.edges]
+        return np.array(covariances).reshape(-1, 6, 6)
 
     @property
     def vertices_covariance_mm2(self) -> Float[np.ndarray, "n 3 3"]:
-        """(n, 3, 3) of each vertex."""
-        found = [self.covariance_of([vertex]) for vertex in range(len(self.vertices_mm))]
-        return np.array(found).reshape(-1, 3, 3)
+        """Covariance of each vertex, (n, 3, 3) mm^2."""
+        covariances = [self.covariance_of([vertex]) for vertex in range(len(self.vertices_mm))]
+        return np.array(covariances).reshape(-1, 3, 3)
 
     @property
     def faces(self) -> list[Int[np.ndarray, "_"]]:
-        """The vertices of each face, in order round it."""
+        """Vertices of each face, in order round it."""
         return [self.face_vertex[self.face == face] for face in range(len(self.planes))]
 
     @property
     def face_posterior(self) -> Float[np.ndarray, "f"]:
-        """(f,) the least posterior of the edges round each face."""
-        of_pair = {tuple(pair): p for pair, p in zip(self.edges.tolist(), self.posterior.tolist())}
+        """Smallest posterior of the edges of each face, (f,)."""
+        posterior_of_edge = {
+            tuple(pair): p for pair, p in zip(self.edges.tolist(), self.posterior.tolist())
+        }
         return np.array(
             [
                 min(
-                    of_pair[min(a, b), max(a, b)]
+                    posterior_of_edge[min(a, b), max(a, b)]
                     for a, b in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True)
                 )
                 for loop in self.faces
@@ -227,23 +231,23 @@ class Wireframe(Feature):
         )
 
     def tracks_of(self, edge: int | np.integer) -> Int[np.ndarray, "_"]:
-        """The tracks of the matches that are on an edge."""
+        """Tracks of the matches on an edge."""
         return np.flatnonzero(self.edge_of_track == edge)
 
     def edges_at(self, vertex: int | np.integer) -> Int[np.ndarray, "_"]:
-        """The edges that meet in a vertex."""
+        """Edges that meet at a vertex."""
         return np.flatnonzero((self.edges == vertex).any(axis=1))
 
     def covariance_of(
         self, vertices: Sequence[int] | Int[np.ndarray, "k"]
     ) -> Float[np.ndarray, "m m"]:
-        """The joint covariance in mm^2 of some vertices, three rows for each in turn."""
-        chosen = np.asarray(vertices, dtype=np.int64)
-        spread = np.zeros((len(chosen), 3, len(chosen), 3))
-        for part in np.unique(self.part[chosen]).tolist():
-            rows = np.flatnonzero(self.part[chosen] == part)
-            at = np.searchsorted(np.flatnonzero(self.part == part), chosen[rows])
+        """Joint covariance of vertices, (3 k, 3 k) mm^2, three rows for each in turn."""
+        selected = np.asarray(vertices, dtype=np.int64)
+        covariance = np.zeros((len(selected), 3, len(selected), 3))
+        for part in np.unique(self.part[selected]).tolist():
+            rows = np.flatnonzero(self.part[selected] == part)
+            columns = np.searchsorted(np.flatnonzero(self.part == part), selected[rows])
             blocks = self.joint_covariance_mm2[part]
-            blocks = blocks.reshape(len(blocks) // 3, 3, -1, 3)[at][:, :, at]
-            spread[rows[:, None], :, rows[None]] = blocks.transpose(0, 2, 1, 3)
-        return spread.reshape(3 * len(chosen), 3 * len(chosen))
+            blocks = blocks.reshape(len(blocks) // 3, 3, -1, 3)[columns][:, :, columns]
+            covariance[rows[:, None], :, rows[None]] = blocks.transpose(0, 2, 1, 3)
+        return covariance.reshape(3 * len(selected), 3 * len(selected))

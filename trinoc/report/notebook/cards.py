@@ -122,10 +122,10 @@ def _(segments: Segments) -> str:
 def _(matches: Matches) -> str:
     stage = np.asarray(matches.stage)
     three, two = int((stage == TRINOCULAR).sum()), int((stage == BINOCULAR).sum())
-    sure = int((np.asarray(matches.posterior) > DecoyTuning.sure).sum())
+    sure = int((np.asarray(matches.posterior) > DecoyTuning.sure_posterior).sum())
     return (
         f"{matches.status.value} {three} tracks in three views or more, {two} in two "
-        f"({list_names(matches.views)}); {sure} of probability over {DecoyTuning.sure}"
+        f"({list_names(matches.views)}); {sure} of probability over {DecoyTuning.sure_posterior}"
     )
 
 
