@@ -17,7 +17,7 @@ from trinoc.report.coverage import Coverage, coverage_by_boards, mean_residuals,
 from trinoc.report.field_part import FieldLevel, halves_maps, uncertainty_maps
 from trinoc.report.html import render_report
 from trinoc.report.numbers import with_sigma
-from trinoc.report.shots_part import shot_table
+from trinoc.report.shots_part import count_shots, shot_table
 from trinoc.report.verdict import Verdict, find_verdict
 
 from .conftest import made_up_rig
@@ -177,7 +177,8 @@ def test_the_verdict_is_that_of_the_worst_check(changes, level, says) -> None:
 def test_pictures_are_counted_by_what_became_of_them(result) -> None:
     views = (result.views[0]._replace(used=np.zeros(len(BOARD), bool)), *result.views[1:])
     table = shot_table(made_up(views=views, failures={"left, 99": "too dark"}))
-    assert [table.count(role) for role in ("used", "left-out", "missing", "none")] == [35, 1, 1, 2]
+    roles = ("used", "left-out", "missing", "none")
+    assert [count_shots(table, role) for role in roles] == [35, 1, 1, 2]
     assert judged(made_up(views=views, refused=("00: moved.",))).level is Level.CARE
 
 

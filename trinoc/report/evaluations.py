@@ -2,7 +2,7 @@
 
 from trinoc.evaluation.evaluation import Evaluation
 from trinoc.report.numbers import with_decimals
-from trinoc.report.text import text_table
+from trinoc.report.report_table import text_table
 
 
 def evaluation_text(evaluation: Evaluation) -> str:

@@ -9,6 +9,7 @@ from trinoc.geometry.features import Feature
 from trinoc.geometry.rig import Rig
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.report.numbers import in_words, with_decimals, with_sigma
+from trinoc.report.report_table import ReportTable
 from trinoc.report.space_content import Box
 from trinoc.report.space_part import LineLayer, SpaceFigure, SpaceView, cameras_in_space
 
@@ -80,12 +81,13 @@ def list_numbers(features: Feature) -> list[dict[str, str]]:
     return numbers
 
 
-def feature_table(features: Feature) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """(head, rows) of a table of them."""
+def feature_table(features: Feature) -> ReportTable:
+    """A row for each feature: the columns that people read first, and its number of segments."""
     numbers = list_numbers(features)
     head = (features.KIND.removesuffix("s"), *(numbers[0] if numbers else ()), "segments")
     counts = [sum(map(len, features.segments_of(row).values())) for row in range(len(features))]
-    return head, [(str(k), *own.values(), str(counts[k])) for k, own in enumerate(numbers)]
+    rows = [[str(k), *values.values(), str(counts[k])] for k, values in enumerate(numbers)]
+    return ReportTable(head, rows)
 
 
 def features_text(features: Feature) -> str:

@@ -13,6 +13,7 @@ from trinoc.match.tracks.matches import TRINOCULAR, Matches, MatchStatus
 from trinoc.match.tracks.reliability import assess_matches
 from trinoc.report.matches_part import share_matched
 from trinoc.report.numbers import percent, with_decimals
+from trinoc.report.report_table import ReportTable
 
 # A chart has at most so many columns, of several frames each in long recordings.
 COLUMNS = 400
@@ -74,6 +75,21 @@ class FramesPart(NamedTuple):
     omitted: int
     middle: str
     agreement: Float[np.ndarray, "r"]
+
+    @property
+    def table(self) -> ReportTable:
+        """The frames to look at, and why."""
+        rows = [
+            [
+                frame.name,
+                frame.status,
+                f"{frame.tracks:.0f}" if np.isfinite(frame.tracks) else "none",
+                frame.said,
+            ]
+            for frame in self.to_look_at
+        ]
+        note = f"and {self.omitted} more; the manifest has them all." if self.omitted else ""
+        return ReportTable(("frame", "status", "tracks", "why"), rows, note=note, look="frames")
 
 
 def frames_part(frames: Mapping[str, Matches | None], failures: Mapping[str, str]) -> FramesPart:

@@ -2,13 +2,11 @@
 
 import functools
 import os
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
-from markupsafe import Markup, escape
 
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.result.summary import fixed_boards
@@ -39,6 +37,7 @@ from trinoc.report.frames_part import FramesPart
 from trinoc.report.matches_part import matches_part
 from trinoc.report.parameter_table import is_without_sheet
 from trinoc.report.pictures import PagePicture, page_pictures
+from trinoc.report.report_table import ReportTable, draw_code, draw_table
 from trinoc.report.shot_images_part import shot_images_part
 from trinoc.report.shots_part import boards_in_space, shot_table
 from trinoc.report.space_content import Box
@@ -112,27 +111,8 @@ def write_report(
     rig lacks a camera of the segments or matches, where many shots stand beside matches, or where
     `path` cannot be written.
     """
-    write_text(
-        path,
-        render_report(
-            result=result,
-            shot_pictures=shot_pictures,
-            sheet_pictures=sheet_pictures,
-            rig=rig,
-            segments=segments,
-            matches=matches,
-            scene_pictures=scene_pictures,
-            reference=reference,
-            reference_name=reference_name,
-            title=title,
-            tables=tables,
-            provenance=provenance,
-            doubts=doubts,
-            features=features,
-            advice=advice,
-            recording=recording,
-        ),
-    )
+    content = {name: value for name, value in locals().items() if name != "path"}
+    write_text(path, render_report(**content))
 
 
 def render_report(
@@ -210,10 +190,11 @@ def render_report(
         if matches is not None:
             parts.append(ReportPart("matches", "Matched segments", "matches", lines))
             parts.append(ReportPart("counts", "Counts, and why not", "counts", lines))
-    read = [own for own in features if own.READ_FIRST]
-    own_tables = [ExtraTable(own.IN_WORDS.capitalize(), *feature_table(own)) for own in read]
-    for number, table in enumerate((*own_tables, *tables), 1):
-        parts.append(ReportPart(f"table-{number}", table.title, "table", table))
+    listed = [each for each in features if each.READ_FIRST]
+    titled = [(each.IN_WORDS.capitalize(), feature_table(each)) for each in listed]
+    titled += [(t.title, ReportTable(t.head, t.rows, note=t.caption)) for t in tables]
+    for number, (heading, table) in enumerate(titled, 1):
+        parts.append(ReportPart(f"table-{number}", heading, "table", table))
     space = space_figure(rig, pattern, matches)
     parts.append(_space_part(with_features(space, features), tracks=matches is not None))
     pictures = [picture for picture in (*sheet.values(), *scene.values()) if picture.uri]
@@ -326,13 +307,9 @@ def _templates() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["code"] = _with_code
+    environment.filters["code"] = draw_code
+    environment.globals["draw_table"] = draw_table
     return environment
-
-
-def _with_code(words: str) -> Markup:
-    """A sentence as HTML, where what stands between backticks is code."""
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(words))))
 
 
 def _check_views(what: str, names: Sequence[str], rig: Rig) -> None:

@@ -15,7 +15,7 @@ from trinoc.match.tracks.matches import MatchStatus
 from trinoc.match.tracks.reliability import MatchFinding, assess_matches
 from trinoc.report.checks import Answer, Level, Limits, ReportCheck, Subject
 from trinoc.report.numbers import millimetres, percent, with_decimals
-from trinoc.report.shots_part import shot_table
+from trinoc.report.shots_part import count_shots, shot_table
 
 SENTENCE_ON_RIG = {
     Level.GOOD: "You can use this rig.",
@@ -114,7 +114,7 @@ def _together(subject: Subject) -> Answer | None:
     if subject.shots is None:
         return None
     table = shot_table(subject.shots)
-    used, missing, left_out = (table.count(role) for role in ("used", "missing", "left-out"))
+    used, missing, left_out = (count_shots(table, role) for role in ("used", "missing", "left-out"))
     words = "took part."
     if missing:
         words += f" The board was not found in {missing}."
