@@ -226,7 +226,7 @@ def test_the_halves_are_compared_over_the_field(result) -> None:
     assert {(cell.text, cell.below) for cell in near[0].cells} == {
         ("0.05", "3.5 \N{GREEK SMALL LETTER SIGMA}")
     }
-    assert far[0].cells[3].words == "no ray of the lens"
+    assert far[0].cells[3].description == "no ray of the lens"
     page = Page(render_report(result=with_maps))
     for word in ("512 mm away, 3.54 sigmas rms", "1536 mm away", "Two halves"):
         assert word in page.text
@@ -247,8 +247,8 @@ def test_the_maps_grow_as_the_sigmas_of_the_rig(result) -> None:
     doubled = uncertainty_maps(wider)
     assert doubled is not None
     for wide, level in zip(doubled.levels, maps.levels, strict=True):
-        assert (wide.said, wide.stands) == (level.said, level.stands)
-    assert [level.said.split()[0] for level in maps.levels if level.stands] == ["1", "3"]
+        assert (wide.name, wide.stands) == (level.name, level.stands)
+    assert [level.name.split()[0] for level in maps.levels if level.stands] == ["1", "3"]
     assert doubled.at_boards.median_px == pytest.approx(2 * maps.at_boards.median_px)
     assert doubled.at_boards.worst_px == pytest.approx(2 * maps.at_boards.worst_px)
     assert doubled.worst_farther_px == pytest.approx(2 * maps.worst_farther_px)

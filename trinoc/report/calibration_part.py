@@ -1,4 +1,4 @@
-"""Cameras with their parameters, and what was found in each picture of the sheet."""
+"""Cameras with their parameters, and the detections in each image of the sheet."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -27,7 +27,7 @@ ARROW_REACH = 0.09
 
 
 class StatusRow(NamedTuple):
-    """What one camera's fit says about itself, in sentences and in figures.
+    """Status of one camera's fit, in sentences and in figures.
 
     verdict : "good", "suspect" or "failed".
     """
@@ -39,7 +39,7 @@ class StatusRow(NamedTuple):
     figures: tuple[tuple[str, str], ...]
 
 
-# What each figure of a camera means, in the order of the cards.
+# The meaning of each figure of a camera, in the order of the cards.
 MEANINGS = (
     ("circles used", "those found that agree with the others; the rest were located wrongly"),
     ("residual length, rms", "of the circles' centres, predicted minus observed"),
@@ -70,7 +70,7 @@ class Ellipse(NamedTuple):
     angle_deg: float
     tip: tuple[float, float]
     used: bool
-    words: str
+    description: str
 
 
 class DetectionFigure(NamedTuple):
@@ -102,7 +102,7 @@ class CamerasPart(NamedTuple):
 
 
 class SheetPart(NamedTuple):
-    """What was found in each picture of the sheet."""
+    """Coverage of each image of the sheet, and the residuals of its circles."""
 
     coverage: Sequence[Coverage]
     figures: tuple[DetectionFigure, ...]
@@ -210,7 +210,7 @@ def _status(result: CalibrationResult, name: str) -> StatusRow:
 
 
 def _picture_figures(quality: ImageQuality | None) -> tuple[tuple[str, str], ...]:
-    """What the fit to the picture's grey levels says, where there was one."""
+    """Figures of the fit to the image's grey levels; none without such a fit."""
     if quality is None:
         return ()
     return (
@@ -249,7 +249,7 @@ def _ellipse(fit: CameraFit, row: int, arrows: Arrows) -> Ellipse:
     du, dv = (float(value) for value in fit.residuals_px[row])
     squared, axes = np.linalg.eigh(np.asarray(detection.shape_px2[row]))
     semi_minor, semi_major = (float(value) for value in np.sqrt(np.maximum(squared, 0)))
-    words = (
+    description = (
         f"circle {int(detection.circle_index[row])}: residual ({with_sign(du, 4)}, "
         f"{with_sign(dv, 4)}) px at ({u:.2f}, {v:.2f}){'' if used else ', not used'}"
     )
@@ -261,5 +261,5 @@ def _ellipse(fit: CameraFit, row: int, arrows: Arrows) -> Ellipse:
         float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))),
         arrows.tip((u, v), (du, dv)),
         used,
-        words,
+        description,
     )

@@ -144,8 +144,8 @@ def render_report(
             return _render(title, parts, subject, provenance)
         anchors = [part.anchor for part in parts]
         title_of_images = "Residuals of each shot on its image"
-        place = anchors.index("shots") + 1
-        parts.insert(place, ReportPart("shot-images", title_of_images, "shot_images", images))
+        row = anchors.index("shots") + 1
+        parts.insert(row, ReportPart("shot-images", title_of_images, "shot_images", images))
         return _render(title, parts, subject, provenance, images.pictures)
     rig = rig if rig is not None else (result.rig if result is not None else None)
     if rig is None:
@@ -177,8 +177,8 @@ def render_report(
     cameras = cameras_part(rig, result, reference, reference_name, others)
     parts.append(ReportPart("cameras", "Cameras", "cameras", cameras))
     if result is not None and result.fits:
-        found = sheet_part(result, subject.coverage, sheet)
-        parts.append(ReportPart("detection", "The sheet: coverage and residuals", "sheet", found))
+        values = sheet_part(result, subject.coverage, sheet)
+        parts.append(ReportPart("detection", "The sheet: coverage and residuals", "sheet", values))
     if subject.field is not None:
         parts.append(ReportPart("field", "Uncertainty over the field", "field", subject.field))
     if subject.epipolar:
@@ -208,8 +208,8 @@ def judge_shots(shots: CalibrationResult) -> Verdict | None:
 
 
 def _parts_of_shots(shots: CalibrationResult, advice: str) -> tuple[list[ReportPart], Subject]:
-    seen = places_seen(shots)
-    coverage, (residuals, arrows) = coverage_by_boards(seen), mean_residuals(seen)
+    points = places_seen(shots)
+    coverage, (residuals, arrows) = coverage_by_boards(points), mean_residuals(points)
     subject = Subject(
         shots=shots,
         coverage=coverage,
@@ -246,14 +246,14 @@ def _epipolar_parts(
     sheet: Mapping[str, PagePicture],
     scene: Mapping[str, PagePicture],
 ) -> tuple[EpipolarPart, ...]:
-    found = []
+    parts = []
     if result is not None:
         points = corrected_circle_centres(result)
-        found.append(epipolar_part("sheet", "circles", result.rig, points, sheet))
+        parts.append(epipolar_part("sheet", "circles", result.rig, points, sheet))
     if matches is not None:
         in_rig_order = ends_of_tracks(matches)[:, [matches.views.index(name) for name in rig]]
-        found.append(epipolar_part("scene", "ends of tracks", rig, in_rig_order, scene))
-    return tuple(part for part in found if part is not None)
+        parts.append(epipolar_part("scene", "ends of tracks", rig, in_rig_order, scene))
+    return tuple(part for part in parts if part is not None)
 
 
 def _space_part(figure: SpaceFigure, *, tracks: bool) -> ReportPart:
@@ -267,7 +267,7 @@ def _space_part(figure: SpaceFigure, *, tracks: bool) -> ReportPart:
 
 
 def render_space(figure: SpaceFigure, *, title: str) -> str:
-    """The figure to turn, alone on a page."""
+    """The interactive figure alone on a page."""
     if not figure.views:
         view = SpaceView("Nothing", Box.around(np.zeros((1, 3)), 0.5))
         figure = figure._replace(views=(view,))
@@ -283,7 +283,7 @@ def _render(
     pictures: Sequence[PagePicture] = (),
     world: str = "",
 ) -> str:
-    """The page; names that a template lacks raise, and what users wrote is never markup."""
+    """The text of the page. No text of a user becomes markup."""
     return (
         _templates()
         .get_template("page.html.j2")

@@ -1,4 +1,4 @@
-"""What the page shows of segments and matches: pictures with them, counts, reasons and tracks."""
+"""Figures and tables of segments and matches: images, counts, reasons and tracks."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -21,14 +21,14 @@ from trinoc.report.pictures import PagePicture, Window
 from trinoc.report.report_table import ReportTable
 from trinoc.report.space_content import PALETTE, distinct_neighbours
 
-# In 1/512 of the picture's width: height of a word, width of a letter, distance from its line.
+# In 1/512 of the image's width: height of a label, width of a letter, distance from its line.
 HEIGHT, LETTER, AWAY = 15.0, 9.0, 12.0
-# Where along its line a word may stand, the best place first.
+# Positions of a label along its line, the best first.
 PLACES = (0.5, 0.3, 0.7, 0.15, 0.85)
 
 
 class PlacedLabel(NamedTuple):
-    """A word and the place of its middle, in pixels of the picture."""
+    """A label and the position of its middle, in pixels of the image."""
 
     u: float
     v: float
@@ -38,9 +38,9 @@ class PlacedLabel(NamedTuple):
 def place_labels(
     texts: Sequence[str], lines_px: Float[np.ndarray, "n 2 2"], window: Window
 ) -> list[PlacedLabel]:
-    """A place beside each line where no earlier word stands; words that find none are left out."""
+    """Labels beside their lines that do not overlap; those without a free position are left out."""
     taken: list[tuple[float, float, float, float]] = []
-    placed = []
+    labels = []
     for text, (first, second) in zip(texts, lines_px, strict=True):
         along = second - first
         length = float(np.hypot(*along))
@@ -52,9 +52,9 @@ def place_labels(
             box = (*low.tolist(), *high.tolist())
             if _inside(box, window) and not any(_overlap(box, other) for other in taken):
                 taken.append(box)
-                placed.append(PlacedLabel(float(middle[0]), float(middle[1]), text))
+                labels.append(PlacedLabel(float(middle[0]), float(middle[1]), text))
                 break
-    return placed
+    return labels
 
 
 def _inside(box: tuple[float, float, float, float], window: Window) -> bool:
@@ -75,9 +75,9 @@ NUMBERED = 14
 
 
 class Stroke(NamedTuple):
-    """A segment or a fragment on a picture; `track` is -1 where it belongs to none.
+    """A segment or a fragment on an image; `track` is -1 if it belongs to none.
 
-    matched : None where nothing was matched.
+    matched : None without a matching.
     """
 
     u1: float
@@ -86,12 +86,12 @@ class Stroke(NamedTuple):
     v2: float
     track: int
     colour: str
-    words: str
+    description: str
     matched: bool | None = None
 
 
 class SegmentsFigure(NamedTuple):
-    """The strokes over one picture, and the ends of segments that only stand behind them."""
+    """The strokes over one image, and the ends of the segments drawn faintly behind them."""
 
     name: str
     picture: PagePicture
@@ -104,21 +104,21 @@ class SegmentsFigure(NamedTuple):
 def segments_figure(
     name: str, segments: Segments, matches: Matches | None, picture: PagePicture
 ) -> SegmentsFigure:
-    """All segments of one view, each with its longest track or the reason why it is on none."""
+    """All segments of one view, each with its longest track or the reason why it has none."""
     reasons = None if matches is None else matches.reasons.get(name)
     track_of = {} if matches is None else _longest_tracks(matches, name)
     strokes = []
     for row, ((u1, v1), (u2, v2)) in enumerate(np.asarray(segments.endpoints_px).tolist()):
-        words = f"segment {row} of {name}: {np.hypot(u2 - u1, v2 - v1):.1f} px"
+        description = f"segment {row} of {name}: {np.hypot(u2 - u1, v2 - v1):.1f} px"
         contrast = float(segments.contrast[row])
         if np.isfinite(contrast):
-            words += f", step of {contrast:.0f} grey levels"
+            description += f", step of {contrast:.0f} grey levels"
         if reasons is not None:
-            words += f", {in_words(str(reasons[row]))}"
+            description += f", {in_words(str(reasons[row]))}"
         track = track_of.get(row, -1)
-        words += f" (track {track})" if track >= 0 else ""
+        description += f" (track {track})" if track >= 0 else ""
         matched = None if matches is None else track >= 0
-        strokes.append(Stroke(u1, v1, u2, v2, track, "", words, matched))
+        strokes.append(Stroke(u1, v1, u2, v2, track, "", description, matched))
     length = float(np.sum(segments.length_px))
     caption = f"{len(segments):,} segments, {length:,.0f} px in all"
     if matches is not None:
@@ -158,8 +158,8 @@ def tracks_figures(
             length = with_sigma(
                 float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])
             )
-            words = f"track {track}: segment {segment} of {name}, {length} mm"
-            strokes.append(Stroke(u1, v1, u2, v2, track, colours[track], words))
+            description = f"track {track}: segment {segment} of {name}, {length} mm"
+            strokes.append(Stroke(u1, v1, u2, v2, track, colours[track], description))
         ends = np.asarray(segments[name].endpoints_px) if name in segments else np.zeros((0, 2, 2))
         faint = ends[~np.isin(np.arange(len(ends)), matches.index[tracks, view])]
         picture, caption = pictures[name], f"{len(strokes):,} tracks"
@@ -269,10 +269,10 @@ def track_colours(matches: Matches) -> list[str]:
 
 def _pairs_of_views(matches: Matches) -> tuple[tuple[str, int], ...]:
     """Binocular tracks of each pair of views."""
-    seen = np.asarray(matches.index)[np.asarray(matches.stage) == BINOCULAR] >= 0
+    is_seen = np.asarray(matches.index)[np.asarray(matches.stage) == BINOCULAR] >= 0
     views = matches.views
     return tuple(
-        (f"{views[a]} and {views[b]}", int((seen[:, a] & seen[:, b]).sum()))
+        (f"{views[a]} and {views[b]}", int((is_seen[:, a] & is_seen[:, b]).sum()))
         for a in range(len(views))
         for b in range(a + 1, len(views))
     )
@@ -313,5 +313,6 @@ def tracks_table(matches: Matches) -> ReportTable:
 
 def share_matched(matches: Matches) -> float:
     """The share of all segments that are on a track; NaN without any."""
-    words = np.concatenate([np.asarray(matches.reasons[view], dtype=str) for view in matches.views])
-    return float(np.mean(np.char.startswith(words, MATCHED))) if len(words) else np.nan
+    of_view = [np.asarray(matches.reasons[view], dtype=str) for view in matches.views]
+    reasons = np.concatenate(of_view)
+    return float(np.mean(np.char.startswith(reasons, MATCHED))) if len(reasons) else np.nan

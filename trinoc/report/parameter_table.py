@@ -126,11 +126,11 @@ def _rig_cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> Cel
     text = with_sigma(value, sigma)
     if reference is None or name not in reference.names:
         return _cell(name, parameter, text)
-    found = _parameter_error(rig, reference, name, parameter)
-    is_beyond = abs(found.over_sigma) > 3
-    error = with_sign(found.error, significant_decimals(sigma))
-    over_sigma = f"{with_sign(found.over_sigma, 1)} \N{GREEK SMALL LETTER SIGMA}"
-    detail = f"{with_decimals(found.known, 3)}, error {error} ({over_sigma})"
+    comparison = _parameter_error(rig, reference, name, parameter)
+    is_beyond = abs(comparison.over_sigma) > 3
+    error = with_sign(comparison.error, significant_decimals(sigma))
+    over_sigma = f"{with_sign(comparison.over_sigma, 1)} \N{GREEK SMALL LETTER SIGMA}"
+    detail = f"{with_decimals(comparison.known, 3)}, error {error} ({over_sigma})"
     detail += " *" if is_beyond else ""
     cell = _cell(name, parameter, text, detail)
     return cell._replace(attributes={**cell.attributes, "class": "beyond"}) if is_beyond else cell

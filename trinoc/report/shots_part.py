@@ -66,10 +66,10 @@ def boards_in_space(result: CalibrationResult, rig: Rig) -> SpaceFigure:
     outlines = _boards(result)
     box = Box.around(np.concatenate([*frusta(rig), *outlines]), 0.05)
     names = board_names(result.board)
-    which = [f"board {name}" for name in names] if len(names) > 1 else ["board"]
-    words = tuple(f"{each} in shot {shot}" for shot in result.shots for each in which)
+    labels = [f"board {name}" for name in names] if len(names) > 1 else ["board"]
+    descriptions = tuple(f"{label} in shot {shot}" for shot in result.shots for label in labels)
     layer = LineLayer(
-        f"boards ({len(result.world_from_board)})", "sheet", outlines, True, (), words
+        f"boards ({len(result.world_from_board)})", "sheet", outlines, True, (), descriptions
     )
     axes = axes_in_space(0.1 * float(np.max(box.high_mm - box.low_mm)))
     figure = SpaceFigure((layer,), (), (SpaceView("Whole rig", box),))
@@ -77,15 +77,15 @@ def boards_in_space(result: CalibrationResult, rig: Rig) -> SpaceFigure:
 
 
 def _boards(result: CalibrationResult) -> list[np.ndarray]:
-    """The outline of the places of each board in each shot."""
+    """Outline of each board in each shot, as lines in the world."""
     outlines = []
-    for board, fixed in zip(list_boards(result.board), result.reference_from_board, strict=True):
+    for board, pose in zip(list_boards(result.board), result.reference_from_board, strict=True):
         centres = np.asarray(board.centres_mm)
         (left, top), (right, bottom) = centres.min(axis=0), centres.max(axis=0)
         corners = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]]
-        outlines.append(np.array(corners) @ fixed[:, :2].T + fixed[:, 3])
+        outlines.append(np.array(corners) @ pose[:, :2].T + pose[:, 3])
     return [
-        places @ pose[:, :3].T + pose[:, 3]
+        outline @ pose[:, :3].T + pose[:, 3]
         for pose in result.world_from_board
-        for places in outlines
+        for outline in outlines
     ]

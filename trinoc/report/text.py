@@ -10,22 +10,22 @@ from trinoc.report.report_table import draw_text, text_table
 
 
 def errors_text(errors: Sequence[ParameterError], reference_name: str) -> str:
-    """Recovered parameters with sigmas beside known ones."""
+    """Table of estimated parameters with their sigmas and their errors against known values."""
     rows = []
-    for number, found in enumerate(errors):
-        first = number == 0 or errors[number - 1].camera != found.camera
+    for number, each in enumerate(errors):
+        first = number == 0 or errors[number - 1].camera != each.camera
         rows.append(
             (
-                found.camera if first else "",
-                LABELS[found.parameter],
-                with_sigma(found.value, found.sigma),
-                with_decimals(found.known, 3),
-                with_sign(found.error, significant_decimals(found.sigma)),
-                with_sign(found.over_sigma, 1),
+                each.camera if first else "",
+                LABELS[each.parameter],
+                with_sigma(each.value, each.sigma),
+                with_decimals(each.known, 3),
+                with_sign(each.error, significant_decimals(each.sigma)),
+                with_sign(each.over_sigma, 1),
             )
         )
     head = ("camera", "parameter", "found", reference_name, "error", "error/sigma")
-    return text_table(head, rows, left=2)
+    return text_table(head, rows, left_columns=2)
 
 
 def counts_text(matches: Matches) -> str:

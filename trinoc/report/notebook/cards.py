@@ -1,4 +1,4 @@
-"""A value as a notebook shows it: a heading, a small picture and the head of its table."""
+"""Card of a value in a notebook: a heading, a small picture and the first rows of its table."""
 
 from functools import singledispatch
 from html import escape
@@ -97,20 +97,20 @@ def _cell_text(item: Any) -> str:
 
 @singledispatch
 def heading(value: object) -> str:
-    """What matters of a value, in a line."""
+    """Summary of a value in one line."""
     return ""
 
 
 @heading.register
 def _(rig: Rig) -> str:
-    known = "with a covariance" if len(rig.parameters) else "without a covariance"
-    return f"{len(rig)} cameras ({list_names(rig)}), {known}"
+    covariance = "with a covariance" if len(rig.parameters) else "without a covariance"
+    return f"{len(rig)} cameras ({list_names(rig)}), {covariance}"
 
 
 @heading.register
 def _(result: CalibrationResult) -> str:
-    said = ", ".join(f"{name} {status.name}" for name, status in result.status.items())
-    return f"{said}; sigmas include {', '.join(('noise', *result.systematics))}"
+    cameras = ", ".join(f"{name} {status.name}" for name, status in result.status.items())
+    return f"{cameras}; sigmas include {', '.join(('noise', *result.systematics))}"
 
 
 @heading.register
