@@ -280,7 +280,7 @@ CHECKS = (
     ),
     Limits(
         "Do the views agree all along?", "recording", 2,
-        "A camera was knocked where the line steps: run trinoc check on a frame behind it.",
+        "A camera was knocked where the line steps: run `trinoc check` on a frame behind it.",
         _answer_on_time,
     ),
     Limits(
@@ -316,7 +316,7 @@ CHECKS = (
     ),
     Limits(
         "Are the residuals mere noise?", "detection", NOISY,
-        "Look at the arrows: a swirl or a fan is the lens (run trinoc intrinsics), one side alone "
+        "Look at the arrows: a swirl or a fan is the lens (run `trinoc intrinsics`), one side alone "
         "a bent sheet or a shadow, all over a wrong pattern file.",
         _answer_on_residuals,
         bad=3,
@@ -329,7 +329,7 @@ CHECKS = (
     ),
     Limits(
         "Does the lens fit everywhere?", "field-of-board", 3,
-        "A swirl or a fan is the lens: try --lens-model auto. Arrows that agree within one shot "
+        "A swirl or a fan is the lens: try `--lens-model auto`. Arrows that agree within one shot "
         "alone are a bent board.",
         _answer_on_lens_fit,
     ),
@@ -359,7 +359,7 @@ CHECKS = (
     ),
     Limits(
         "How well is a place known?", "field", None,
-        "If that is too much: measure the bars of the sheet (--print-scale), calibrate the lens, "
+        "If that is too much: measure the bars of the sheet (`--print-scale`), calibrate the lens, "
         "put the cameras farther apart.",
         _answer_on_points,
     ),
