@@ -14,6 +14,7 @@ from trinoc.match.tracks.matches import Matches
 from trinoc.report import write_report
 
 from .browser import chromium, needs_chromium
+from .test_shots import made_up
 
 pytestmark = needs_chromium
 
@@ -190,3 +191,14 @@ def test_a_printed_table_is_whole(browser: Any, matches: Matches) -> None:
     assert max(cut) <= 1
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
     _metrics(browser, 1280)
+
+
+def test_a_page_of_many_shots_fits_a_phone_and_paper(tmp_path: Path) -> None:
+    page = tmp_path / "shots.html"
+    write_report(page, result=made_up())
+    with chromium() as driver:
+        driver.get(page.as_uri())
+        for width, media in ((390, "screen"), (688, "print")):
+            driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media})
+            _metrics(driver, width, mobile=media == "screen")
+            assert driver.execute_script("return document.documentElement.scrollWidth") <= width

@@ -14,10 +14,10 @@ def test_the_figure_has_every_wire_with_its_words() -> None:
     figure = features_figure(RIMS, bench_rig())
     layer = figure.layers[0]
     assert layer.name == "rims (2)"
-    assert len(layer.parts) == len(layer.words) == 2
-    assert "radius 15.0" in layer.words[0]
+    assert len(layer.parts) == len(layer.descriptions) == 2
+    assert "radius 15.0" in layer.descriptions[0]
     first, second = RIMS.views[:2]
-    assert f"{first} 3; {second} 4, 0" in layer.words[0]
+    assert f"{first} 3; {second} 4, 0" in layer.descriptions[0]
     box = figure.views[0].box
     every = np.concatenate(layer.parts)
     assert (every > box.low_mm).all()

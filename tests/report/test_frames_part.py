@@ -43,7 +43,7 @@ def test_a_chart_holds_every_frame(tracks):
     assert (np.nanmin(lowest), np.nanmax(highest)) == pytest.approx((min(known), max(known)))
     assert (~(lowest > median) & ~(median > highest)).all()
     assert len(part.bad) == len(failures)
-    assert {fate.name for fate in part.to_look_at if fate.said == "no picture"} == set(failures)
+    assert {fate.name for fate in part.to_look_at if fate.problem == "no picture"} == set(failures)
     # The frame that is shown lies nearer the median than any other that worked.
     shown = frames[part.middle]
     assert shown is not None
@@ -82,7 +82,7 @@ def test_frames_that_are_suspect_are_counted_and_told(suspect, level):
     assert verdict is not None
     row = verdict.checks[0]
     assert (row.level, row.figure) == (level, f"{10 - suspect} of 10 frames are well")
-    assert [fate.said for fate in part.to_look_at] == ["exchanged."] * suspect
+    assert [fate.problem for fate in part.to_look_at] == ["exchanged."] * suspect
     page = render_report(
         rig=table1_rig(), matches=frames[part.middle], recording=part, title="Recording"
     )

@@ -237,7 +237,7 @@ def test_the_figure_in_space_holds_every_track_once(whole: str, matches: Matches
 
 def test_words_in_space_tell_both_ends_and_their_sigmas(rig: Rig, matches: Matches) -> None:
     (two,) = [layer for layer in space_figure(rig, None, matches).layers if layer.role == "two"]
-    track, words = two.tracks[1], two.words[1]
+    track, words = two.tracks[1], two.descriptions[1]
     assert words.startswith(f"track {track}, binocular")
     for point in matches.lines_mm[track]:
         assert f"X {with_sigma(float(point[0]), 0.2)}" in words
@@ -256,8 +256,8 @@ def test_joined_lines_and_corners_can_be_shown(rig: Rig, matches: Matches) -> No
     layers = {layer.role: layer for layer in space_figure(rig, None, known).layers}
     assert not layers["joined"].shown
     corners = layers["corners"]
-    assert len(corners.parts) == len(corners.words) > 0
-    assert "mm" in corners.words[0]
+    assert len(corners.parts) == len(corners.descriptions) > 0
+    assert "mm" in corners.descriptions[0]
     assert Page(render_report(rig=rig, matches=known)).text.count("moves") == 1
 
 

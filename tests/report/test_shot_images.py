@@ -41,7 +41,7 @@ def test_lines_are_the_residuals_magnified_from_where_each_place_was_found() -> 
     times = float(part.times)
     for number, camera in enumerate(part.cameras):
         assert camera.name == result.cameras[number]
-        assert camera.words == "all 12 shots, the largest residuals first"
+        assert camera.caption == "all 12 shots, the largest residuals first"
         for figure in camera.figures:
             (row,) = [
                 k
@@ -72,7 +72,7 @@ def test_the_largest_come_first_and_no_more_than_twelve_are_read() -> None:
     part = shot_images_part(more, pictures(read))
     assert part is not None
     first = part.cameras[0]
-    assert first.words == "the 12 of 24 shots with the largest residuals, the largest first"
+    assert first.caption == "the 12 of 24 shots with the largest residuals, the largest first"
     rms_px = [float(figure.caption.split()[0]) for figure in first.figures]
     assert rms_px == sorted(rms_px, reverse=True)
     assert len(first.figures) == MOST_SHOTS

@@ -17,7 +17,7 @@ from trinoc.report.coverage import Coverage, coverage_by_boards, mean_residuals,
 from trinoc.report.field_part import FieldLevel, halves_maps, uncertainty_maps
 from trinoc.report.html import render_report
 from trinoc.report.numbers import with_sigma
-from trinoc.report.shots_part import shot_table
+from trinoc.report.shots_part import count_shots, shot_table
 from trinoc.report.verdict import Verdict, find_verdict
 
 from .conftest import made_up_rig
@@ -177,7 +177,8 @@ def test_the_verdict_is_that_of_the_worst_check(changes, level, says) -> None:
 def test_pictures_are_counted_by_what_became_of_them(result) -> None:
     views = (result.views[0]._replace(used=np.zeros(len(BOARD), bool)), *result.views[1:])
     table = shot_table(made_up(views=views, failures={"left, 99": "too dark"}))
-    assert [table.count(role) for role in ("used", "left-out", "missing", "none")] == [35, 1, 1, 2]
+    roles = ("used", "left-out", "missing", "none")
+    assert [count_shots(table, role) for role in roles] == [35, 1, 1, 2]
     assert judged(made_up(views=views, refused=("00: moved.",))).level is Level.CARE
 
 
@@ -225,7 +226,7 @@ def test_the_halves_are_compared_over_the_field(result) -> None:
     assert {(cell.text, cell.below) for cell in near[0].cells} == {
         ("0.05", "3.5 \N{GREEK SMALL LETTER SIGMA}")
     }
-    assert far[0].cells[3].words == "no ray of the lens"
+    assert far[0].cells[3].description == "no ray of the lens"
     page = Page(render_report(result=with_maps))
     for word in ("512 mm away, 3.54 sigmas rms", "1536 mm away", "Two halves"):
         assert word in page.text
@@ -246,8 +247,8 @@ def test_the_maps_grow_as_the_sigmas_of_the_rig(result) -> None:
     doubled = uncertainty_maps(wider)
     assert doubled is not None
     for wide, level in zip(doubled.levels, maps.levels, strict=True):
-        assert (wide.said, wide.stands) == (level.said, level.stands)
-    assert [level.said.split()[0] for level in maps.levels if level.stands] == ["1", "3"]
+        assert (wide.name, wide.stands) == (level.name, level.stands)
+    assert [level.name.split()[0] for level in maps.levels if level.stands] == ["1", "3"]
     assert doubled.at_boards.median_px == pytest.approx(2 * maps.at_boards.median_px)
     assert doubled.at_boards.worst_px == pytest.approx(2 * maps.at_boards.worst_px)
     assert doubled.worst_farther_px == pytest.approx(2 * maps.worst_farther_px)

@@ -82,7 +82,7 @@ def test_residuals_beyond_noise_ask_for_care_and_then_are_bad(result: Calibratio
             c for c in judged(result=worse).checks if c.question.startswith("Are the residuals")
         ]
         assert check.level is level
-        assert "right" in check.words or chi_square < 1.03
+        assert "right" in check.explanation or chi_square < 1.03
 
 
 def test_views_that_disagree_ask_for_a_check_of_the_rig(matches: Matches) -> None:
@@ -114,7 +114,7 @@ def test_the_page_has_the_verdict_of_the_matches_and_every_finding(matches: Matc
         verdict = judged(matches=changed)
         assert (verdict.sentence, verdict.level) == (status.value, LEVEL_OF_STATUS[status])
         assert verdict.reason == assessment.deciding.reason
-        rows = [(check.figure, check.words, check.remedy) for check in verdict.checks]
+        rows = [(check.figure, check.explanation, check.remedy) for check in verdict.checks]
         assert rows == [(f.figure, f.explanation, f.remedy) for f in assessment.findings]
 
 
@@ -149,7 +149,7 @@ def test_the_maps_show_what_the_library_says(
     corners = [float(level.maps[0].cells[0].text) for level in field.planes]
     assert corners[0] > corners[field.planes.index(high)] < corners[-1]
     heights = [
-        float(level.said.split()[2].replace("\N{MINUS SIGN}", "-")) for level in field.planes
+        float(level.name.split()[2].replace("\N{MINUS SIGN}", "-")) for level in field.planes
     ]
     assert heights == sorted(heights)
     assert len(field.pictures) == len(rig)

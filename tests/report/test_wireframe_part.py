@@ -33,7 +33,7 @@ def test_the_figure_has_every_edge_vertex_and_face_once() -> None:
         "corners (5)": 5,
         "free ends (2)": 2,
     }
-    words = [word for layer in figure.layers for word in layer.words]
+    words = [word for layer in figure.layers for word in layer.descriptions]
     assert len(words) == len(FRAME) + len(FRAME.vertices_mm)
     assert any(word.startswith("edge 0: length 30") and "tracks 0, 1" in word for word in words)
     low, high = figure.views[0].box

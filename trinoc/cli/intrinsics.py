@@ -349,7 +349,7 @@ class UndistortCommand(Command):
 
 
 def _table(lenses: "Mapping[str, Intrinsics]", maps: "Mapping[str, PictureMaps]") -> str:
-    from trinoc.report.text import text_table
+    from trinoc.report.report_table import text_table
 
     head = ("camera", "focal length (px)", "principal point (px)", "skew (px)", "valid pixels")
     rows = [

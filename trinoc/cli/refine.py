@@ -183,7 +183,7 @@ class CompareCommand(Command):
     def run(self, command_line: str) -> Outcome:
         """Compare, and say what moved."""
         from trinoc.calib.rig_check.comparison import compare_rigs
-        from trinoc.report.text import text_table
+        from trinoc.report.report_table import text_table
 
         comparison = compare_rigs(read_rig(self.rig), read_rig(self.earlier))
         head = ("camera", "moved (mm)", "turned (deg)", "sigmas", "field (px)", "field (sigmas)")

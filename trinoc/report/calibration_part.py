@@ -1,4 +1,4 @@
-"""Cameras with their parameters, and what was found in each picture of the sheet."""
+"""Cameras with their parameters, and the detections in each image of the sheet."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,22 +13,21 @@ from trinoc.geometry.rig import Rig
 from trinoc.report.coverage import Coverage
 from trinoc.report.numbers import with_decimals, with_sign
 from trinoc.report.parameter_table import (
-    PAIR_HEAD,
-    Rows,
+    boards_table,
     is_without_sheet,
-    pair_rows,
-    parameter_rows,
-    parameter_rows_of_boards,
-    parameter_rows_of_shots,
+    lens_table,
+    pairs_table,
+    rig_table,
 )
 from trinoc.report.pictures import Arrows, PagePicture, Window, clip_line
+from trinoc.report.report_table import ReportTable
 
 # The longest residual arrow, as a share of the width of the part of the picture shown.
 ARROW_REACH = 0.09
 
 
 class StatusRow(NamedTuple):
-    """What one camera's fit says about itself, in sentences and in figures.
+    """Status of one camera's fit, in sentences and in figures.
 
     verdict : "good", "suspect" or "failed".
     """
@@ -40,7 +39,7 @@ class StatusRow(NamedTuple):
     figures: tuple[tuple[str, str], ...]
 
 
-# What each figure of a camera means, in the order of the cards.
+# The meaning of each figure of a camera, in the order of the cards.
 MEANINGS = (
     ("circles used", "those found that agree with the others; the rest were located wrongly"),
     ("residual length, rms", "of the circles' centres, predicted minus observed"),
@@ -71,7 +70,7 @@ class Ellipse(NamedTuple):
     angle_deg: float
     tip: tuple[float, float]
     used: bool
-    words: str
+    description: str
 
 
 class DetectionFigure(NamedTuple):
@@ -86,27 +85,24 @@ class DetectionFigure(NamedTuple):
 
 
 class CamerasPart(NamedTuple):
-    """Parameters of cameras and boards, what the sigmas include, and how each fit ended.
+    """Parameters of cameras and boards, the contents of the sigmas, and the status of each fit.
 
-    remarks : sentences on the numbers; `reference` is what they are compared with, or "".
-    fixed : sentences on how boards are fixed to each other. pairs : rows on how cameras stand to
-    each other, under `pair_head`.
+    parameters : table of the cameras. remarks : sentences on its numbers. status : of each camera.
+    meanings : of the figures in `status`. pairs : table of baselines and rotations between cameras.
+    fixed : sentences on the poses of boards in a set. boards : table of their other parameters.
     """
 
-    names: tuple[str, ...]
-    rows: Rows
+    parameters: ReportTable
     remarks: tuple[str, ...]
-    reference: str = ""
     status: tuple[StatusRow, ...] = ()
     meanings: tuple[tuple[str, str], ...] = ()
-    boards: Rows = ()
+    pairs: ReportTable | None = None
     fixed: tuple[str, ...] = ()
-    pairs: tuple[tuple[str, ...], ...] = ()
-    pair_head: tuple[str, ...] = PAIR_HEAD
+    boards: ReportTable | None = None
 
 
 class SheetPart(NamedTuple):
-    """What was found in each picture of the sheet."""
+    """Coverage of each image of the sheet, and the residuals of its circles."""
 
     coverage: Sequence[Coverage]
     figures: tuple[DetectionFigure, ...]
@@ -128,7 +124,7 @@ def cameras_part(
 
     others : cameras of the same rig that have no view of the scene, and are left out.
     """
-    rows = parameter_rows(rig, reference)
+    parameters = rig_table(rig, reference)
     remarks = (_DIGITS,) if len(rig.parameters) else ("Sigmas are not known.",)
     if is_without_sheet(rig):
         remarks += (
@@ -137,24 +133,27 @@ def cameras_part(
         )
     if others:
         remarks += (f"Cameras without a view of this scene are left out: {list_names(others)}.",)
-    name = reference_name if rows[0][1][0].reference else ""
+    if result is not None:
+        remarks += (_sigmas_sentence(result), *result.notes)
+    if any(cell.detail for row in parameters.cells() for cell in row):
+        remarks += (
+            f"Below it: {reference_name}, the error against it, and that error in sigmas; an error "
+            "beyond 3 sigma is marked with an asterisk.",
+        )
     if result is None:
-        return CamerasPart(rig.names, rows, remarks, name)
-    remarks += (_sigmas_sentence(result), *result.notes)
+        return CamerasPart(parameters, remarks)
     status = tuple(_status(result, name) for name in result.status)
-    meanings = MEANINGS if result.fits else ()
-    return CamerasPart(rig.names, rows, remarks, name, status, meanings)
+    return CamerasPart(parameters, remarks, status, MEANINGS if result.fits else ())
 
 
 def cameras_part_of_shots(result: CalibrationResult) -> CamerasPart:
     """The parameters of lenses, cameras and boards of a rig from many shots."""
     return CamerasPart(
-        result.cameras,
-        parameter_rows_of_shots(result),
+        lens_table(result),
         (_DIGITS, _sigmas_sentence(result), f"The world is {result.world}.", *result.notes),
-        boards=parameter_rows_of_boards(result),
+        pairs=pairs_table(result),
         fixed=tuple(f"{sentence.replace('+-', '±')}." for sentence in fixed_boards(result)),
-        pairs=pair_rows(result),
+        boards=boards_table(result),
     )
 
 
@@ -211,7 +210,7 @@ def _status(result: CalibrationResult, name: str) -> StatusRow:
 
 
 def _picture_figures(quality: ImageQuality | None) -> tuple[tuple[str, str], ...]:
-    """What the fit to the picture's grey levels says, where there was one."""
+    """Figures of the fit to the image's grey levels; none without such a fit."""
     if quality is None:
         return ()
     return (
@@ -250,7 +249,7 @@ def _ellipse(fit: CameraFit, row: int, arrows: Arrows) -> Ellipse:
     du, dv = (float(value) for value in fit.residuals_px[row])
     squared, axes = np.linalg.eigh(np.asarray(detection.shape_px2[row]))
     semi_minor, semi_major = (float(value) for value in np.sqrt(np.maximum(squared, 0)))
-    words = (
+    description = (
         f"circle {int(detection.circle_index[row])}: residual ({with_sign(du, 4)}, "
         f"{with_sign(dv, 4)}) px at ({u:.2f}, {v:.2f}){'' if used else ', not used'}"
     )
@@ -262,5 +261,5 @@ def _ellipse(fit: CameraFit, row: int, arrows: Arrows) -> Ellipse:
         float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))),
         arrows.tip((u, v), (du, dv)),
         used,
-        words,
+        description,
     )

@@ -1,4 +1,4 @@
-"""What a check of a report is: a question, how it is answered, and what is called bad."""
+"""A check of the report: its question, the function that answers it, and its limits."""
 
 import enum
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +15,7 @@ from trinoc.report.frames_part import FramesPart
 
 
 class Level(enum.Enum):
-    """How a check came out, the worst first; the value is what the page says."""
+    """Outcome of a check, the worst first; the value is its text on the page."""
 
     BAD = "bad"
     CARE = "take care"
@@ -24,7 +24,7 @@ class Level(enum.Enum):
 
 
 class Subject(NamedTuple):
-    """What there is to judge; a check answers None where what it asks for is not there."""
+    """The contents of a report that checks read; a check of missing contents answers None."""
 
     result: CalibrationResult | None = None
     shots: CalibrationResult | None = None
@@ -39,38 +39,37 @@ class Subject(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """The number that is held against the limits, and the same in a figure and in words.
+    """The number that is compared with the limits, as a figure and in a sentence.
 
-    part : the part of the page to look at, where it is not that of the check.
-    remedy : what to do, where it is not that of the check.
+    part : the part of the page to look at, if another than that of the check.
+    remedy : what to do, if another than that of the check.
     """
 
     value: float
     figure: str
-    words: str
+    explanation: str
     part: str = ""
     remedy: str = ""
 
 
 class ReportCheck(NamedTuple):
-    """One question, its answer in a figure and in words, and what to do where it is not good."""
+    """One question, its answer as a figure and in a sentence, and the remedy if it is not good."""
 
     question: str
     level: Level
     figure: str
-    words: str
+    explanation: str
     remedy: str
     part: str
 
 
 class Limits(NamedTuple):
-    """A row of the table: what is asked, how it is answered, and what is called bad.
+    """A row of the table of checks: question, function that answers it, and limits.
 
     Fields
     ------
-    good : the largest value that is good, or, where `at_least`, the smallest; None where the
-        reader judges.
-    beyond : what a value is that is not good; one above `bad`, or not a number, is bad.
+    good : the largest good value, or with `at_least` the smallest; None if the reader decides.
+    beyond : the level of a value that is not good; above `bad`, or not a number, it is bad.
     """
 
     question: str
@@ -90,7 +89,7 @@ class Limits(NamedTuple):
         level = self._level(answer.value)
         remedy = "" if level is Level.GOOD else answer.remedy or self.remedy
         part = answer.part or self.part
-        return ReportCheck(self.question, level, answer.figure, answer.words, remedy, part)
+        return ReportCheck(self.question, level, answer.figure, answer.explanation, remedy, part)
 
     def _level(self, value: float) -> Level:
         if self.good is None:

@@ -1,4 +1,4 @@
-"""How much of each picture the circles or boards cover, and residuals over parts of a picture."""
+"""Coverage of each image by circles or boards, and mean residuals over parts of an image."""
 
 from typing import NamedTuple
 
@@ -12,14 +12,14 @@ from trinoc.report.pictures import Arrows, PagePicture
 
 # Parts of the picture, along each side, over which residuals are averaged.
 PARTS = 8
-# Fewer places in a part say nothing of its mean.
+# A part with fewer points has no mean.
 _FEWEST = 5
 # The longest arrow, as a share of a part's width.
 _REACH = 0.9
 
 
 class Coverage(NamedTuple):
-    """A whole picture with the places that took part and the outline that holds them.
+    """An image with the points that were used and the outline around them.
 
     `share` is the area of the outline over that of the picture.
     """
@@ -33,22 +33,22 @@ class Coverage(NamedTuple):
 
 
 class MeanResidual(NamedTuple):
-    """Of one part of the picture: its middle, the tip of its arrow, and what it means."""
+    """Mean residual of one part of the image: middle, tip of its arrow, and a description."""
 
     u: float
     v: float
     tip: tuple[float, float]
-    words: str
+    description: str
 
 
 class MeanResiduals(NamedTuple):
-    """One camera's, averaged over parts of its picture.
+    """Mean residuals of one camera over parts of its image.
 
     Fields
     ------
-    rms_px : the length of the means.
-    over_chance : that length over what the scatter within the parts would leave; near 1 where
-        nothing depends on the place. NaN where there are too few.
+    rms_px : root mean square length of the means.
+    over_chance : that length over the one expected from the scatter within the parts. It is near
+        1 if residuals do not depend on the position, and NaN with too few points.
     """
 
     name: str
@@ -60,7 +60,7 @@ class MeanResiduals(NamedTuple):
 
 
 class CameraPlaces(NamedTuple):
-    """All places of one camera over its shots that took part, and their residuals."""
+    """All used points of one camera over its shots, and their residuals."""
 
     picture: PagePicture
     places_px: Float[np.ndarray, "n 2"]
@@ -70,7 +70,7 @@ class CameraPlaces(NamedTuple):
 def coverage_by_circles(
     result: CalibrationResult, pictures: dict[str, PagePicture]
 ) -> tuple[Coverage, ...]:
-    """For each camera in whose picture the sheet was found."""
+    """Coverage of each camera that detected the sheet."""
     count = len(result.pattern)
     used = {name: np.asarray(fit.used) for name, fit in result.fits.items()}
     return tuple(
@@ -84,11 +84,11 @@ def coverage_by_circles(
     )
 
 
-def coverage_by_boards(seen: dict[str, CameraPlaces]) -> tuple[Coverage, ...]:
-    """For each camera, over all shots."""
+def coverage_by_boards(points: dict[str, CameraPlaces]) -> tuple[Coverage, ...]:
+    """Coverage of each camera over all shots."""
     return tuple(
-        _coverage(name, own.picture, own.places_px, f"{len(own.places_px):,} places")
-        for name, own in seen.items()
+        _coverage(name, of.picture, of.places_px, f"{len(of.places_px):,} places")
+        for name, of in points.items()
     )
 
 
@@ -105,43 +105,45 @@ def _coverage(
 
 
 def places_seen(result: CalibrationResult) -> dict[str, CameraPlaces]:
-    """By camera; those that saw no board are left out."""
-    found = {}
+    """Points and residuals by camera, without cameras that saw no board."""
+    points = {}
     for number, name in enumerate(result.cameras):
-        own = [
+        observations = [
             (view, residuals[view.kept])
             for view, residuals in zip(result.views, result.residuals_px, strict=True)
             if view.camera == number
         ]
-        if sum(len(residuals) for _, residuals in own):
-            shown = [v.detection.centres_px if v.shown is None else v.shown.uv_px for v, _ in own]
-            places = [np.asarray(uv)[v.kept] for uv, (v, _) in zip(shown, own, strict=True)]
-            picture = PagePicture(name, *own[0][0].detection.image_size_px, "")
-            errors = np.concatenate([residuals for _, residuals in own])
-            found[name] = CameraPlaces(picture, np.concatenate(places), errors)
-    return found
+        if sum(len(residuals) for _, residuals in observations):
+            uv_px = [
+                np.asarray(v.detection.centres_px if v.shown is None else v.shown.uv_px)[v.kept]
+                for v, _ in observations
+            ]
+            picture = PagePicture(name, *observations[0][0].detection.image_size_px, "")
+            errors = np.concatenate([residuals for _, residuals in observations])
+            points[name] = CameraPlaces(picture, np.concatenate(uv_px), errors)
+    return points
 
 
-def mean_residuals(seen: dict[str, CameraPlaces]) -> tuple[tuple[MeanResiduals, ...], Arrows]:
-    """Of each camera, and the scale of the arrows, one for all."""
-    averages = {name: _averages(own) for name, own in seen.items()}
+def mean_residuals(points: dict[str, CameraPlaces]) -> tuple[tuple[MeanResiduals, ...], Arrows]:
+    """Mean residuals of each camera, and the one scale of all arrows."""
+    averages = {name: _averages(of) for name, of in points.items()}
     arrows = Arrows.reaching(
         [
             (
                 float(np.linalg.norm(of.mean_px, axis=1).max()),
-                _REACH * seen[name].picture.width_px / PARTS,
+                _REACH * points[name].picture.width_px / PARTS,
             )
             for name, of in averages.items()
             if len(of.mean_px)
         ]
     )
     return tuple(
-        _mean_residuals(name, own.picture, averages[name], arrows) for name, own in seen.items()
+        _mean_residuals(name, of.picture, averages[name], arrows) for name, of in points.items()
     ), arrows
 
 
 class _Averages(NamedTuple):
-    """Middles, means and counts of the parts with places enough; `over_chance` of all."""
+    """Middles, means and counts of the parts with enough points; `over_chance` of all."""
 
     middle_px: Float[np.ndarray, "n 2"]
     mean_px: Float[np.ndarray, "n 2"]
@@ -149,20 +151,20 @@ class _Averages(NamedTuple):
     over_chance: float
 
 
-def _averages(seen: CameraPlaces) -> _Averages:
-    part = np.array([seen.picture.width_px, seen.picture.height_px]) / PARTS
-    column, row = np.clip(((seen.places_px + 0.5) // part).astype(int), 0, PARTS - 1).T
+def _averages(points: CameraPlaces) -> _Averages:
+    part = np.array([points.picture.width_px, points.picture.height_px]) / PARTS
+    column, row = np.clip(((points.places_px + 0.5) // part).astype(int), 0, PARTS - 1).T
     key = row * PARTS + column
     count = np.bincount(key, minlength=PARTS**2)
-    sums = [np.bincount(key, axis, minlength=PARTS**2) for axis in seen.residuals_px.T]
-    said = count >= _FEWEST
+    sums = [np.bincount(key, axis, minlength=PARTS**2) for axis in points.residuals_px.T]
+    enough = count >= _FEWEST
     grid = np.stack(np.meshgrid(np.arange(PARTS), np.arange(PARTS)), axis=-1).reshape(-1, 2)
     mean = np.stack(sums, axis=1) / np.maximum(count, 1)[:, None]
-    scatter = (seen.residuals_px - mean[key])[said[key]]
-    within = (scatter**2).sum() / max(2 * (count[said] - 1).sum(), 1)
-    between = (count[:, None] * mean**2)[said]
+    scatter = (points.residuals_px - mean[key])[enough[key]]
+    within = (scatter**2).sum() / max(2 * (count[enough] - 1).sum(), 1)
+    between = (count[:, None] * mean**2)[enough]
     over_chance = float(np.sqrt(between.mean() / within)) if within > 0 else float("nan")
-    return _Averages((grid[said] + 0.5) * part - 0.5, mean[said], count[said], over_chance)
+    return _Averages((grid[enough] + 0.5) * part - 0.5, mean[enough], count[enough], over_chance)
 
 
 def _mean_residuals(

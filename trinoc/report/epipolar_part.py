@@ -87,8 +87,7 @@ def corrected_circle_centres(result: CalibrationResult) -> Float[np.ndarray, "n 
 
 def ends_of_tracks(matches: Matches) -> Float[np.ndarray, "n v 2"]:
     """Corresponding ends of the fragments of the tracks that three or more views see."""
-    seen = np.asarray(matches.stage) == TRINOCULAR
-    fragments = np.asarray(matches.fragments_px)[seen]
+    fragments = np.asarray(matches.fragments_px)[np.asarray(matches.stage) == TRINOCULAR]
     return np.concatenate([fragments[:, :, 0], fragments[:, :, 1]])
 
 
@@ -181,7 +180,7 @@ def _rms_distance_px(a: Camera, b: Camera, points: Float[np.ndarray, "n 2 2"]) -
 
 
 def _numbers(rig: Rig, name: str, rays: Float[np.ndarray, "r c 3"]) -> dict[str, Any]:
-    """What the page's script needs to draw the epipolar lines of any point of this view."""
+    """Numbers from which the page's script draws the epipolar lines of any point of this view."""
     camera = rig[name]
     return {
         "size": list(camera.image_size_px),
@@ -216,7 +215,7 @@ def epipolar_distances_px(
     uv_b_px: Float[np.ndarray, "n 2"],
     uv_a_px: Float[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "n"]:
-    """How far points of view b lie from the epipolar curves of their partners in view a."""
+    """Distance of points of view b from the epipolar curves of their partners in view a, px."""
     distances = _distances_px(camera_b, camera_a, _in_bucket(uv_b_px), _in_bucket(uv_a_px))
     return np.asarray(distances)[: len(uv_b_px)]
 

@@ -2,12 +2,12 @@
 
 from trinoc.evaluation.evaluation import Evaluation
 from trinoc.report.numbers import with_decimals
-from trinoc.report.text import text_table
+from trinoc.report.report_table import text_table
 
 
 def evaluation_text(evaluation: Evaluation) -> str:
-    """Shares within each distance as a table, then distances, angles and normalised errors."""
-    head = ["within (mm)", *(f"{at:g}" for at in evaluation.tolerances_mm)]
+    """Table of the shares within each distance, then distances, angles and normalised errors."""
+    head = ["within (mm)", *(f"{tolerance:g}" for tolerance in evaluation.tolerances_mm)]
     table = [
         [name, *(_number(share, 3) for share in shares)]
         for name, shares in (
@@ -26,7 +26,7 @@ def evaluation_text(evaluation: Evaluation) -> str:
         f"0.95); the sigma of the median line is too small by {_number(normalised.spread, 2)} "
         "(true: 1)",
     ]
-    parts = [text_table(head, table, left=0), "\n".join(figures)]
+    parts = [text_table(head, table, left_columns=0), "\n".join(figures)]
     motion = evaluation.motion
     if motion is not None:
         shift = " ".join(f"{component:.3f}" for component in motion.shift_mm)

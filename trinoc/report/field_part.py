@@ -1,4 +1,4 @@
-"""Uncertainty over the field: of epipolar lines and of places, of pixels, and between halves."""
+"""Uncertainty over the field: of epipolar lines, of points, of pixels, and between halves."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -23,12 +23,12 @@ PLACES = 5
 LEVELS = (3, 5, 3)
 # Distances of points from a camera, over that of the boards; at the last, poses hardly matter.
 DISTANCES = (0.5, 0.7, 1.0, 1.5, 2.0, TUNING.advice.farther, 5.0, 10.0, 100.0)
-# So many claimed sigmas between two halves are as dark as a tile becomes.
+# Reported sigmas between two halves at which a tile is darkest.
 _DARKEST = 3.0
 
 
 class Scale(NamedTuple):
-    """What makes the numbers of a map short: its largest, and thousandths where that is small."""
+    """Scale of the numbers of a map: the largest one, and whether the unit is a thousandth."""
 
     largest: float
     thousandths: bool
@@ -56,12 +56,12 @@ class Scale(NamedTuple):
 
 
 class FieldCell(NamedTuple):
-    """A part of a map: its number, how dark it is (0 to 1), a second number, and both in words."""
+    """A part of a map: its number, its shade (0 to 1), a second number, and a description."""
 
     text: str
     shade: float
     below: str = ""
-    words: str = ""
+    description: str = ""
 
 
 class FieldMap(NamedTuple):
@@ -77,18 +77,18 @@ class FieldMap(NamedTuple):
 
 
 class FieldLevel(NamedTuple):
-    """Maps of one height or distance; those that `stand` are shown first, and on paper."""
+    """Maps of one height or distance; the page shows those that `stand` first, and on paper."""
 
-    said: str
+    name: str
     maps: tuple[FieldMap, ...]
     stands: bool
 
 
 class FieldPart(NamedTuple):
-    """Maps of epipolar lines (px) and of points in space (mm); sigmas of the cameras alone.
+    """Maps of epipolar lines (px) and of points in space (mm), by the errors of the cameras alone.
 
-    `worst_mm` is the largest sigma of a point on the levels that stand, not of one in the middle:
-    where all axes meet, a rig knows its points best, or exactly.
+    `worst_mm` is the largest sigma of a point on the levels that stand. The middle, where all axes
+    meet, would be too good a measure: the sigma is smallest there, or zero.
     """
 
     pictures: tuple[FieldMap, ...]
@@ -133,7 +133,7 @@ def field_part(
     matches: Matches | None,
     pictures: dict[str, PagePicture],
 ) -> FieldPart | None:
-    """The maps; None for a rig that does not know its errors, or has one camera."""
+    """Maps of epipolar lines and points; None for one camera, or a rig without a covariance."""
     if not len(rig.parameters) or len(rig) < 2:
         return None
     worst = {
@@ -185,38 +185,38 @@ def _planes(
     )
     levels = []
     for height, sigma in zip(heights, sigmas, strict=True):
-        said = f"Z = {with_decimals(height, 0)} mm"
+        name = f"Z = {with_decimals(height, 0)} mm"
         cells = tuple(scale.cell(float(one)) for one in sigma)
         cell = (float(step[0]), float(step[1]))
-        map_ = FieldMap(said, caption, None, window, cell, grid * [1, -1], cells)
-        levels.append(FieldLevel(said, (map_,), height in (low, high)))
+        map_ = FieldMap(name, caption, None, window, cell, grid * [1, -1], cells)
+        levels.append(FieldLevel(name, (map_,), height in (low, high)))
     return tuple(levels), scale.largest
 
 
 def _point_sigmas(
     rig: Rig, xy_mm: Float[np.ndarray, "n 2"], height_mm: float
 ) -> Float[np.ndarray, "n"]:
-    """Along the worst direction, for points that all cameras see exactly."""
+    """Sigma along the worst direction, mm, of points that all cameras see exactly."""
     covariance = point_covariance(rig, np.insert(xy_mm, 2, height_mm, axis=1))
-    known = np.isfinite(covariance).all(axis=(1, 2))
+    valid = np.isfinite(covariance).all(axis=(1, 2))
     sigmas = np.full(len(xy_mm), np.nan)
-    sigmas[known] = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[known])[:, -1], 0.0))
+    sigmas[valid] = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[valid])[:, -1], 0.0))
     return sigmas
 
 
 def uncertainty_maps(result: CalibrationResult) -> Uncertainty | None:
-    """How well each camera knows where it images a point, for a board of exactly the stated size;
-    None without a rig or a covariance."""
-    known = result.pixel_sigma
-    if known is None:
+    """Sigma of the pixel at which each camera images a point, for a board of exactly the stated
+    size; None without a rig or a covariance."""
+    pixel_sigma = result.pixel_sigma
+    if pixel_sigma is None:
         return None
     levels, worst = [], {}
     rig = rig_of_known_size(result.rig, result.parameters, result.covariance)
     for times in DISTANCES:
         maps, worst[times] = _draw_maps(result, rig, times)
-        said = f"{times:g} times as far as the boards"
-        levels.append(FieldLevel(said, maps, times in (1.0, TUNING.advice.farther)))
-    return Uncertainty(tuple(levels), worst[TUNING.advice.farther], known)
+        name = f"{times:g} times as far as the boards"
+        levels.append(FieldLevel(name, maps, times in (1.0, TUNING.advice.farther)))
+    return Uncertainty(tuple(levels), worst[TUNING.advice.farther], pixel_sigma)
 
 
 def _draw_maps(
@@ -225,19 +225,18 @@ def _draw_maps(
     maps, worst = [], 0.0
     for name in result.cameras:
         distance = times * result.board_distance_mm(name)
-        found = projection_sigma(rig, name, distance)
-        scale = Scale.of(found.sigma_px)
+        sigma_px = projection_sigma(rig, name, distance).sigma_px
+        scale = Scale.of(sigma_px)
         caption = f"{with_decimals(distance, 0)} mm away, {scale.px}"
         picture = PagePicture(name, *rig[name].image_size_px, "")
-        cells = [scale.cell(float(sigma)) for sigma in found.sigma_px]
+        cells = [scale.cell(float(sigma)) for sigma in sigma_px]
         maps.append(_over_picture(name, caption, picture, cells))
-        known = found.sigma_px[np.isfinite(found.sigma_px)]
-        worst = max(worst, float(known.max(initial=0.0)))
+        worst = max(worst, float(sigma_px[np.isfinite(sigma_px)].max(initial=0.0)))
     return tuple(maps), worst
 
 
 def halves_maps(result: CalibrationResult) -> tuple[tuple[FieldMap, ...], ...]:
-    """Where two halves of the shots disagree, in px and in claimed sigmas.
+    """Disagreement of two halves of the shots, in px and in reported sigmas.
 
     Maps of the cameras at the distance of the boards, and farther; nothing without halves.
     """
@@ -246,13 +245,13 @@ def halves_maps(result: CalibrationResult) -> tuple[tuple[FieldMap, ...], ...]:
     maps = []
     for farther in (0, 1):
         for field in result.halves.over_field:
-            said = field.difference_px[farther], field.sigma_px[farther], field.over_sigma[farther]
+            columns = (field.difference_px, field.sigma_px, field.over_sigma)
             caption = (
                 f"{with_decimals(float(field.distance_mm[farther]), 0)} mm away, "
                 f"{with_decimals(float(field.rms_over_sigma[farther]), 2)} sigmas rms"
             )
             picture = PagePicture(field.camera, *result.rig[field.camera].image_size_px, "")
-            cells = [_halves_cell(*each) for each in zip(*said, strict=True)]
+            cells = [_halves_cell(*each) for each in zip(*(column[farther] for column in columns))]
             maps.append(_over_picture(field.camera, caption, picture, cells))
     count = len(result.halves.over_field)
     return tuple(maps[:count]), tuple(maps[count:])
@@ -266,6 +265,6 @@ def _halves_cell(
     length = float(np.linalg.norm(difference_px))
     px = f"{length:.2g}" if length >= 0.01 else f"{length:.1g}"
     du, dv = (f"{x:+.2g}" for x in difference_px)
-    words = f"({du}, {dv}) px; claimed are {sigma_px:.2g} px per axis"
+    description = f"({du}, {dv}) px; claimed are {sigma_px:.2g} px per axis"
     shade = min(float(over_sigma) / _DARKEST, 1.0)
-    return FieldCell(px, shade, f"{over_sigma:.1f} \N{GREEK SMALL LETTER SIGMA}", words)
+    return FieldCell(px, shade, f"{over_sigma:.1f} \N{GREEK SMALL LETTER SIGMA}", description)

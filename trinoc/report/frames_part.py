@@ -1,6 +1,4 @@
-"""What became of a recording: each frame's tracks over time, the frames to look at, and one to
-show whole.
-"""
+"""Results of all frames of a recording: tracks over time, and the frames to look at."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -13,6 +11,7 @@ from trinoc.match.tracks.matches import TRINOCULAR, Matches, MatchStatus
 from trinoc.match.tracks.reliability import assess_matches
 from trinoc.report.matches_part import share_matched
 from trinoc.report.numbers import percent, with_decimals
+from trinoc.report.report_table import ReportTable
 
 # A chart has at most so many columns, of several frames each in long recordings.
 COLUMNS = 400
@@ -25,34 +24,34 @@ RUNS, LEAST_RUN = 10, 5
 
 
 class FrameFate(NamedTuple):
-    """What became of one frame; numbers are NaN where it failed.
+    """Result of one frame; numbers are NaN if it failed.
 
     Fields
     ------
     tracks : in three views or more, of two views in both.
     share : of all segments, those on a track.
     agreement : the noise scale of its matches.
-    said : why it failed or is suspect; empty where it is well.
+    problem : why it failed or is suspect; empty if it is well.
     status : that of its matches in small letters; "failed" without any.
-    care : why it is to be used with care; empty where it is not.
+    care : why it is to be used with care; empty if it is not.
     """
 
     name: str
     tracks: float
     share: float
     agreement: float
-    said: str
+    problem: str
     status: str
     care: str = ""
 
 
 class FrameChart(NamedTuple):
-    """A number of the frames over time: (n, 3) least, median and most of each column.
+    """A number of the frames over time.
 
     Fields
     ------
     low, high : the ends of its axis, in words.
-    points : columns from 0 to 1, numbers as shares of the axis.
+    points : (n, 3) least, median and largest number in each column, as shares of the axis.
     """
 
     title: str
@@ -62,7 +61,7 @@ class FrameChart(NamedTuple):
 
 
 class FramesPart(NamedTuple):
-    """Charts of all frames; those to look at, with why; the middle one, which is shown whole.
+    """Charts of all frames, the frames to look at, and the middle one, which is shown whole.
 
     `agreement` holds the medians of the noise scales of frames in a row, the first run first.
     """
@@ -75,14 +74,29 @@ class FramesPart(NamedTuple):
     middle: str
     agreement: Float[np.ndarray, "r"]
 
+    @property
+    def table(self) -> ReportTable:
+        """The frames to look at, and why."""
+        rows = [
+            [
+                frame.name,
+                frame.status,
+                f"{frame.tracks:.0f}" if np.isfinite(frame.tracks) else "none",
+                frame.problem,
+            ]
+            for frame in self.to_look_at
+        ]
+        note = f"and {self.omitted} more; the manifest has them all." if self.omitted else ""
+        return ReportTable(("frame", "status", "tracks", "why"), rows, note=note, look="frames")
+
 
 def frames_part(frames: Mapping[str, Matches | None], failures: Mapping[str, str]) -> FramesPart:
-    """Read through the results of all frames, one at a time.
+    """Summarise the results of all frames, reading one at a time.
 
     Raises InputError where all frames failed: there is nothing to show.
     """
     fates = tuple(_frame_fate(name, frames[name], failures.get(name, "")) for name in frames)
-    well = [fate for fate in fates if not fate.said] or [
+    well = [fate for fate in fates if not fate.problem] or [
         fate for fate in fates if np.isfinite(fate.tracks)
     ]
     if not well:
@@ -95,15 +109,15 @@ def frames_part(frames: Mapping[str, Matches | None], failures: Mapping[str, str
     is_usual = sum(bool(fate.care) for fate in well) > len(well) / 2
     odd = []
     for fate in fates:
-        why = fate.said or ("" if is_usual else fate.care)
+        why = fate.problem or ("" if is_usual else fate.care)
         if why or fate.tracks < FEW * median:
-            odd.append(fate._replace(said=why or few))
+            odd.append(fate._replace(problem=why or few))
     numbers = np.array([(f.tracks, f.share, f.agreement) for f in fates]).T
     many, share, agreement = (_columns(row) for row in numbers)
-    most = max(float(np.nanmax(numbers[0])), 1.0)
+    most_tracks = max(float(np.nanmax(numbers[0])), 1.0)
     noisiest = max(float(np.nanmax(numbers[2], initial=0.0)), 2.0)
     charts = (
-        FrameChart("Tracks", "0", f"{most:.0f}", many / most),
+        FrameChart("Tracks", "0", f"{most_tracks:.0f}", many / most_tracks),
         FrameChart("Segments on a track", "0 %", "100 %", share),
         FrameChart(
             "Views apart, in sigmas",
@@ -112,7 +126,7 @@ def frames_part(frames: Mapping[str, Matches | None], failures: Mapping[str, str
             agreement / noisiest,
         ),
     )
-    bad = tuple((at + 0.5) / len(fates) for at, fate in enumerate(fates) if fate.said)
+    bad = tuple((number + 0.5) / len(fates) for number, fate in enumerate(fates) if fate.problem)
     return FramesPart(
         *(fates, charts, bad, tuple(odd[:LISTED]), max(len(odd) - LISTED, 0), middle),
         _run_medians(np.array([fate.agreement for fate in well])),
@@ -124,28 +138,28 @@ def _frame_fate(name: str, matches: Matches | None, failure: str) -> FrameFate:
         return FrameFate(name, np.nan, np.nan, np.nan, failure or "failed", "failed")
     in_three = np.asarray(matches.stage) == TRINOCULAR
     assessment = assess_matches(matches)
-    words = assessment.deciding.explanation
+    problem = assessment.deciding.explanation
     return FrameFate(
         name,
         float(in_three.sum() if len(matches.views) > 2 else len(matches)),
         share_matched(matches),
         float(matches.noise_scale) if in_three.any() else np.nan,
-        words if assessment.status is MatchStatus.SUSPECT else "",
+        problem if assessment.status is MatchStatus.SUSPECT else "",
         assessment.status.name.lower(),
         assessment.deciding.reason if assessment.status is MatchStatus.UNCERTAIN else "",
     )
 
 
 def _columns(values: Float[np.ndarray, "f"]) -> Float[np.ndarray, "n 3"]:
-    """Least, median and most of as many frames as a column holds; NaN where all failed."""
+    """Least, median and largest number of the frames in each column; NaN if all failed."""
     columns = []
     for part in np.array_split(values, min(COLUMNS, len(values))):
-        known = part[np.isfinite(part)]
-        columns.append(np.quantile(known, (0, 0.5, 1)) if len(known) else [np.nan] * 3)
+        finite = part[np.isfinite(part)]
+        columns.append(np.quantile(finite, (0, 0.5, 1)) if len(finite) else [np.nan] * 3)
     return np.array(columns)
 
 
 def _run_medians(values: Float[np.ndarray, "f"]) -> Float[np.ndarray, "r"]:
-    known = values[np.isfinite(values)]
-    runs = min(RUNS, len(known) // LEAST_RUN) or min(len(known), 1)
-    return np.array([np.median(run) for run in np.array_split(known, runs)] if runs else [])
+    finite = values[np.isfinite(values)]
+    runs = min(RUNS, len(finite) // LEAST_RUN) or min(len(finite), 1)
+    return np.array([np.median(run) for run in np.array_split(finite, runs)] if runs else [])

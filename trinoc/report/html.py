@@ -2,13 +2,11 @@
 
 import functools
 import os
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jinja2
 import numpy as np
-from markupsafe import Markup, escape
 
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.result.summary import fixed_boards
@@ -39,6 +37,7 @@ from trinoc.report.frames_part import FramesPart
 from trinoc.report.matches_part import matches_part
 from trinoc.report.parameter_table import is_without_sheet
 from trinoc.report.pictures import PagePicture, page_pictures
+from trinoc.report.report_table import ReportTable, draw_code, draw_table
 from trinoc.report.shot_images_part import shot_images_part
 from trinoc.report.shots_part import boards_in_space, shot_table
 from trinoc.report.space_content import Box
@@ -112,27 +111,8 @@ def write_report(
     rig lacks a camera of the segments or matches, where many shots stand beside matches, or where
     `path` cannot be written.
     """
-    write_text(
-        path,
-        render_report(
-            result=result,
-            shot_pictures=shot_pictures,
-            sheet_pictures=sheet_pictures,
-            rig=rig,
-            segments=segments,
-            matches=matches,
-            scene_pictures=scene_pictures,
-            reference=reference,
-            reference_name=reference_name,
-            title=title,
-            tables=tables,
-            provenance=provenance,
-            doubts=doubts,
-            features=features,
-            advice=advice,
-            recording=recording,
-        ),
-    )
+    content = {name: value for name, value in locals().items() if name != "path"}
+    write_text(path, render_report(**content))
 
 
 def render_report(
@@ -164,8 +144,8 @@ def render_report(
             return _render(title, parts, subject, provenance)
         anchors = [part.anchor for part in parts]
         title_of_images = "Residuals of each shot on its image"
-        place = anchors.index("shots") + 1
-        parts.insert(place, ReportPart("shot-images", title_of_images, "shot_images", images))
+        row = anchors.index("shots") + 1
+        parts.insert(row, ReportPart("shot-images", title_of_images, "shot_images", images))
         return _render(title, parts, subject, provenance, images.pictures)
     rig = rig if rig is not None else (result.rig if result is not None else None)
     if rig is None:
@@ -197,8 +177,8 @@ def render_report(
     cameras = cameras_part(rig, result, reference, reference_name, others)
     parts.append(ReportPart("cameras", "Cameras", "cameras", cameras))
     if result is not None and result.fits:
-        found = sheet_part(result, subject.coverage, sheet)
-        parts.append(ReportPart("detection", "The sheet: coverage and residuals", "sheet", found))
+        values = sheet_part(result, subject.coverage, sheet)
+        parts.append(ReportPart("detection", "The sheet: coverage and residuals", "sheet", values))
     if subject.field is not None:
         parts.append(ReportPart("field", "Uncertainty over the field", "field", subject.field))
     if subject.epipolar:
@@ -210,10 +190,11 @@ def render_report(
         if matches is not None:
             parts.append(ReportPart("matches", "Matched segments", "matches", lines))
             parts.append(ReportPart("counts", "Counts, and why not", "counts", lines))
-    read = [own for own in features if own.READ_FIRST]
-    own_tables = [ExtraTable(own.IN_WORDS.capitalize(), *feature_table(own)) for own in read]
-    for number, table in enumerate((*own_tables, *tables), 1):
-        parts.append(ReportPart(f"table-{number}", table.title, "table", table))
+    listed = [each for each in features if each.READ_FIRST]
+    titled = [(each.IN_WORDS.capitalize(), feature_table(each)) for each in listed]
+    titled += [(t.title, ReportTable(t.head, t.rows, note=t.caption)) for t in tables]
+    for number, (heading, table) in enumerate(titled, 1):
+        parts.append(ReportPart(f"table-{number}", heading, "table", table))
     space = space_figure(rig, pattern, matches)
     parts.append(_space_part(with_features(space, features), tracks=matches is not None))
     pictures = [picture for picture in (*sheet.values(), *scene.values()) if picture.uri]
@@ -227,8 +208,8 @@ def judge_shots(shots: CalibrationResult) -> Verdict | None:
 
 
 def _parts_of_shots(shots: CalibrationResult, advice: str) -> tuple[list[ReportPart], Subject]:
-    seen = places_seen(shots)
-    coverage, (residuals, arrows) = coverage_by_boards(seen), mean_residuals(seen)
+    points = places_seen(shots)
+    coverage, (residuals, arrows) = coverage_by_boards(points), mean_residuals(points)
     subject = Subject(
         shots=shots,
         coverage=coverage,
@@ -265,14 +246,14 @@ def _epipolar_parts(
     sheet: Mapping[str, PagePicture],
     scene: Mapping[str, PagePicture],
 ) -> tuple[EpipolarPart, ...]:
-    found = []
+    parts = []
     if result is not None:
         points = corrected_circle_centres(result)
-        found.append(epipolar_part("sheet", "circles", result.rig, points, sheet))
+        parts.append(epipolar_part("sheet", "circles", result.rig, points, sheet))
     if matches is not None:
         in_rig_order = ends_of_tracks(matches)[:, [matches.views.index(name) for name in rig]]
-        found.append(epipolar_part("scene", "ends of tracks", rig, in_rig_order, scene))
-    return tuple(part for part in found if part is not None)
+        parts.append(epipolar_part("scene", "ends of tracks", rig, in_rig_order, scene))
+    return tuple(part for part in parts if part is not None)
 
 
 def _space_part(figure: SpaceFigure, *, tracks: bool) -> ReportPart:
@@ -286,7 +267,7 @@ def _space_part(figure: SpaceFigure, *, tracks: bool) -> ReportPart:
 
 
 def render_space(figure: SpaceFigure, *, title: str) -> str:
-    """The figure to turn, alone on a page."""
+    """The interactive figure alone on a page."""
     if not figure.views:
         view = SpaceView("Nothing", Box.around(np.zeros((1, 3)), 0.5))
         figure = figure._replace(views=(view,))
@@ -302,7 +283,7 @@ def _render(
     pictures: Sequence[PagePicture] = (),
     world: str = "",
 ) -> str:
-    """The page; names that a template lacks raise, and what users wrote is never markup."""
+    """The text of the page. No text of a user becomes markup."""
     return (
         _templates()
         .get_template("page.html.j2")
@@ -326,13 +307,9 @@ def _templates() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["code"] = _with_code
+    environment.filters["code"] = draw_code
+    environment.globals["draw_table"] = draw_table
     return environment
-
-
-def _with_code(words: str) -> Markup:
-    """A sentence as HTML, where what stands between backticks is code."""
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(words))))
 
 
 def _check_views(what: str, names: Sequence[str], rig: Rig) -> None:

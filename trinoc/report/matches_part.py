@@ -1,4 +1,4 @@
-"""What the page shows of segments and matches: pictures with them, counts, reasons and tracks."""
+"""Figures and tables of segments and matches: images, counts, reasons and tracks."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -18,16 +18,17 @@ from trinoc.match.tracks.matches import (
 )
 from trinoc.report.numbers import in_words, with_decimals, with_sigma
 from trinoc.report.pictures import PagePicture, Window
+from trinoc.report.report_table import ReportTable
 from trinoc.report.space_content import PALETTE, distinct_neighbours
 
-# In 1/512 of the picture's width: height of a word, width of a letter, distance from its line.
+# In 1/512 of the image's width: height of a label, width of a letter, distance from its line.
 HEIGHT, LETTER, AWAY = 15.0, 9.0, 12.0
-# Where along its line a word may stand, the best place first.
+# Positions of a label along its line, the best first.
 PLACES = (0.5, 0.3, 0.7, 0.15, 0.85)
 
 
 class PlacedLabel(NamedTuple):
-    """A word and the place of its middle, in pixels of the picture."""
+    """A label and the position of its middle, in pixels of the image."""
 
     u: float
     v: float
@@ -37,9 +38,9 @@ class PlacedLabel(NamedTuple):
 def place_labels(
     texts: Sequence[str], lines_px: Float[np.ndarray, "n 2 2"], window: Window
 ) -> list[PlacedLabel]:
-    """A place beside each line where no earlier word stands; words that find none are left out."""
+    """Labels beside their lines that do not overlap; those without a free position are left out."""
     taken: list[tuple[float, float, float, float]] = []
-    placed = []
+    labels = []
     for text, (first, second) in zip(texts, lines_px, strict=True):
         along = second - first
         length = float(np.hypot(*along))
@@ -51,9 +52,9 @@ def place_labels(
             box = (*low.tolist(), *high.tolist())
             if _inside(box, window) and not any(_overlap(box, other) for other in taken):
                 taken.append(box)
-                placed.append(PlacedLabel(float(middle[0]), float(middle[1]), text))
+                labels.append(PlacedLabel(float(middle[0]), float(middle[1]), text))
                 break
-    return placed
+    return labels
 
 
 def _inside(box: tuple[float, float, float, float], window: Window) -> bool:
@@ -74,9 +75,9 @@ NUMBERED = 14
 
 
 class Stroke(NamedTuple):
-    """A segment or a fragment on a picture; `track` is -1 where it belongs to none.
+    """A segment or a fragment on an image; `track` is -1 if it belongs to none.
 
-    matched : None where nothing was matched.
+    matched : None without a matching.
     """
 
     u1: float
@@ -85,12 +86,12 @@ class Stroke(NamedTuple):
     v2: float
     track: int
     colour: str
-    words: str
+    description: str
     matched: bool | None = None
 
 
 class SegmentsFigure(NamedTuple):
-    """The strokes over one picture, and the ends of segments that only stand behind them."""
+    """The strokes over one image, and the ends of the segments drawn faintly behind them."""
 
     name: str
     picture: PagePicture
@@ -103,21 +104,21 @@ class SegmentsFigure(NamedTuple):
 def segments_figure(
     name: str, segments: Segments, matches: Matches | None, picture: PagePicture
 ) -> SegmentsFigure:
-    """All segments of one view, each with its longest track or the reason why it is on none."""
+    """All segments of one view, each with its longest track or the reason why it has none."""
     reasons = None if matches is None else matches.reasons.get(name)
     track_of = {} if matches is None else _longest_tracks(matches, name)
     strokes = []
     for row, ((u1, v1), (u2, v2)) in enumerate(np.asarray(segments.endpoints_px).tolist()):
-        words = f"segment {row} of {name}: {np.hypot(u2 - u1, v2 - v1):.1f} px"
+        description = f"segment {row} of {name}: {np.hypot(u2 - u1, v2 - v1):.1f} px"
         contrast = float(segments.contrast[row])
         if np.isfinite(contrast):
-            words += f", step of {contrast:.0f} grey levels"
+            description += f", step of {contrast:.0f} grey levels"
         if reasons is not None:
-            words += f", {in_words(str(reasons[row]))}"
+            description += f", {in_words(str(reasons[row]))}"
         track = track_of.get(row, -1)
-        words += f" (track {track})" if track >= 0 else ""
+        description += f" (track {track})" if track >= 0 else ""
         matched = None if matches is None else track >= 0
-        strokes.append(Stroke(u1, v1, u2, v2, track, "", words, matched))
+        strokes.append(Stroke(u1, v1, u2, v2, track, "", description, matched))
     length = float(np.sum(segments.length_px))
     caption = f"{len(segments):,} segments, {length:,.0f} px in all"
     if matches is not None:
@@ -157,8 +158,8 @@ def tracks_figures(
             length = with_sigma(
                 float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])
             )
-            words = f"track {track}: segment {segment} of {name}, {length} mm"
-            strokes.append(Stroke(u1, v1, u2, v2, track, colours[track], words))
+            description = f"track {track}: segment {segment} of {name}, {length} mm"
+            strokes.append(Stroke(u1, v1, u2, v2, track, colours[track], description))
         ends = np.asarray(segments[name].endpoints_px) if name in segments else np.zeros((0, 2, 2))
         faint = ends[~np.isin(np.arange(len(ends)), matches.index[tracks, view])]
         picture, caption = pictures[name], f"{len(strokes):,} tracks"
@@ -176,63 +177,58 @@ def tracks_figures(
 TABLE_ROWS = 300
 
 
-class TrackRow(NamedTuple):
-    """One line of the table of tracks."""
-
-    track: int
-    colour: str
-    stage: str
-    members: tuple[str, ...]
-    length: str
-    across: str
-    posterior: str
-    rival_posterior: str
-
-
-class ReasonRow(NamedTuple):
-    """One reason, and how many segments of each view it holds for."""
-
-    words: str
-    counts: tuple[int, ...]
-
-
 class MatchesPart(NamedTuple):
-    """Everything of the part on segments and matches; any list may be empty."""
+    """Figures and tables of the segments and, where there are any, of the matches."""
 
-    views: tuple[str, ...]
     segments: tuple[SegmentsFigure, ...]
-    trinocular: tuple[SegmentsFigure, ...]
-    binocular: tuple[SegmentsFigure, ...]
-    trinocular_count: int
-    binocular_count: int
-    pairs_of_views: tuple[tuple[str, int], ...]
-    counts: tuple[tuple[str, str], ...]
-    reasons: tuple[ReasonRow, ...]
-    totals: tuple[int, ...]
-    tracks: tuple[TrackRow, ...]
+    trinocular: tuple[SegmentsFigure, ...] = ()
+    binocular: tuple[SegmentsFigure, ...] = ()
+    trinocular_count: int = 0
+    binocular_count: int = 0
+    pairs_of_views: tuple[tuple[str, int], ...] = ()
+    counts: ReportTable | None = None
+    reasons: ReportTable | None = None
+    tracks: ReportTable | None = None
 
 
 def reasons_by_view(matches: Matches) -> dict[str, dict[str, int]]:
-    """How many segments of each view share each reason: "matched" first, then by number.
+    """Number of segments of each view by their reason: "matched" first, then by frequency.
 
     Reasons that differ only in a number ("ambiguous with 3") are one.
     """
-    table: dict[str, dict[str, int]] = {}
+    counts: dict[str, dict[str, int]] = {}
     for view in matches.views:
         for reason in np.asarray(matches.reasons[view], dtype=str).tolist():
-            words = in_words(re.sub(r"\d+", "others", reason))
-            table.setdefault(words, dict.fromkeys(matches.views, 0))[view] += 1
-    order = sorted(table, key=lambda w: (w != MATCHED, -sum(table[w].values()), w))
-    return {words: table[words] for words in order}
+            label = in_words(re.sub(r"\d+", "others", reason))
+            counts.setdefault(label, dict.fromkeys(matches.views, 0))[view] += 1
+    order = sorted(
+        counts, key=lambda label: (label != MATCHED, -sum(counts[label].values()), label)
+    )
+    return {label: counts[label] for label in order}
 
 
-def counts_of_steps(matches: Matches) -> tuple[tuple[str, str], ...]:
-    """What each step produced and rejected, as people read it; reasons have their own table."""
-    return tuple(
-        (in_words(name), f"{count:,}")
+def reasons_table(matches: Matches) -> ReportTable:
+    """Number of segments of each view by their reason, and of all."""
+    rows = [
+        [label, *map(str, counts.values())] for label, counts in reasons_by_view(matches).items()
+    ]
+    totals = [str(len(matches.reasons[view])) for view in matches.views]
+    return ReportTable(
+        ("reason", *matches.views),
+        [*rows, ["all segments", *totals]],
+        caption="What became of every segment",
+        row_attributes=[*({} for _ in rows), {"class": "total"}],
+    )
+
+
+def counts_table(matches: Matches) -> ReportTable:
+    """Numbers that each step of the matching produced and rejected, without the reasons."""
+    rows = [
+        [in_words(name), f"{count:,}"]
         for name, count in matches.counts.items()
         if not name.startswith("segments ")
-    )
+    ]
+    return ReportTable(("matching", "count"), rows, "What each step produced and rejected")
 
 
 def matches_part(
@@ -242,76 +238,81 @@ def matches_part(
     pictures: Mapping[str, PagePicture],
 ) -> MatchesPart:
     """Figures and tables of the segments and, where there are any, of the matches."""
-    found = tuple(
+    figures = tuple(
         segments_figure(name, segments[name], matches, pictures[name])
         for name in views
         if name in segments
     )
     if matches is None:
-        return MatchesPart(views, found, (), (), 0, 0, (), (), (), (), ())
-    fragments = np.asarray(matches.fragments_px)
-    colours = [PALETTE[c] for c in distinct_neighbours(fragments.mean(axis=2)).tolist()]
+        return MatchesPart(figures)
+    colours = track_colours(matches)
     sigmas = line_sigmas(matches.lines_mm, matches.covariance_mm2)
     stage = np.asarray(matches.stage)
     return MatchesPart(
-        views,
-        found,
+        figures,
         tracks_figures(TRINOCULAR, matches, segments, pictures, colours, sigmas),
         tracks_figures(BINOCULAR, matches, segments, pictures, colours, sigmas),
         int((stage == TRINOCULAR).sum()),
         int((stage == BINOCULAR).sum()),
         _pairs_of_views(matches),
-        counts_of_steps(matches),
-        tuple(
-            ReasonRow(words, tuple(counts.values()))
-            for words, counts in reasons_by_view(matches).items()
-        ),
-        tuple(len(matches.reasons[view]) for view in matches.views),
-        _track_rows(matches, colours, sigmas),
+        counts_table(matches),
+        reasons_table(matches),
+        tracks_table(matches),
     )
+
+
+def track_colours(matches: Matches) -> list[str]:
+    """A colour for each track, so that tracks near each other in a picture differ."""
+    middles_px = np.asarray(matches.fragments_px).mean(axis=2)
+    return [PALETTE[colour] for colour in distinct_neighbours(middles_px).tolist()]
 
 
 def _pairs_of_views(matches: Matches) -> tuple[tuple[str, int], ...]:
     """Binocular tracks of each pair of views."""
-    seen = np.asarray(matches.index)[np.asarray(matches.stage) == BINOCULAR] >= 0
+    is_seen = np.asarray(matches.index)[np.asarray(matches.stage) == BINOCULAR] >= 0
     views = matches.views
     return tuple(
-        (f"{views[a]} and {views[b]}", int((seen[:, a] & seen[:, b]).sum()))
+        (f"{views[a]} and {views[b]}", int((is_seen[:, a] & is_seen[:, b]).sum()))
         for a in range(len(views))
         for b in range(a + 1, len(views))
     )
 
 
-def _track_rows(matches: Matches, colours: list[str], sigmas: LineSigmas) -> tuple[TrackRow, ...]:
-    order = np.argsort(-sigmas.length_mm, kind="stable")[:TABLE_ROWS]
-    viewpoint_dependent = (
-        np.zeros(len(matches), dtype=bool)
-        if matches.viewpoint_dependent is None
-        else matches.viewpoint_dependent
-    )
+def tracks_table(matches: Matches) -> ReportTable:
+    """The longest tracks: their views, segments, length, sigma and posterior."""
+    sigmas, colours = line_sigmas(matches.lines_mm, matches.covariance_mm2), track_colours(matches)
+    order = np.argsort(-sigmas.length_mm, kind="stable")[:TABLE_ROWS].tolist()
     none = np.zeros(len(matches))
+    moves = none if matches.viewpoint_dependent is None else matches.viewpoint_dependent
     silhouette = matches.marks.get("silhouette", none)
-    rows = []
-    for track in order.tolist():
-        members = tuple("" if i < 0 else str(i) for i in np.asarray(matches.index[track]).tolist())
-        rows.append(
-            TrackRow(
-                track,
-                colours[track],
-                str(matches.stage[track])
-                + (", moves" if viewpoint_dependent[track] else "")
-                + (", outline of a round body" if silhouette[track] > EVEN_POSTERIOR else ""),
-                members,
-                with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])),
-                with_decimals(float(sigmas.across_sigma_mm[track]), 3),
-                with_decimals(float(matches.posterior[track]), 3),
-                with_decimals(float(matches.rival_posterior[track]), 3),
-            )
-        )
-    return tuple(rows)
+    rows = [
+        [
+            str(track),
+            str(matches.stage[track])
+            + (", moves" if moves[track] else "")
+            + (", outline of a round body" if silhouette[track] > EVEN_POSTERIOR else ""),
+            *("\N{EN DASH}" if i < 0 else str(i) for i in matches.index[track].tolist()),
+            with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track])),
+            with_decimals(float(sigmas.across_sigma_mm[track]), 3),
+            with_decimals(float(matches.posterior[track]), 3),
+            with_decimals(float(matches.rival_posterior[track]), 3),
+        ]
+        for track in order
+    ]
+    head = ("track", "seen", *(f"segment of {view}" for view in matches.views), "length (mm)")
+    return ReportTable(
+        (*head, "sigma across (mm)", "posterior", "runner-up"),
+        rows,
+        look="tracks",
+        row_attributes=[
+            {"tabindex": "0", "data-track": str(track), "style": f"--swatch:{colours[track]}"}
+            for track in order
+        ],
+    )
 
 
 def share_matched(matches: Matches) -> float:
     """The share of all segments that are on a track; NaN without any."""
-    words = np.concatenate([np.asarray(matches.reasons[view], dtype=str) for view in matches.views])
-    return float(np.mean(np.char.startswith(words, MATCHED))) if len(words) else np.nan
+    of_view = [np.asarray(matches.reasons[view], dtype=str) for view in matches.views]
+    reasons = np.concatenate(of_view)
+    return float(np.mean(np.char.startswith(reasons, MATCHED))) if len(reasons) else np.nan

@@ -1,6 +1,7 @@
 """Numbers as people write them beside their uncertainty."""
 
 import math
+from collections.abc import Sequence
 
 
 def significant_decimals(sigma: float, *, fallback: int = 4) -> int:
@@ -11,7 +12,7 @@ def significant_decimals(sigma: float, *, fallback: int = 4) -> int:
 
 
 def with_decimals(value: float, decimals: int) -> str:
-    """A number with a true minus sign; "not known" for NaN."""
+    """A number with a typographic minus sign; "not known" for NaN."""
     if not math.isfinite(value):
         return "not known"
     text = f"{value:.{decimals}f}"
@@ -26,8 +27,16 @@ def with_sigma(value: float, sigma: float) -> str:
     return f"{text} ± {sigma:.{decimals}f}" if math.isfinite(sigma) else text
 
 
+def point_text(point: Sequence[float], sigmas: Sequence[float]) -> str:
+    """ "X 1.23 ± 0.04, Y ..., Z ...": the coordinates of a point with their sigmas."""
+    return ", ".join(
+        f"{axis} {with_sigma(float(value), float(sigma))}"
+        for axis, value, sigma in zip("XYZ", point, sigmas, strict=True)
+    )
+
+
 def with_sign(value: float, decimals: int) -> str:
-    """A difference: always with its sign."""
+    """A difference, always with its sign."""
     text = with_decimals(value, decimals)
     return f"+{text}" if math.isfinite(value) and value >= 0 else text
 

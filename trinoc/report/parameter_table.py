@@ -1,5 +1,6 @@
 """Parameters beside their sigmas and, where there are any, known values."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from trinoc.report.numbers import (
     with_sigma,
     with_sign,
 )
+from trinoc.report.report_table import Cell, ReportTable
 
 LABELS = {
     "pan_deg": "pan (deg)",
@@ -30,14 +32,14 @@ LABELS = {
     "direction_y": "viewing direction Y",
     "direction_z": "viewing direction Z",
 }
-# Of cameras in a world without a sheet, whose axes need not meet Z = 0.
-PLACE_NAMES = tuple(name for name in LABELS if name.startswith(("position_", "direction_")))
-# How a board is fixed to the first: it stands in sentences of its own.
-_FIXED = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm")
+# In a world without a sheet, where the axes of cameras need not meet Z = 0.
+PLACEMENT_NAMES = tuple(name for name in LABELS if name.startswith(("position_", "direction_")))
+# The pose of a board in a set: sentences of their own report it.
+_BOARD_POSE = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm")
 
 
 class ParameterError(NamedTuple):
-    """One recovered parameter, its sigma, the known value, and how far off it is.
+    """One estimated parameter, its sigma, the known value, and the error against it.
 
     Degrees or millimetres, as `parameter` says; `over_sigma` is NaN where sigma is not known.
     """
@@ -51,22 +53,8 @@ class ParameterError(NamedTuple):
     over_sigma: float
 
 
-class ParameterCell(NamedTuple):
-    """One parameter of one camera: value and sigma, and the comparison with a known value."""
-
-    name: str
-    text: str
-    reference: str = ""
-    error: str = ""
-    error_over_sigma: str = ""
-    beyond: bool = False
-
-
-Rows = tuple[tuple[str, tuple[ParameterCell, ...]], ...]
-
-
 def parameter_errors(rig: Rig, reference: Rig) -> tuple[ParameterError, ...]:
-    """Pan, tilt, swing and distance of every camera that both rigs have."""
+    """Errors of pan, tilt, swing and distance of every camera that both rigs have."""
     return tuple(
         _parameter_error(rig, reference, name, parameter)
         for name in rig
@@ -77,33 +65,36 @@ def parameter_errors(rig: Rig, reference: Rig) -> tuple[ParameterError, ...]:
 
 def _parameter_error(rig: Rig, reference: Rig, name: str, parameter: str) -> ParameterError:
     key = f"{name}.{parameter}"
-    value, known, sigma = rig.value(key), reference.value(key), rig.sigma(key)
-    error = value - known
+    value, true_value, sigma = rig.value(key), reference.value(key), rig.sigma(key)
+    error = value - true_value
     over_sigma = error / sigma if sigma > 0 else float("nan")
-    return ParameterError(name, parameter, value, sigma, known, error, over_sigma)
+    return ParameterError(name, parameter, value, sigma, true_value, error, over_sigma)
 
 
 def is_without_sheet(rig: Rig) -> bool:
-    """Whether some optical axis does not meet Z = 0, and no calibration over a sheet says so."""
-    known = {parameter.rpartition(".")[2] for parameter in rig.parameters}
+    """Test for an optical axis that does not meet Z = 0, in a rig that no sheet calibrated."""
+    names = {parameter.rpartition(".")[2] for parameter in rig.parameters}
     distances = [camera.distance_mm for camera in rig.cameras]
-    return "distance_mm" not in known and not np.isfinite(distances).all()
+    return "distance_mm" not in names and not np.isfinite(distances).all()
 
 
 def shown_parameters(rig: Rig) -> tuple[str, ...]:
-    """The four parameters of the method, and the aim where it is not the world's origin; in a
-    world without a sheet positions and viewing directions."""
+    """Names of the parameters that a table of the rig lists.
+
+    They are the four of the method, with the aim where it is not the world's origin. In a world
+    without a sheet they are positions and viewing directions.
+    """
     if is_without_sheet(rig):
-        return PLACE_NAMES
+        return PLACEMENT_NAMES
     aims = np.array([camera.aim_mm for _, camera in rig.items()])
-    free = any(parameter.split(".")[-1].startswith("aim_") for parameter in rig.parameters)
-    shown = free or np.any(np.abs(np.nan_to_num(aims)) > 1e-6)
-    return PARAMETER_NAMES if shown else PARAMETER_NAMES[:4]
+    is_free = any(parameter.split(".")[-1].startswith("aim_") for parameter in rig.parameters)
+    has_aim = is_free or np.any(np.abs(np.nan_to_num(aims)) > 1e-6)
+    return PARAMETER_NAMES if has_aim else PARAMETER_NAMES[:4]
 
 
 def shown_value(rig: Rig, name: str, parameter: str) -> tuple[float, float]:
     """Value and sigma of a parameter that `shown_parameters` lists."""
-    if parameter not in PLACE_NAMES:
+    if parameter not in PLACEMENT_NAMES:
         return rig.value(f"{name}.{parameter}"), rig.sigma(f"{name}.{parameter}")
     kind, axis = parameter.split("_")[:2]
     camera = rig[name]
@@ -111,64 +102,72 @@ def shown_value(rig: Rig, name: str, parameter: str) -> tuple[float, float]:
     return float(vector["xyz".index(axis)]), float("nan")
 
 
-def parameter_rows(rig: Rig, reference: Rig | None) -> Rows:
-    """A labelled row for each parameter, a cell for each camera."""
-    return tuple(
-        (LABELS[parameter], tuple(_cell(rig, name, parameter, reference) for name in rig))
+def rig_table(rig: Rig, reference: Rig | None = None) -> ReportTable:
+    """Parameters of a rig: a row for each, a column for each camera.
+
+    Below each value stand the known one of `reference` and the error against it.
+    """
+    rows = [
+        [LABELS[parameter], *(_rig_cell(rig, name, parameter, reference) for name in rig)]
         for parameter in shown_parameters(rig)
-    )
+    ]
+    return _table_of_cameras(rig.names, rows)
 
 
-def _cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> ParameterCell:
-    words, (value, sigma) = f"{name}.{parameter}", shown_value(rig, name, parameter)
-    if parameter in PLACE_NAMES:
-        return ParameterCell(words, with_decimals(value, 2 if parameter.endswith("_mm") else 4))
+def _table_of_cameras(cameras: Sequence[str], rows: Sequence[Sequence[Cell | str]]) -> ReportTable:
+    return ReportTable(("parameter", *cameras), rows, look="parameters")
+
+
+def _rig_cell(rig: Rig, name: str, parameter: str, reference: Rig | None) -> Cell:
+    value, sigma = shown_value(rig, name, parameter)
+    if parameter in PLACEMENT_NAMES:
+        text = with_decimals(value, 2 if parameter.endswith("_mm") else 4)
+        return _cell(name, parameter, text)
     text = with_sigma(value, sigma)
     if reference is None or name not in reference.names:
-        return ParameterCell(words, text)
-    found = _parameter_error(rig, reference, name, parameter)
-    return ParameterCell(
-        words,
-        text,
-        with_decimals(found.known, 3),
-        with_sign(found.error, significant_decimals(sigma)),
-        with_sign(found.over_sigma, 1),
-        abs(found.over_sigma) > 3,
-    )
+        return _cell(name, parameter, text)
+    comparison = _parameter_error(rig, reference, name, parameter)
+    is_beyond = abs(comparison.over_sigma) > 3
+    error = with_sign(comparison.error, significant_decimals(sigma))
+    over_sigma = f"{with_sign(comparison.over_sigma, 1)} \N{GREEK SMALL LETTER SIGMA}"
+    detail = f"{with_decimals(comparison.known, 3)}, error {error} ({over_sigma})"
+    detail += " *" if is_beyond else ""
+    cell = _cell(name, parameter, text, detail)
+    return cell._replace(attributes={**cell.attributes, "class": "beyond"}) if is_beyond else cell
 
 
-def parameter_rows_of_shots(result: CalibrationResult) -> Rows:
-    """Lens and pose of every camera; a cell of no text is a parameter that the camera has not."""
+def _cell(camera: str, parameter: str, text: str, detail: str = "") -> Cell:
+    # On a narrow screen each value stands beside the name of its camera.
+    return Cell(text, detail, {"data-parameter": f"{camera}.{parameter}", "data-label": camera})
+
+
+def lens_table(result: CalibrationResult) -> ReportTable:
+    """Lens and pose of every camera of a rig from many shots; empty where a camera lacks one."""
     names = dict.fromkeys(
         key
         for camera in result.cameras
         for owner, _, key in (name.rpartition(".") for name in result.parameters)
         if owner == camera
     )
-    return tuple(
-        (
+    rows = [
+        [
             LABELS.get(name, name),
-            tuple(_cell_of_shots(result, f"{camera}.{name}") for camera in result.cameras),
-        )
+            *(
+                _cell(camera, name, _estimate_text(result, f"{camera}.{name}"))
+                for camera in result.cameras
+            ),
+        ]
         for name in names
         if name not in SPLINE_PARAMETERS
-    )
+    ]
+    return _table_of_cameras(result.cameras, rows)
 
 
-PAIR_HEAD = (
-    "cameras",
-    "baseline (mm)",
-    "board's size",
-    "the rest",
-    "rotation (deg)",
-    *(f"{axis} (deg)" for axis in "xyz"),
-)
-
-
-def pair_rows(result: CalibrationResult) -> tuple[tuple[str, ...], ...]:
-    """Baseline and relative rotation of each pair of cameras, the cells of `PAIR_HEAD`."""
-    return tuple(
-        (
+def pairs_table(result: CalibrationResult) -> ReportTable:
+    """Baseline and relative rotation of each pair of cameras."""
+    head = ("cameras", "baseline (mm)", "board's size", "the rest", "rotation (deg)")
+    rows = [
+        [
             f"{pair.first}, {pair.second}",
             with_sigma(pair.baseline_mm, pair.baseline_sigma_mm),
             f"± {millimetres(pair.size_sigma_mm)}",
@@ -178,26 +177,34 @@ def pair_rows(result: CalibrationResult) -> tuple[tuple[str, ...], ...]:
                 with_sigma(float(value), float(sigma))
                 for value, sigma in zip(pair.turn_deg, pair.turn_sigma_deg, strict=True)
             ),
-        )
+        ]
         for pair in result.pairs
+    ]
+    note = (
+        "Baseline: the distance between the centres of projection. Its sigma has two parts: the "
+        "error of the board's size, a scale that no image shows, and the rest. Rotation: the angle "
+        "that turns the axes of the first camera into those of the second, then the same as a "
+        "rotation vector about the x, y and z axes of the first."
     )
+    return ReportTable((*head, *(f"{axis} (deg)" for axis in "xyz")), rows, note=note)
 
 
-def parameter_rows_of_boards(result: CalibrationResult) -> Rows:
-    """What was fitted of the boards, but not how they are fixed to each other."""
-    fixed = [f"board.{name}.{axis}" for name in board_names(result.board) for axis in _FIXED]
-    return tuple(
-        (name.removeprefix("board."), (_cell_of_shots(result, name),))
+def boards_table(result: CalibrationResult) -> ReportTable:
+    """Parameters of the boards that were estimated, without their poses in a set."""
+    poses = [f"board.{name}.{axis}" for name in board_names(result.board) for axis in _BOARD_POSE]
+    rows = [
+        [name.removeprefix("board."), _estimate_text(result, name)]
         for name in result.parameters
-        if name.startswith("board.") and name not in fixed
-    )
+        if name.startswith("board.") and name not in poses
+    ]
+    return ReportTable((), rows)
 
 
-def _cell_of_shots(result: CalibrationResult, name: str) -> ParameterCell:
+def _estimate_text(result: CalibrationResult, name: str) -> str:
+    """A parameter with its sigma; empty where the result has none of this name."""
     if name not in result.parameters:
-        return ParameterCell(name, "")
+        return ""
     value, sigma = result.value(name), result.sigma(name)
     if not np.isfinite(value):
-        return ParameterCell(name, "not determined")
-    held = f"{with_decimals(value, 4)}, held"
-    return ParameterCell(name, held if sigma == 0 else with_sigma(value, sigma))
+        return "not determined"
+    return f"{with_decimals(value, 4)}, held" if sigma == 0 else with_sigma(value, sigma)

@@ -1,4 +1,4 @@
-"""A picture as text that a page can hold, and what is drawn over it."""
+"""Images as text that a page can hold, and the geometry of drawings over them."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -78,13 +78,14 @@ class Arrows(NamedTuple):
         return cls(times, round_scale(0.7 * reach / times))
 
     @property
-    def said(self) -> tuple[str, str]:
-        """Both numbers as words."""
+    def texts(self) -> tuple[str, str]:
+        """Both numbers as text."""
         return plain(self.times), plain(self.key_px)
 
-    def tip(self, at: tuple[float, float], residual: tuple[float, float]) -> tuple[float, float]:
-        """Where the arrow of a residual at a place ends."""
-        return float(at[0] + self.times * residual[0]), float(at[1] + self.times * residual[1])
+    def tip(self, point: tuple[float, float], residual: tuple[float, float]) -> tuple[float, float]:
+        """Tip of the arrow of a residual at a point."""
+        (u, v), (du, dv) = point, residual
+        return float(u + self.times * du), float(v + self.times * dv)
 
 
 def page_picture(
@@ -127,9 +128,9 @@ def page_pictures(
     sizes_px: Mapping[str, tuple[int, int]],
 ) -> dict[str, PagePicture]:
     """One page picture per view, with an identifier that no name can break."""
-    given = pictures or {}
+    images = pictures or {}
     return {
-        name: page_picture(f"{prefix}-{number}", given.get(name), size)
+        name: page_picture(f"{prefix}-{number}", images.get(name), size)
         for number, (name, size) in enumerate(sizes_px.items())
     }
 
@@ -143,7 +144,7 @@ def _stretch_levels(array: np.ndarray) -> np.ndarray:
 def clip_line(
     line: Float[np.ndarray, "3"], size_px: tuple[int, int]
 ) -> Float[np.ndarray, "2 2"] | None:
-    """The part of a line that lies on a picture, or None where it misses or is not finite."""
+    """The part of a line within an image; None if the line misses it or is not finite."""
     if not np.isfinite(line).all():
         return None
     a, b, c = line

@@ -1,4 +1,4 @@
-"""The residuals of each shot on its image: a contact sheet, the shots with the largest first."""
+"""Residuals of each shot on its image: a contact sheet, with the largest residuals first."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -27,7 +27,7 @@ class ShotImage(NamedTuple):
 
     Fields
     ------
-    used, left_out : dots where they were found.
+    used, left_out : dots at the detected points.
     residuals, residuals_left_out : lines from there, predicted minus observed, magnified.
     """
 
@@ -41,10 +41,10 @@ class ShotImage(NamedTuple):
 
 
 class CameraShots(NamedTuple):
-    """The figures of one camera; `words` says which of its shots they are."""
+    """The figures of one camera; `caption` states which of its shots they are."""
 
     name: str
-    words: str
+    caption: str
     figures: tuple[ShotImage, ...]
 
 
@@ -63,7 +63,7 @@ class ShotImagesPart(NamedTuple):
 
 
 class _ShotResiduals(NamedTuple):
-    """What one camera saw in one shot: its places, their residuals and which took part."""
+    """Points of one camera in one shot, their residuals, and whether each was used."""
 
     shot: int
     size_px: tuple[int, int]
@@ -86,62 +86,61 @@ def shot_images_part(
         Only those that are shown are read. Without one, the residuals are drawn on grey.
     """
     named = name_pictures(pictures or {})
-    seen = {
-        number: sorted(_list_shots(result, number), key=lambda own: -own.rms_px)
+    shots_of = {
+        number: sorted(_list_shots(result, number), key=lambda shot: -shot.rms_px)
         for number in range(len(result.cameras))
     }
-    arrows = _choose_scale([own for shots in seen.values() for own in shots[:MOST_SHOTS]])
+    arrows = _choose_scale([shot for shots in shots_of.values() for shot in shots[:MOST_SHOTS]])
     cameras = tuple(
         CameraShots(
             result.cameras[number],
-            _say_choice(len(shots)),
+            _describe_choice(len(shots)),
             tuple(
-                _shot_image(result, number, own, named.get(result.cameras[number], {}), arrows)
-                for own in shots[:MOST_SHOTS]
+                _shot_image(result, number, shot, named.get(result.cameras[number], {}), arrows)
+                for shot in shots[:MOST_SHOTS]
             ),
         )
-        for number, shots in seen.items()
+        for number, shots in shots_of.items()
         if shots
     )
     if not cameras:
         return None
     shown = [figure for camera in cameras for figure in camera.figures]
-    return ShotImagesPart(cameras, arrows.said[0], any(figure.left_out for figure in shown))
+    return ShotImagesPart(cameras, arrows.texts[0], any(figure.left_out for figure in shown))
 
 
-def _say_choice(count: int) -> str:
+def _describe_choice(count: int) -> str:
     if count > MOST_SHOTS:
         return f"the {MOST_SHOTS} of {count} shots with the largest residuals, the largest first"
     return f"all {count} shots, the largest residuals first" if count > 1 else "its only shot"
 
 
 def _list_shots(result: CalibrationResult, camera: int) -> list[_ShotResiduals]:
-    """Each shot of a camera; several boards in it are one."""
-    rows: dict[int, list[int]] = {}
+    """Each shot of a camera, in which several boards count as one."""
+    rows_of: dict[int, list[int]] = {}
     for row, view in enumerate(result.views):
         if view.camera == camera:
-            rows.setdefault(view.shot, []).append(row)
-    found = []
-    for shot, own in rows.items():
-        views = [result.views[row] for row in own]
-        places = [
-            np.asarray(v.detection.centres_px if v.shown is None else v.shown.uv_px) for v in views
-        ]
-        residuals = np.concatenate([result.residuals_px[row] for row in own])
+            rows_of.setdefault(view.shot, []).append(row)
+    shots = []
+    for shot, rows in rows_of.items():
+        views = [result.views[row] for row in rows]
+        uv_px = np.concatenate(
+            [v.detection.centres_px if v.shown is None else v.shown.uv_px for v in views]
+        )
+        residuals = np.concatenate([result.residuals_px[row] for row in rows])
         used = np.concatenate([view.kept for view in views])
-        uv_px = np.concatenate(places)
-        known = np.isfinite(residuals).all(axis=1) & np.isfinite(uv_px).all(axis=1)
-        # Grey levels report pieces of lines beside the places; those without information are none.
-        known &= used | np.concatenate([np.full(v.rows, v.shown is None) for v in views])
-        if known.any():
+        valid = np.isfinite(residuals).all(axis=1) & np.isfinite(uv_px).all(axis=1)
+        # Grey levels report pieces of lines beside the points; those without information are none.
+        valid &= used | np.concatenate([np.full(v.rows, v.shown is None) for v in views])
+        if valid.any():
             size_px = views[0].detection.image_size_px
-            found.append(_ShotResiduals(shot, size_px, uv_px[known], residuals[known], used[known]))
-    return found
+            shots.append(_ShotResiduals(shot, size_px, uv_px[valid], residuals[valid], used[valid]))
+    return shots
 
 
 def _choose_scale(shots: list[_ShotResiduals]) -> Arrows:
     """One scale for all images, so that lengths compare across them."""
-    shares = [np.linalg.norm(own.residuals_px[own.used], axis=1) / own.size_px[0] for own in shots]
+    shares = [np.linalg.norm(s.residuals_px[s.used], axis=1) / s.size_px[0] for s in shots]
     every = np.concatenate([np.zeros(0), *shares])
     return Arrows.reaching([(float(np.quantile(every, _SHARE)), _REACH)] if len(every) else [])
 
@@ -149,37 +148,39 @@ def _choose_scale(shots: list[_ShotResiduals]) -> Arrows:
 def _shot_image(
     result: CalibrationResult,
     camera: int,
-    own: _ShotResiduals,
+    residuals: _ShotResiduals,
     pictures: Mapping[str, object],
     arrows: Arrows,
 ) -> ShotImage:
-    name, shot = result.cameras[camera], result.shots[own.shot]
+    name, shot = result.cameras[camera], result.shots[residuals.shot]
     image = deliver(pictures.get(of_one_moment(shot, name)))
-    key = f"shot-{camera}-{own.shot}"
+    key = f"shot-{camera}-{residuals.shot}"
     array = None if image is None or isinstance(image, Detection) else np.asarray(image)
-    picture = page_picture(key, array, own.size_px, longest_side_px=_SIDE_PX, quality=_QUALITY)
-    lengths = np.linalg.norm(own.residuals_px, axis=1)
-    longest = _LONGEST * own.size_px[0]
+    picture = page_picture(
+        key, array, residuals.size_px, longest_side_px=_SIDE_PX, quality=_QUALITY
+    )
+    lengths = np.linalg.norm(residuals.residuals_px, axis=1)
+    longest = _LONGEST * residuals.size_px[0]
     stretch = np.minimum(arrows.times, longest / np.maximum(lengths, 1e-12))
-    ends = own.uv_px + stretch[:, None] * own.residuals_px
-    used, wrong = own.used, ~own.used
+    ends = residuals.uv_px + stretch[:, None] * residuals.residuals_px
+    used, wrong = residuals.used, ~residuals.used
     return ShotImage(
         shot,
-        _caption(own),
-        picture._replace(width_px=own.size_px[0], height_px=own.size_px[1]),
-        _dots(own.uv_px[used]),
-        _dots(own.uv_px[wrong]),
-        _lines(own.uv_px[used], ends[used]),
-        _lines(own.uv_px[wrong], ends[wrong]),
+        _caption(residuals),
+        picture._replace(width_px=residuals.size_px[0], height_px=residuals.size_px[1]),
+        _dots(residuals.uv_px[used]),
+        _dots(residuals.uv_px[wrong]),
+        _lines(residuals.uv_px[used], ends[used]),
+        _lines(residuals.uv_px[wrong], ends[wrong]),
     )
 
 
-def _caption(own: _ShotResiduals) -> str:
-    """How many took part, how far off they are, and how many were left out."""
-    wrong = int((~own.used).sum())
-    if wrong == len(own.used):
-        return f"left out, {with_decimals(own.rms_px, 2)} px rms"
-    rms_px = own._replace(residuals_px=own.residuals_px[own.used]).rms_px
+def _caption(residuals: _ShotResiduals) -> str:
+    """Residuals of the used points, rms, and the number of those left out."""
+    wrong = int((~residuals.used).sum())
+    if wrong == len(residuals.used):
+        return f"left out, {with_decimals(residuals.rms_px, 2)} px rms"
+    rms_px = residuals._replace(residuals_px=residuals.residuals_px[residuals.used]).rms_px
     caption = f"{with_decimals(rms_px, 3)} px rms"
     return f"{caption}, {wrong} left out" if wrong else caption
 
@@ -190,7 +191,7 @@ def _dots(places_px: Float[np.ndarray, "n 2"]) -> str:
 
 
 def _lines(from_px: Float[np.ndarray, "n 2"], to_px: Float[np.ndarray, "n 2"]) -> str:
-    """A path of lines, one for each place."""
+    """A path of lines, one for each point."""
     return "".join(
         f"M{u:.1f} {v:.1f}l{du:.1f} {dv:.1f}"
         for (u, v), (du, dv) in zip(from_px, to_px - from_px, strict=True)

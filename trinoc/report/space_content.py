@@ -54,7 +54,7 @@ class Box(NamedTuple):
 
     @classmethod
     def around(cls, points_mm: Float[np.ndarray, "n 3"], room: float) -> "Box":
-        """What holds the points, with `room` as a share of their extent at every side."""
+        """The box around the points, larger by `room` as a share of their extent on every side."""
         low, high = points_mm.min(axis=0), points_mm.max(axis=0)
         margin = room * max(float(np.max(high - low)), 1e-6)
         return cls(low - margin, high + margin)

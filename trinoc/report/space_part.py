@@ -13,7 +13,7 @@ from trinoc.geometry.rig import Rig
 from trinoc.match.line_map.collinear_merge import join_collinear
 from trinoc.match.line_map.corners import snap_corners
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
-from trinoc.report.numbers import plain, round_scale, with_decimals, with_sigma
+from trinoc.report.numbers import plain, point_text, round_scale, with_decimals, with_sigma
 from trinoc.report.space_content import Box, content_box, frusta, sheet_outlines, whole_box
 
 
@@ -28,7 +28,7 @@ class LineLayer(NamedTuple):
     parts : (n, 3) each, open lines in mm; one point alone is a dot.
     shown : whether the figure begins with it.
     tracks : the track of each part; empty where parts are none.
-    words : what to say of each part; empty where nothing.
+    descriptions : a sentence on each part; empty if there are none.
     """
 
     name: str
@@ -36,11 +36,11 @@ class LineLayer(NamedTuple):
     parts: list[np.ndarray]
     shown: bool = True
     tracks: tuple[int, ...] = ()
-    words: tuple[str, ...] = ()
+    descriptions: tuple[str, ...] = ()
 
 
 class Label(NamedTuple):
-    """A word in space, coloured as its layer is."""
+    """A label at a point in space, coloured as its layer."""
 
     at_mm: np.ndarray
     text: str
@@ -70,13 +70,13 @@ class SpaceFigure(NamedTuple):
         return cls(tuple(_track_layers(matches)), (), views)
 
     def join(self, more: "SpaceFigure") -> "SpaceFigure":
-        """With the layers, labels and views of another figure behind its own."""
+        """This figure with the layers, labels and views of another one added."""
         return SpaceFigure(
             self.layers + more.layers, self.labels + more.labels, self.views + more.views
         )
 
     def numbers(self) -> dict[str, Any]:
-        """The same as the page's script reads it: rounded to a micrometre."""
+        """The figure as the page's script reads it, rounded to a micrometre."""
         return {
             "layers": [
                 {
@@ -84,7 +84,7 @@ class SpaceFigure(NamedTuple):
                     "shown": layer.shown,
                     "parts": [np.round(part, 3).ravel().tolist() for part in layer.parts],
                     "tracks": list(layer.tracks),
-                    "words": list(layer.words),
+                    "words": list(layer.descriptions),
                 }
                 for layer in self.layers
             ],
@@ -104,7 +104,7 @@ class SpaceFigure(NamedTuple):
 
 
 def space_figure(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> SpaceFigure:
-    """The figure; its first view holds the segments, or the rig without any."""
+    """Figure of a rig, a sheet and matches; its first view shows the segments, else the rig."""
     layers = []
     if matches is not None and len(matches):
         layers += _track_layers(matches)
@@ -137,42 +137,35 @@ def cameras_in_space(rig: Rig) -> SpaceFigure:
 def _track_layers(matches: Matches) -> list[LineLayer]:
     sigmas, stage = line_sigmas(matches.lines_mm, matches.covariance_mm2), np.asarray(matches.stage)
     layers = []
-    for name, role, said in (
+    for name, role, title in (
         (TRINOCULAR, "three", "seen in three or more views"),
         (BINOCULAR, "two", "seen in two views"),
     ):
         tracks = tuple(np.flatnonzero(stage == name).tolist())
         if tracks:
             parts = [np.asarray(matches.lines_mm[track]) for track in tracks]
-            words = tuple(track_words(matches, sigmas, track) for track in tracks)
-            layers.append(LineLayer(f"{said} ({len(tracks)})", role, parts, True, tracks, words))
+            descriptions = tuple(describe_track(matches, sigmas, track) for track in tracks)
+            title = f"{title} ({len(tracks)})"
+            layers.append(LineLayer(title, role, parts, True, tracks, descriptions))
     layers.append(LineLayer("error bars (1 sigma)", "bars", _error_bars(matches), shown=False))
     return layers
 
 
-def track_words(matches: Matches, sigmas: LineSigmas, track: int) -> str:
-    """What is known of a track: its length, where its ends are, and how well."""
+def describe_track(matches: Matches, sigmas: LineSigmas, track: int) -> str:
+    """Describe a track: its length, its ends, their sigmas, and its segments."""
     length = with_sigma(float(sigmas.length_mm[track]), float(sigmas.length_sigma_mm[track]))
-    seen = ", ".join(
+    segments = ", ".join(
         f"{view} {index}"
         for view, index in zip(matches.views, np.asarray(matches.index[track]), strict=True)
         if index >= 0
     )
-    ends = "; ".join(
-        f"end {number}: "
-        + ", ".join(
-            f"{axis} {with_sigma(float(value), float(sigma))}"
-            for axis, value, sigma in zip("XYZ", point, sigma_mm, strict=True)
-        )
-        for number, (point, sigma_mm) in enumerate(
-            zip(np.asarray(matches.lines_mm[track]), sigmas.ends_sigma_mm[track], strict=True), 1
-        )
-    )
+    ends = zip(matches.lines_mm[track].tolist(), sigmas.ends_sigma_mm[track].tolist(), strict=True)
+    points = [f"end {number}: {point_text(*end)}" for number, end in enumerate(ends, 1)]
     across = with_decimals(float(sigmas.across_sigma_mm[track]), 3)
     posterior = with_decimals(float(matches.posterior[track]), 3)
     return (
         f"track {track}, {matches.stage[track]}: length {length} mm, sigma across {across} mm, "
-        f"posterior {posterior}, segments {seen}. {ends} mm"
+        f"posterior {posterior}, segments {segments}. {'; '.join(points)} mm"
     )
 
 
@@ -193,18 +186,15 @@ def _joined_layers(matches: Matches, rig: Rig) -> list[LineLayer]:
     """Collinear tracks as one line each, and the corners where lines meet; hidden at first."""
     joined = join_collinear(matches, rig)
     corners = snap_corners(joined)
-    words = []
+    descriptions = []
     for corner, (point, covariance) in enumerate(
         zip(corners.points_mm, corners.covariance_mm2, strict=True)
     ):
         members = (corners.corner == corner).sum()
-        place = ", ".join(
-            f"{axis} {with_sigma(float(value), float(sigma))}"
-            for axis, value, sigma in zip(
-                "XYZ", point, np.sqrt(np.diagonal(covariance)), strict=True
-            )
+        sigmas_mm = np.sqrt(np.diagonal(covariance))
+        descriptions.append(
+            f"corner of {members} lines: {point_text(point.tolist(), sigmas_mm.tolist())} mm"
         )
-        words.append(f"corner of {members} lines: {place} mm")
     return [
         LineLayer(
             f"collinear tracks joined ({len(joined)})", "joined", list(corners.lines_mm), False
@@ -215,7 +205,7 @@ def _joined_layers(matches: Matches, rig: Rig) -> list[LineLayer]:
             [point[None] for point in np.asarray(corners.points_mm)],
             False,
             (),
-            tuple(words),
+            tuple(descriptions),
         ),
     ]
 
@@ -224,14 +214,12 @@ def _views(rig: Rig, content: Box | None, segments: bool) -> tuple[SpaceView, ..
     """The content near the world's origin, and everything with the cameras."""
     # From the side, so that no camera stands before what all of them look at.
     x, y, _ = np.mean([camera.centre_world_mm for _, camera in rig.items()], axis=0)
-    whole = SpaceView("Whole rig", whole_box(rig, content), float(np.arctan2(y, x)) + 1.25)
+    rig_view = SpaceView("Whole rig", whole_box(rig, content), float(np.arctan2(y, x)) + 1.25)
     if content is None:
-        return (whole,)
-    return (
-        (SpaceView("Segments", content), whole)
-        if segments
-        else (whole, SpaceView("Sheet", content))
-    )
+        return (rig_view,)
+    if segments:
+        return SpaceView("Segments", content), rig_view
+    return rig_view, SpaceView("Sheet", content)
 
 
 GRID_LINES = 6
@@ -251,10 +239,10 @@ class PlanPath(NamedTuple):
 
 
 class Tick(NamedTuple):
-    """A grid line: where it stands on its axis, in drawing units, and its number in mm."""
+    """A grid line: its position on its axis, in drawing units, and its number in mm."""
 
-    at: float
-    words: str
+    position: float
+    text: str
 
 
 class Drawing(NamedTuple):
@@ -274,7 +262,7 @@ class Drawing(NamedTuple):
 
     @property
     def name_height(self) -> float:
-        """Of the labels, in drawing units."""
+        """Height of the labels in drawing units."""
         return NAME_SHARE * self.width
 
 
@@ -338,13 +326,13 @@ def _drawing(
 def place_names(
     names: Sequence[tuple[float, float, str]], height: float, top: float
 ) -> tuple[tuple[float, float, str], ...]:
-    """Names at their places, or the nearest height up or down where they meet no earlier one.
+    """Positions of names that do not overlap: each is moved up or down to the nearest free height.
 
-    names : x, y downward, and the word, of letters of this height. top : none is moved beyond.
+    names : x, y downward, and the text, in letters of this height. top : upper limit of positions.
     """
-    placed: list[tuple[float, float, str]] = []
+    labels: list[tuple[float, float, str]] = []
     for x, y, name in names:
-        steps = (sign * k * height for k in range(2 * len(placed) + 1) for sign in (-1, 1))
+        steps = (sign * k * height for k in range(2 * len(labels) + 1) for sign in (-1, 1))
         free = (
             y + step
             for step in steps
@@ -352,11 +340,11 @@ def place_names(
             and not any(
                 abs(x - u) < LETTER_SHARE * height * (len(name) + len(other)) / 2
                 and abs(y + step - v) < 0.99 * height
-                for u, v, other in placed
+                for u, v, other in labels
             )
         )
-        placed.append((x, next(free, y), name))
-    return tuple(placed)
+        labels.append((x, next(free, y), name))
+    return tuple(labels)
 
 
 def _path(points: np.ndarray) -> str:

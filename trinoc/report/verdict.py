@@ -1,7 +1,7 @@
-"""May this rig be used, and may these matches? One table of checks; the worst of them decides.
+"""Verdict on a rig and on matches: one table of checks, of which the worst decides.
 
-Of matches, checks and verdict are those of `assess_matches`, as in texts, records and exit codes.
-The limits stand in docs/report.md too, with the reason for each.
+The checks on matches and their verdict are those of `assess_matches`, which also decides texts,
+records and exit codes. docs/report.md lists the limits and the reason for each.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from trinoc.match.tracks.matches import MatchStatus
 from trinoc.match.tracks.reliability import MatchFinding, assess_matches
 from trinoc.report.checks import Answer, Level, Limits, ReportCheck, Subject
 from trinoc.report.numbers import millimetres, percent, with_decimals
-from trinoc.report.shots_part import shot_table
+from trinoc.report.shots_part import count_shots, shot_table
 
 SENTENCE_ON_RIG = {
     Level.GOOD: "You can use this rig.",
@@ -27,7 +27,7 @@ LEVEL_OF_STATUS = {
     MatchStatus.UNCERTAIN: Level.CARE,
     MatchStatus.SUSPECT: Level.BAD,
 }
-# Each finding on matches as a question, and the part of the page to look at.
+# The question of each finding on matches, and the part of the page to look at.
 QUESTION_ON_MATCHES = {
     "rig": ("Was the rig calibrated well?", "cameras"),
     "set": ("Do segments and rig belong together?", "matches"),
@@ -60,7 +60,7 @@ def find_verdict(subject: Subject) -> Verdict | None:
     order = list(Level)
     worst = min(checks, key=lambda check: order.index(check.level))
     level = worst.level if worst.level in (Level.BAD, Level.CARE) else Level.GOOD
-    reason = f"{worst.figure}: {worst.words}"
+    reason = f"{worst.figure}: {worst.explanation}"
     if calibration:
         return Verdict(level, SENTENCE_ON_RIG[level], reason, tuple(checks))
     if level is Level.GOOD and assessment is not None:
@@ -90,8 +90,8 @@ def _answer_on_calibration(subject: Subject) -> Answer | None:
     if suspects:
         notes = result.fits[suspects[0]].notes
         why = notes[0] if notes else result.status[suspects[0]].value
-        words = f"{list_names(suspects)}: suspect. {why[:1].upper()}{why[1:]}"
-        return Answer(len(suspects), figure, words)
+        explanation = f"{list_names(suspects)}: suspect. {why[:1].upper()}{why[1:]}"
+        return Answer(len(suspects), figure, explanation)
     return Answer(0, figure, "all fits converged.")
 
 
@@ -105,100 +105,101 @@ def _answer_on_rank(subject: Subject) -> Answer | None:
     if shots.overall_status is not Status.CONVERGED:
         return Answer(1, "no rig", shots.overall_status.value)
     if shots.gauge:
-        words = f"the shots leave {', '.join(shots.gauge)} free."
-        return Answer(len(shots.gauge), f"{len(shots.gauge)} parameters open", words)
+        explanation = f"the shots leave {', '.join(shots.gauge)} free."
+        return Answer(len(shots.gauge), f"{len(shots.gauge)} parameters open", explanation)
     return Answer(0, f"{len(shots.parameters)} parameters", "the fit converged.")
 
 
-def _together(subject: Subject) -> Answer | None:
+def _answer_on_shots(subject: Subject) -> Answer | None:
     if subject.shots is None:
         return None
     table = shot_table(subject.shots)
-    used, missing, left_out = (table.count(role) for role in ("used", "missing", "left-out"))
-    words = "took part."
+    used, missing, left_out = (count_shots(table, role) for role in ("used", "missing", "left-out"))
+    explanation = "took part."
     if missing:
-        words += f" The board was not found in {missing}."
+        explanation += f" The board was not found in {missing}."
     if left_out:
-        words += " ".join([f" {left_out} were left out.", *subject.shots.refused[:1]])
-    return Answer(left_out, f"{used} of {used + missing + left_out} pictures", words)
+        explanation += " ".join([f" {left_out} were left out.", *subject.shots.refused[:1]])
+    return Answer(left_out, f"{used} of {used + missing + left_out} pictures", explanation)
 
 
 def _answer_on_coverage(subject: Subject, *, by_shots: bool) -> Answer | None:
     if not subject.coverage or (subject.shots is not None) != by_shots:
         return None
-    least = min(subject.coverage, key=lambda figure: figure.share)
-    what = "its places surround" if by_shots else "the circles surround"
-    words = f"{what} that much in {least.name}, and no less elsewhere."
-    return Answer(least.share, f"{percent(least.share)} of the picture", words)
+    poorest = min(subject.coverage, key=lambda figure: figure.share)
+    subjects = "its places surround" if by_shots else "the circles surround"
+    explanation = f"{subjects} that much in {poorest.name}, and no less elsewhere."
+    return Answer(poorest.share, f"{percent(poorest.share)} of the picture", explanation)
 
 
-def _noisy(subject: Subject) -> Answer | None:
+def _answer_on_residuals(subject: Subject) -> Answer | None:
     ratios = {}
     for name, fit in subject.result.fits.items() if subject.result is not None else ():
         picture = fit.image if fit.method == "pixels" else None
         chi_square = (fit if picture is None else picture).reduced_chi_square
         ratios[name] = float(np.sqrt(max(chi_square, 0.0)))
-    words = "the largest residuals, those of {}; 1 or less is noise and nothing else."
-    return _worst_ratio(ratios, words)
+    explanation = "the largest residuals, those of {}; 1 or less is noise and nothing else."
+    return _worst_ratio(ratios, explanation)
 
 
 def _answer_on_scatter(subject: Subject) -> Answer | None:
     fits = {} if subject.shots is None else subject.shots.fits
     factors = {name: fit.sigma_factor for name, fit in fits.items()}
-    words = "the scatter of the places in {}, by which all sigmas are multiplied."
-    return _worst_ratio(factors, words)
+    explanation = "the scatter of the places in {}, by which all sigmas are multiplied."
+    return _worst_ratio(factors, explanation)
 
 
-def _worst_ratio(ratios: Mapping[str, float], words: str) -> Answer | None:
-    known = {name: ratio for name, ratio in ratios.items() if np.isfinite(ratio)}
-    if not known:
+def _worst_ratio(ratios: Mapping[str, float], explanation: str) -> Answer | None:
+    finite = {name: ratio for name, ratio in ratios.items() if np.isfinite(ratio)}
+    if not finite:
         return None
-    worst = max(known, key=lambda name: known[name])
-    figure = f"{with_decimals(known[worst], 2)} times the noise"
-    return Answer(known[worst], figure, words.format(worst))
+    worst = max(finite, key=lambda name: finite[name])
+    figure = f"{with_decimals(finite[worst], 2)} times the noise"
+    return Answer(finite[worst], figure, explanation.format(worst))
 
 
-def _epipolar(subject: Subject) -> Answer | None:
+def _answer_on_epipolar_lines(subject: Subject) -> Answer | None:
     for part in subject.epipolar:
         if part.kind == "circles":
             figure = f"{with_decimals(part.largest_px, 3)} px from the epipolar lines"
-            words = "the circles of one picture, rms, by the worst pair of cameras."
-            return Answer(part.largest_px, figure, words)
+            explanation = "the circles of one picture, rms, by the worst pair of cameras."
+            return Answer(part.largest_px, figure, explanation)
     return None
 
 
-def _place(subject: Subject) -> Answer | None:
+def _answer_on_points(subject: Subject) -> Answer | None:
     field, result = subject.field, subject.result
     if field is None or not np.isfinite(field.worst_mm):
         return None
-    words = (
+    explanation = (
         "one sigma where it is largest, on the sheet and above it, by the errors of the cameras "
         "alone."
     )
     advice = "" if result is None else result.advice
-    return Answer(field.worst_mm, f"± {millimetres(field.worst_mm)}", words, remedy=advice)
+    return Answer(field.worst_mm, f"± {millimetres(field.worst_mm)}", explanation, remedy=advice)
 
 
-def _pattern(subject: Subject) -> Answer | None:
-    known = [each for each in subject.residuals if np.isfinite(each.over_chance)]
-    if not known:
+def _answer_on_lens_fit(subject: Subject) -> Answer | None:
+    fields = [each for each in subject.residuals if np.isfinite(each.over_chance)]
+    if not fields:
         return None
-    worst = max(known, key=lambda each: each.over_chance)
-    words = (
+    worst = max(fields, key=lambda each: each.over_chance)
+    explanation = (
         f"mean residuals over parts of the picture of {worst.name}, "
         f"{with_decimals(worst.rms_px, 3)} px rms."
     )
-    return Answer(worst.over_chance, f"{with_decimals(worst.over_chance, 1)} times chance", words)
+    figure = f"{with_decimals(worst.over_chance, 1)} times chance"
+    return Answer(worst.over_chance, figure, explanation)
 
 
-def _halves(subject: Subject) -> Answer | None:
+def _answer_on_halves(subject: Subject) -> Answer | None:
     if subject.shots is None:
         return None
     halves = subject.shots.halves
     if halves is None:
-        words = "a half of the shots does not determine the rig."
+        explanation = "a half of the shots does not determine the rig."
         remedy = "Nothing checks the sigmas: take more shots."
-        return Answer(FAR_APART, "not known", words, remedy=remedy)
+        return Answer(FAR_APART, "not known", explanation, remedy=remedy)
     return Answer(
         halves.ratio,
         f"{with_decimals(halves.ratio, 2)} claimed sigmas apart",
@@ -208,57 +209,60 @@ def _halves(subject: Subject) -> Answer | None:
     )
 
 
-def _held_out(subject: Subject) -> Answer | None:
-    """Through other cameras, which is what a rig is for; of one camera, its own."""
-    found = None if subject.shots is None else subject.shots.cross_validation
-    if found is None:
+def _answer_on_held_out_shots(subject: Subject) -> Answer | None:
+    """Residuals of held-out shots: across cameras, or of a single camera its own."""
+    held_out = None if subject.shots is None else subject.shots.cross_validation
+    if held_out is None:
         return None
-    errors = found.across_px or found.own_px
+    errors = held_out.across_px or held_out.own_px
     worst = max(errors, key=lambda name: errors[name])
-    by = "placed by another camera" if found.across_px else "placed by itself"
-    words = f"rms over {worst}, the board {by}; lenses and cameras from the other shots."
-    return Answer(errors[worst], f"{with_decimals(errors[worst], 3)} px", words)
+    by = "placed by another camera" if held_out.across_px else "placed by itself"
+    explanation = f"rms over {worst}, the board {by}; lenses and cameras from the other shots."
+    return Answer(errors[worst], f"{with_decimals(errors[worst], 3)} px", explanation)
 
 
-def _pixel(subject: Subject) -> Answer | None:
-    known = subject.uncertainty
-    if known is None:
+def _answer_on_pixels(subject: Subject) -> Answer | None:
+    uncertainty = subject.uncertainty
+    if uncertainty is None:
         return None
-    there = known.at_boards
-    words = (
+    at_boards = uncertainty.at_boards
+    explanation = (
         "one sigma, the median over the images at the distance of the boards; "
-        f"{there.worst_px:.2g} px at the worst place, and {known.worst_farther_px:.2g} px three "
-        "times as far."
+        f"{at_boards.worst_px:.2g} px at the worst place, and "
+        f"{uncertainty.worst_farther_px:.2g} px three times as far."
     )
-    if there.size_px > 0.0:
-        words += (
+    if at_boards.size_px > 0.0:
+        explanation += (
             " The error of the board's size, a scale that no image shows, adds up to "
-            f"{there.size_px:.2g} px."
+            f"{at_boards.size_px:.2g} px."
         )
-    return Answer(there.worst_px, f"± {there.median_px:.2g} px", words)
+    return Answer(at_boards.worst_px, f"± {at_boards.median_px:.2g} px", explanation)
 
 
 def _answer_on_frames(subject: Subject) -> Answer | None:
     recording = subject.recording
     if recording is None:
         return None
-    bad = [fate for fate in recording.frames if fate.said]
+    bad = [fate for fate in recording.frames if fate.problem]
     count = len(recording.frames)
-    words = f"Frame {bad[0].name}: {bad[0].said}" if bad else "none failed, and none is suspect."
+    explanation = "none failed, and none is suspect."
+    if bad:
+        explanation = f"Frame {bad[0].name}: {bad[0].problem}"
     uncertain = sum(bool(fate.care) for fate in recording.frames)
     if uncertain:
-        words += f" Of these, use {uncertain:,} with care."
-    return Answer(len(bad) / count, f"{count - len(bad):,} of {count:,} frames are well", words)
+        explanation += f" Of these, use {uncertain:,} with care."
+    figure = f"{count - len(bad):,} of {count:,} frames are well"
+    return Answer(len(bad) / count, figure, explanation)
 
 
 def _answer_on_time(subject: Subject) -> Answer | None:
     recording = subject.recording
     if recording is None or not len(recording.agreement):
         return None
-    least, most = recording.agreement.min(), recording.agreement.max()
-    words = "medians of frames in a row, by which the views place a segment differently."
-    figure = f"{with_decimals(least, 2)} to {with_decimals(most, 2)} times their sigma"
-    return Answer(most, figure, words)
+    low, high = recording.agreement.min(), recording.agreement.max()
+    explanation = "medians of frames in a row, by which the views place a segment differently."
+    figure = f"{with_decimals(low, 2)} to {with_decimals(high, 2)} times their sigma"
+    return Answer(high, figure, explanation)
 
 
 # Halves of the shots differ by 1 claimed sigma where the model is right; a ratio over tens of
@@ -276,7 +280,7 @@ CHECKS = (
     ),
     Limits(
         "Do the views agree all along?", "recording", 2,
-        "A camera was knocked where the line steps: run trinoc check on a frame behind it.",
+        "A camera was knocked where the line steps: run `trinoc check` on a frame behind it.",
         _answer_on_time,
     ),
     Limits(
@@ -295,7 +299,7 @@ CHECKS = (
     Limits(
         "Do the shots belong together?", "shots", 0,
         "Mend what the sentence names, or take these shots out.",
-        _together,
+        _answer_on_shots,
     ),
     Limits(
         "Does the sheet fill the pictures?", "detection", 0.1,
@@ -312,9 +316,9 @@ CHECKS = (
     ),
     Limits(
         "Are the residuals mere noise?", "detection", NOISY,
-        "Look at the arrows: a swirl or a fan is the lens (run trinoc intrinsics), one side alone "
-        "a bent sheet or a shadow, all over a wrong pattern file.",
-        _noisy,
+        "Look at the arrows: a swirl or a fan is the lens (run `trinoc intrinsics`), one side "
+        "alone a bent sheet or a shadow, all over a wrong pattern file.",
+        _answer_on_residuals,
         bad=3,
     ),
     Limits(
@@ -325,38 +329,38 @@ CHECKS = (
     ),
     Limits(
         "Does the lens fit everywhere?", "field-of-board", 3,
-        "A swirl or a fan is the lens: try --lens-model auto. Arrows that agree within one shot "
+        "A swirl or a fan is the lens: try `--lens-model auto`. Arrows that agree within one shot "
         "alone are a bent board.",
-        _pattern,
+        _answer_on_lens_fit,
     ),
     Limits(
         "Do two halves of the shots agree?", "cameras", APART,
         "Something is not in the model: the lens, the board, or cameras that moved. The sigmas "
         "claim too much.",
-        _halves,
+        _answer_on_halves,
         bad=FAR_APART,
     ),
     Limits(
         "How large is the held-out residual?", "shots", None,
         "If that is much more than the residuals: more shots, at more places and tilts.",
-        _held_out,
+        _answer_on_held_out_shots,
     ),
     Limits(
         "How well is a pixel known?", "uncertainty", None,
         "If that is too much: shots near the edges, at both ends of the working distance.",
-        _pixel,
+        _answer_on_pixels,
     ),
     Limits(
         "Do the cameras agree with each other?", "epipolar", 0.1,
         "A segment is matched within some tenths of a pixel: calibrate the lens, and check that "
         "sheet and cameras stood still between the pictures.",
-        _epipolar,
+        _answer_on_epipolar_lines,
         bad=0.5,
     ),
     Limits(
         "How well is a place known?", "field", None,
-        "If that is too much: measure the bars of the sheet (--print-scale), calibrate the lens, "
+        "If that is too much: measure the bars of the sheet (`--print-scale`), calibrate the lens, "
         "put the cameras farther apart.",
-        _place,
+        _answer_on_points,
     ),
 )  # fmt: skip

@@ -1,1 +1,1 @@
-"""How values show themselves in a notebook: tables, small pictures, plots, figures to turn."""
+"""Displays of values in a notebook: tables, small pictures, plots, interactive figures."""

@@ -162,8 +162,8 @@ def _(
         plot.draw_space(axes, matches, rig)
         return axes
     axes = _flat(axes)
-    seen = np.asarray(matches.fragments_px)[:, matches.views.index(view)]
-    plot.draw_tracks(axes, _picture(image, None, seen), matches, view, stage)
+    fragments_px = np.asarray(matches.fragments_px)[:, matches.views.index(view)]
+    plot.draw_tracks(axes, _picture(image, None, fragments_px), matches, view, stage)
     axes.set_title(f"{view}, {stage}")
     return axes
 

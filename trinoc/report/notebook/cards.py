@@ -1,7 +1,8 @@
-"""A value as a notebook shows it: a heading, a small picture and the head of its table."""
+"""Card of a value in a notebook: a heading, a small picture and the first rows of its table."""
 
 from functools import singledispatch
 from html import escape
+from typing import Any
 
 import numpy as np
 
@@ -17,12 +18,16 @@ from trinoc.match.observations.unusable import sigma_across_px
 from trinoc.match.tracks.matches import BINOCULAR, TRINOCULAR, Matches
 from trinoc.match.tuning.tracks import DecoyTuning
 from trinoc.numerics.tables import Table
+from trinoc.report.features_part import feature_table
+from trinoc.report.matches_part import tracks_table
 from trinoc.report.notebook.space import figure_in_space
 from trinoc.report.notebook.tables import list_columns
 from trinoc.report.numbers import with_decimals, with_sigma
+from trinoc.report.parameter_table import lens_table, rig_table
+from trinoc.report.report_table import ReportTable, draw_table
 from trinoc.report.space_content import BLACK, BLUE, COLOUR_OF_ROLE
 
-ROWS = 8
+ROWS, ROWS_OF_PARAMETERS = 8, 24
 SIDE_PX = 220
 # A picture of thousands of lines would make the notebook heavy.
 MOST_LINES = 400
@@ -31,67 +36,81 @@ Strokes = list[tuple[list[np.ndarray], str]]
 
 
 def make_card(value: object) -> str:
-    """HTML that needs nothing but itself."""
-    brief = value.named_columns(brief=True) if isinstance(value, Table) else list_columns(value)
-    columns = {name: np.asarray(column) for name, column in brief.items()}
-    picture = _svg(small_picture(value))
+    """HTML of a value that needs nothing but itself."""
+    table = card_table(value)._replace(look="")
     notes = "".join(f"<p>{escape(note)}</p>" for note in getattr(value, "notes", ()))
     return (
-        f'<div style="display:flex;gap:1.5em;align-items:flex-start;flex-wrap:wrap">{picture}'
-        f"<div><p><b>{escape(type(value).__name__)}</b>: {escape(heading(value))}</p>"
-        f"{notes}{_table(columns)}</div></div>"
+        f'<div style="display:flex;gap:1.5em;align-items:flex-start;flex-wrap:wrap">'
+        f"{_svg(small_picture(value))}<div><p><b>{escape(type(value).__name__)}</b>: "
+        f"{escape(heading(value))}</p>{notes}{draw_table(table)}</div></div>"
     )
 
 
-def _table(columns: dict[str, np.ndarray]) -> str:
-    """The first rows; one row alone stands upright."""
+@singledispatch
+def card_table(value: Any) -> ReportTable:
+    """The table of a value: that of the page where it has one, else of its columns."""
+    columns = value.named_columns(brief=True) if isinstance(value, Table) else list_columns(value)
     count = len(next(iter(columns.values()), []))
+    shown = ROWS_OF_PARAMETERS if "parameter" in columns else ROWS
+    cells = {name: [_cell_text(item) for item in each[:shown]] for name, each in columns.items()}
+    if "sigma" in cells:
+        del cells["sigma"]
+        pairs = zip(columns["value"], columns["sigma"], strict=True)
+        cells["value"] = [with_sigma(float(number), float(sigma)) for number, sigma in pairs]
+    rows = list(zip(*cells.values()))
     if count == 1:
-        cells = "".join(
-            f"<tr><th style='text-align:left'>{escape(name)}</th><td>{_cell(column[0])}</td></tr>"
-            for name, column in columns.items()
-        )
-        return f"<table>{cells}</table>"
-    if "sigma" in columns:
-        columns = {**columns, "value": _with_sigmas(columns["value"], columns["sigma"])}
-        del columns["sigma"]
-    head = "".join(f"<th>{escape(name)}</th>" for name in columns)
-    shown = min(count, ROWS if "parameter" not in columns else 24)
-    rows = "".join(
-        f"<tr>{''.join(f'<td>{_cell(column[row])}</td>' for column in columns.values())}</tr>"
-        for row in range(shown)
-    )
-    more = f"<p>{count - shown} more rows: to_frame()</p>" if count > shown else ""
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{more}"
+        return ReportTable((), list(zip(cells, rows[0], strict=True)))
+    return _first_rows(ReportTable(tuple(cells), rows), count, shown)
 
 
-def _with_sigmas(values: np.ndarray, sigmas: np.ndarray) -> np.ndarray:
-    pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
-    return np.array([with_sigma(value, sigma) for value, sigma in pairs])
+def _first_rows(table: ReportTable, count: int, shown: int = ROWS) -> ReportTable:
+    """The first of so many rows, with a note on the others."""
+    note = f"{count - shown} more rows: to_frame()" if count > shown else ""
+    return table._replace(rows=table.rows[:shown], row_attributes=(), note=note)
 
 
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return with_decimals(value, 3)
-    return escape(str(value))
+@card_table.register
+def _(rig: Rig) -> ReportTable:
+    return rig_table(rig)
+
+
+@card_table.register
+def _(result: CalibrationResult) -> ReportTable:
+    return lens_table(result) if result.views else rig_table(result.rig)
+
+
+@card_table.register
+def _(matches: Matches) -> ReportTable:
+    return _first_rows(tracks_table(matches), len(matches))
+
+
+@card_table.register
+def _(features: Feature) -> ReportTable:
+    if features.READ_FIRST:
+        return _first_rows(feature_table(features), len(features))
+    return card_table.dispatch(object)(features)
+
+
+def _cell_text(item: Any) -> str:
+    return with_decimals(float(item), 3) if isinstance(item, float | np.floating) else str(item)
 
 
 @singledispatch
 def heading(value: object) -> str:
-    """What matters of a value, in a line."""
+    """Summary of a value in one line."""
     return ""
 
 
 @heading.register
 def _(rig: Rig) -> str:
-    known = "with a covariance" if len(rig.parameters) else "without a covariance"
-    return f"{len(rig)} cameras ({list_names(rig)}), {known}"
+    covariance = "with a covariance" if len(rig.parameters) else "without a covariance"
+    return f"{len(rig)} cameras ({list_names(rig)}), {covariance}"
 
 
 @heading.register
 def _(result: CalibrationResult) -> str:
-    said = ", ".join(f"{name} {status.name}" for name, status in result.status.items())
-    return f"{said}; sigmas include {', '.join(('noise', *result.systematics))}"
+    cameras = ", ".join(f"{name} {status.name}" for name, status in result.status.items())
+    return f"{cameras}; sigmas include {', '.join(('noise', *result.systematics))}"
 
 
 @heading.register

@@ -1,4 +1,4 @@
-"""The ways in which a value shows itself in a notebook, each by its kind."""
+"""Displays of a value in a notebook, by its kind."""
 
 from html import escape
 from typing import Any
@@ -10,15 +10,15 @@ from trinoc.report.notebook.cards import heading, make_card
 from trinoc.report.notebook.space import figure_in_space
 from trinoc.report.notebook.tables import list_columns
 
-# Height of the figure to turn with its switches.
+# Height of the interactive figure with its switches.
 _HEIGHT_PX = 760
 
 
 class NotebookDisplays:
-    """What `trinoc.numerics.Displayable` asks for."""
+    """The displays that `trinoc.numerics.Displayable` calls."""
 
     def heading(self, value: Any) -> str:
-        """A line of text; within `jit`, `grad` or `vmap` there are no numbers to tell."""
+        """A line of text; within `jit`, `grad` or `vmap` the numbers are unknown."""
         return "traced" if is_traced(value) else heading(value)
 
     def html(self, value: Any) -> str:
@@ -30,7 +30,7 @@ class NotebookDisplays:
         return plot_value(value, axes, **options)
 
     def show(self, value: Any, **options: Any) -> "SpacePage":
-        """The report's figure to turn."""
+        """The report's interactive figure."""
         # A prompt that prints a value does not wait for templates.
         from trinoc.report.html import render_space
 
@@ -43,7 +43,7 @@ class NotebookDisplays:
 
 
 class SpacePage:
-    """The report's figure to turn, as a page of its own: `html`, which a notebook shows."""
+    """The report's interactive figure as a page of its own: `html`, which a notebook shows."""
 
     def __init__(self, html: str) -> None:
         self.html = html
