@@ -109,13 +109,16 @@ def places_seen(result: CalibrationResult) -> dict[str, CameraPlaces]:
     found = {}
     for number, name in enumerate(result.cameras):
         own = [
-            (view, residuals[view.kept])
+            (view, residuals[view.rows_used])
             for view, residuals in zip(result.views, result.residuals_px, strict=True)
             if view.camera == number
         ]
         if sum(len(residuals) for _, residuals in own):
-            shown = [v.detection.centres_px if v.shown is None else v.shown.uv_px for v, _ in own]
-            places = [np.asarray(uv)[v.kept] for uv, (v, _) in zip(shown, own, strict=True)]
+            shown = [
+                v.detection.centres_px if v.grey_level_points is None else v.grey_level_points.uv_px
+                for v, _ in own
+            ]
+            places = [np.asarray(uv)[v.rows_used] for uv, (v, _) in zip(shown, own, strict=True)]
             picture = PagePicture(name, *own[0][0].detection.image_size_px, "")
             errors = np.concatenate([residuals for _, residuals in own])
             found[name] = CameraPlaces(picture, np.concatenate(places), errors)

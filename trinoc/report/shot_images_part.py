@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.starts.pictures import Pictures, deliver, name_pictures
-from trinoc.calib.starts.placing import of_one_moment
+from trinoc.calib.starts.placing import original_shot_name
 from trinoc.report.numbers import with_decimals
 from trinoc.report.pictures import Arrows, PagePicture, page_picture
 
@@ -125,14 +125,19 @@ def _list_shots(result: CalibrationResult, camera: int) -> list[_ShotResiduals]:
     for shot, own in rows.items():
         views = [result.views[row] for row in own]
         places = [
-            np.asarray(v.detection.centres_px if v.shown is None else v.shown.uv_px) for v in views
+            np.asarray(
+                v.detection.centres_px if v.grey_level_points is None else v.grey_level_points.uv_px
+            )
+            for v in views
         ]
         residuals = np.concatenate([result.residuals_px[row] for row in own])
-        used = np.concatenate([view.kept for view in views])
+        used = np.concatenate([view.rows_used for view in views])
         uv_px = np.concatenate(places)
         known = np.isfinite(residuals).all(axis=1) & np.isfinite(uv_px).all(axis=1)
         # Grey levels report pieces of lines beside the places; those without information are none.
-        known &= used | np.concatenate([np.full(v.rows, v.shown is None) for v in views])
+        known &= used | np.concatenate(
+            [np.full(v.row_count, v.grey_level_points is None) for v in views]
+        )
         if known.any():
             size_px = views[0].detection.image_size_px
             found.append(_ShotResiduals(shot, size_px, uv_px[known], residuals[known], used[known]))
@@ -154,7 +159,7 @@ def _shot_image(
     arrows: Arrows,
 ) -> ShotImage:
     name, shot = result.cameras[camera], result.shots[own.shot]
-    image = deliver(pictures.get(of_one_moment(shot, name)))
+    image = deliver(pictures.get(original_shot_name(shot, name)))
     key = f"shot-{camera}-{own.shot}"
     array = None if image is None or isinstance(image, Detection) else np.asarray(image)
     picture = page_picture(key, array, own.size_px, longest_side_px=_SIDE_PX, quality=_QUALITY)
