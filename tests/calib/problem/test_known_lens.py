@@ -76,7 +76,7 @@ def check_left_is_strained(said: Intrinsics, covariance: np.ndarray) -> None:
         systematics=known_to(covariance, "left"),
     )
     assert found.overall_status is Status.SUSPECT
-    assert found.notes[0].startswith('Lens of "left": the observations contradict the given lens by ')
+    assert found.notes[0].startswith('Lens of "left": the observations contradict the given lens')
 
 
 def test_a_lens_that_the_shots_refute_is_named():
