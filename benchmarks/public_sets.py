@@ -114,7 +114,9 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
         else [max(held_out.own_px.values()), max(held_out.across_px.values(), default=0.0)],
         "held_out_cameras_px": None if held_out is None else dict(held_out.own_px),
         "sigma_factor": {name: fit.sigma_factor for name, fit in result.fits.items()},
-        "variance_factor": result.ended.variance_factor if result.ended is not None else None,
+        "variance_factor": result.solved_problem.variance_factor
+        if result.solved_problem is not None
+        else None,
         "halves": None if halves is None else halves.ratio,
         "focal": focal,
         "notes": list(result.notes),

@@ -73,7 +73,7 @@ def calibration(prefix: str, result: Any) -> Values:
         own = f"{prefix}.{name}"
         names = ("method", "used", "residuals_px", "rank", "gauge", "reduced_chi_square", "notes")
         yield from fields(own, fit, names)
-        for other in fit.alternatives:
+        for other in fit.fixed_parameter_tests:
             names = ("chi_square_drop", "p_value", "estimate", "sigma", "sentence")
             yield from fields(f"{own}.{other.name}", other, names)
         if fit.image is not None:

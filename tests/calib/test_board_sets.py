@@ -29,10 +29,10 @@ from trinoc.calib import BoardSet, Detection, next_shot
 from trinoc.calib.advice.halves import find_steps_to_half
 from trinoc.calib.detection.detection import split_by_board
 from trinoc.calib.problem.information import compute_information
-from trinoc.calib.problem.problem import Freedom, Problem
-from trinoc.calib.problem.robust_fit import fit_places
+from trinoc.calib.problem.problem import FreeLensParameters, Problem
+from trinoc.calib.problem.robust_fit import fit_points
 from trinoc.calib.problem.starting_problem import start_problem
-from trinoc.calib.problem.views import View
+from trinoc.calib.problem.views import BoardObservation
 from trinoc.calib.result.summary import fixed_boards
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.starts.connected import solve_hand_eye
@@ -65,7 +65,9 @@ def known_problem(random: np.random.Generator, systematics: Systematics = EXACT)
             if found is None:
                 continue
             for board, own in split_by_board(found, target).items():
-                views.append(View(number, shot, own, np.ones(len(own), bool), board=board))
+                views.append(
+                    BoardObservation(number, shot, own, np.ones(len(own), bool), board=board)
+                )
     return start_problem(
         views,
         target,
@@ -73,7 +75,7 @@ def known_problem(random: np.random.Generator, systematics: Systematics = EXACT)
         np.stack([CAMERAS[camera] for camera in cameras]),
         poses,
         [SIZE_PX] * 2,
-        Freedom(np.arange(2), np.zeros((2, 9), dtype=bool)),
+        FreeLensParameters(np.arange(2), np.zeros((2, 9), dtype=bool)),
         systematics,
         np.stack([IN_SET[board] for board in boards]),
     )
@@ -158,7 +160,7 @@ def test_errors_are_as_large_as_is_claimed():
     squares, truth = [], known_problem(np.random.default_rng(0))
     for seed in range(30):
         start = known_problem(np.random.default_rng(100 + seed))._replace(state=truth.state)
-        end, converged = fit_places(start)
+        end, converged = fit_points(start)
         assert converged
         information = compute_information(end)
         covariance = information.observability.covariance
@@ -194,9 +196,9 @@ def test_boards_that_nothing_connects_are_named():
         assert each is not None
         parts = split_by_board(each, set_of(("front", "side")))
         one_at_a_time.append(parts.get(number % 2, parts[0]))
-    with pytest.raises(CalibrationError, match="fixed to each other: the groups are front; side"):
+    with pytest.raises(CalibrationError, match="connects the boards: the groups are front; side"):
         calibrate_rig({"left": one_at_a_time}, set_of(("front", "side")), lens=KNOWN["left"])
-    with pytest.raises(CalibrationError, match='"other" is found in no picture'):
+    with pytest.raises(CalibrationError, match='"other" was found in no image'):
         calibrate_rig(
             pictures,
             BoardSet({**{n: BOARDS[n] for n in ("front", "side")},

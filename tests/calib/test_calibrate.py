@@ -93,7 +93,7 @@ def test_bad_pictures_are_named() -> None:
         calibrate({"left": picture("left"), "right": blank}, SHEET, LENS, systematics=EXACT)
     assert isinstance(caught.value.result, CalibrationResult)
     assert caught.value.result.status["right"] is Status.NOT_DETECTED
-    with pytest.raises(InputError, match="same picture"):
+    with pytest.raises(InputError, match="same image"):
         calibrate({"a": picture("left"), "b": picture("left")}, SHEET, LENS, systematics=EXACT)
     with pytest.raises(InputError, match="512 x 400"):
         calibrate({"a": picture("left")[:400]}, SHEET, LENS, systematics=EXACT)

@@ -106,7 +106,7 @@ def test_a_lens_without_distortion_asks_for_none():
     straight = np.append(LENS[:4], np.zeros(5))
     found = detections(POSES, values=straight)
     result = calibrate_intrinsics(found, SHEET)
-    assert any("ask for no distortion" in note for note in result.notes)
+    assert any("need no distortion" in note for note in result.notes)
     held = calibrate_intrinsics(found, SHEET, distortion=0)
     assert held.has_rig
     assert held.lens.distortion_model == "none"
@@ -143,4 +143,4 @@ def test_the_picture_is_best_known_amid_the_circles():
     assert sigma.max() == max(sigma[0, 0], sigma[0, 4], sigma[4, 0], sigma[4, 4])
     text = result.summary()
     assert sum(line.startswith("  ") and "+-" in line for line in text.splitlines()) == 9
-    assert "8 pictures" in text
+    assert "8 images" in text

@@ -151,7 +151,7 @@ def test_what_cannot_be_is_refused_in_words() -> None:
     uv_px = seen(points, random)
     with pytest.raises(CalibrationError, match="left-handed"):
         calibrate_points(points * [-1, 1, 1], uv_px, image_size_px=(512, 480))
-    with pytest.raises(InputError, match="how large"):
+    with pytest.raises(InputError, match="size of the image is missing"):
         calibrate_points(points, uv_px)
     with pytest.raises(InputError, match="too few"):
         calibrate_points(points[:3], uv_px[:3], LENS)

@@ -61,6 +61,13 @@ def test_what_is_true_of_the_fit_is_said(found):
     assert projection_sigma(found.rig, "left", 6000.0).sigma_px.max() > sigma.sigma_px.max()
 
 
+def test_the_chi_square_of_the_rig_is_the_mean_of_its_cameras(found):
+    numbers = [fit.used.sum() for fit in found.fits.values()]
+    chi_squares = [fit.reduced_chi_square for fit in found.fits.values()]
+    mean = np.average(chi_squares, weights=numbers)
+    np.testing.assert_allclose(mean, found.reduced_chi_square, rtol=1e-9)
+
+
 def test_the_world_may_be_a_camera(found):
     rig = calibrate_rig(shots(), BOARD, systematics=EXACT, world="middle").rig
     assert rig is not None
@@ -71,7 +78,7 @@ def test_the_world_may_be_a_camera(found):
         relative(poses, "left", "right"), relative(before, "left", "right"), atol=1e-4
     )
     assert "middle.turn_x_deg" not in rig.parameters
-    with pytest.raises(InputError, match="neither a camera"):
+    with pytest.raises(InputError, match="but must be a camera"):
         calibrate_rig(shots(), BOARD, systematics=EXACT, world="attic")
 
 
@@ -148,7 +155,7 @@ def test_cameras_out_of_step_by_one_are_told_so():
 def test_a_camera_that_sees_nothing_is_named():
     seen = shots()
     seen["right"] = [np.full((480, 640), 128, np.uint8)]
-    with pytest.raises(CalibrationError, match='Camera "right" sees the board in no picture'):
+    with pytest.raises(CalibrationError, match='found in no image of camera "right"'):
         calibrate_rig(seen, BOARD)
 
 

@@ -52,16 +52,16 @@ CASES = {
     ),
     "a lens that folds": (
         folded,
-        ", as the lens folds the picture 54 px from the principal point",
+        ", because the lens folds the picture 54 px from the principal point",
     ),
     "all circles in one line": (one_row, "has too few circles off one line to be found"),
     "all points in one line": (
         lambda: by_points(np.stack([STEPS_MM, STEPS_MM, 0 * STEPS_MM], axis=1)),
-        "do not spread enough to tell a pose: give points that spread in depth and across",
+        "do not spread enough to determine a pose: give points that spread in depth and across",
     ),
     "all points at one place": (
         lambda: by_points(np.full((8, 3), 5.0)),
-        "points do not spread enough to tell a pose",
+        "points do not spread enough to determine a pose",
     ),
     "a picture of a few pixels": (
         lambda: trinoc.calibrate({"upper": np.zeros((10, 12))}, PATTERN, TINY),
@@ -69,7 +69,7 @@ CASES = {
     ),
     "identical pictures": (
         lambda: calibrated(upper=picture(), left=picture()),
-        "The same picture was given for cameras",
+        "The same image was given for cameras",
     ),
     "mirrored picture": (
         lambda: calibrated(upper=picture()[:, ::-1].copy()),

@@ -26,7 +26,7 @@ from trinoc.calib.problem.robust_fit import RobustFit, end_of_fit
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.shots_fit import ShotsFit
-from trinoc.calib.starts.placing import PlacedRig
+from trinoc.calib.starts.placing import InitialRig
 from trinoc.errors import CalibrationError
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold
 from trinoc.geometry.lenses.kannala_brandt import KannalaBrandt
@@ -194,7 +194,7 @@ def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
 
 def holder(fit: RobustFit) -> ShotsFit:
     """The fit of a rig, as `fit_wider_model` takes it."""
-    return ShotsFit(cast(PlacedRig, None), fit)
+    return ShotsFit(cast(InitialRig, None), fit)
 
 
 def fit_with_noise(sigma_px: float) -> ShotsFit:

@@ -6,7 +6,7 @@ import pytest
 from tests.calib.made_shots import BOARD, shots
 from trinoc.calib.lens_selection import choice_sentence, choose_lens
 from trinoc.calib.problem.information import Information
-from trinoc.calib.problem.rao_test import HeldScore, explain_pull, rao_test
+from trinoc.calib.problem.rao_test import FixedScore, rao_test, score_of_fixed
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import InputError
@@ -45,7 +45,7 @@ def test_auto_takes_the_true_lens_and_says_why():
         shots(cameras=("left",), count=10), BOARD, lens_model="auto", systematics=Systematics()
     )
     assert "brown_conrady was chosen" in result.notes[0]
-    assert "do not ask for k4, k5, k6" in result.notes[0]
+    assert "do not need k4, k5, k6" in result.notes[0]
     assert abs(result.value("left.fx_px") - 800.0) < 4 * result.sigma("left.fx_px")
     assert result.cross_validation is not None
     assert result.cross_validation.across_px == {}
@@ -75,7 +75,7 @@ def test_without_need_of_more_parameters_the_rao_test_gives_any_chance_alike(sha
     random = np.random.default_rng(0)
     tests = [rao_test(information(random, share), np.arange(7) >= 4) for _ in range(500)]
     assert {test.freedom for test in tests} == {2}
-    chances = np.sort([test.chance for test in tests])
+    chances = np.sort([test.p_value for test in tests])
     # Kolmogorov and Smirnov's distance, which exceeds this once in a hundred times.
     assert np.abs(chances - (np.arange(500) + 0.5) / 500).max() < 1.63 / np.sqrt(500)
 
@@ -85,30 +85,30 @@ def test_the_rao_test_sees_what_was_held_wrongly():
     random = np.random.default_rng(1)
     here, held = information(random, 1.0), np.arange(7) >= 4
     noise = rao_test(here, held).chi_square
-    whole = here.of_shot.sum(axis=0)
-    pulled = here._replace(pulls=here.pulls + (whole @ [3.0, -2, 5, 1, 0, 0, 0]) / 40)
+    whole = here.shot_information.sum(axis=0)
+    pulled = here._replace(gradients=here.gradients + (whole @ [3.0, -2, 5, 1, 0, 0, 0]) / 40)
     assert rao_test(pulled, held).chi_square == pytest.approx(noise)
     left = whole[4, 4] - whole[4, :4] @ np.linalg.solve(whole[:4, :4], whole[:4, 4])
     off = np.eye(7)[4] * 5 / np.sqrt(left)
-    off = here._replace(pulls=here.pulls + whole @ off / 40)
-    assert rao_test(off, held).chance < 1e-3
+    off = here._replace(gradients=here.gradients + whole @ off / 40)
+    assert rao_test(off, held).p_value < 1e-3
 
 
 def test_what_is_freed_first_to_first_order_was_fitted():
     here = information(np.random.default_rng(2), 1.0)
-    score = HeldScore(*explain_pull(here, np.arange(7) >= 4), 160.0, 156.0, False)
+    score = FixedScore(*score_of_fixed(here, np.arange(7) >= 4), 160.0, 156.0, False)
     beside, fitted = score.with_freed([0]), rao_test(here, np.arange(7) == 5)
-    assert beside.judge([1]).chi_square == pytest.approx(fitted.chi_square)
-    np.testing.assert_allclose(beside.judge([1]).step, fitted.step)
-    np.testing.assert_allclose(beside.judge([1]).covariance, fitted.covariance)
-    assert beside.judge([0]).freedom == 0
-    assert beside.squared == 160.0 - score.judge([0]).chi_square
+    assert beside.test([1]).chi_square == pytest.approx(fitted.chi_square)
+    np.testing.assert_allclose(beside.test([1]).step, fitted.step)
+    np.testing.assert_allclose(beside.test([1]).covariance, fitted.covariance)
+    assert beside.test([0]).freedom == 0
+    assert beside.squared == 160.0 - score.test([0]).chi_square
     assert beside.freedom == 155.0
 
 
 def test_where_the_shots_cannot_pull_chance_is_all():
     here = information(np.random.default_rng(0), 1.0)
     test = rao_test(here, np.arange(7) == 6)
-    assert (test.chi_square, test.freedom, test.chance) == (0.0, 0, 1.0)
+    assert (test.chi_square, test.freedom, test.p_value) == (0.0, 0, 1.0)
     assert not test.step.any()
     assert not test.covariance.any()

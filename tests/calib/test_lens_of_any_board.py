@@ -44,7 +44,7 @@ def test_the_lens_of_any_board_is_the_true_one(name):
     assert result.overall_status is Status.CONVERGED
     # A chi-square of eight: its quantile of 1 - 1e-5.
     assert squared_distance(result, LENSES["left"]) < 37.0
-    assert "corners in 12 pictures" in result.summary()
+    assert "corners in 12 images" in result.summary()
     assert "flatness of the sheet" in result.summary()
 
 

@@ -22,10 +22,10 @@ from tests.calib.made_shots import (
 )
 from trinoc.calib import BoardSet
 from trinoc.calib.problem.apparent_shift import apparent_shift
-from trinoc.calib.problem.problem import Freedom, cam_from_board, lens_number
-from trinoc.calib.problem.robust_fit import degrees_of_freedom, place_errors_in_sigmas
+from trinoc.calib.problem.problem import FreeLensParameters, cam_from_board, lens_number
+from trinoc.calib.problem.robust_fit import degrees_of_freedom, whitened_errors
 from trinoc.calib.problem.starting_problem import start_problem
-from trinoc.calib.problem.views import SheetPoints, View, whitening_of_covariance
+from trinoc.calib.problem.views import BoardObservation, SheetPoints, whitening_of_covariance
 from trinoc.calib.problem.wrong_circles import discount_points, drop_wrong_circles
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.rig_pixels import expect_method, quarters_of_tags
@@ -47,7 +47,7 @@ def problem(target: AbstractTarget = BOARD):
     poses = board_poses(2)
     seen = made(count=2)
     views = [
-        View(c, s, each, np.ones(len(each), dtype=bool))
+        BoardObservation(c, s, each, np.ones(len(each), dtype=bool))
         for c, own in enumerate(seen.values())
         for s, each in enumerate(own)
     ]
@@ -58,7 +58,7 @@ def problem(target: AbstractTarget = BOARD):
         np.stack([cam_from_rig(name) for name in LENSES]),
         poses,
         [SIZE_PX] * 3,
-        Freedom(np.arange(3), np.ones((3, 9), dtype=bool)),
+        FreeLensParameters(np.arange(3), np.ones((3, 9), dtype=bool)),
         Systematics.typical({}),
     )
 
@@ -76,13 +76,11 @@ def test_points_count_alike_whether_detected_or_shown():
     # One of them is silent, and counts as it was detected.
     views[0] = detected.views[0]
     both = detected._replace(views=tuple(views))
-    errors = [
-        place_errors_in_sigmas(each).reshape(len(each.table.shot), -1) for each in (detected, both)
-    ]
+    errors = [whitened_errors(each).reshape(len(each.table.shot), -1) for each in (detected, both)]
     np.testing.assert_allclose(errors[0], errors[1], atol=1e-9)
     assert degrees_of_freedom(detected) == degrees_of_freedom(both)
     silenced = both._replace(views=tuple(v._replace(used=0 * v.used > 0) for v in both.views))
-    assert not place_errors_in_sigmas(silenced).any()
+    assert not whitened_errors(silenced).any()
 
 
 def test_points_that_may_lie_anywhere_take_their_information_along():
@@ -105,7 +103,7 @@ def test_a_circle_that_is_shown_elsewhere_is_left_out():
         aside[4] = 3.0
         views.append(view._replace(shown=own._replace(uv_px=own.uv_px + aside)))
     left = drop_wrong_circles(here._replace(views=tuple(views)))
-    assert all(np.flatnonzero(~view.kept).tolist() == [4] for view in left.views)
+    assert all(np.flatnonzero(~view.rows_used).tolist() == [4] for view in left.views)
 
 
 def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
@@ -147,7 +145,7 @@ def test_how_tags_are_turned_is_read_off_a_picture(quarters):
     ("method", "target", "says"),
     [
         ("grey", BOARD, 'must be "points" or "pixels"'),
-        ("pixels", BOARD, "is a detection, in which no grey levels are left"),
+        ("pixels", BOARD, "is a detection without grey levels"),
         ("pixels", BoardSet([BOARD, SHEET]), "holds several boards"),
     ],
 )

@@ -23,9 +23,9 @@ from trinoc.calib.advice.foreseen_shots import candidate_shots
 from trinoc.calib.advice.next_shot import weakly_known_covariance
 from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.problem.information import compute_information
-from trinoc.calib.problem.problem import Freedom
+from trinoc.calib.problem.problem import FreeLensParameters
 from trinoc.calib.problem.starting_problem import start_problem
-from trinoc.calib.problem.views import View
+from trinoc.calib.problem.views import BoardObservation
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import CalibrationError, InputError
 from trinoc.geometry.lenses.polynomial import BrownConrady
@@ -55,17 +55,21 @@ def test_pictures_square_to_the_camera_leave_focal_length_and_distance_open():
 
 def test_rounding_below_no_information_is_none():
     result = calibrate_intrinsics(detections(SQUARE), SHEET, throw=False)
-    assert result.ended is not None
-    ended, information = result.ended, compute_information(result.ended.problem)
+    assert result.solved_problem is not None
+    ended, information = result.solved_problem, compute_information(result.solved_problem.problem)
 
     def advise(least: float) -> str:
-        covariance = weakly_known_covariance(information._replace(of_shot=with_least(least)))
-        advice = next_shot(dataclasses.replace(result, ended=ended._replace(covariance=covariance)))
+        covariance = weakly_known_covariance(
+            information._replace(shot_information=with_least(least))
+        )
+        advice = next_shot(
+            dataclasses.replace(result, solved_problem=ended._replace(covariance=covariance))
+        )
         assert advice is not None
         return advice.sentence
 
     def with_least(least: float) -> np.ndarray:
-        whole, free = information.of_shot.sum(axis=0), information.free
+        whole, free = information.shot_information.sum(axis=0), information.free
         prior = np.zeros_like(whole)
         prior[np.ix_(free, free)] = information.prior
         eigenvalues, directions = np.linalg.eigh((whole + prior)[np.ix_(free, free)])
@@ -125,13 +129,13 @@ def candidates():
     """Ways to hold the sheet before a camera of THE_LENS."""
     seen = detection(good_poses()[0])
     lens_alone = start_problem(
-        [View(0, 0, seen, np.ones(len(seen), dtype=bool))],
+        [BoardObservation(0, 0, seen, np.ones(len(seen), dtype=bool))],
         SHEET,
         [THE_LENS],
         np.eye(3, 4)[None],
         good_poses()[0][None],
         [SIZE_PX],
-        Freedom(np.zeros(1, dtype=int), np.ones((1, 9), dtype=bool)),
+        FreeLensParameters(np.zeros(1, dtype=int), np.ones((1, 9), dtype=bool)),
         Systematics(),
     )
     return candidate_shots(lens_alone)
@@ -157,7 +161,7 @@ def test_the_words_of_a_candidate_are_those_of_its_pose():
 
 def test_inputs_that_cannot_be_right_are_refused():
     found = detections(good_poses())
-    with pytest.raises(InputError, match="No picture"):
+    with pytest.raises(InputError, match="No image"):
         calibrate_intrinsics([], SHEET)
     with pytest.raises(InputError, match="are the same"):
         calibrate_intrinsics([*found, found[3]], SHEET)

@@ -10,7 +10,9 @@ from scipy.stats import chi2
 from tests.calib.made_shots import BOARD, LENSES, SIZE_PX, board_poses, cam_from_rig, lens_of, shots
 from tests.calib.problem.made_problem import problem
 from trinoc.calib import Detection, sentences
-from trinoc.calib.problem.rao_test import unseen_sigmas
+from trinoc.calib.problem.outcome import ShotScatter
+from trinoc.calib.problem.rao_test import FixedScore, detectable_sigmas
+from trinoc.calib.refutations import _Noise
 from trinoc.calib.result.calibration import CalibrationResult, Status
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.shot_notes import reason_undetermined
@@ -71,7 +73,7 @@ def test_an_exchange_is_found_in_its_own_shot_alone():
 def test_folders_exchanged_as_a_whole_are_known_by_lenses_of_other_pictures_alone():
     seen = shots(count=2)
     known = dict(KNOWN) | {"left": Intrinsics.of_lens(lens_of("left"), (800, 600))}
-    with pytest.raises(InputError, match=r'of "left" is for pictures of 800 x 600 px, but .* 640'):
+    with pytest.raises(InputError, match=r'of "left" is for images of 800 x 600 px, but .* 640'):
         calibrate_rig(seen, BOARD, lens=known)
 
 
@@ -109,7 +111,7 @@ def test_another_board_that_looks_alike_is_refused_by_its_shot():
     seen["right"][1] = other["right"][2]
     (sentence,) = calibrate_rig(seen, BOARD, lens=KNOWN, systematics=EXACT).refused
     assert sentence.startswith('shot 2: "right" shows the board')
-    assert "another board that looks alike" in sentence
+    assert "another board that looks the same" in sentence
 
 
 def test_a_wrong_size_of_the_squares_shows_in_no_residual_and_the_summary_says_so():
@@ -153,7 +155,7 @@ def test_a_lens_that_was_given_and_shots_refute_is_named(wrong, named, amount):
     found = calibrate_rig(shots(), BOARD, lens=with_left(**wrong), systematics=EXACT)
     assert found.overall_status is Status.SUSPECT
     assert found.has_rig
-    said = rf'another lens of "left" than was given, above all in {named} by (\S+) \+- ([^,: ]+)'
+    said = rf'given lens of "left", above all in {named} by (\S+) \+- ([^,: ]+)'
     match = re.search(said, found.notes[0])
     assert match is not None
     assert float(match[1]) == pytest.approx(amount, abs=4 * float(match[2]))
@@ -165,7 +167,7 @@ def test_a_lens_of_all_cameras_is_refuted_as_one(monkeypatch):
     seen, wrong = shots(cameras=("left", "right")), with_left(k1=0.1)["left"]
     found = calibrate_rig(seen, BOARD, lens=wrong, same_lens=True, systematics=EXACT)
     assert found.overall_status is Status.SUSPECT
-    assert 'another lens of "left", "right" than was given, above all in k1' in found.notes[0]
+    assert 'given lens of "left", "right", above all in k1' in found.notes[0]
 
 
 def test_a_lens_that_is_another_cameras_is_refuted():
@@ -173,7 +175,7 @@ def test_a_lens_that_is_another_cameras_is_refuted():
     known = KNOWN | {"left": KNOWN["right"]}
     found = calibrate_rig(shots(), BOARD, lens=known, systematics=EXACT)
     assert found.overall_status is Status.SUSPECT
-    assert 'another lens of "left"' in found.notes[0]
+    assert 'given lens of "left"' in found.notes[0]
 
 
 @pytest.mark.parametrize(
@@ -223,7 +225,7 @@ def test_an_error_of_a_lens_that_goes_unseen_moves_a_camera_as_is_said():
 def test_what_goes_unseen_is_found_as_often_as_is_said(freedom):
     random, chance = np.random.default_rng(freedom), 1e-3
     off = np.zeros(freedom)
-    off[0] = unseen_sigmas(chance, freedom)
+    off[0] = detectable_sigmas(chance, freedom)
     squared = np.sum((random.normal(size=(20000, freedom)) + off) ** 2, axis=1)
     share = np.mean(squared > chi2.isf(chance, freedom))
     assert share == pytest.approx(TUNING.answer.power, abs=0.01)
@@ -233,3 +235,9 @@ def test_a_board_that_is_parallel_in_all_shots_is_told():
     flat = np.stack([board_poses(1)[0]] * 3)
     flat[:, :, 3] += np.arange(3)[:, None] * 20.0
     assert reason_undetermined(problem(flat)) == sentences.PARALLEL_BOARDS
+
+
+def test_rounding_errors_are_no_noise_that_tests_divide_by():
+    nothing = np.zeros((1, 1)), np.zeros(1), np.ones(1)
+    exact = FixedScore(*nothing, squared=0.0, freedom=10, are_exact=True)
+    assert _Noise.of(exact, ShotScatter(factor=1.0, sigma=0.1)).variance > 0

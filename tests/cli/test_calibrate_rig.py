@@ -43,7 +43,7 @@ def test_a_board_is_drawn_with_its_layout(board, corners, tmp_path, capsys):
         (["left"], "names no camera", 2),
         (["left=nowhere"], 'the folder of "left", does not exist', 1),
         (["left=pictures", "right=pictures"], 'of "left" and of "right"', 1),
-        (["left=pictures"], 'Camera "left" sees the board in no picture', 1),
+        (["left=pictures"], 'found in no image of camera "left"', 1),
     ],
 )
 def test_mistakes_are_told_in_one_sentence(places, says, status, tmp_path, monkeypatch, capsys):

@@ -79,10 +79,10 @@ def test_grey_levels_tell_more_than_circles(folder):
 
 def test_what_grey_levels_cannot_do_is_said(folder):
     image = np.asarray(cv2.imread(pictures(folder)[0], cv2.IMREAD_GRAYSCALE))
-    with pytest.raises(InputError, match="frees both focal lengths"):
+    with pytest.raises(InputError, match="estimates both focal lengths"):
         trinoc.calibrate_intrinsics([image], SHEET, method="pixels", aspect="pitch")
     found = trinoc.calib.detect_pattern(image, SHEET)
-    with pytest.raises(InputError, match="is a detection, in which no grey levels are left"):
+    with pytest.raises(InputError, match="is a detection without grey levels"):
         trinoc.calibrate_intrinsics([found], SHEET, method="pixels")
 
 
@@ -92,7 +92,7 @@ def test_a_picture_without_sheet_is_named_and_one_alone_fails(folder, capsys):
     assert main(["intrinsics", *pictures(folder), blank, *sheet, *out]) == 0
     assert "picture 6: No sheet" in capsys.readouterr().out
     assert main(["intrinsics", blank, *sheet]) == 1
-    assert "found in no picture" in capsys.readouterr().err
+    assert "found in no image" in capsys.readouterr().err
     assert main(["intrinsics", *sheet]) == 2
 
 

@@ -97,7 +97,7 @@ def test_bars_that_measure_what_they_should_are_measured_all_the_same(run):
     assert "measure the sheet's two bars (--print-scale)" in assumed["advice"]
     measured = json.loads(run(*points, "--print-scale", "1", "1", "--force")[1])
     assert "bars" not in measured["advice"]
-    assert "The sigmas rest on the lens being exact" in measured["advice"]
+    assert "The sigmas assume an exact lens" in measured["advice"]
     sigmas = [each["cameras"]["upper"]["parameters"]["distance_mm"] for each in (assumed, measured)]
     assert sigmas[1]["sigma"] < 0.3 * sigmas[0]["sigma"]
 

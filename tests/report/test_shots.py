@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from trinoc.calib import CalibrationResult, CameraFit, Detection, Status
-from trinoc.calib.problem.views import View
+from trinoc.calib.problem.views import BoardObservation
 from trinoc.calib.result.halves import CrossValidation, FieldDifference, HalvesCheck
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.geometry.rig import Rig
@@ -30,7 +30,9 @@ HALVES = HalvesCheck(1.02, "left.fx", 1.1, 24)
 MIDDLES = np.stack(np.meshgrid(*(np.linspace(50, side - 50, 5) for side in SIZE_PX)), -1)
 
 
-def seen(camera: int, shot: int, random: np.random.Generator, *, used: bool = True) -> View:
+def seen(
+    camera: int, shot: int, random: np.random.Generator, *, used: bool = True
+) -> BoardObservation:
     """A board upright somewhere in the picture, in the corners at first."""
     corner = (
         np.array([(0, 0), (1, 0), (1, 1), (0, 1)][shot]) if shot < 4 else random.uniform(size=2)
@@ -46,7 +48,7 @@ def seen(camera: int, shot: int, random: np.random.Generator, *, used: bool = Tr
         lines_px=np.full((2, 3), np.nan),
         image_size_px=SIZE_PX,
     )
-    return View(camera, shot, detection, np.full(count, used))
+    return BoardObservation(camera, shot, detection, np.full(count, used))
 
 
 def made_up(**changes: Any) -> CalibrationResult:
@@ -86,7 +88,7 @@ def made_up(**changes: Any) -> CalibrationResult:
     for number, name in enumerate(rig.names):
         rows = [k for k, view in enumerate(fields["views"]) if view.camera == number]
         residuals = [np.zeros((0, 2)), *(fields["residuals_px"][k] for k in rows)]
-        used = [np.zeros(0, dtype=bool), *(fields["views"][k].kept for k in rows)]
+        used = [np.zeros(0, dtype=bool), *(fields["views"][k].rows_used for k in rows)]
         fits[name] = CameraFit(
             np.concatenate(residuals),
             np.concatenate(used),

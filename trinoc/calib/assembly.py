@@ -1,4 +1,4 @@
-"""From the adjustments of all cameras to the result that users get."""
+"""From the adjustments of all cameras over one sheet to the public result."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,9 +6,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
+from trinoc.calib import sentences
 from trinoc.calib.adjustment.adjustment import Adjustment
-from trinoc.calib.adjustment.better_knowledge import advise_better_knowledge, say_what_goes_unseen
-from trinoc.calib.adjustment.model_tests import alternatives
+from trinoc.calib.adjustment.measurement_advice import (
+    advise_measurement,
+    find_undetectable_errors,
+)
+from trinoc.calib.adjustment.model_tests import run_fixed_parameter_tests
 from trinoc.calib.adjustment.prior_pulls import PriorPull, refuted_priors
 from trinoc.calib.camera_notes import (
     is_suspect,
@@ -42,10 +46,14 @@ def result_of_adjustments(
     failures: dict[str, str],
     failed_fits: Mapping[str, CameraFit],
 ) -> CalibrationResult:
-    """Rig, covariance, tests and notes.
+    """Assemble rig, covariance, tests and notes.
 
-    fits : of groups of cameras that share nothing, the adjustment by circles and the final one.
-    status : of all cameras, in the user's order. failed_fits : of cameras that are not in the rig.
+    Parameters
+    ----------
+    fits : for each group of cameras that share nothing, the adjustment by circles and the final
+        one.
+    status : status of all cameras, in the user's order.
+    failed_fits : fits of cameras that are not in the rig.
     """
     cameras: dict[str, Camera] = {}
     status_of_camera, camera_fits = dict(status), dict(failed_fits)
@@ -71,13 +79,15 @@ def result_of_adjustments(
             )
             if suspect:
                 status_of_camera[name] = Status.SUSPECT
-            of_pose = values_of_parameters(adjustment.parameters(view))
-            values.append(of_pose[: len(pose_parameters)])
+            pose_values = values_of_parameters(adjustment.parameters(view))
+            values.append(pose_values[: len(pose_parameters)])
             parameters += [f"{name}.{parameter}" for parameter in pose_parameters]
     covariance = np.asarray(block_diag(*covariance_blocks))
-    better = advise_better_knowledge([last for _, last in fits], priors.systematics)
-    unseen = say_what_goes_unseen({name: camera_fits[name].alternatives for name in cameras})
-    advice = [unseen] if better is None else [better.sentence, unseen]
+    measurement = advise_measurement([final for _, final in fits], priors.systematics)
+    tests = [test for name in cameras for test in camera_fits[name].fixed_parameter_tests]
+    advice = [sentences.undetectable_errors(*find_undetectable_errors(tests))]
+    if measurement is not None:
+        advice.insert(0, sentences.measurement_advice(measurement))
     rows = [covariance_names.index(parameter) for parameter in parameters]
     return CalibrationResult(
         solution=Rig(cameras, parameters=covariance_names, covariance=covariance),
@@ -88,7 +98,7 @@ def result_of_adjustments(
         fits=camera_fits,
         target=pattern,
         failures=failures,
-        systematics=priors.systematics.words,
+        systematics=priors.systematics.descriptions,
         notes=tuple(dict.fromkeys(sheet_notes)),
         advice=" ".join(filter(None, advice)),
     )
@@ -97,24 +107,26 @@ def result_of_adjustments(
 def _named_covariance(
     adjustment: Adjustment, observabilities: Sequence[Observability]
 ) -> tuple[list[str], Float[np.ndarray, "k k"]]:
-    """Names and covariance of all poses and of the focal lengths and principal points that are
-    uncertain; NaN for parameters that are not determined."""
+    """Names and covariance of all poses, and of the uncertain focal lengths and principal points.
+
+    NaN for parameters that are not determined.
+    """
     names: list[str] = []
     jacobians: list[np.ndarray] = []
     undetermined: list[int] = []
     for k, camera in enumerate(adjustment.cameras):
         steps = adjustment.rows(k)
-        of_pose = np.zeros((len(steps), len(adjustment.covariance)))
-        of_pose[:, steps] = adjustment.degrees_by_step(k)
+        pose_jacobian = np.zeros((len(steps), len(adjustment.covariance)))
+        pose_jacobian[:, steps] = adjustment.degrees_by_step(k)
         undetermined += [len(names) + row for row in observabilities[k].gauge]
-        names += [f"{camera.name}.{key}" for key in PARAMETER_NAMES[: len(of_pose)]]
-        jacobians.append(of_pose)
+        names += [f"{camera.name}.{key}" for key in PARAMETER_NAMES[: len(pose_jacobian)]]
+        jacobians.append(pose_jacobian)
         if camera.lens_factor is not None:
-            of_lens = np.zeros((len(AFFINE_PARAMETERS), len(adjustment.covariance)))
+            lens_jacobian = np.zeros((len(AFFINE_PARAMETERS), len(adjustment.covariance)))
             factor = camera.lens_factor[: len(AFFINE_PARAMETERS)]
-            of_lens[: len(factor), adjustment.lens_rows(k)] = factor
+            lens_jacobian[: len(factor), adjustment.lens_rows(k)] = factor
             names += [f"{camera.name}.{key}" for key in AFFINE_PARAMETERS]
-            jacobians.append(of_lens)
+            jacobians.append(lens_jacobian)
     jacobian = np.concatenate(jacobians)
     covariance = jacobian @ adjustment.covariance @ jacobian.T
     # Files hold no matrix that rounding made other than symmetric.
@@ -139,14 +151,14 @@ def _camera_fit(
     observability: Observability,
     pulls: Sequence[PriorPull],
 ) -> tuple[CameraFit, bool]:
-    """The fit of one camera, and whether it is SUSPECT.
+    """Fit of one camera, and whether it is SUSPECT.
 
-    It is if the images contradict what was stated of lens, aim or sheet, if the residuals call for
-    something that the model holds fixed, or if neighbouring circles share errors far above noise.
+    It is SUSPECT in three cases: the images contradict a prior of lens, aim or sheet; the residuals
+    contradict a fixed parameter; or neighbouring circles share errors far above the noise.
     """
     camera = adjustment.cameras[view]
     source = adjustment if camera.method == "pixels" else by_circles
-    tests = alternatives(source, view)
+    tests = run_fixed_parameter_tests(source, view)
     gauge = tuple(PARAMETER_NAMES[k] for k in observability.gauge)
     prior_notes, misfit_notes = notes_of_priors(pulls, adjustment, view), ()
     suspect = bool(prior_notes) or is_suspect(
@@ -156,20 +168,22 @@ def _camera_fit(
         misfit_notes = notes_of_misfit(by_circles, view)
         suspect = bool(misfit_notes)
     camera_notes = notes_of_camera(camera, by_circles, view, tests, gauge)
-    of_aim = ()
+    aim_notes = ()
     if not any(pull.concerns_aim(view) for pull in pulls):
-        of_aim = notes_of_aim(adjustment, view)
-    at_answer = by_circles.problem._replace(state=adjustment.problem.state)
+        aim_notes = notes_of_aim(adjustment, view)
+    circles_at_solution = by_circles.problem._replace(state=adjustment.problem.state)
     camera_fit = CameraFit(
         detections=(camera.detection,),
-        residuals_px=errors_px(at_answer)[view],
+        residuals_px=errors_px(circles_at_solution)[view],
         rank=observability.rank,
         reduced_chi_square=float(by_circles.reduced_chi_square[view]),
         gauge=gauge,
-        notes=(*prior_notes, *misfit_notes, *of_aim, *camera_notes),
+        notes=(*prior_notes, *misfit_notes, *aim_notes, *camera_notes),
         used=by_circles.used[view],
-        image=camera.picture.quality if camera.picture and camera.shown is not None else None,
-        alternatives=tuple(tests),
+        image=camera.grey_level_fit.quality
+        if camera.grey_level_fit and camera.grey_level_points is not None
+        else None,
+        fixed_parameter_tests=tuple(tests),
         method=camera.method,
     )
     return camera_fit, suspect
@@ -178,7 +192,7 @@ def _camera_fit(
 def failed_fit(
     detection: Detection, fit: Adjustment | None, status: Status, observability: Observability
 ) -> CameraFit:
-    """What is known of a camera whose circles give no pose."""
+    """Fit of a camera whose circles give no pose, as far as it got."""
     residuals_px, count = np.full((len(detection), 2), np.nan), len(detection)
     if fit is not None and status is not Status.NOT_CONVERGED:
         residuals_px = errors_px(fit.problem)[0]

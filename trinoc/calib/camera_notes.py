@@ -1,4 +1,6 @@
-"""Which sentences a camera over the sheet gets: its failure, or notes on its fit and its priors."""
+"""Choice of the sentences for one camera over the sheet: its failure, or notes on fit
+and priors.
+"""
 
 from collections.abc import Sequence
 
@@ -13,7 +15,7 @@ from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.sheet_problem import SheetCamera
-from trinoc.calib.result.calibration import Alternative, Status
+from trinoc.calib.result.calibration import FixedParameterTest, Status
 from trinoc.calib.tuning.every_group import TUNING, AnswerTuning
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold, describe_unusable_fold
 from trinoc.geometry.pose import PoseModel
@@ -35,10 +37,14 @@ def failure_of_camera(
     model: PoseModel,
     tuning: AnswerTuning,
 ) -> str:
-    """Why the fit of a camera to its circles cannot be used, and the remedy; empty if it can.
+    """Reason why the fit of a camera to its circles cannot be used, with the remedy; empty if it
+    can.
 
-    lens_factor : (k, r) of the covariance of a lens that this fit took as exact. model : what is
-    free of each pose later.
+    Parameters
+    ----------
+    fit : the fit of the camera alone, with sheet and lens exact; None without a first pose.
+    lens_factor : (k, r) factor L of the lens covariance L L^T; this fit assumed the lens exact.
+    model : estimated parameters of each pose in the adjustment of all cameras.
     """
     if status is Status.RANK_DEFICIENT:
         gauge = [PARAMETER_NAMES[k] for k in observability.gauge]
@@ -61,43 +67,49 @@ def failure_of_camera(
 
 
 def _fold(detection: Detection, lens: Intrinsics) -> str | None:
-    """The fold of a lens where it may be why a fit failed.
+    """Description of the fold of a lens, if it may be the cause of a failed fit.
 
-    A fold in the corners of the image is no cause where no circle lies beyond it.
+    A fold in the corners of the image is no cause if all circles lie before it.
     """
     fold = describe_fold(lens)
-    away_px = np.linalg.norm(detection.centres_px - np.asarray(lens.principal_point_px), axis=1)
-    is_beyond = bool((away_px > lens.valid_radius_px).any())
+    radius_px = np.linalg.norm(detection.centres_px - np.asarray(lens.principal_point_px), axis=1)
+    is_beyond = bool((radius_px > lens.valid_radius_px).any())
     is_cause = is_beyond or describe_unusable_fold(lens) is not None
     return fold if is_cause else None
 
 
 def is_suspect(
-    tests: Sequence[Alternative], reduced_chi_square: float, tuning: AnswerTuning = TUNING.answer
+    tests: Sequence[FixedParameterTest],
+    reduced_chi_square: float,
+    tuning: AnswerTuning = TUNING.answer,
 ) -> bool:
-    """Whether the images contradict what is held fixed: the residuals exceed their sigmas, or the
-    likeliest change would move the camera by more than its own sigmas allow."""
+    """True if the images contradict a fixed parameter.
+
+    They do if the residuals exceed their sigmas and a test is significant, or if a likely change
+    would move the camera by several of its sigmas.
+    """
     scatters = reduced_chi_square > tuning.large_chi_square
-    return (scatters and bool(tests) and tests[0].found) or any(test.is_strained for test in tests)
+    is_explained = scatters and bool(tests) and tests[0].is_significant
+    return is_explained or any(test.is_strained for test in tests)
 
 
 def notes_of_misfit(circles: Adjustment, view: int) -> tuple[str, ...]:
-    """A note on errors many times the noise that neighbouring circles share.
+    """Note on errors far above the noise that neighbouring circles share.
 
-    circles : the adjustment of all cameras by their circles.
+    circles : adjustment of all cameras by their circles.
     """
-    times = float(circles.enlarged[view])
+    times = float(circles.sigma_factors[view])
     tuning = circles.problem.tuning.answer
     if times <= tuning.strain_sigmas:
         return ()
     if autocorrelation_of_circles(circles, view) <= normal_limit(tuning.chance_of_answers):
         return ()
-    used_px = errors_px(circles.problem)[view][circles.used[view]]
-    return (sentences.neighbours_err_alike(float(np.sqrt(np.mean(used_px**2))), times),)
+    residuals_px = errors_px(circles.problem)[view][circles.used[view]]
+    return (sentences.neighbours_err_alike(float(np.sqrt(np.mean(residuals_px**2))), times),)
 
 
 def notes_of_aim(adjustment: Adjustment, view: int) -> tuple[str, ...]:
-    """A note on an aim beside the origin, where it is significant and large enough to matter."""
+    """Note on an aim beside the origin, if the offset is significant and large enough to matter."""
     if not adjustment.priors.aim_sigma_mm:
         return ()
     aim_mm = adjustment.parameters(view)[4:6]
@@ -117,43 +129,45 @@ def notes_of_camera(
     camera: SheetCamera,
     circles: Adjustment,
     view: int,
-    tests: Sequence[Alternative],
+    tests: Sequence[FixedParameterTest],
     gauge: Sequence[str],
 ) -> tuple[str, ...]:
-    """Sentences on what a user of a good fit should know.
+    """Notes on a good fit.
 
-    circles : the adjustment of all cameras by their circles. tests : of the observations that were
-    used. gauge : parameters that are not determined.
+    circles : adjustment of all cameras by their circles. tests : score tests of the used
+        observations. gauge : names of undetermined parameters.
     """
     tuning, detection = circles.problem.tuning.answer, camera.detection
-    picture = camera.picture
+    image_fit = camera.grey_level_fit
     by_circles = camera.method == "points"
     notes = []
-    decisive = [test for test in tests[:1] if test.found] or [t for t in tests if t.is_strained]
-    notes += [test.sentence for test in decisive[:1]]
-    if picture is not None and picture.note is not None:
-        notes.append(sentences.grey_levels_have_no_fit(picture.note))
-    elif picture is not None and by_circles and picture.is_processed:
+    decisive = [test for test in tests[:1] if test.is_significant] or [
+        t for t in tests if t.is_strained
+    ]
+    notes += [sentences.fixed_parameter_off(test) for test in decisive[:1]]
+    if image_fit is not None and image_fit.note is not None:
+        notes.append(sentences.grey_levels_have_no_fit(image_fit.note))
+    elif image_fit is not None and by_circles and image_fit.is_processed:
         notes.append(sentences.SHARPENED_GREY_LEVELS_DISAGREE)
-    elif picture is not None and by_circles:
+    elif image_fit is not None and by_circles:
         notes.append(sentences.GREY_LEVELS_DISAGREE)
     elif camera.agreement < tuning.chance_of_answers:
         notes.append(sentences.CIRCLES_DISAGREE)
     outliers = detection.circle_index[~circles.used[view]]
     if len(outliers):
-        notes.append(sentences.circles_left_out(outliers.tolist()))
+        notes.append(sentences.circles_not_used(outliers.tolist()))
     if len(detection) < len(circles.problem.target):
         notes.append(sentences.circles_missing(len(detection), len(circles.problem.target)))
     if gauge:
         notes.append(sentences.not_determined_one_by_one(gauge))
-    quality = picture.quality if picture is not None else None
+    quality = image_fit.quality if image_fit is not None else None
     if quality is not None and quality.found:
-        notes.append(sentences.fitted_along(quality.found))
+        notes.append(sentences.effects_included(quality.found))
     if quality is not None and quality.pixels_cut > tuning.cut_share * quality.pixels:
         share = quality.pixels_cut / (quality.pixels + quality.pixels_cut)
-        notes.append(sentences.pixels_left_out(share))
+        notes.append(sentences.pixels_not_used(share))
     if quality is not None and quality.reduced_chi_square > tuning.large_chi_square:
-        notes.append(sentences.picture_departs(quality.noise, quality.noise_floor))
+        notes.append(sentences.image_departs(quality.noise, quality.noise_floor))
     reduced_chi_square = float(circles.reduced_chi_square[view])
     if by_circles and reduced_chi_square > tuning.large_chi_square:
         notes.append(sentences.circles_scatter(float(np.sqrt(reduced_chi_square))))
@@ -165,19 +179,21 @@ def notes_of_camera(
 def notes_of_priors(
     pulls: Sequence[PriorPull], adjustment: Adjustment, view: int
 ) -> tuple[str, ...]:
-    """Notes on what the images contradict of one camera's lens and aim, then of the sheet."""
-    of_camera = [sentence_of_pull(p, adjustment, view) for p in pulls if view in p.views]
-    return (*dict.fromkeys(of_camera), *notes_of_sheet(pulls, adjustment))
+    """Notes on the priors of one camera's lens and aim, then of the sheet, that the images
+    contradict.
+    """
+    camera_sentences = [sentence_of_pull(p, adjustment, view) for p in pulls if view in p.views]
+    return (*dict.fromkeys(camera_sentences), *notes_of_sheet(pulls, adjustment))
 
 
 def notes_of_sheet(pulls: Sequence[PriorPull], adjustment: Adjustment) -> tuple[str, ...]:
-    """Notes on what the images contradict of the sheet, or of what it cannot be separated from."""
-    of_sheet = [sentence_of_pull(pull, adjustment, 0) for pull in pulls if not pull.views]
-    return tuple(dict.fromkeys(map(sentences.capitalise, of_sheet)))
+    """Notes on the priors of the sheet that the images contradict."""
+    pull_sentences = [sentence_of_pull(pull, adjustment, 0) for pull in pulls if not pull.views]
+    return tuple(dict.fromkeys(map(sentences.capitalise, pull_sentences)))
 
 
 def sentence_of_pull(pull: PriorPull, adjustment: Adjustment, view: int) -> str:
-    """The sentence that reports an unknown which the images contradict, and the remedy.
+    """Sentence on an unknown whose prior the images contradict, with the remedy.
 
     Unknowns that the images cannot separate share one sentence.
     """

@@ -1,4 +1,4 @@
-"""Fitted lenses that fold the image: a distortion that is not determined out to the corners."""
+"""Fitted lenses that fold the image, because the distortion is undetermined toward the corners."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib import sentences
 from trinoc.calib.problem.coefficients import free_of_lenses
 from trinoc.calib.problem.moments import errors_about_image_poses_px, fit_image_poses
 from trinoc.calib.problem.outcome import assess_fit
 from trinoc.calib.problem.problem import Problem, lens_number, with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, refit
 from trinoc.calib.problem.status import Status
-from trinoc.calib.problem.views import View
+from trinoc.calib.problem.views import BoardObservation
 from trinoc.errors import CalibrationError
 from trinoc.geometry.intrinsics import Intrinsics, describe_fold, describe_usable_fold
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
@@ -30,12 +31,12 @@ _WIDER_MODELS: tuple[type[AbstractLens], ...] = (Rational, KannalaBrandt)
 
 
 class FoldFindings(NamedTuple):
-    """Folds of fitted lenses.
+    """Result of the check of all lenses for folds.
 
     Fields
     ------
     failure : sentence on the first lens that must not be used, with the remedy; None without one.
-    notes : a sentence on each lens that folds where nothing was observed.
+    notes : sentence on each lens that folds where nothing was observed.
     """
 
     failure: str | None
@@ -47,14 +48,13 @@ def assess_folds(
 ) -> FoldFindings:
     """Decide which fitted lenses that fold their image may be used.
 
-    A distortion that fits the corners observed in the middle of the image may fold it farther out.
-    Such a lens is usable up to the fold, if everything observed lies before it and little of the
-    image beyond.
+    A distortion fitted to the middle of the image may fold it farther out. Such a lens may be used
+    inside the fold, if all observations are inside and only a small part of the image is outside.
 
     Parameters
     ----------
-    lenses : by the name of their camera.
-    observed_px : of each camera, the pixels that were fitted.
+    lenses : fitted lenses, by the name of their camera.
+    observed_px : fitted pixels of each camera.
     """
     notes = []
     for camera, lens in lenses.items():
@@ -64,37 +64,28 @@ def assess_folds(
         usable = describe_usable_fold(lens)
         offset = observed_px[camera] - np.asarray(lens.principal_point_px)
         if usable is None or (np.linalg.norm(offset, axis=1) > lens.valid_radius_px).any():
-            failure = (
-                f'The fitted distortion of "{camera}" {fold}: show the board nearer to the corners '
-                "of the image, fit fewer coefficients (distortion=1 or distortion=2), or name "
-                "another lens model (rational, kannala_brandt)."
-            )
-            return FoldFindings(failure, ())
-        notes.append(
-            f'The distortion of "{camera}" {usable}. Show the board nearer to the corners of the '
-            "image to use them."
-        )
+            return FoldFindings(sentences.lens_folds(camera, fold), ())
+        notes.append(sentences.lens_folds_outside(camera, usable))
     return FoldFindings(None, tuple(notes))
 
 
-def observed_pixels(views: Sequence[View], camera: int) -> Float[np.ndarray, "n 2"]:
-    """Circles and corners of one camera that take part in a fit."""
+def observed_pixels(views: Sequence[BoardObservation], camera: int) -> Float[np.ndarray, "n 2"]:
+    """Pixels of all circles and corners of one camera that a fit uses, (n, 2)."""
     pixels = [view.detection.centres_px[view.used] for view in views if view.camera == camera]
     return np.concatenate([np.zeros((0, 2)), *pixels])
 
 
-def hold_folding(fit: RobustFit, cameras: Sequence[str]) -> tuple[RobustFit, tuple[str, ...]]:
+def fix_folding(fit: RobustFit, cameras: Sequence[str]) -> tuple[RobustFit, tuple[str, ...]]:
     """Fit again with fewer coefficients of each lens that folds its image, with a sentence on each.
 
     The dispensable coefficients of the lens model are fixed at 0 one after the other, until no lens
-    folds. Only lenses that fold are changed. If that does not help, or if the residuals ask for
-    these coefficients, the fit stays as it is.
-    Lenses that are given are not changed.
+    folds. Only lenses that fold change; given lenses do not. If this does not help, or if the
+    residuals need these coefficients, the fit stays as it is.
 
     cameras : names, in the order of the problem.
     """
-    problem, first = fit.problem, _folds(fit.problem)
-    if not first:
+    problem, folds = fit.problem, _folds(fit.problem)
+    if not folds:
         return fit, ()
     changed, model = fit, problem.state.lenses
     for name in model.dispensable:
@@ -103,13 +94,13 @@ def hold_folding(fit: RobustFit, cameras: Sequence[str]) -> tuple[RobustFit, tup
         if not rows:
             continue
         free[rows, column] = False
-        changed = refit(with_lens_free(changed.problem, free), changed.elsewhere)
+        changed = refit(with_lens_free(changed.problem, free), changed.rejected_images)
         if not _folds(changed.problem):
-            every = range(len(cameras))
-            rise = _rms_px(changed.problem, every) / _rms_px(problem, every)
+            all_cameras = range(len(cameras))
+            rise = _rms_px(changed.problem, all_cameras) / _rms_px(problem, all_cameras)
             if not rise <= problem.tuning.answer.most_rise_by_fixing:
                 return fit, ()
-            return changed, _fixed_sentences(fit, changed, first, cameras)
+            return changed, _fixed_sentences(fit, changed, folds, cameras)
     return fit, ()
 
 
@@ -120,26 +111,25 @@ def fit_wider_model(
 ) -> "ShotsFit":
     """Return a fit by another lens model if a lens of this one folds its image.
 
-    Cameras of wide lenses need it: the polynomial of Brown-Conrady, fitted where corners were
-    observed, turns back between there and the corners of the image.
+    Wide lenses need it: the polynomial of Brown and Conrady, fitted to the middle of the image, may
+    turn back toward its corners.
 
     Parameters
     ----------
     folding : the fit that may fold.
-    fit_model : fits a lens model to the same observations.
+    fit_model : function that fits a lens model to the same observations.
     cameras : names, in the order of the problem.
 
     Returns
     -------
     The fit of the first wider model that is determined, folds no image and explains the
-    observations, with a remark that reports the change; the fit that was given, if there is none
-    or none is needed.
+    observations, with a remark on the change. The given fit if no model does, or if no lens folds.
     """
     folds = _folds(folding.fit.problem)
     if not folds:
         return folding
-    every = range(len(cameras))
-    folding_rms_px = _rms_px(folding.fit.problem, every)
+    all_cameras = range(len(cameras))
+    folding_rms_px = _rms_px(folding.fit.problem, all_cameras)
     for model in _WIDER_MODELS:
         try:
             other = fit_model(model)
@@ -147,72 +137,87 @@ def fit_wider_model(
             continue
         if assess_fit(other.fit).status is not Status.CONVERGED:
             continue
-        rms_px = _rms_px(other.fit.problem, every)
-        explains = rms_px <= folding.fit.problem.tuning.answer.most_rise_by_fixing * folding_rms_px
-        if not explains or _folds(other.fit.problem):
+        rms_px = _rms_px(other.fit.problem, all_cameras)
+        fits_as_well = (
+            rms_px <= folding.fit.problem.tuning.answer.most_rise_by_fixing * folding_rms_px
+        )
+        if not fits_as_well or _folds(other.fit.problem):
             continue
-        lens_of_camera = np.asarray(folding.fit.problem.parametrization.lens_of_camera).tolist()
+        lens_of_camera: list[int] = np.asarray(
+            folding.fit.problem.parametrization.lens_of_camera
+        ).tolist()
         lens, fold = next(iter(folds.items()))
-        sentence = (
-            f"The {folding.fit.problem.state.lenses.model} distortion of "
-            f'"{cameras[lens_of_camera.index(lens)]}" {fold}, so the lens model is {model.model}: '
-            f"the rms residual is {rms_px:.3f} px instead of {folding_rms_px:.3f} px."
+        sentence = sentences.lens_model_widened(
+            folding.fit.problem.state.lenses.model,
+            cameras[lens_of_camera.index(lens)],
+            fold,
+            model.model,
+            rms_px,
+            folding_rms_px,
         )
         return dataclasses.replace(other, remarks=(sentence, *other.remarks))
     return folding
 
 
 def _folds(problem: Problem) -> dict[int, str]:
-    """What each fitted lens that folds its image does, by the number of the lens."""
+    """Description of the fold of each fitted lens that folds its image, by the number
+    of the lens.
+    """
     sizes, free = problem.image_sizes_px, free_of_lenses(problem)
-    found = {}
+    folds = {}
     for camera, lens in enumerate(np.asarray(problem.parametrization.lens_of_camera).tolist()):
-        if lens in found or not free[lens].any() or camera not in sizes:
+        if lens in folds or not free[lens].any() or camera not in sizes:
             continue
         intrinsics = Intrinsics.of_lens(simplify_lens(lens_number(problem, lens)), sizes[camera])
         fold = describe_fold(intrinsics)
         if fold is not None:
-            found[lens] = fold
-    return found
+            folds[lens] = fold
+    return folds
 
 
 def _fixed_sentences(
     before: RobustFit, after: RobustFit, folds: Mapping[int, str], cameras: Sequence[str]
 ) -> tuple[str, ...]:
-    """Which coefficients were fixed and why, and what that costs, for each lens."""
+    """Sentence for each lens on its fixed coefficients, the fold, and the cost."""
     names = before.problem.state.lenses.parameter_names
     lens_of_camera = np.asarray(before.problem.parametrization.lens_of_camera).tolist()
-    was, is_free = free_of_lenses(before.problem), free_of_lenses(after.problem)
-    sentences = []
+    was_free, is_free = free_of_lenses(before.problem), free_of_lenses(after.problem)
+    remarks = []
     for lens, fold in folds.items():
-        own = [k for k, each in enumerate(lens_of_camera) if each == lens]
-        fixed = [name for name, gone in zip(names, was[lens] & ~is_free[lens]) if gone]
-        which, are = ", ".join(fixed), "is" if len(fixed) == 1 else "are"
-        sentences.append(
-            f'The distortion of "{cameras[own[0]]}" fitted with {which} {fold}, so {which} {are} '
-            f"fixed at 0; the rms residual is {_rms_px(after.problem, own):.3f} px instead of "
-            f"{_rms_px(before.problem, own):.3f} px. Show the board nearer to the corners of the "
-            "image."
+        members = [k for k, number in enumerate(lens_of_camera) if number == lens]
+        fixed = [name for name, it_is in zip(names, was_free[lens] & ~is_free[lens]) if it_is]
+        remarks.append(
+            sentences.folding_coefficients_fixed(
+                cameras[members[0]],
+                fixed,
+                fold,
+                _rms_px(after.problem, members),
+                _rms_px(before.problem, members),
+            )
         )
-    return tuple(sentences)
+    return tuple(remarks)
 
 
 def _rms_px(problem: Problem, cameras: Sequence[int]) -> float:
-    """Root mean square length of the residuals of some cameras.
+    """Root mean square length of the residuals of some cameras, px.
 
-    Where the board moves between the images of a shot, about the pose of each image: the motion
-    would hide what a lens explains.
+    If the board moves between the images of a shot, residuals are about the pose of each image.
+    Otherwise the motion would hide the residuals of the lens.
     """
-    is_moved = any(view.is_moved for view in problem.views)
+    is_moved = any(view.has_motion_errors for view in problem.views)
     residuals = (
         errors_about_image_poses_px(problem, fit_image_poses(problem))
         if is_moved
         else errors_px(problem)
     )
-    kept = [
-        errors[view.kept]
+    used_px = [
+        errors[view.rows_used]
         for view, errors in zip(problem.views, residuals, strict=True)
         if view.camera in cameras
     ]
-    every = np.concatenate([np.zeros((0, 2)), *kept])
-    return float(np.sqrt(np.mean(np.sum(every**2, axis=1)))) if len(every) else float("nan")
+    residuals_px = np.concatenate([np.zeros((0, 2)), *used_px])
+    return (
+        float(np.sqrt(np.mean(np.sum(residuals_px**2, axis=1))))
+        if len(residuals_px)
+        else float("nan")
+    )

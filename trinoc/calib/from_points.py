@@ -1,4 +1,6 @@
-"""One camera from points of known places, on a plane or off it, and their given images."""
+"""Calibrate one camera from points with known coordinates, on a plane or off it, and
+their pixels.
+"""
 
 from collections.abc import Sequence
 
@@ -46,53 +48,59 @@ def calibrate_points(
     systematics: Systematics | None = None,
     tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
-    """The pose of a camera, and what of its lens is `free`, by least squares in the picture.
+    """Estimate the pose of a camera, and the free parameters of its lens, from points.
 
-    points_mm : places in the world, four or more; off one plane where the lens is fitted too.
-    uv_px : where the picture shows them, distorted as it is.
-    lens : the intrinsics; without it `image_size_px` is needed, and the focal lengths and the
-        principal point are fitted from a direct linear transform (Hartley and Zisserman, 7.1),
-        with as many coefficients of Brown and Conrady's distortion, and with a skew, as the points
-        ask for.
-    free : names of the lens's parameters (fx_px, fy_px, cx_px, cy_px, skew_px, and its coefficients
-        or those of a model that contains it) that are fitted, starting from `lens`.
-    pose_model : "rigid", any motion; "aim-free", the same by pan, tilt, swing, distance and aim;
-        or "aimed", for a camera whose axis meets the world's origin.
-    systematics : its `lens_covariance` is that of what is not `free` of the lens, and is in the
-        covariance; by default that of a data sheet where the lens is one (`Systematics.typical`).
-        `Systematics()` takes the lens as exact. The places are exact either way.
+    Parameters
+    ----------
+    points_mm : (n, 3) coordinates in the world, four or more points; not all in one plane if the
+        lens is estimated.
+    uv_px : (n, 2) their pixels in the image, with distortion.
+    lens : intrinsics. Without it, `image_size_px` is needed. A direct linear transform (Hartley and
+        Zisserman, 7.1) then gives the start; focal lengths and principal point are estimated, with
+        as many coefficients of Brown-Conrady distortion, and a skew, as the points need.
+    image_size_px : (width, height) of the image; needed without `lens`.
+    free : names of estimated lens parameters (fx_px, fy_px, cx_px, cy_px, skew_px, and the
+        coefficients of the lens's model or of a model that contains it). They start from `lens`.
+    pose_model : "rigid": any motion. "aim-free": the same, by pan, tilt, swing, distance and aim.
+        "aimed": the optical axis meets the origin of the world.
+    systematics : its `lens_covariance` is the covariance of the lens parameters that are not
+        `free`, and part of the result's covariance. Default: that of a data sheet, for a lens that
+        comes from one (`Systematics.typical`). `Systematics()` assumes an exact lens. Points are
+        always exact.
     tuning : constants of calibration; a benchmark or a study changes them.
 
-    The status is SUSPECT, with a note that names it, where the points ask for something of lens or
-    aim that was held and said to be exact (Rao's score test, by noise as the residuals show it), or
-    for a lens beyond four sigmas of what was said of it.
+    Returns
+    -------
+    A rig of one camera. It is SUSPECT, with a note, in two cases: the points contradict a fixed and
+    exact parameter of lens or aim (Rao's score test with the noise of the residuals), or the lens
+    lies more than four sigmas from the given one.
 
     Raises
     ------
-    InputError : shapes, numbers or names that cannot be.
-    CalibrationError : the points do not determine the camera, lie behind it (a left-handed
+    InputError : impossible shapes, numbers or names.
+    CalibrationError : the points do not determine the camera or lie behind it (a left-handed
         frame), or the fit did not converge.
     """
     points = np.ascontiguousarray(real_array(points_mm, "points_mm"))
-    seen = np.ascontiguousarray(real_array(uv_px, "uv_px"))
+    pixels = np.ascontiguousarray(real_array(uv_px, "uv_px"))
     model = PoseModel.of(pose_model)
     names = tuple((() if lens is not None else AFFINE_PARAMETERS) if free is None else free)
-    _check(points, seen, lens, image_size_px, names, tuning)
+    _check(points, pixels, lens, image_size_px, names, tuning)
     if lens is None:
         assert image_size_px is not None
-        camera = find_linear_camera(points, seen, image_size_px)
+        camera = find_linear_camera(points, pixels, image_size_px)
     else:
-        camera = Camera(lens, find_pose(points, seen, lens, tuning=tuning))
-    problem = fit_without_outliers(problem_of_points(camera, points, seen, names, model, tuning))
+        camera = Camera(lens, find_pose(points, pixels, lens, tuning=tuning))
+    problem = fit_without_outliers(problem_of_points(camera, points, pixels, names, model, tuning))
     if lens is None and free is None:
         problem, names = extend_lens(problem, names)
     lenses = {CAMERA: camera.intrinsics} if lens else {}
-    known = systematics or Systematics.typical(lenses, tuning=tuning)
-    factor = known.lens_factors({CAMERA: camera.intrinsics}).get(CAMERA, np.zeros((0, 0)))
-    held = np.zeros((problem.parametrization.lens_shape[1], factor.shape[1]))
-    held[: len(factor)] = factor
-    held[[name in names for name in problem.state.lenses.parameter_names]] = 0.0
-    return _result(problem, names, model, camera.intrinsics, held)
+    priors = systematics or Systematics.typical(lenses, tuning=tuning)
+    factor = priors.lens_factors({CAMERA: camera.intrinsics}).get(CAMERA, np.zeros((0, 0)))
+    lens_errors = np.zeros((problem.parametrization.lens_shape[1], factor.shape[1]))
+    lens_errors[: len(factor)] = factor
+    lens_errors[[name in names for name in problem.state.lenses.parameter_names]] = 0.0
+    return _result(problem, names, model, camera.intrinsics, lens_errors)
 
 
 def _result(
@@ -100,17 +108,20 @@ def _result(
     names: tuple[str, ...],
     model: PoseModel,
     lens: Intrinsics,
-    held: Float[np.ndarray, "q r"],
+    lens_errors: Float[np.ndarray, "q r"],
 ) -> CalibrationResult:
-    """held : change of the lens's parameters for a sigma of each error that is not fitted."""
+    """Covariance, tests and public result of a fit.
+
+    lens_errors : change of the lens's parameters for one sigma of each error that is not fitted.
+    """
     (view,), parametrization = problem.views, problem.parametrization
     used = view.used
-    every = whiten_views(problem).jacobian[0][: 2 * len(used)][np.repeat(used, 2)]
+    full_jacobian = whiten_views(problem).jacobian[0][: 2 * len(used)][np.repeat(used, 2)]
     scale, pose_rows = np.asarray(parametrization.lens_scale)[0], parametrization.slices.camera(0)
     rows = [problem.state.lenses.parameter_names.index(name) for name in names]
     columns = [*range(pose_rows.start, pose_rows.start + model.size), *rows]
     parameters = (*model.parameter_names, *names)
-    jacobian = every[:, columns]
+    jacobian = full_jacobian[:, columns]
     residuals_px = errors_px(problem)[0]
     freedom = len(jacobian) - len(columns)
     if freedom < 0:
@@ -121,36 +132,48 @@ def _result(
     noise = float(np.sqrt(chi / freedom)) if freedom else float("nan")
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     sigma = (noise if freedom else 1.0) / np.sqrt(np.maximum(values, 1e-300))
-    lost = (sigma > LARGEST_SIGMA) | (values < 1e-14 * values[-1])
-    if lost.any():
-        touched = (vectors[:, lost] ** 2).sum(axis=1) > 0.02
-        open_ = ", ".join(name for name, hit in zip(parameters, touched, strict=True) if hit)
-        raise CalibrationError(
-            f"{int(used.sum())} points leave {open_} free: give points that spread in depth and "
-            "across the picture, or hold more of the lens."
+    is_undetermined = (sigma > LARGEST_SIGMA) | (values < 1e-14 * values[-1])
+    if is_undetermined.any():
+        is_affected = (vectors[:, is_undetermined] ** 2).sum(axis=1) > 0.02
+        undetermined = ", ".join(
+            name for name, affected in zip(parameters, is_affected, strict=True) if affected
         )
-    by_step = np.zeros((len(columns), len(columns)))
+        raise CalibrationError(
+            f"{int(used.sum())} points do not determine {undetermined}: give points that spread in "
+            "depth and across the image, or fix more parameters of the lens."
+        )
+    parameters_by_step = np.zeros((len(columns), len(columns)))
     pose = Pose(np.asarray(problem.state.cam_from_rig)[0])
-    by_step[: model.size, : model.size] = degrees_by_step(pose, parametrization.unit_mm, model)
-    by_step[model.size :, model.size :] = np.diag(scale[rows])
+    parameters_by_step[: model.size, : model.size] = degrees_by_step(
+        pose, parametrization.unit_mm, model
+    )
+    parameters_by_step[model.size :, model.size :] = np.diag(scale[rows])
     inverse = (vectors / values) @ vectors.T
-    by_error = inverse @ jacobian.T @ every[:, : len(scale)] @ (held / scale[:, None])
-    covariance = by_step @ (noise**2 * inverse + by_error @ by_error.T) @ by_step.T
-    found = straighten_lens(lens_number(problem, 0), type(promote_lens(lens.lens)))
-    intrinsics = Intrinsics.of_lens(simplify_lens(found), lens.image_size_px, lens.pixel_pitch_mm)
-    told = list(refutations_of_points(problem, names, model, held))
-    status = Status.SUSPECT if told else Status.CONVERGED
+    steps_by_error = (
+        inverse @ jacobian.T @ full_jacobian[:, : len(scale)] @ (lens_errors / scale[:, None])
+    )
+    covariance = (
+        parameters_by_step
+        @ (noise**2 * inverse + steps_by_error @ steps_by_error.T)
+        @ parameters_by_step.T
+    )
+    fitted_lens = straighten_lens(lens_number(problem, 0), type(promote_lens(lens.lens)))
+    intrinsics = Intrinsics.of_lens(
+        simplify_lens(fitted_lens), lens.image_size_px, lens.pixel_pitch_mm
+    )
+    notes = list(refutations_of_points(problem, names, model, lens_errors))
+    status = Status.SUSPECT if notes else Status.CONVERGED
     if SKEW in names:
         row = parameters.index(SKEW)
         sigma_px = float(np.sqrt(covariance[row, row]))
-        told.append(sentences.skew_of_points(float(found.skew_px), sigma_px))
+        notes.append(sentences.skew_of_points(float(fitted_lens.skew_px), sigma_px))
     names_in_rig = tuple(f"{CAMERA}.{name}" for name in parameters)
-    solved = Camera(intrinsics if names else lens, pose)
+    camera = Camera(intrinsics if names else lens, pose)
     return CalibrationResult(
-        solution=Rig({CAMERA: solved}, parameters=names_in_rig, covariance=covariance),
+        solution=Rig({CAMERA: camera}, parameters=names_in_rig, covariance=covariance),
         status={CAMERA: status},
         parameters=names_in_rig,
-        values=_values(problem, pose, model, found, names),
+        values=_values(problem, pose, model, fitted_lens, names),
         covariance=covariance,
         fits={
             CAMERA: CameraFit(
@@ -158,12 +181,12 @@ def _result(
                 used=used,
                 rank=len(columns),
                 reduced_chi_square=noise**2,
-                notes=tuple(told),
+                notes=tuple(notes),
                 sigma_factor=noise,
             )
         },
         target=None,
-        notes=tuple(told),
+        notes=tuple(notes),
         world="the frame of the points",
     )
 
@@ -172,38 +195,42 @@ def _values(
     problem: Problem, pose: Pose, model: PoseModel, lens: AbstractLens, names: Sequence[str]
 ) -> Float[np.ndarray, "p"]:
     """Values of the parameters of pose and lens, in degrees, mm and px."""
-    of_pose = np.array(pose.model_parameters(model, pose))
-    of_pose[:3] = np.degrees(of_pose[:3])
-    every = dict(zip(lens.parameter_names, np.asarray(lens.parameters), strict=True))
-    return np.concatenate([of_pose, [float(every.get(name, 0.0)) for name in names]])
+    pose_values = np.array(pose.model_parameters(model, pose))
+    pose_values[:3] = np.degrees(pose_values[:3])
+    lens_values = dict(zip(lens.parameter_names, np.asarray(lens.parameters), strict=True))
+    return np.concatenate([pose_values, [float(lens_values.get(name, 0.0)) for name in names]])
 
 
 def _check(
     points: np.ndarray,
-    seen: np.ndarray,
+    pixels: np.ndarray,
     lens: Intrinsics | None,
     image_size_px: tuple[int, int] | None,
     names: tuple[str, ...],
     tuning: CalibTuning,
 ) -> None:
-    if points.ndim != 2 or points.shape[1:] != (3,) or seen.shape != (len(points), 2):
+    if points.ndim != 2 or points.shape[1:] != (3,) or pixels.shape != (len(points), 2):
         raise InputError(
-            f"points_mm has shape {points.shape} and uv_px {seen.shape}, but must be (n, 3) and "
-            "(n, 2), row for row the same points."
+            f"points_mm has shape {points.shape} and uv_px {pixels.shape}, but must be (n, 3) and "
+            "(n, 2) for the same points."
         )
-    if not (np.isfinite(points).all() and np.isfinite(seen).all()):
-        raise InputError("Some place or pixel is not finite: leave out points that were not seen.")
+    if not (np.isfinite(points).all() and np.isfinite(pixels).all()):
+        raise InputError(
+            "A point or pixel is not finite: omit points that the image does not show."
+        )
     if lens is None and image_size_px is None:
-        raise InputError("Nothing says how large the picture is: give lens or image_size_px.")
-    known = (SkewedThinPrism if lens is None else skew_lens(lens.lens)).parameter_names
-    unknown = [name for name in names if name not in known]
+        raise InputError("The size of the image is missing: give lens or image_size_px.")
+    lens_names = (SkewedThinPrism if lens is None else skew_lens(lens.lens)).parameter_names
+    unknown = [name for name in names if name not in lens_names]
     if unknown:
-        raise InputError(f"`free` names {unknown[0]!r}, but knows {', '.join(known)}.")
+        raise InputError(
+            f"`free` names {unknown[0]!r}, but the lens has the parameters {', '.join(lens_names)}."
+        )
     fewest = 4 if not names else tuning.answer.fewest_points
     if len(points) < fewest:
         raise InputError(f"{len(points)} points are too few: give at least {fewest}.")
     if lens is None and is_flat(points):
         raise InputError(
-            "The points lie in one plane, which does not tell the lens: give `lens`, or points "
-            "off the plane."
+            "The points lie in one plane, which does not determine the lens: give `lens`, or "
+            "points off the plane."
         )

@@ -1,4 +1,4 @@
-"""Calibrate the lens of one camera: a rig of one camera, in its own frame."""
+"""Calibrate the lens of one camera: a rig of one camera whose own frame is the world."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -12,11 +12,12 @@ from trinoc.calib.problem.robust_fit import RobustFit
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.rig_calibration import models_to_try
 from trinoc.calib.rig_pixels import expect_method
+from trinoc.calib.sentences import capitalise
 from trinoc.calib.shot_notes import misfit_of_lens
 from trinoc.calib.shots_assembly import result_of_shots
 from trinoc.calib.shots_fit import LensFreedom, ShotObservations, ShotsFit, fit_shots
-from trinoc.calib.starts.camera_start import FEWEST_PLACES
-from trinoc.calib.starts.pictures import FoundBoards, find_boards
+from trinoc.calib.starts.camera_start import FEWEST_POINTS
+from trinoc.calib.starts.pictures import BoardDetections, find_boards
 from trinoc.calib.targets.abstract_target import A_BOARD, AbstractTarget
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
@@ -51,49 +52,48 @@ def calibrate_intrinsics(
 
     Parameters
     ----------
-    images_or_detections : images by one camera at one zoom and focus, the board held differently
-        in each; or what `detect_target` found in them.
-    pattern : a Pattern, a Chessboard, a Charuco or an AprilGrid; or a BoardSet of several that are
+    images_or_detections : images of one camera at one zoom and focus, the board at another pose in
+        each; or the results of `detect_target`.
+    pattern : a Pattern, Chessboard, Charuco or AprilGrid; or a BoardSet of several boards that are
         fixed to each other.
     image_size_px : (width, height) that all images must have.
-    distortion : number of coefficients, for Brown-Conrady 0, 1, 2, 4 or 5 of k1, k2, p1, p2, k3.
-        As many as the images determine by default; a note reports how many they call for.
-    lens_model : name of the lens model; see `calibrate_rig`, of which this is one camera.
-    principal_point : "free", or "centre" to fix it at the middle of the image.
-    pixel_pitch_mm : width and height of a pixel, where they are known: the lens then has a focal
-        length in mm, too.
-    aspect : "free", or "pitch" to fix fx / fy at the ratio of `pixel_pitch_mm` (1 without it).
-    method : "points" fits circles or corners; "pixels" goes on from there to the grey levels near
-        every edge. It needs images, not detections, and both focal lengths free.
-    systematics : errors of the board: `print_scale_sigma` and `flatness_mm`, by default those of
-        `Systematics.typical`; `Systematics()` for a board that is exact. The board's size does not
-        change a lens.
+    distortion : number of estimated distortion coefficients; for Brown-Conrady 0, 1, 2, 4 or 5 of
+        k1, k2, p1, p2, k3. Default: all that the images determine; a note reports how many are
+        needed.
+    lens_model : name of the lens model; see `calibrate_rig`.
+    principal_point : "free" estimates it; "centre" fixes it at the middle of the image.
+    pixel_pitch_mm : width and height of a pixel, mm. With it, the lens also has a focal length in
+        mm.
+    aspect : "free" estimates both focal lengths; "pitch" fixes fx / fy at the ratio of
+        `pixel_pitch_mm` (1 without it).
+    method : "points" fits circles or corners. "pixels" then fits the grey levels near every edge;
+        it needs images and a free aspect.
+    systematics : errors of the board: `print_scale_sigma` and `flatness_mm`. Default:
+        `Systematics.typical`; `Systematics()` assumes an exact board. The size of the board does
+        not change a lens.
     throw : whether an undetermined lens raises an error; otherwise its status reports it.
-    tuning : constants of calibration; a benchmark or a study changes them. Those of the fit to grey
-        levels, `tuning.photometric`, cannot be changed.
+    tuning : constants of calibration; a benchmark or a study changes them.
 
     Returns
     -------
-    The result: a rig of one camera named "camera", whose own frame is the world's. Its lens is
-    `result.lens`, and its sigmas are `result.sigma("fx_px")` and so on. Images in which no board is
-    found are named in `failures`.
+    A rig of one camera named "camera", whose own frame is the world's. The lens is `result.lens`,
+    its sigmas are `result.sigma("fx_px")` and so on. `failures` names the images without a board.
 
     Raises
     ------
-    InputError : no image, images of different sizes, one image given twice, or an option that is
-        not one of those above.
-    CalibrationError : no board in any image, no lens that explains what was found, or, with
-        `throw`, parameters that the images do not determine or a lens that folds the image. The
-        sentence names them and the image to take next.
+    InputError : no image, images of different sizes, one image given twice, or an unknown option.
+    CalibrationError : no board in any image, no lens that fits the detections, or, with `throw`, a
+        lens that is not determined or folds the image. The sentence names the parameters and the
+        next image to take.
 
     Notes
     -----
-    Starts from Zhang's method in OpenCV; then least squares over the lens, the six parameters of
-    the board's pose in each image, and the board's scales and warp. Circles are fitted by the exact
+    Zhang's method (OpenCV) gives the start. Least squares then estimates the lens, the pose of the
+    board in each image, and the scales and the warp of the board. Circles are fitted by the exact
     images of their centres.
     """
-    many = "a list of pictures, or of what detect_target found in them"
-    check_kind(images_or_detections, (Sequence, np.ndarray), "list of pictures", many)
+    image_list = "a list of pictures, or of what detect_target found in them"
+    check_kind(images_or_detections, (Sequence, np.ndarray), "list of pictures", image_list)
     check_kind(pattern, AbstractTarget, "pattern", A_BOARD)
     if principal_point not in ("free", "centre"):
         raise InputError(f'principal_point is {principal_point!r}; give "free" or "centre".')
@@ -102,8 +102,8 @@ def calibrate_intrinsics(
     models, splined = models_to_try(lens_model, distortion, {})
     is_splined = splined is not False or issubclass(models[0], AbstractSplinedLens)
     if aspect != "free" and (method == "pixels" or is_splined):
-        what = 'method="pixels"' if method == "pixels" else "A splined lens"
-        raise InputError(f"{what} frees both focal lengths: leave out aspect.")
+        option = 'method="pixels"' if method == "pixels" else "A splined lens"
+        raise InputError(f"{option} estimates both focal lengths: leave out aspect.")
     shots = [f"picture {k + 1}" for k in range(len(images_or_detections))]
     images = {CAMERA: dict(zip(shots, images_or_detections, strict=True))}
     expect_method(method, pattern, images)
@@ -112,14 +112,14 @@ def calibrate_intrinsics(
     board_errors = board_errors._replace(print_size_sigma=0.0, aim_sigma_mm=0.0)
     boards = find_boards(images, pattern, tuning=tuning)
     _expect_usable(boards, image_size_px)
-    ratio = None
+    fixed_aspect = None
     if aspect == "pitch":
-        ratio = 1.0 if pixel_pitch_mm is None else pixel_pitch_mm[1] / pixel_pitch_mm[0]
-    freedom = LensFreedom(distortion, centred=principal_point == "centre", aspect=ratio)
+        fixed_aspect = 1.0 if pixel_pitch_mm is None else pixel_pitch_mm[1] / pixel_pitch_mm[0]
+    freedom = LensFreedom(distortion, centred=principal_point == "centre", aspect=fixed_aspect)
     observations = ShotObservations.of_boards(boards, {}, {}, freedom, board_errors, tuning)
 
     def expect_one_lens(fit: RobustFit) -> None:
-        misfit = misfit_of_lens(fit, _kind_of_places(boards.target))
+        misfit = misfit_of_lens(fit, _point_kind(boards.target))
         if misfit is not None:
             raise CalibrationError(misfit)
 
@@ -145,30 +145,28 @@ def calibrate_intrinsics(
         is_lens=True,
     )
     if throw and not result.has_rig:
-        advice = next_shot(result) if result.ended is not None else None
+        advice = next_shot(result) if result.solved_problem is not None else None
         sentences = [result.notes[0], *boards.remarks, advice.sentence if advice else ""]
         raise CalibrationError(" ".join(dict.fromkeys(filter(None, sentences))), {}, result)
     return result
 
 
-def _kind_of_places(board: AbstractTarget) -> str:
+def _point_kind(board: AbstractTarget) -> str:
     return "circles" if isinstance(board, Pattern) else "corners"
 
 
-def _expect_usable(boards: FoundBoards, image_size_px: tuple[int, int] | None) -> None:
-    """Check the detections of the only camera; those with too few corners join `failures`.
+def _expect_usable(boards: BoardDetections, image_size_px: tuple[int, int] | None) -> None:
+    """Check the detections of the only camera; move those with too few corners to `failures`.
 
     Raises
     ------
-    InputError : an image of another size than `image_size_px`, or one given twice.
+    InputError : an image of another size than `image_size_px`, or one image given twice.
     CalibrationError : no usable image.
     """
-    detections, places = boards.detections[CAMERA], _kind_of_places(boards.target)
+    detections, point_kind = boards.detections[CAMERA], _point_kind(boards.target)
     if not detections:
-        reason = (
-            boards.causes.get(CAMERA) or f"In the first: {next(iter(boards.failures.values()))}"
-        )
-        raise CalibrationError(f"The board was found in no picture. {reason}")
+        reason = boards.causes.get(CAMERA) or f"First image: {next(iter(boards.failures.values()))}"
+        raise CalibrationError(f"The board was found in no image. {reason}")
     earlier: dict[str, Detection] = {}
     for shot, detection in detections.items():
         if image_size_px is not None and tuple(detection.image_size_px) != tuple(image_size_px):
@@ -176,20 +174,22 @@ def _expect_usable(boards: FoundBoards, image_size_px: tuple[int, int] | None) -
                 " x ".join(map(str, size)) for size in (detection.image_size_px, image_size_px)
             )
             raise InputError(
-                f"P{shot[1:]} has {actual} pixels, but {expected} are expected: give pictures of "
-                "one camera at one resolution."
+                f"{capitalise(shot)} has {actual} pixels instead of {expected}: give images of one "
+                "camera at one resolution."
             )
         for name, other in earlier.items():
             if np.array_equal(other.centres_px, detection.centres_px):
-                raise InputError(f"P{name[1:]} and {shot} are the same: give each picture once.")
+                raise InputError(
+                    f"{capitalise(name)} and {shot} are the same image: give each image once."
+                )
         earlier[shot] = detection
     for shot, detection in earlier.items():
-        if len(detection) < FEWEST_PLACES:
+        if len(detection) < FEWEST_POINTS:
             boards.failures[CAMERA, shot] = (
-                f"only {len(detection)} {places} were found: show more of the board."
+                f"only {len(detection)} {point_kind} were found: show more of the board."
             )
             del detections[shot]
     if not detections:
         raise CalibrationError(
-            f"No picture shows {FEWEST_PLACES} {places} of the board: show more of it."
+            f"No image shows {FEWEST_POINTS} {point_kind} of the board: show more of it."
         )

@@ -1,4 +1,4 @@
-"""The problem of one camera that sees points, and the lens that they ask for."""
+"""Problem of one camera that observes points, and the lens parameters that the points need."""
 
 import dataclasses
 from collections.abc import Collection
@@ -13,12 +13,12 @@ from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.problem.problem import (
     Problem,
     lens_number,
-    with_head_free,
+    with_free_head,
     with_priors,
     with_wider_lenses,
 )
-from trinoc.calib.problem.rao_test import HeldScore
-from trinoc.calib.problem.robust_fit import errors_px, fit_places
+from trinoc.calib.problem.rao_test import FixedScore
+from trinoc.calib.problem.robust_fit import errors_px, fit_points
 from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors, sheet_problem
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
@@ -29,20 +29,20 @@ from trinoc.geometry.lenses.registry import DEFAULT_DISTORTION
 from trinoc.geometry.lenses.skewed import SKEW, skew_lens
 from trinoc.geometry.pose import Pose, PoseModel
 
-# numerical: rounds in which outliers are left out, few of which change something.
+# numerical: rounds of outlier rejection; the first few usually converge.
 _CUTS = 4
 # numerical: residuals of this size are rounding.
 ROUNDING_PX = 1e-7
 # numerical: singular values below this share are rounding.
 _OPEN_SHARE = 1e-11
-# numerical: fits, after which the noise, and with it the weight of a prior, is what it is.
+# numerical: fits after which the noise, and with it the weight of a prior, no longer changes.
 _PRIOR_ROUNDS = 3
-# Under which the one camera's lens goes to those who know cameras by name.
+# Name of the only camera.
 CAMERA = "camera"
 
 
 class _Points(AbstractTarget):
-    """Places anywhere in space, under a name that nobody sees.
+    """Points anywhere in space as a calibration target.
 
     Fields
     ------
@@ -62,18 +62,18 @@ def problem_of_points(
     model: PoseModel,
     tuning: CalibTuning = TUNING,
 ) -> Problem:
-    """One camera that sees the points, each to a pixel; the lens's `names` are free.
+    """Problem of one camera with one pixel for each point; the lens parameters `names` are free.
 
-    The lens is of the widest model that contains the camera's, so that what it lacks is held at 0.
+    The lens has the widest model that contains the camera's; additional parameters are fixed at 0.
     """
     count = len(points_mm)
     unit = np.broadcast_to(np.eye(2), (count, 2, 2))
     no_lines = np.full((2, 3), np.nan)
-    seen = Detection(np.arange(count), uv_px, unit, unit, no_lines, camera.image_size_px)
+    detection = Detection(np.arange(count), uv_px, unit, unit, no_lines, camera.image_size_px)
     pose = camera.pose.aim_at_origin() if model is PoseModel.AIMED else camera.pose
     target = _Points("points", points_mm, np.zeros(count))
-    one = SheetCamera(CAMERA, seen, camera.intrinsics, None, pose)
-    problem = sheet_problem([one], target, SheetPriors(model, Systematics(), tuning))
+    sheet_camera = SheetCamera(CAMERA, detection, camera.intrinsics, None, pose)
+    problem = sheet_problem([sheet_camera], target, SheetPriors(model, Systematics(), tuning))
     count, _ = problem.parametrization.lens_shape
     lenses = [skew_lens(lens_number(problem, k)) for k in range(count)]
     problem = with_wider_lenses(problem, lenses, [camera.image_size_px] * count)
@@ -81,98 +81,104 @@ def problem_of_points(
 
 
 def with_lens_parameters_free(problem: Problem, names: Collection[str]) -> Problem:
-    """The problem with these of the one lens's parameters free."""
+    """Problem with only these parameters of the lens free."""
     free = np.array(problem.free)
     free[problem.slices.lens(0)] = [name in names for name in lens_parameter_names(problem)]
-    return with_head_free(problem, free)
+    return with_free_head(problem, free)
 
 
 def fit_without_outliers(problem: Problem) -> Problem:
-    """The problem where its fit ends, without points that are not those that they are said to be.
+    """Fitted problem without outliers.
 
-    Raises CalibrationError where it does not.
+    Raises CalibrationError if the fit does not converge, or has a point behind the camera.
     """
     (view,) = problem.views
     for _ in range(_CUTS):
-        problem, converged = fit_places(problem._replace(views=(view,)))
+        problem, converged = fit_points(problem._replace(views=(view,)))
         pose = Pose(np.asarray(problem.state.cam_from_rig)[0])
         in_front = (problem.target.centres_mm @ pose.rotation[2] + pose.translation_mm[2]) > 0
         if not (converged and in_front[view.used].all()):
             raise CalibrationError(
                 f"The fit to {int(view.used.sum())} points did not converge: check that the "
-                "places, the pixels and the lens belong together."
+                "points, the pixels and the lens belong together."
             )
-        far = np.linalg.norm(errors_px(problem)[0], axis=1)
+        error_px = np.linalg.norm(errors_px(problem)[0], axis=1)
         # The median of a Rayleigh distribution is 1.18 sigma.
-        kept = far <= problem.tuning.problem.gate * np.median(far[view.used]) / 1.18 + 1e-9
-        if np.array_equal(kept, view.used):
+        inlier = (
+            error_px <= problem.tuning.problem.gate * np.median(error_px[view.used]) / 1.18 + 1e-9
+        )
+        if np.array_equal(inlier, view.used):
             break
-        view = view._replace(used=kept)
+        view = view._replace(used=inlier)
     return problem
 
 
 def extend_lens(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tuple[str, ...]]:
-    """The fit with as many coefficients, and with a skew, as the points ask for, and the names of
-    all that is then free. Each time that which noise alone explains least is freed; a skew that is
-    not asked for any more, beside what was freed later, is held again.
+    """Fit with as many coefficients, and a skew, as the points need; returns the free names, too.
+
+    Each round frees the group with the smallest p-value. A skew that later coefficients make
+    unnecessary is fixed again.
 
     problem : the fit with `names` free.
     """
-    every, coefficients = lens_parameter_names(problem), DEFAULT_DISTORTION.coefficient_names
-    wider = [coefficients[:count] for count in DEFAULT_DISTORTION.coefficient_counts]
-    straight = None
+    all_names, coefficients = lens_parameter_names(problem), DEFAULT_DISTORTION.coefficient_names
+    coefficient_groups = [coefficients[:count] for count in DEFAULT_DISTORTION.coefficient_counts]
+    without_skew = None
     while True:
-        points, asked = score_of_points(problem), []
-        for group in (*wider, (SKEW,)):
-            columns = [every.index(name) for name in group if name not in names]
+        score, candidates = score_of_points(problem), []
+        for candidate in (*coefficient_groups, (SKEW,)):
+            columns = [all_names.index(name) for name in candidate if name not in names]
             if columns:
-                asked.append((*points.rank(points.judge(columns)), group))
-        chance, _, best = min(asked, default=(1.0, 0.0, ()))
-        if chance * len(asked) > problem.tuning.answer.chance or not asked:
+                candidates.append((*score.rank(score.test(columns)), candidate))
+        p_value, _, group = min(candidates, default=(1.0, 0.0, ()))
+        if p_value * len(candidates) > problem.tuning.answer.chance or not candidates:
             break
-        straight = problem if best == (SKEW,) else straight
-        names = tuple(name for name in every if name in {*names, *best})
+        without_skew = problem if group == (SKEW,) else without_skew
+        names = tuple(name for name in all_names if name in {*names, *group})
         problem = _fit_with_free(problem, names)
-    if straight is None:
+    if without_skew is None:
         return problem, names
-    fewer = tuple(name for name in names if name != SKEW)
+    names_without_skew = tuple(name for name in names if name != SKEW)
     try:
-        held = _fit_with_free(straight, fewer)
+        fixed_skew = _fit_with_free(without_skew, names_without_skew)
     except CalibrationError:  # without a skew the points have no fit
         return problem, names
-    points = score_of_points(held)
-    is_idle = points.chance(points.judge([every.index(SKEW)])) > problem.tuning.answer.chance
-    return (held, fewer) if is_idle else (problem, names)
+    score = score_of_points(fixed_skew)
+    is_unnecessary = (
+        score.p_value(score.test([all_names.index(SKEW)])) > problem.tuning.answer.chance
+    )
+    return (fixed_skew, names_without_skew) if is_unnecessary else (problem, names)
 
 
 def _fit_with_free(problem: Problem, names: tuple[str, ...]) -> Problem:
-    """The fit of all points with these of the lens's parameters free, from where it stands."""
+    """Fit of all points with these parameters of the lens free, from the present state."""
     used = np.ones(len(problem.views[0].used), dtype=bool)
     problem = problem._replace(views=(problem.views[0]._replace(used=used),))
     return fit_without_outliers(with_lens_parameters_free(problem, names))
 
 
 def lens_parameter_names(problem: Problem) -> tuple[str, ...]:
-    """Of the lens that is fitted: those of the camera's, and of the model that contains it."""
+    """Parameters of the fitted lens: those of the camera's model, and of the one that
+    contains it.
+    """
     return problem.state.lenses.parameter_names
 
 
-def score_of_points(problem: Problem) -> HeldScore:
-    """Of every step of the head at a problem's state, for residuals in px; of those that are
-    fitted nothing is left."""
-    near, (view,) = whiten_views(problem), problem.views
+def score_of_points(problem: Problem) -> FixedScore:
+    """Score of every step of the head, for residuals in px, with the fitted steps eliminated."""
+    linearised, (view,) = whiten_views(problem), problem.views
     fitted = np.flatnonzero(problem.free)
     rows = np.flatnonzero(np.repeat(view.used, 2))
-    by_head, residual = near.jacobian[0][rows], near.residual[0][rows]
-    base, values, _ = np.linalg.svd(by_head[:, fitted], full_matrices=False)
+    jacobian, residual = linearised.jacobian[0][rows], linearised.residual[0][rows]
+    base, values, _ = np.linalg.svd(jacobian[:, fitted], full_matrices=False)
     base = base[:, values > _OPEN_SHARE * values[0]]
-    left = by_head - base @ (base.T @ by_head)
+    remaining = jacobian - base @ (base.T @ jacobian)
     residual = residual - base @ (base.T @ residual)
     squared = float(residual @ residual)
-    return HeldScore(
-        left=left.T @ left,
-        pull=left.T @ residual,
-        whole=np.sum(by_head**2, axis=0),
+    return FixedScore(
+        information=remaining.T @ remaining,
+        gradient=remaining.T @ residual,
+        total_information=np.sum(jacobian**2, axis=0),
         squared=squared,
         freedom=len(rows) - base.shape[1],
         are_exact=squared < ROUNDING_PX**2 * len(residual),
@@ -180,29 +186,31 @@ def score_of_points(problem: Problem) -> HeldScore:
 
 
 class FitUnderPrior(NamedTuple):
-    """A fit with the lens's uncertain parameters free under their covariance. strain : the largest
-    of their errors, of as many sigmas."""
+    """Fit with the uncertain lens parameters free under their covariance.
+
+    strain : largest of their errors, in its sigmas.
+    """
 
     problem: Problem
     strain: float
 
 
 def fit_under_prior(
-    problem: Problem, names: Collection[str], held: Float[np.ndarray, "q r"]
+    problem: Problem, names: Collection[str], lens_errors: Float[np.ndarray, "q r"]
 ) -> FitUnderPrior:
-    """The fit with `names` free, and the rest of the lens under what was said of it.
+    """Fit with `names` free, and the rest of the lens under its prior.
 
-    held : change of the lens's parameters for a sigma of each error that is not fitted; what has
-        none is exact. The problem's parametrization stays as it is.
+    lens_errors : change of the lens's parameters for one sigma of each error that is not fitted;
+        parameters without any are exact. The parametrization of the returned problem is unchanged.
     """
     parametrization, (view,) = problem.parametrization, problem.views
     count, size = parametrization.lens_shape
     scale = np.asarray(parametrization.lens_scale)[0]
     mean = np.asarray(lens_number(problem, 0).parameters)
-    directions, sizes, _ = np.linalg.svd(held / scale[:, None], full_matrices=False)
-    is_open = sizes > _OPEN_SHARE * sizes[0]
-    steps = int(is_open.sum())
-    factor = scale[:, None] * directions[:, is_open] * sizes[is_open]
+    directions, sizes, _ = np.linalg.svd(lens_errors / scale[:, None], full_matrices=False)
+    is_uncertain = sizes > _OPEN_SHARE * sizes[0]
+    steps = int(is_uncertain.sum())
+    factor = scale[:, None] * directions[:, is_uncertain] * sizes[is_uncertain]
     inverse = np.linalg.pinv(factor / scale[:, None]) / scale
     rows = [row for row, name in enumerate(lens_parameter_names(problem)) if name in names]
     basis, means = np.array(parametrization.lens_basis), np.array(problem.priors.lens_mean)
@@ -215,13 +223,15 @@ def fit_under_prior(
     freedom = max(2 * int(view.used.sum()) - int(free.sum()) + steps, 1)
     fitted = problem
     for _ in range(_PRIOR_ROUNDS):
-        # Residuals are in px, whose variance the prior is to be weighed by.
+        # Residuals are in px: the prior is weighted by their variance.
         variance = float(np.sum(errors_px(fitted)[0][view.used] ** 2)) / freedom
         information = np.zeros((count, size, size))
         information[0] = variance * inverse.T @ inverse
-        known = with_priors(fitted, lens_mean=means, lens_information=information)
-        opened = dataclasses.replace(known.parametrization, lens_basis=basis, free=free)
-        fitted, _ = fit_places(known._replace(parametrization=opened))
+        with_prior = with_priors(fitted, lens_mean=means, lens_information=information)
+        parametrization_with_prior = dataclasses.replace(
+            with_prior.parametrization, lens_basis=basis, free=free
+        )
+        fitted, _ = fit_points(with_prior._replace(parametrization=parametrization_with_prior))
     errors = inverse @ (np.asarray(lens_number(fitted, 0).parameters) - mean)
     return FitUnderPrior(
         fitted._replace(parametrization=parametrization), float(np.abs(errors).max())

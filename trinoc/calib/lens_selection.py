@@ -7,109 +7,112 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.advice.halves import fit_halves, keep_shots
-from trinoc.calib.problem.problem import Problem, with_head_held, with_sheet_held
+from trinoc.calib.problem.problem import Problem, with_fixed_head, with_fixed_sheet
 from trinoc.calib.problem.rao_test import RaoTest
-from trinoc.calib.problem.robust_fit import errors_px, fit_places
-from trinoc.calib.starts.placing import of_one_moment
+from trinoc.calib.problem.robust_fit import errors_px, fit_points
+from trinoc.calib.sentences import lens_choice
+from trinoc.calib.starts.placing import original_shot_name
 from trinoc.calib.tuning.every_group import TUNING, AnswerTuning
 
-# From the one that people expect to the one with most coefficients.
+# From the usual model to the one with most coefficients.
 LENSES_TRIED = ("brown_conrady", "kannala_brandt", "rational")
-# numerical: errors that are 0 have a quotient, too.
+# numerical: avoids 0 / 0 for errors of 0.
 _LEAST_PX2 = 1e-24
 
 
-# Lengths of the errors, in px, of shots that a lens was not fitted to, by camera and shot.
-HeldOut = Mapping[tuple[int, str], Float[np.ndarray, "_m"]]
+# Lengths (px) of the errors in held-out shots, by camera and shot.
+HeldOutErrors = Mapping[tuple[int, str], Float[np.ndarray, "_m"]]
 
 
 def measure_held_out_errors(
     problem: Problem, shots: Sequence[str], cameras: Sequence[str]
-) -> HeldOut:
-    """Lenses and cameras from every second shot; the others tell where their board is, and err.
+) -> HeldOutErrors:
+    """Errors of lenses and cameras fitted to every second shot, in the other shots.
 
-    shots : their names, as a `PlacedRig` has them.
+    In a held-out shot only the pose of the board is fitted.
+
+    shots : names of the shots, as in `InitialRig`.
     """
     errors: dict[tuple[int, str], np.ndarray] = {}
-    for half in fit_halves(with_sheet_held(problem)):
-        known = with_head_held(half.problem._replace(views=problem.views))
-        end, _ = fit_places(keep_shots(known, half.held_out))
-        for view, pixels in zip(end.views, errors_px(end), strict=True):
+    for half in fit_halves(with_fixed_sheet(problem)):
+        fixed = with_fixed_head(half.problem._replace(views=problem.views))
+        fitted, _ = fit_points(keep_shots(fixed, half.held_out))
+        for view, view_errors in zip(fitted.views, errors_px(fitted), strict=True):
             if view.shot in half.held_out:
-                key = view.camera, of_one_moment(shots[view.shot], cameras[view.camera])
-                length = np.linalg.norm(pixels, axis=1)
+                key = view.camera, original_shot_name(shots[view.shot], cameras[view.camera])
+                length = np.linalg.norm(view_errors, axis=1)
                 length = np.where(np.isfinite(length), length, np.inf)
                 errors[key] = np.append(errors.get(key, np.zeros(0)), length)
     return errors
 
 
 class LensChoice(NamedTuple):
-    """model : the name of the lens. rms_px : of each lens tried, on shots that were held out."""
+    """Chosen lens model. rms_px : held-out error of each tried model."""
 
     model: str
     rms_px: Mapping[str, float]
 
 
-def choose_lens(tried: Mapping[str, HeldOut], tuning: AnswerTuning = TUNING.answer) -> LensChoice:
-    """The first of the lenses that is not significantly worse than the best, shot by shot."""
-    squares = _mean_squares(tried, tuning.cap)
+def choose_lens(
+    held_out: Mapping[str, HeldOutErrors], tuning: AnswerTuning = TUNING.answer
+) -> LensChoice:
+    """First of the lens models that is not significantly worse than the best, shot by shot."""
+    squares = _mean_squares(held_out, tuning.cap)
     best = min(squares.values(), key=np.mean)
 
-    def is_worse(own: Float[np.ndarray, "s"]) -> bool:
-        # Quotients, since a few shots with large errors would drown all others in a difference.
-        excess = np.log(own / best)
+    def is_worse(model_squares: Float[np.ndarray, "s"]) -> bool:
+        # Ratios, since differences would be dominated by a few shots with large errors.
+        excess = np.log(model_squares / best)
         sigma = excess.std() / np.sqrt(max(len(excess) - 1, 1))
         return bool(excess.mean() > tuning.worse_sigmas * sigma)
 
-    chosen = next(name for name, own in squares.items() if not is_worse(own))
-    return LensChoice(chosen, {name: float(np.sqrt(own.mean())) for name, own in squares.items()})
+    chosen = next(name for name, model_squares in squares.items() if not is_worse(model_squares))
+    return LensChoice(
+        chosen,
+        {name: float(np.sqrt(model_squares.mean())) for name, model_squares in squares.items()},
+    )
 
 
 def _mean_squares(
-    tried: Mapping[str, HeldOut], largest: float
+    held_out: Mapping[str, HeldOutErrors], largest: float
 ) -> dict[str, Float[np.ndarray, "_s"]]:
-    """Mean squared errors of each lens in each shot; errors are capped at `largest` medians."""
-    keys = set.intersection(*(set(each) for each in tried.values()))
+    """Mean squared errors of each lens model in each shot; errors are capped at
+    `largest` medians.
+    """
+    keys = set.intersection(*(set(shot_errors) for shot_errors in held_out.values()))
     shots = sorted({shot for _, shot in keys})
     errors = {
-        name: [np.concatenate([own[k] for k in sorted(keys) if k[1] == shot])
+        name: [np.concatenate([lens_errors[k] for k in sorted(keys) if k[1] == shot])
                for shot in shots]
-        for name, own in tried.items()
+        for name, lens_errors in held_out.items()
     }  # fmt: skip
-    cap = largest * min(float(np.median(np.concatenate(own))) for own in errors.values())
+    cap = largest * min(
+        float(np.median(np.concatenate(lens_errors))) for lens_errors in errors.values()
+    )
     return {
-        name: _LEAST_PX2 + np.array([np.mean(np.minimum(each, cap) ** 2) for each in own])
-        for name, own in errors.items()
+        name: _LEAST_PX2
+        + np.array([np.mean(np.minimum(shot_errors, cap) ** 2) for shot_errors in lens_errors])
+        for name, lens_errors in errors.items()
     }
 
 
 def is_significant(test: RaoTest, limit: float = TUNING.answer.chance_of_lens) -> bool:
-    """Whether chance alone hardly pulls so much."""
-    return test.chance < limit
+    """True if a test's p-value is below a limit."""
+    return test.p_value < limit
 
 
 def choice_sentence(
     choice: LensChoice, rational: RaoTest | None, correction: RaoTest | None = None
 ) -> str:
-    """Which lens was chosen and why. The tests are of k4, k5, k6 and of a correction by splines, of
-    the best of the lenses without one."""
-    rivals = ", ".join(
-        f"{name} {rms:.3g}" for name, rms in choice.rms_px.items() if name != choice.model
-    )
-    against = f" ({rivals})" if rivals else ""
-    sentence = (
-        f"Of the lenses tried, {choice.model} was chosen: fitted to one half of the shots it "
-        f"misses the places of the other half by {choice.rms_px[choice.model]:.3g} px{against}"
-    )
+    """Sentence on the chosen lens model and the reason.
+
+    The tests, of k4, k5, k6 and of splines, are those of the best model without splines.
+    """
     tests = {"k4, k5, k6 of the rational lens": rational, "a correction by splines": correction}
-    verdicts = [
-        f"{'' if is_significant(test) else 'do not '}ask for {what} (chance {test.chance:.2g})"
-        for what, test in tests.items()
+    results = {
+        extension: (test.p_value, is_significant(test))
+        for extension, test in tests.items()
         if test is not None
-    ]
-    if not verdicts:
-        return f"{sentence}."
-    sentence = f"{sentence}; by score tests the shots {', and '.join(verdicts)}"
-    if correction is None or not is_significant(correction):
-        return f"{sentence}."
-    return f"{sentence}: the polynomial does not describe the lens, or the board is not as drawn."
+    }
+    needs_splines = correction is not None and is_significant(correction)
+    return lens_choice(choice.model, choice.rms_px, results, needs_splines)

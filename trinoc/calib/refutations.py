@@ -1,4 +1,4 @@
-"""Tests of what was assumed of cameras: held lenses and aims that points or shots contradict."""
+"""Tests of fixed lenses and aims that points or shots may contradict."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -20,17 +20,17 @@ from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.outcome import ShotScatter, shot_scatter
 from trinoc.calib.problem.problem import (
     Problem,
-    is_given,
+    has_lens_prior,
     lens_number,
-    with_head_free,
+    with_free_head,
     with_wider_lenses,
 )
 from trinoc.calib.problem.rao_test import (
-    HeldScore,
+    FixedScore,
     RaoTest,
-    explain_pull,
+    detectable_sigmas,
     is_refuted,
-    unseen_sigmas,
+    score_of_fixed,
 )
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.problem.variables import POSE_SIZE
@@ -39,40 +39,46 @@ from trinoc.geometry.lenses.skewed import SKEW, skew_lens
 from trinoc.geometry.pose import PoseModel
 
 _AIM = ("aim",)
-# Of a rig: the number of a lens, and names of its parameters that are fitted together.
-Cause = tuple[int, tuple[str, ...]]
+# Number of a lens of the rig, and the names of its parameters that are tested together.
+ParameterGroup = tuple[int, tuple[str, ...]]
 
 
 def refutations_of_points(
-    problem: Problem, names: Collection[str], model: PoseModel, held: Float[np.ndarray, "q r"]
+    problem: Problem,
+    names: Collection[str],
+    model: PoseModel,
+    lens_errors: Float[np.ndarray, "q r"],
 ) -> tuple[str, ...]:
-    """Sentences on what the points refute of what was held; none where they refute nothing.
+    """Sentences on fixed parameters of lens or aim that the points contradict; empty without one.
 
-    problem : the fit with `names` free. held : change of the lens's parameters for a sigma of each
-        error that is not fitted; what has none is exact.
+    Parameters
+    ----------
+    problem : the fit with the parameters `names` free.
+    lens_errors : change of the lens's parameters for one sigma of each error that is not fitted;
+        parameters without any are exact.
     """
-    every = lens_parameter_names(problem)
-    uncertain = {name for name, row in zip(every, held, strict=True) if row.any()}
+    all_names = lens_parameter_names(problem)
+    uncertain = {name for name, row in zip(all_names, lens_errors, strict=True) if row.any()}
     if np.sum(errors_px(problem)[0] ** 2) < ROUNDING_PX**2 * 2 * len(problem.views[0].used):
         return ()
-    strain, open_ = 0.0, {*names, *uncertain}
+    strain, free_names = 0.0, {*names, *uncertain}
     if uncertain:
-        problem, strain = fit_under_prior(problem, names, held)
-    score = score_of_points(with_lens_parameters_free(problem, open_))
-    causes = {
-        tuple(every[row] for row in rows): rows
-        for group in _groups(problem.state.lenses)
-        if (rows := [every.index(name) for name in group if name not in open_])
+        problem, strain = fit_under_prior(problem, names, lens_errors)
+    score = score_of_points(with_lens_parameters_free(problem, free_names))
+    groups = {
+        tuple(all_names[row] for row in rows): rows
+        for parameters in _groups(problem.state.lenses)
+        if (rows := [all_names.index(name) for name in parameters if name not in free_names])
     }
     if model is PoseModel.AIMED:
         first = problem.slices.camera(0).start + model.size
-        causes[_AIM] = [first, first + 1]
-    notes, cause = [], score.strongest(causes)
-    if cause is not None:
-        test = score.judge(causes[cause])
-        if is_refuted(score.chance(test), len(causes), problem.tuning.answer.chance):
+        groups[_AIM] = [first, first + 1]
+    notes, group = [], score.strongest(groups)
+    if group is not None:
+        test = score.test(groups[group])
+        if is_refuted(score.p_value(test), len(groups), problem.tuning.answer.chance):
             test = test.with_noise(score.noise_variance(test))
-            notes.append(_sentence_on_points(problem, cause, causes[cause], test))
+            notes.append(_sentence_on_points(problem, group, groups[group], test))
     if strain > problem.tuning.answer.strain_sigmas:
         sentence = sentences.lens_strained(strain)
         notes.append(sentence[0].upper() + sentence[1:])
@@ -80,7 +86,7 @@ def refutations_of_points(
 
 
 def _groups(lens: AbstractLens) -> Iterator[tuple[str, ...]]:
-    """Yield the groups of a lens's parameters that are tested together."""
+    """Groups of a lens's parameters that are tested together."""
     yield from (AFFINE_PARAMETERS[:2], AFFINE_PARAMETERS[2:])
     if SKEW in lens.parameter_names:
         yield (SKEW,)
@@ -92,184 +98,216 @@ def _groups(lens: AbstractLens) -> Iterator[tuple[str, ...]]:
 
 
 def _sentence_on_points(
-    problem: Problem, cause: tuple[str, ...], columns: Sequence[int], test: RaoTest
+    problem: Problem, group: tuple[str, ...], columns: Sequence[int], test: RaoTest
 ) -> str:
-    """What explains most of the residuals, and by how much it is off. test : of the cause, with
-    the noise's covariance."""
-    if cause is _AIM:
+    """Sentence on the group that explains most of the residuals, with its offset.
+
+    test : score test of the group, with the noise's covariance.
+    """
+    if group is _AIM:
         unit = float(problem.parametrization.unit_mm)
-        off, sigma = unit * test.step, unit * np.sqrt(np.diag(test.covariance))
-        return sentences.aim_misses_origin(off, sigma)
+        offset, sigma = unit * test.step, unit * np.sqrt(np.diag(test.covariance))
+        return sentences.aim_misses_origin(offset, sigma)
     scale = np.asarray(problem.parametrization.lens_scale)[0][columns]
-    return sentences.points_refute_lens(cause, *_offset_and_sigma(scale, test))
+    return sentences.points_refute_lens(group, *_offset_and_sigma(scale, test))
 
 
 def _offset_and_sigma(
     scale: Float[np.ndarray, "k"], test: RaoTest
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Estimated offsets of parameters that were held, and sigmas. scale : of each step."""
+    """Estimated offsets of fixed parameters, and their sigmas. scale : change for a unit step."""
     return scale * test.step, scale * np.sqrt(np.diag(test.covariance))
 
 
 class _Noise(NamedTuple):
-    """variance : in squared sigmas of the places. freedom : with which it is known."""
+    """Noise of the observations.
+
+    variance : in squared sigmas of the board points. freedom : degrees of freedom of its estimate.
+    """
 
     variance: float
     freedom: float
 
     @classmethod
-    def of(cls, score: HeldScore, scatter: ShotScatter) -> "_Noise":
-        """Noise of the observations; of the shots if these scatter more, as that biases lenses."""
+    def of(cls, score: FixedScore, scatter: ShotScatter) -> "_Noise":
+        """Noise of the observations; that of the shots if larger, since it biases lenses."""
+        if score.are_exact:
+            # Rounding errors have no variance that tests could divide by.
+            return cls(1.0, score.freedom)
         variance = score.squared / max(score.freedom, 1)
-        of_shots = scatter._replace(factor=scatter.factor / variance).variance_factor
-        if of_shots > 1.0:
-            return cls(variance * of_shots, 2.0 / scatter.sigma**2)
+        shot_variance = scatter._replace(factor=scatter.factor / variance).variance_factor
+        if shot_variance > 1.0:
+            return cls(variance * shot_variance, 2.0 / scatter.sigma**2)
         return cls(variance, score.freedom)
 
 
-def _free_causes(
-    score: HeldScore, causes: Mapping[Cause, list[int]], limit: float
-) -> tuple[tuple[Cause, ...], HeldScore]:
-    """Causes that are refuted in turn, the strongest first, and the score once they are free."""
-    freed: list[Cause] = []
-    while cause := score.strongest({key: causes[key] for key in causes if key not in freed}):
-        if not is_refuted(score.chance(score.judge(causes[cause])), len(causes), limit):
+def _free_significant_groups(
+    score: FixedScore, groups: Mapping[ParameterGroup, list[int]], limit: float
+) -> tuple[tuple[ParameterGroup, ...], FixedScore]:
+    """Groups that are significant one after the other, and the score with these freed."""
+    significant: list[ParameterGroup] = []
+    while group := score.strongest(
+        {candidate: groups[candidate] for candidate in groups if candidate not in significant}
+    ):
+        if not is_refuted(score.p_value(score.test(groups[group])), len(groups), limit):
             break
-        score = score.with_freed(causes[cause])
-        freed.append(cause)
-    return tuple(freed), score
+        score = score.with_freed(groups[group])
+        significant.append(group)
+    return tuple(significant), score
 
 
-class HeldLenses(NamedTuple):
-    """What shots say of lenses that were held as a whole.
+class ExactLensTests(NamedTuple):
+    """Score tests of lenses that were assumed exact, from the shots.
 
     Fields
     ------
-    problem : at the end of the fit, with these lenses open.
-    information : of its shots.
-    is_asked : (f,) which of `information.free` were held.
-    score : of these, in their order.
-    causes : columns of the score for each lens, by its number, and each group of its parameters.
-    freed : causes that the places ask for, each beside those before it.
-    noise : what is left with these free.
-    cameras : their names.
+    problem : the problem at its solution, with these lenses free.
+    information : information of its shots.
+    is_tested : (f,) whether each of `information.free` was fixed in the fit.
+    score : score of the fixed parameters, in their order.
+    columns : columns of the score for each lens (by its number) and group of its parameters.
+    significant : groups that the observations contradict, each with those before it freed.
+    noise : noise with these groups freed.
+    cameras : names of the cameras.
     """
 
     problem: Problem
     information: Information
-    is_asked: Bool[np.ndarray, "f"]
-    score: HeldScore
-    causes: dict[Cause, list[int]]
-    freed: tuple[Cause, ...]
+    is_tested: Bool[np.ndarray, "f"]
+    score: FixedScore
+    columns: dict[ParameterGroup, list[int]]
+    significant: tuple[ParameterGroup, ...]
     noise: _Noise
     cameras: tuple[str, ...]
 
     @classmethod
-    def of(cls, fit: RobustFit, cameras: Sequence[str]) -> "HeldLenses | None":
-        """None where no lens was held as a whole. cameras : their names."""
-        problem, is_held = fit.problem, np.logical_not(free_of_lenses(fit.problem).any(axis=1))
-        if not is_held.any():
+    def of(cls, fit: RobustFit, cameras: Sequence[str]) -> "ExactLensTests | None":
+        """Tests of the lenses that were assumed exact; None without one. cameras : their names."""
+        problem, is_exact = fit.problem, np.logical_not(free_of_lenses(fit.problem).any(axis=1))
+        if not is_exact.any():
             return None
-        opened = _with_lenses_open(problem, is_held)
-        information, (count, size) = compute_information(opened), opened.parametrization.lens_shape
+        freed_problem = _with_free_lenses(problem, is_exact)
+        information, (count, size) = (
+            compute_information(freed_problem),
+            freed_problem.parametrization.lens_shape,
+        )
         number, row = np.divmod(information.free, size)
-        is_asked = np.isin(number, np.flatnonzero(is_held)) & (number < count)
-        errors = np.concatenate([e[v.kept] for v, e in zip(problem.views, errors_px(problem))])
+        is_tested = np.isin(number, np.flatnonzero(is_exact)) & (number < count)
+        errors = np.concatenate(
+            [error[view.rows_used] for view, error in zip(problem.views, errors_px(problem))]
+        )
         are_exact = bool(np.sum(errors**2) < ROUNDING_PX**2 * errors.size)
-        left, pull, whole = explain_pull(information, is_asked)
-        lens = opened.state.lenses
-        names = [lens.parameter_names[at] for at in row[is_asked]]
-        place = {key: at for at, key in enumerate(zip(number[is_asked].tolist(), names))}
-        score = HeldScore(left, pull, whole, fit.chi_square, fit.freedom, are_exact)
-        causes = {
-            (k, group): [place[k, name] for name in group]
-            for k in np.flatnonzero(is_held).tolist()
+        remaining, gradient, total_information = score_of_fixed(information, is_tested)
+        lens = freed_problem.state.lenses
+        names = [lens.parameter_names[column] for column in row[is_tested]]
+        column_of = {
+            parameter: column
+            for column, parameter in enumerate(zip(number[is_tested].tolist(), names))
+        }
+        score = FixedScore(
+            remaining, gradient, total_information, fit.chi_square, fit.freedom, are_exact
+        )
+        columns = {
+            (k, group): [column_of[k, name] for name in group]
+            for k in np.flatnonzero(is_exact).tolist()
             for group in _groups(lens)
         }
-        freed, after = _free_causes(score, causes, problem.tuning.answer.chance)
-        is_freed = ~is_asked
-        is_freed[np.flatnonzero(is_asked)[[at for one in freed for at in causes[one]]]] = True
-        scatter = shot_scatter(information.of_steps(is_freed), is_asked[is_freed])
+        significant, freed_score = _free_significant_groups(
+            score, columns, problem.tuning.answer.chance
+        )
+        is_freed = ~is_tested
+        is_freed[
+            np.flatnonzero(is_tested)[
+                [column for group in significant for column in columns[group]]
+            ]
+        ] = True
+        scatter = shot_scatter(information.restrict_to(is_freed), is_tested[is_freed])
         return cls(
-            problem=opened,
+            problem=freed_problem,
             information=information,
-            is_asked=is_asked,
+            is_tested=is_tested,
             score=score,
-            causes=causes,
-            freed=freed,
-            noise=_Noise.of(after, scatter),
+            columns=columns,
+            significant=significant,
+            noise=_Noise.of(freed_score, scatter),
             cameras=tuple(cameras),
         )
 
-    def say_what_is_refuted(self) -> str | None:
-        """Sentence on the lens that the shots contradict, and by how much; None without one.
+    def describe_refuted_lens(self) -> str | None:
+        """Sentence on the lens that the shots contradict, with the offsets; None without one.
 
-        Only the strongest cause is named, since its error also shows in other lenses.
+        Only the most significant group is named, since its error also appears in other lenses.
         """
-        if not self.freed:
+        if not self.significant:
             return None
-        cause = number, group = self.freed[0]
-        test = self.score.judge(self.causes[cause])
+        group = number, parameters = self.significant[0]
+        test = self.score.test(self.columns[group])
         if not is_refuted(
-            test.chance_by(*self.noise), len(self.causes), self.problem.tuning.answer.chance
+            test.p_value_with_noise(*self.noise),
+            len(self.columns),
+            self.problem.tuning.answer.chance,
         ):
             return None
         test = test.with_noise(self.noise.variance)
         owners = _cameras_of_lens(self.problem, self.cameras, number)
-        offsets, sigmas = _offset_and_sigma(self._scale(cause), test)
-        return sentences.shots_refute_lens(owners, group, offsets, sigmas)
+        offsets, sigmas = _offset_and_sigma(self._scale(group), test)
+        return sentences.shots_refute_lens(owners, parameters, offsets, sigmas)
 
-    def say_what_goes_unseen(self, covariance: Float[np.ndarray, "g g"]) -> str | None:
-        """Sentence on the undetectable lens error that would move a camera most; None if small.
+    def describe_undetectable_error(self, covariance: Float[np.ndarray, "g g"]) -> str | None:
+        """Sentence on the undetectable lens error that would move a camera most; None if it is
+        small.
 
-        covariance : that reported for the fitted parameters.
+        covariance : reported covariance of the fitted parameters.
 
-        This is Baarda's external reliability, as `adjustment.model_tests` has it of one picture.
+        This is Baarda's external reliability; `adjustment.model_tests` does the same for one image.
         """
-        of_fit, cameras = self.information.of_steps(~self.is_asked), self.problem.slices.cameras
-        asked = self.information.free[self.is_asked]
-        of_pose = (of_fit.free >= cameras.start) & (of_fit.free < cameras.stop)
-        by_fitted = -np.nan_to_num(of_fit.observability.covariance)[of_pose]
-        by_asked = by_fitted @ self.information.of_shot.sum(axis=0)[np.ix_(of_fit.free, asked)]
-        in_sigmas = by_asked / np.sqrt(np.diag(covariance)[of_pose])[:, None]
+        fitted, cameras = self.information.restrict_to(~self.is_tested), self.problem.slices.cameras
+        tested = self.information.free[self.is_tested]
+        is_pose = (fitted.free >= cameras.start) & (fitted.free < cameras.stop)
+        pose_covariance = -np.nan_to_num(fitted.observability.covariance)[is_pose]
+        motion_by_error = (
+            pose_covariance
+            @ self.information.shot_information.sum(axis=0)[np.ix_(fitted.free, tested)]
+        )
+        in_sigmas = motion_by_error / np.sqrt(np.diag(covariance)[is_pose])[:, None]
         tuning = self.problem.tuning.answer
         worst, sentence = tuning.strain_sigmas, None
-        for cause, columns in self.causes.items():
-            test, (number, group) = self.score.judge(columns), cause
-            if group[0] not in AFFINE_PARAMETERS or test.freedom < len(group):
+        for group, columns in self.columns.items():
+            test, (number, parameters) = self.score.test(columns), group
+            if parameters[0] not in AFFINE_PARAMETERS or test.freedom < len(parameters):
                 continue
             root = np.linalg.cholesky(test.with_noise(self.noise.variance).covariance)
-            chance = tuning.chance / len(self.causes)
-            error = root * unseen_sigmas(chance, test.freedom, tuning.power)
-            moved = in_sigmas[:, columns] @ error
-            strain = np.linalg.norm(moved, axis=1)
+            chance = tuning.chance / len(self.columns)
+            error = root * detectable_sigmas(chance, test.freedom, tuning.power)
+            motion = in_sigmas[:, columns] @ error
+            strain = np.linalg.norm(motion, axis=1)
             row = int(np.argmax(strain))
             if not strain[row] > worst:
                 continue
             worst = float(strain[row])
-            offsets = self._scale(cause) * (error @ moved[row]) / worst
-            camera = self.cameras[(of_fit.free[of_pose][row] - cameras.start) // POSE_SIZE]
+            offsets = self._scale(group) * (error @ motion[row]) / worst
+            camera = self.cameras[(fitted.free[is_pose][row] - cameras.start) // POSE_SIZE]
             owners = _cameras_of_lens(self.problem, self.cameras, number)
-            sentence = sentences.lens_error_unseen(owners, group, offsets, camera, worst)
+            sentence = sentences.lens_error_undetectable(owners, parameters, offsets, camera, worst)
         return sentence
 
-    def _scale(self, cause: Cause) -> Float[np.ndarray, "k"]:
-        """Change of each parameter of a cause for a step of one."""
-        number, group = cause
-        every = self.problem.state.lenses.parameter_names
+    def _scale(self, group: ParameterGroup) -> Float[np.ndarray, "k"]:
+        """Change of each parameter of a group for a unit step."""
+        number, parameters = group
+        names = self.problem.state.lenses.parameter_names
         return np.asarray(self.problem.parametrization.lens_scale)[
-            number, [every.index(n) for n in group]
+            number, [names.index(n) for n in parameters]
         ]
 
 
-def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
+def describe_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
     """Sentence on the given lens that the shots contradict most; None if they contradict none.
 
-    Tested are lenses that were given with a covariance. The strain is the largest step from the
-    prior's mean along a principal axis, in its sigmas.
+    Only lenses with a covariance are tested. The strain is the largest step from the prior mean
+    along a principal axis, in its sigmas.
     """
     worst, sentence, priors = problem.tuning.answer.strain_sigmas, None, problem.priors
-    for number in np.flatnonzero(is_given(problem.priors)).tolist():
+    for number in np.flatnonzero(has_lens_prior(problem.priors)).tolist():
         scale = np.asarray(problem.parametrization.lens_scale)[number]
         lens = lens_number(problem, number)
         offset = np.asarray(lens.parameters) - priors.lens_mean[number]
@@ -284,23 +322,23 @@ def say_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
 
 
 def _cameras_of_lens(problem: Problem, cameras: Sequence[str], number: int) -> list[str]:
-    """Names of the cameras that have a lens, by its number."""
+    """Names of the cameras that have a lens."""
     lens_of_camera = np.asarray(problem.parametrization.lens_of_camera)
     return [name for name, lens in zip(cameras, lens_of_camera) if lens == number]
 
 
-def _with_lenses_open(problem: Problem, which: Bool[np.ndarray, "l"]) -> Problem:
-    """The problem with all parameters of some lenses free, in the widest model that has theirs.
+def _with_free_lenses(problem: Problem, freed: Bool[np.ndarray, "l"]) -> Problem:
+    """Problem with all parameters of some lenses free, in the widest model that contains theirs.
 
-    which : of each lens, whether it is freed. The other lenses keep what is free of them.
+    freed : (l,) mask of the lenses to free. The other lenses keep their free parameters.
     """
     free, sizes = free_of_lenses(problem), problem.image_sizes_px
-    first = [int(np.argmax(problem.parametrization.lens_of_camera == k)) for k in range(len(which))]
-    lenses = [skew_lens(lens_number(problem, k)) for k in range(len(which))]
+    first = [int(np.argmax(problem.parametrization.lens_of_camera == k)) for k in range(len(freed))]
+    lenses = [skew_lens(lens_number(problem, k)) for k in range(len(freed))]
     wider = with_wider_lenses(problem, lenses, [sizes[camera] for camera in first])
-    names, never = lenses[0].parameter_names, lenses[0].never_fitted
+    names, never_fitted = lenses[0].parameter_names, lenses[0].never_fitted
     free = np.pad(free, ((0, 0), (0, len(names) - free.shape[1])))
-    free[which] = [name not in never for name in names]
+    free[freed] = [name not in never_fitted for name in names]
     head = np.array(wider.free)
     head[: free.size] = free.ravel()
-    return with_head_free(wider, head)
+    return with_free_head(wider, head)

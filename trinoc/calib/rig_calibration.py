@@ -12,7 +12,7 @@ from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.rig_pixels import expect_method
 from trinoc.calib.shots_assembly import result_of_shots
 from trinoc.calib.shots_fit import LensFreedom, ShotObservations, ShotsFit, fit_shots
-from trinoc.calib.starts.pictures import FoundBoards, Pictures, find_boards
+from trinoc.calib.starts.pictures import BoardDetections, Pictures, find_boards
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -44,51 +44,53 @@ def calibrate_rig(
     progress: Callable[[int, int], None] | None = None,
     tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
-    """Calibrate lenses and cameras together from synchronous images of a board that moves.
+    """Calibrate lenses and cameras together from synchronous images of a board that is moved about.
 
     Parameters
     ----------
-    images : for each camera by name its images: a mapping from the name of the shot, or a list in
-        the order of the shots, with None where there is none. An image is an array, what
-        `detect_target` found in one, or a function without arguments that returns one. Not every
-        camera need see the board in every shot, but shots must connect all cameras. One camera
-        alone is a rig, too.
-    board : a Pattern, a Chessboard, a Charuco or an AprilGrid; or a BoardSet of several that are
-        fixed to each other, whose poses are estimated with the rig.
-    lens : lenses that are known, of all cameras or by name; others are estimated. They are assumed
-        exact, or estimated under the covariance that `systematics` states of them. If the shots
-        contradict one, the status is SUSPECT and the first note names it.
-    lens_model : model of the lenses that are estimated. "default" is "brown_conrady", or "rational"
-        or "kannala_brandt" if that would fold an image, and a note reports this. "auto" takes the
-        model which, fitted to one half of the shots, has the smallest error in the other half, and
-        a note gives the reason. "splined" corrects the best polynomial lens by B-splines, and
-        "splined_" before the name of a model that one; "auto" does so if a test of the residuals
-        calls for it.
-    distortion : number of coefficients that are estimated; all that are determined by default.
-    same_lens : whether all cameras have one lens, such as images of one camera moved about.
-    world : the shot whose board is the world's plane Z = 0, or the camera whose frame is the
-        world's; by default the first of the shots that most cameras saw.
-    method : "points" fits the circles or corners that the detector found; "pixels" goes on from
-        there to the grey levels near every edge of the board.
-    systematics : what is known of print and board: `print_size_sigma`, `print_scale_sigma` and
-        `flatness_mm`, by default those of `Systematics.typical`; and `lens_covariance` of given
-        lenses, without which they are exact.
+    images : images of each camera, by the name of the camera. Those of one camera are a mapping
+        from the name of the shot, or a list in the order of the shots with None for a missing
+        image. An image is an array, a result of `detect_target`, or a function without arguments
+        that returns one of these. Not every camera needs to see the board in every shot, but shots
+        must connect all cameras. One camera alone is a rig, too.
+    board : a Pattern, Chessboard, Charuco or AprilGrid; or a BoardSet of several boards that are
+        fixed to each other, whose relative poses are estimated with the rig.
+    lens : given lenses, of all cameras or by name; the others are estimated. A given lens is
+        assumed exact, or is estimated under its covariance in `systematics`. If the shots
+        contradict it, the status is SUSPECT and the first note names it.
+    lens_model : model of the estimated lenses. "default": "brown_conrady", or "rational" or
+        "kannala_brandt" if the first would fold an image (a note reports this). "auto": the model
+        which, fitted to one half of the shots, has the smallest error in the other half (a note
+        gives the reason). "splined": the best polynomial model, corrected by B-splines. "splined_"
+        before the name of a model corrects that model. "auto" adds splines if a test of the
+        residuals is significant.
+    distortion : number of estimated distortion coefficients; by default all that the shots
+        determine.
+    same_lens : whether all cameras have the same lens, for instance images of one camera moved
+        about.
+    world : name of the shot whose board is the world's plane Z = 0, or of the camera whose frame is
+        the world's. Default: the first of the shots that most cameras saw.
+    method : "points" fits the detected circles or corners. "pixels" then fits the grey levels near
+        every edge of the board.
+    systematics : errors of print and board (`print_size_sigma`, `print_scale_sigma`, `flatness_mm`;
+        default `Systematics.typical`), and `lens_covariance` of given lenses, which are exact
+        without it.
     throw : whether a rig that is not determined raises an error; otherwise its status reports it.
-    progress : called with the numbers of images searched and of all images.
-    tuning : constants of calibration; a benchmark or a study changes them. Those of the fit to grey
-        levels, `tuning.photometric`, cannot be changed.
+    progress : called after each image with the number of searched images and the number of all
+        images.
+    tuning : constants of calibration; a benchmark or a study changes them.
 
     Returns
     -------
-    The result. Images without a board are named in `failures`. Images of another moment, and
-    boards that moved during a shot, are named in `refused`.
+    The calibrated rig. `failures` names the images without a board; `refused` names images of
+    another moment and boards that moved during a shot.
 
     Raises
     ------
-    InputError : no image, or names that do not exist; with "pixels" a detection where an image is
-        needed.
-    CalibrationError : a camera that never sees the board, cameras that no shot connects or whose
-        shots are out of step, or, with `throw`, parameters that the shots do not determine.
+    InputError : no image, or names that do not exist; with "pixels", a detection instead of an
+        image.
+    CalibrationError : a camera that never sees the board, cameras that no shot connects, cameras
+        whose shots are out of step, or, with `throw`, parameters that the shots do not determine.
     """
     expect_method(method, board, images)
     check_camera_names(images)
@@ -112,7 +114,7 @@ def calibrate_rig(
         shots_fit = fit_wider_model(
             shots_fit, lambda model: fit_models((model,)), observations.cameras
         )
-    exact = {camera: each for camera, each in lenses.items() if camera not in factors}
+    exact = {camera: known_lens for camera, known_lens in lenses.items() if camera not in factors}
     result = result_of_shots(shots_fit, boards, observations, exact, world=world, method=method)
     if throw and not result.has_rig:
         # A board that was read otherwise than stated may be why.
@@ -123,9 +125,9 @@ def calibrate_rig(
 def models_to_try(
     name: str, distortion: int | None, lenses: Mapping[str, Intrinsics]
 ) -> tuple[tuple[type[AbstractLens], ...], bool | None]:
-    """Lens models to try, and whether the best is corrected by splines; None if a test decides.
+    """Lens models to try, and whether the best one is corrected by splines (None: a test decides).
 
-    Raises InputError for a name or a number of coefficients that there is not.
+    Raises InputError for an unknown name or an impossible number of coefficients.
     """
     if name in ("auto", "splined"):
         if distortion is not None or lenses:
@@ -133,7 +135,7 @@ def models_to_try(
                 f'lens_model is "{name}", which finds every lens and all its coefficients: name a '
                 "model, or leave out distortion and lens."
             )
-        return tuple(lens_model_of(each) for each in LENSES_TRIED), name == "splined" or None
+        return tuple(lens_model_of(tried) for tried in LENSES_TRIED), name == "splined" or None
     model = DEFAULT_DISTORTION if name == DEFAULT_LENS else lens_model_of(name)
     counts, names = model.coefficient_counts, model.coefficient_names
     if distortion is not None and distortion not in counts:
@@ -153,8 +155,8 @@ def _given_lenses(
     if isinstance(lens, Intrinsics):
         return dict.fromkeys(cameras, lens)
     check_kind(lens, Mapping, "lens", f"{A_LENS}, or a dictionary of each camera's")
-    for name, each in lens.items():
-        check_kind(each, Intrinsics, f'lens of "{name}"', A_LENS)
+    for name, intrinsics in lens.items():
+        check_kind(intrinsics, Intrinsics, f'lens of "{name}"', A_LENS)
         if name not in cameras:
             raise InputError(
                 f'A lens is given for "{name}", but the cameras are {list_names(cameras)}.'
@@ -163,7 +165,7 @@ def _given_lenses(
 
 
 def _board_systematics(stated: Systematics | None, tuning: CalibTuning) -> Systematics:
-    """Errors of board and lenses, checked; aims are estimated here."""
+    """Return the checked errors of boards and lenses, without a prior on the aim."""
     systematics = Systematics.typical({}, tuning=tuning) if stated is None else stated
     check_kind(systematics, Systematics, "knowledge of the board", "trinoc.Systematics")
     systematics.check()
@@ -173,7 +175,7 @@ def _board_systematics(stated: Systematics | None, tuning: CalibTuning) -> Syste
 def _lens_factors(
     systematics: Systematics, lenses: Mapping[str, Intrinsics], cameras: tuple[str, ...]
 ) -> dict[str, Float[np.ndarray, "_ _"]]:
-    """For each given lens that is not exact, a factor of its covariance."""
+    """Factors L of the covariance L L^T of each given lens that is not exact, by camera."""
     stated = systematics.lens_covariance
     without = [camera for camera in cameras if camera not in lenses]
     if isinstance(stated, Mapping):
@@ -186,13 +188,13 @@ def _lens_factors(
     return systematics.lens_factors({camera: lenses.get(camera) for camera in cameras})
 
 
-def _expect_boards(boards: FoundBoards, observations: ShotObservations) -> None:
+def _expect_boards(boards: BoardDetections, observations: ShotObservations) -> None:
     """Raise CalibrationError for a camera that sees the board in no image."""
     for camera, detections in observations.detections.items():
         if detections:
             continue
-        why = [sentence for (name, _), sentence in boards.failures.items() if name == camera]
-        reason = f" In its first picture: {why[0]}" if why else " It has no picture."
+        failures = [reason for (name, _), reason in boards.failures.items() if name == camera]
+        reason = f" Its first image: {failures[0]}" if failures else " It has no image."
         if camera in boards.causes:
             reason = f" {boards.causes[camera]}"
-        raise CalibrationError(f'Camera "{camera}" sees the board in no picture.{reason}')
+        raise CalibrationError(f'The board was found in no image of camera "{camera}".{reason}')

@@ -1,10 +1,9 @@
-"""The rig from the grey levels: what every picture shows near the board's edges, taken together.
+"""Fit of a rig to the grey levels near the edges of the board.
 
-At a rig that points have found, each picture is fitted by itself: light, ink, blur and the board's
-pose. That leaves, for each circle, piece of a line or corner, where the picture shows it, and the
-information on all of them together, light, ink and blur eliminated. The rig is fitted to these as
-to points whose errors they share; the lenses it has then are those for the next look at the
-pictures.
+Each image is first fitted alone, from the rig of the corners: light, ink, blur and the pose of the
+board. With light, ink and blur eliminated, this gives the position of each circle, piece of a line
+or corner, and their joint information. The rig is then fitted to these points with correlated
+errors. Its lenses are the start of the next round.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,12 +17,12 @@ from trinoc.calib.detection.detection import Detection
 from trinoc.calib.photometric.views import refine_views
 from trinoc.calib.problem.apparent_shift import apparent_shift
 from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
-from trinoc.calib.problem.robust_fit import RobustFit, errors_px, finish_fit, fit_places
-from trinoc.calib.problem.views import View
+from trinoc.calib.problem.robust_fit import RobustFit, errors_px, finish_fit, fit_points
+from trinoc.calib.problem.views import BoardObservation
 from trinoc.calib.problem.wrong_circles import drop_wrong_circles
 from trinoc.calib.starts.camera_start import on_board
 from trinoc.calib.starts.pictures import Pictures, deliver, name_pictures
-from trinoc.calib.starts.placing import of_one_moment
+from trinoc.calib.starts.placing import original_shot_name
 from trinoc.calib.targets.abstract_target import A_BOARD, AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import BoardSet
@@ -36,60 +35,66 @@ from trinoc.geometry.projection import project_points
 from trinoc.image.grey import grey_image
 from trinoc.numerics.buckets import blocks
 
-# numerical: what a picture shows is linear in the places' shifts as far as these are small beside
-# its blur, so that few rounds change something.
+# numerical: an image is linear in shifts of the points that are small against its blur, so that
+# few rounds suffice.
 _MOST_ROUNDS = 3
-# numerical: pictures that are held in memory at a time.
-_PICTURES_AT_ONCE = 32
-# numerical: pictures in which it is seen how tags are turned.
+# numerical: images in memory at a time.
+_IMAGES_AT_ONCE = 32
+# numerical: images used to find the rotation of the tags.
 _MOST_VIEWS = 5
 
-# The grey levels of what a view has seen.
-GreyOfView = Callable[[View], Float[np.ndarray, "h w"]]
+# Grey levels of the image of an observation.
+GreyOfView = Callable[[BoardObservation], Float[np.ndarray, "h w"]]
 
 
 class PixelFit(NamedTuple):
-    """fit : of the rig to the grey levels. silent : (camera, shot, why) of pictures whose points
-    count instead."""
+    """Fit of the rig to the grey levels.
+
+    images_without_grey_levels : (camera, shot, reason) of images whose detected points are used
+        instead.
+    """
 
     fit: RobustFit
-    silent: list[tuple[int, int, str]]
+    images_without_grey_levels: list[tuple[int, int, str]]
 
 
-def expect_method(method: str, target: AbstractTarget, pictures: Mapping[str, Pictures]) -> None:
-    """Raises InputError for a method that there is not, or not for these."""
+def expect_method(method: str, target: AbstractTarget, images: Mapping[str, Pictures]) -> None:
+    """Raise InputError for an unknown method, or one that does not fit the board or the images."""
     if method not in ("points", "pixels"):
         raise InputError(f'method is {method!r}, but must be "points" or "pixels".')
     check_kind(target, AbstractTarget, "board", A_BOARD)
-    check_kind(pictures, Mapping, "set of pictures", "a dictionary of each camera's shots")
+    check_kind(images, Mapping, "set of images", "a dictionary of each camera's shots")
     if method == "pixels" and isinstance(target, BoardSet):
         raise InputError(
             f'"{target.name}" holds several boards, and method "pixels" fits one: give '
             'method="points".'
         )
-    for camera, own in name_pictures(pictures).items():
-        for shot, given in own.items():
-            if method == "pixels" and isinstance(given, Detection):
+    for camera, shots in name_pictures(images).items():
+        for shot, image in shots.items():
+            if method == "pixels" and isinstance(image, Detection):
                 raise InputError(_no_picture(camera, shot))
 
 
 def _no_picture(camera: str, shot: str) -> str:
     return (
-        f'{shot} of "{camera}" is a detection, in which no grey levels are left: give the picture, '
-        'or method="points".'
+        f'{shot} of "{camera}" is a detection without grey levels: give the image, or '
+        'method="points".'
     )
 
 
 def grey_levels(
-    pictures: Mapping[str, Pictures], cameras: tuple[str, ...], shots: tuple[str, ...]
+    images: Mapping[str, Pictures], cameras: tuple[str, ...], shots: tuple[str, ...]
 ) -> GreyOfView:
-    """Where the grey levels of a view come from. `shots` : the names of a `PlacedRig`."""
-    named = name_pictures(pictures)
+    """Return a function that reads the grey levels of an observation's image.
 
-    def read_grey(view: View) -> Float[np.ndarray, "h w"]:
+    shots : names of the shots, as in `InitialRig`.
+    """
+    images_by_shot = name_pictures(images)
+
+    def read_grey(view: BoardObservation) -> Float[np.ndarray, "h w"]:
         camera = cameras[view.camera]
-        shot = of_one_moment(shots[view.shot], camera)
-        image = deliver(named[camera][shot])
+        shot = original_shot_name(shots[view.shot], camera)
+        image = deliver(images_by_shot[camera][shot])
         if isinstance(image, Detection):
             raise InputError(_no_picture(camera, shot))
         return grey_image(np.asarray(image)).grey
@@ -98,22 +103,22 @@ def grey_levels(
 
 
 def fit_pixels(fit: RobustFit, read_grey: GreyOfView) -> PixelFit:
-    """Go on from the fit of points, looking at the pictures as often as the lenses change."""
-    problem, silent = _with_own_sigmas(fit.problem), []
+    """Fit the rig to the grey levels, from its fit to points, until the lenses stay the same."""
+    problem, without_grey_levels = _with_own_sigmas(fit.problem), []
     board = _find_ink(problem, read_grey)
     for _ in range(_MOST_ROUNDS):
-        views, silent = _look(problem, board, read_grey)
+        views, without_grey_levels = _fit_images(problem, board, read_grey)
         problem = problem._replace(views=views)
         before = errors_px(problem)
-        problem, _ = fit_places(drop_wrong_circles(fit_places(problem)[0]))
+        problem, _ = fit_points(drop_wrong_circles(fit_points(problem)[0]))
         moves = [
-            np.sqrt(np.mean((after - then) ** 2))
-            for after, then, view in zip(errors_px(problem), before, views, strict=True)
+            np.sqrt(np.mean((after - earlier) ** 2))
+            for after, earlier, view in zip(errors_px(problem), before, views, strict=True)
             if view.used.any()
         ]
         if max(moves, default=0.0) < problem.tuning.answer.least_shift_px:
             break
-    return PixelFit(finish_fit(problem, fit.elsewhere), silent)
+    return PixelFit(finish_fit(problem, fit.rejected_images), without_grey_levels)
 
 
 def _find_ink(problem: Problem, read_grey: GreyOfView) -> Pattern | SquareSheet:
@@ -126,7 +131,7 @@ def _find_ink(problem: Problem, read_grey: GreyOfView) -> Pattern | SquareSheet:
 
 
 def _with_own_sigmas(problem: Problem) -> Problem:
-    """The problem with the factors of its cameras' points in the covariances of these."""
+    """Problem with the sigma factors of cameras and images in the covariances of the points."""
     views = []
     for view in problem.views:
         variance = (problem.sigma_factor[view.camera] * view.sigma_ratio) ** 2
@@ -140,10 +145,10 @@ def _scale_detection(detection: Detection, variance: float) -> Detection:
     return eqx.tree_at(lambda d: d.covariance_px2, detection, detection.covariance_px2 * variance)
 
 
-def _look(
+def _fit_images(
     problem: Problem, ink: Pattern | SquareSheet, read_grey: GreyOfView
-) -> tuple[tuple[View, ...], list[tuple[int, int, str]]]:
-    """The views with what their pictures show, given the rig as it is."""
+) -> tuple[tuple[BoardObservation, ...], list[tuple[int, int, str]]]:
+    """Observations with the points from the grey levels of their images, at the present rig."""
     used = {str(k): view for k, view in enumerate(problem.views) if view.used.any()}
     poses = {name: cam_from_board(problem.state, view) for name, view in used.items()}
     lenses = {
@@ -157,24 +162,26 @@ def _look(
             for name, view in used.items()
         }
     fits, names = {}, list(used)
-    for part in blocks(len(names), _PICTURES_AT_ONCE):
-        pictures = {name: read_grey(used[name]) for name in names[part]}
-        own = {name: poses[name] for name in names[part]}
+    for part in blocks(len(names), _IMAGES_AT_ONCE):
+        grey_of_image = {name: read_grey(used[name]) for name in names[part]}
+        image_poses = {name: poses[name] for name in names[part]}
         tuning = problem.tuning.photometric
-        fits |= refine_views(pictures, own, ink, lenses, PoseModel.RIGID, shifts, tuning=tuning)
-    views, silent = list(problem.views), []
+        fits |= refine_views(
+            grey_of_image, image_poses, ink, lenses, PoseModel.RIGID, shifts, tuning=tuning
+        )
+    views, without_grey_levels = list(problem.views), []
     for name, view in used.items():
-        views[int(name)] = view._replace(shown=fits[name].points)
+        views[int(name)] = view._replace(grey_level_points=fits[name].points)
         if fits[name].points is None:
-            silent.append((view.camera, view.shot, fits[name].note or ""))
-    return tuple(views), silent
+            without_grey_levels.append((view.camera, view.shot, fits[name].note or ""))
+    return tuple(views), without_grey_levels
 
 
 def quarters_of_tags(problem: Problem, board: AprilGrid, read_grey: GreyOfView) -> int:
-    """By how many quarters of a turn the tags lie elsewhere than `trinoc pattern` draws them.
+    """Quarter turns of the printed tags against those of `trinoc pattern`.
 
-    Programs that draw AprilGrids differ. It is the turn in which cells of ink are darkest against
-    the others, in the first pictures.
+    Programs that draw AprilGrids differ. The result is the turn for which ink cells have the
+    largest contrast in the first images.
     """
     dictionary = opencv_dictionary(board.dictionary)
     cells = np.stack(
@@ -185,19 +192,19 @@ def quarters_of_tags(problem: Problem, board: AprilGrid, read_grey: GreyOfView) 
     )
     middles = (np.arange(cells.shape[1]) + 0.5) / cells.shape[1] - 0.5
     x, y = np.meshgrid(middles, -middles)
-    places = board.tags_mm[:, None] + board.tag_mm * np.stack([x, y], axis=-1).reshape(1, -1, 2)
+    cells_mm = board.tags_mm[:, None] + board.tag_mm * np.stack([x, y], axis=-1).reshape(1, -1, 2)
     contrast = np.zeros(4)
     for view in [view for view in problem.views if view.used.any()][:_MOST_VIEWS]:
         lens = lens_number(problem, int(problem.parametrization.lens_of_camera[view.camera]))
         cells_px = project_points(
-            cam_from_board(problem.state, view), lens, on_board(places.reshape(-1, 2))
+            cam_from_board(problem.state, view), lens, on_board(cells_mm.reshape(-1, 2))
         )
         column, row = np.rint(np.nan_to_num(cells_px, nan=-1.0)).astype(int).T
         grey = read_grey(view)
-        seen = (column >= 0) & (row >= 0) & (column < grey.shape[1]) & (row < grey.shape[0])
-        levels = grey[row[seen], column[seen]]
+        is_visible = (column >= 0) & (row >= 0) & (column < grey.shape[1]) & (row < grey.shape[0])
+        levels = grey[row[is_visible], column[is_visible]]
         for quarters in range(4):
-            ink = np.rot90(cells, quarters, axes=(1, 2)).ravel()[seen]
+            ink = np.rot90(cells, quarters, axes=(1, 2)).ravel()[is_visible]
             if ink.any() and not ink.all():
                 contrast[quarters] += levels[~ink].mean() - levels[ink].mean()
     return int(np.argmax(contrast))

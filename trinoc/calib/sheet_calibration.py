@@ -1,12 +1,13 @@
 """Calibrate cameras from one image of the sheet each: every step from detections to the result.
 
-1. Each camera alone: a first pose from its circles, or a sentence that says why it has none.
+1. Each camera alone: a first pose from its circles, or the reason why it has none.
 2. All cameras together by circle centres, with sheet, lenses and aims as unknowns (`adjust`).
-3. The grey levels of each image, fitted alone, give more precise positions of the same ink. Where
-   they show that ink has spread, the circles are adjusted again with their new size.
+3. The grey levels of each image, fitted alone, give more precise positions of the same ink. If they
+   show that ink has spread, the circles are adjusted again with their new size.
 4. All cameras together by these positions, from the estimate of step 2.
-5. Each camera uses its grey levels or its circles (`choose_observations`). Where a camera does not
-   use its grey levels, all cameras are adjusted once more. Usual are two adjustments, at most four.
+5. Each camera uses its grey levels or its circles (`choose_observations`). If a camera does not use
+   its grey levels, all cameras are adjusted once more. There are usually two adjustments, at most
+   four.
 6. Tests, notes and covariance (`assembly`).
 """
 
@@ -63,28 +64,29 @@ def calibrate(
 
     Parameters
     ----------
-    images : a grey or colour image for each camera, by name.
-    pattern : the sheet.
-    lens : the intrinsics of all cameras, or of each by name.
-    pose_model : "aimed" (pan, tilt, swing, distance; the optical axis meets the origin of the
-        sheet), the default, or "aim-free" (the point it meets is free), or a PoseModel.
-    method : "pixels" continues from the circles to a fit of the grey levels near every edge of
-        the sheet, which reaches the Cramer-Rao bound, and uses it for each camera whose circles
-        agree with it; "points" stops at their centres. `fits[name].method` is what was used.
-    throw : whether a camera that fails raises; without it the failed cameras are left out of
-        the rig and `failures` says why.
-    systematics : what is known of the errors of the sheet, the lens and the aim: by default what
-        printers, paper, hands and data sheets leave open (`Systematics.typical`).
-        `Systematics()` takes all of it as exact.
-    orientation : for a sheet that looks the same turned, such as a plain grid of discs:
-        "upright" where X points to the right in every image, as nearly as it can, or an
-        earlier rig whose cameras have hardly moved since. Without it such a sheet fails.
-    bayer : for raw mosaics of colours, those of the first two pixels of the first two rows, such as
-        "RGGB": each pixel is fitted as it is, without interpolation.
-    response : of the cameras, "linear" or "srgb" where it is known; with "fit" an image is taken
-        as linear until the profiles of its edges refute that, and the response is then fitted.
-    tuning : constants of calibration; a benchmark or a study changes them. Those of the fit to grey
-        levels, `tuning.photometric`, cannot be changed.
+    images : grey or colour image of each camera, by name.
+    pattern : the printed sheet.
+    lens : intrinsics of all cameras, or a mapping with those of each camera by name.
+    pose_model : estimated parameters of each pose. "aimed" (default): pan, tilt, swing and
+        distance; the optical axis meets the origin of the sheet. "aim-free": also the point of the
+        sheet that the axis meets. A PoseModel is accepted, too.
+    method : "pixels" (default) fits circle centres first, then the grey levels near every edge of
+        the sheet, which reaches the Cramer-Rao bound. A camera whose circles disagree with its grey
+        levels may use its circles. "points" stops at the circle centres. `fits[name].method`
+        reports which was used.
+    throw : whether a failed camera raises an error. Otherwise the rig contains the other cameras,
+        and `failures` has the reason.
+    systematics : standard deviations of the errors of sheet, lens and aim. Default: typical values
+        for printers, paper, aiming by hand and data sheets (`Systematics.typical`). `Systematics()`
+        assumes that all are exact.
+    orientation : needed for a sheet that looks the same after a turn, such as a plain grid of
+        discs. "upright": X points to the right in every image, as nearly as possible. Or an earlier
+        rig whose cameras have hardly moved since. Without it, such a sheet fails.
+    bayer : colours of the first two pixels of the first two rows of a raw colour mosaic, such as
+        "RGGB". Each pixel is then fitted without interpolation.
+    response : response of the cameras, "linear" or "srgb". With "fit" (default) an image is assumed
+        linear unless the profiles of its edges contradict this; then the response is fitted.
+    tuning : constants of calibration; a benchmark or a study changes them.
 
     Returns
     -------
@@ -92,10 +94,10 @@ def calibrate(
 
     Raises
     ------
-    InputError : a lens is missing, an image has another size than its lens, one image was
-        given for two cameras, or a pose model that is none of these.
-    CalibrationError : some camera failed; the error holds the sentence of each, and the
-        result of the others. Raised without `throw`, too, where no camera is left.
+    InputError : a lens is missing, an image and its lens differ in size, one image is given for two
+        cameras, or the pose model or method is unknown.
+    CalibrationError : a camera failed. The error has the reason for each failed camera and the
+        result of the others. Without `throw`, it is raised only if no camera is left.
     """
     if method not in ("pixels", "points"):
         raise InputError(f'method is {method!r}, but must be "pixels" or "points".')
@@ -136,7 +138,22 @@ def calibrate_detections(
     orientation: Orientation = None,
     tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
-    """`trinoc.calibrate` from circles that are already detected. Raises as it does."""
+    """Calibrate cameras from circles that are already detected.
+
+    Parameters
+    ----------
+    detections : circles and lines of each camera's image, by the name of the camera.
+    pattern, lens, pose_model, throw, systematics, orientation, tuning : see `trinoc.calibrate`.
+
+    Returns
+    -------
+    The rig with its covariance, and the status, fit and notes of each camera. No grey levels are
+    used.
+
+    Raises
+    ------
+    InputError, CalibrationError : as in `trinoc.calibrate`.
+    """
     check_camera_names(detections)
     lenses = lens_of_each(lens, detections)
     model = pose_model_over_sheet(pose_model)
@@ -156,10 +173,18 @@ def calibrate_sheet(
     failures: Mapping[str, str] | None = None,
     throw: bool = True,
 ) -> CalibrationResult:
-    """Calibrate the cameras in whose images the sheet was detected. Raises CalibrationError.
+    """Calibrate the cameras in whose images the sheet was detected.
 
-    lenses : of all cameras, in the user's order. images : grey levels, of the cameras that may use
-    them. failures : why the sheet was not detected in the other cameras.
+    Parameters
+    ----------
+    detections : circles and lines, by camera.
+    lenses : intrinsics of all cameras, in the user's order.
+    images : grey levels of the cameras that may use them.
+    failures : reason why the sheet was not detected, for each other camera.
+
+    Raises
+    ------
+    CalibrationError : as in `calibrate`.
     """
     lens_factors = priors.systematics.lens_factors(lenses)
     detections, ambiguous = resolve_orientation(
@@ -210,11 +235,13 @@ def calibrate_sheet(
 def adjust_group(
     cameras: Sequence[SheetCamera], pattern: Pattern, priors: SheetPriors, encoding: Encoding
 ) -> tuple[Adjustment, Adjustment]:
-    """Adjust cameras that share a sheet: by circle centres, and by what each camera uses."""
+    """Adjust cameras that share a sheet. Returns the adjustment by circle centres, and the final
+    one.
+    """
     by_circles = adjust(cameras, pattern, priors)
     cameras = fit_grey_levels(by_circles, pattern, encoding)
     if any(camera.ink_spread_mm for camera in cameras):
-        # The image of a larger circle has its centre further aside.
+        # For a larger circle, the centre of its image is farther from the image of its centre.
         by_circles = adjust(cameras, pattern, priors, by_circles)
     candidates = [camera.by_pixels() for camera in cameras]
     adjustment = by_circles
@@ -224,7 +251,10 @@ def adjust_group(
         choose_observations(view, camera, by_circles, adjustment)
         for view, camera in enumerate(candidates)
     )
-    if any(a.method != b.method or b.scatter > 1.0 for a, b in zip(candidates, final_cameras)):
+    if any(
+        before.method != after.method or after.scatter > 1.0
+        for before, after in zip(candidates, final_cameras)
+    ):
         adjustment = adjust(final_cameras, pattern, priors, by_circles)
     return by_circles, replace(adjustment, cameras=final_cameras)
 
@@ -232,7 +262,11 @@ def adjust_group(
 def fit_grey_levels(
     by_circles: Adjustment, pattern: Pattern, encoding: Encoding
 ) -> list[SheetCamera]:
-    """The cameras with the fits of their images, around the bend and the lens that circles show."""
+    """Fit the grey levels of each image, with the sheet's bend and the lens from the circles.
+
+    Returns the cameras with `grey_level_fit`, and with their ink spread if it is large enough to
+    matter.
+    """
     images, poses, lenses = {}, {}, {}
     tuning = by_circles.problem.tuning
     shifts: dict[str, ShiftOfPlaces] = {}
@@ -246,14 +280,14 @@ def fit_grey_levels(
         if np.abs(shift(centres_mm)).max() > tuning.answer.least_shift_px:
             shifts[name] = shift
     model = by_circles.priors.fitted_model
-    pictures = refine_views(
+    image_fits = refine_views(
         images, poses, pattern, lenses, model, shifts, encoding, tuning.photometric
     )
-    cameras = [replace(one, picture=pictures.get(one.name)) for one in by_circles.cameras]
-    spreads_mm = [
-        one.picture.quality.ink_spread_mm if one.picture and one.picture.quality else 0.0
-        for one in cameras
+    cameras = [
+        replace(camera, grey_level_fit=image_fits.get(camera.name)) for camera in by_circles.cameras
     ]
+    qualities = [camera.grey_level_fit and camera.grey_level_fit.quality for camera in cameras]
+    spreads_mm = [quality.ink_spread_mm if quality else 0.0 for quality in qualities]
     if max(map(abs, spreads_mm)) <= tuning.answer.least_spread_mm:
         return cameras
-    return [replace(one, ink_spread_mm=spread) for one, spread in zip(cameras, spreads_mm)]
+    return [replace(camera, ink_spread_mm=spread) for camera, spread in zip(cameras, spreads_mm)]

@@ -1,4 +1,4 @@
-"""Checks of what a user gives to calibrate cameras over one sheet."""
+"""Checks of the user's inputs for calibration over one sheet."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,36 +13,38 @@ from trinoc.numerics.precision import ArrayLike
 
 
 def check_images(images: Any, pattern: object) -> None:
-    """Raise InputError for the slips of a first call, such as a file that was not read."""
+    """Raise InputError for common mistakes of a first call, such as a file that was not read."""
     check_kind(pattern, Pattern, "pattern", A_PATTERN)
-    each = 'a dictionary of each camera\'s name and picture, such as {"left": image}'
-    check_kind(images, Mapping, "set of pictures", each)
+    expected = 'a dictionary of each camera\'s name and image, such as {"left": image}'
+    check_kind(images, Mapping, "set of images", expected)
     check_camera_names(images)
     for name, image in images.items():
         if image is None or np.ndim(image) not in (2, 3):
-            given = "None" if image is None else f"a {type(image).__name__}"
+            actual = "None" if image is None else f"a {type(image).__name__}"
             raise InputError(
-                f'The picture of camera "{name}" is {given} and no array of height and width: was '
-                "the file found and read?"
+                f'The image of camera "{name}" is {actual} instead of an array of height and '
+                "width: check that its file was found and read."
             )
 
 
 def check_image_sizes(images: Mapping[str, ArrayLike], lenses: Mapping[str, Intrinsics]) -> None:
-    """Raise InputError for an image of another size than its lens, or given for two cameras."""
+    """Raise InputError if an image and its lens differ in size, or one image is given for two
+    cameras.
+    """
     names = list(images)
     for name in names:
         size, lens_size = np.shape(images[name])[1::-1], lenses[name].image_size_px
         if size != lens_size:
             raise InputError(
-                f'The picture of camera "{name}" is {_text(size)} pixels, but its lens '
-                f"says {_text(lens_size)}: give the intrinsics of this camera at this resolution."
+                f'The image of camera "{name}" has {_text(size)} pixels, but its lens is for '
+                f"{_text(lens_size)}: give the intrinsics of this camera at this resolution."
             )
     for k, first in enumerate(names):
         for second in names[k + 1 :]:
             if np.array_equal(images[first], images[second]):
                 raise InputError(
-                    f'The same picture was given for cameras "{first}" and "{second}": give '
-                    "each camera its own."
+                    f'The same image was given for cameras "{first}" and "{second}": give each '
+                    "camera its own image."
                 )
 
 
@@ -53,9 +55,11 @@ def _text(size: tuple[int, ...]) -> str:
 def lens_of_each(
     lens: Intrinsics | Mapping[str, Intrinsics], names: Mapping[str, object]
 ) -> dict[str, Intrinsics]:
-    """Intrinsics of every camera, from those of one or of each. Raises InputError."""
+    """Intrinsics of every camera, from one lens or a mapping. Raises InputError for a
+    missing one.
+    """
     if not names:
-        raise InputError("No picture was given: give one for each camera, by name.")
+        raise InputError("No image was given: give one for each camera, by name.")
     if isinstance(lens, Intrinsics):
         return dict.fromkeys(names, lens)
     check_kind(lens, Mapping, "lens", f"{A_LENS}, or a dictionary of each camera's")

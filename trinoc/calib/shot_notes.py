@@ -1,4 +1,4 @@
-"""Notes on a fit to many shots: which of the sentences apply, and to what."""
+"""Choice of the sentences for a fit to many shots."""
 
 from collections.abc import Callable, Sequence
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from trinoc.calib import sentences
 from trinoc.calib.problem.coefficients import fewest_coefficients, free_of_lenses
-from trinoc.calib.problem.lens_correction import correction_sentences
+from trinoc.calib.problem.lens_correction import measure_corrections
 from trinoc.calib.problem.misfit_causes import MisfitCause
 from trinoc.calib.problem.named_covariance import NamedCovariance
 from trinoc.calib.problem.outcome import FitOutcome
@@ -19,8 +19,8 @@ from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
 from trinoc.geometry.pose import Pose
 
-# Words for a camera's image of a shot, by the numbers of both.
-Where = Callable[[int, int], str]
+# Name of an image for the user, from the numbers of its camera and its shot.
+ImageName = Callable[[int, int], str]
 
 
 def notes_of_fit(
@@ -28,15 +28,20 @@ def notes_of_fit(
     outcome: FitOutcome,
     gauge: Sequence[str],
     cameras: Sequence[str],
-    held: Sequence[str],
+    fixed_coefficients: Sequence[str],
     remarks: Sequence[str] = (),
     causes: Sequence[MisfitCause] = (),
     shots: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Notes on what is not determined, and on lenses, board and shots.
+    """Notes on undetermined parameters, lenses, board and shots.
 
-    gauge : parameters that are not determined. held : coefficients fixed at 0. remarks : sentences
-    on the lenses. causes : of large residuals. shots : names.
+    Parameters
+    ----------
+    gauge : names of undetermined parameters.
+    fixed_coefficients : coefficients that were fixed at 0.
+    remarks : sentences on the lenses.
+    causes : causes of large residuals.
+    shots : names of the shots.
     """
     problem, notes = fit.problem, []
     if outcome.status is Status.RANK_DEFICIENT:
@@ -45,12 +50,16 @@ def notes_of_fit(
         notes.append(sentences.shots_do_not_determine(parameters, reason_undetermined(problem)))
     elif outcome.status is Status.NOT_CONVERGED:
         notes.append(sentences.not_converged(outcome.status.value))
-    notes += [*remarks, *correction_sentences(problem, cameras)]
+    notes += remarks
+    for correction in measure_corrections(problem):
+        lens_of_camera = problem.parametrization.lens_of_camera
+        camera = cameras[int(np.flatnonzero(np.asarray(lens_of_camera) == correction.lens)[0])]
+        notes.append(sentences.lens_corrected(correction, camera))
     notes += [sentences.cause_of_misfit(cause, cameras, shots) for cause in causes]
     if outcome.variance_factor > 1.0:
         notes.append(sentences.shots_differ(np.sqrt(outcome.variance_factor), bool(causes)))
-    if held:
-        notes.append(sentences.coefficients_held(held))
+    if fixed_coefficients:
+        notes.append(sentences.coefficients_fixed(fixed_coefficients))
     if problem.parametrization.has_circles:
         notes += [
             sentences.circles_of_camera_scatter(camera, factor)
@@ -62,15 +71,15 @@ def notes_of_fit(
         notes.append(sentences.SEEN_FROM_BEHIND)
     shape = np.asarray(problem.state.shape)
     if len(shape):
-        aside_mm, off_plane_mm = (
-            float(np.sqrt(np.mean(part**2))) for part in (shape[:, :2], shape[:, 2])
+        in_plane_mm, off_plane_mm = (
+            float(np.sqrt(np.mean(component**2))) for component in (shape[:, :2], shape[:, 2])
         )
-        notes.append(sentences.board_shape(aside_mm, off_plane_mm))
+        notes.append(sentences.board_shape(in_plane_mm, off_plane_mm))
     return (*notes, *_deviations_of_board(problem))
 
 
 def reason_undetermined(problem: Problem) -> str:
-    """Why the shots do not determine all parameters, as a phrase of `sentences`."""
+    """Reason why the shots do not determine all parameters, as a phrase of `sentences`."""
     used = [view for view in problem.views if view.used.any()]
     shots = {view.shot for view in used}
     if len(shots) == 1:
@@ -91,41 +100,46 @@ def reason_undetermined(problem: Problem) -> str:
     return sentences.MORE_SHOTS
 
 
-def list_refusals(fit: RobustFit, where: Where) -> tuple[str, ...]:
-    """Images that show the board elsewhere, and numbers of corners located wrongly."""
+def list_refusals(fit: RobustFit, image_name: ImageName) -> tuple[str, ...]:
+    """Sentences on images with the board at another pose, and on outliers in the other images."""
     refusals = [
-        sentences.board_elsewhere(where(camera, shot), miss_px)
-        for camera, shot, miss_px in fit.elsewhere
+        sentences.board_elsewhere(image_name(camera, shot), miss_px)
+        for camera, shot, miss_px in fit.rejected_images
     ]
-    elsewhere = {(camera, shot) for camera, shot, _ in fit.elsewhere}
+    rejected = {(camera, shot) for camera, shot, _ in fit.rejected_images}
     for view in fit.problem.views:
-        wrong = int((~view.used).sum())
-        if wrong and (view.camera, view.shot) not in elsewhere:
-            place = where(view.camera, view.shot)
-            refusals.append(sentences.places_located_wrongly(place, wrong, len(view.used)))
+        outliers = int((~view.used).sum())
+        if outliers and (view.camera, view.shot) not in rejected:
+            name = image_name(view.camera, view.shot)
+            refusals.append(sentences.points_located_wrongly(name, outliers, len(view.used)))
     return tuple(refusals)
 
 
-def misfit_of_lens(fit: RobustFit, places: str) -> str | None:
-    """Why a lens must not be used although its fit ended, or None where it may be.
+def misfit_of_lens(fit: RobustFit, point_kind: str) -> str | None:
+    """Reason why a lens must not be used although its fit ended; None if it may be used.
 
-    places : "circles" or "corners".
+    point_kind : "circles" or "corners".
     """
     views = fit.problem.views
-    total, kept = sum(len(view.used) for view in views), sum(int(view.used.sum()) for view in views)
-    if 2 * kept < total:
-        return sentences.few_places_agree(places, kept, total)
-    errors = [each[view.used] for view, each in zip(views, errors_px(fit.problem), strict=True)]
+    total, used = sum(len(view.used) for view in views), sum(int(view.used.sum()) for view in views)
+    if 2 * used < total:
+        return sentences.few_points_agree(point_kind, used, total)
+    errors = [
+        residuals_px[view.used]
+        for view, residuals_px in zip(views, errors_px(fit.problem), strict=True)
+    ]
     misfit_px = float(np.sqrt(np.mean(np.sum(np.concatenate(errors) ** 2, axis=1))))
     extent_px = np.median([np.ptp(view.detection.centres_px, axis=0).max() for view in views])
     tuning = fit.problem.tuning.answer
     if misfit_px > max(tuning.least_misfit_px, tuning.misfit_share_of_lens * float(extent_px)):
-        return sentences.places_misfit(places, misfit_px)
+        return sentences.points_misfit(point_kind, misfit_px)
     return None
 
 
 def notes_of_lens(problem: Problem, camera: str, named: NamedCovariance) -> tuple[str, ...]:
-    """Notes on the distortion of the only lens: too many coefficients, corners not reached."""
+    """Notes on the distortion of the only lens: unneeded coefficients, corners without
+    observations.
+    """
     lens, notes = lens_number(problem, 0), []
     rows = [named.names.index(f"{camera}.{name}") for name in lens.parameter_names]
     covariance = named.covariance[np.ix_(rows, rows)]
@@ -139,36 +153,38 @@ def notes_of_lens(problem: Problem, camera: str, named: NamedCovariance) -> tupl
         extra = [name for name in coefficients if name not in names[:count]]
         if extra:
             notes.append(sentences.coefficients_not_called_for(count, names, extra, gain))
-    reach = _share_reached(problem)
-    if reach < problem.tuning.answer.enough_reach:
-        place = "circle" if isinstance(problem.target, Pattern) else "corner"
-        notes.append(sentences.distortion_extrapolated(place, reach))
+    share = _share_reached(problem)
+    if share < problem.tuning.answer.enough_reach:
+        point_kind = "circle" if isinstance(problem.target, Pattern) else "corner"
+        notes.append(sentences.distortion_extrapolated(point_kind, share))
     return tuple(notes)
 
 
 def _share_reached(problem: Problem) -> float:
-    """Farthest observation from the principal point, as a share of the way to the corners."""
+    """Distance of the farthest observation from the principal point, over that of the farthest
+    corner.
+    """
     observed_px = np.concatenate([view.detection.centres_px for view in problem.views])
     middle = np.asarray(lens_number(problem, 0).principal_point_px)
     width, height = problem.image_sizes_px[0]
     corners_px = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
-    reach, farthest = (
+    observed_distance, corner_distance = (
         np.linalg.norm(pixels - middle, axis=1).max() for pixels in (observed_px, corners_px)
     )
-    return float(reach / farthest)
+    return float(observed_distance / corner_distance)
 
 
 def _deviations_of_board(problem: Problem) -> list[str]:
-    """Notes on parameters of the board that are far from what was stated."""
+    """Notes on parameters of the board that are far from the stated ones."""
     information = np.asarray(problem.priors.sheet_information)
     free = np.flatnonzero(np.diag(information) > 0)
     sigmas = np.sqrt(np.diag(np.linalg.inv(information[np.ix_(free, free)])))
-    several, terms = len(list_boards(problem.target)) > 1, problem.parametrization.sheet_model.names
+    is_set, terms = len(list_boards(problem.target)) > 1, problem.parametrization.sheet_model.names
     names = [(board, term) for board in board_names(problem.target) for term in terms]
     notes = []
     for row, value, sigma in zip(free, np.asarray(problem.state.sheet)[free], sigmas, strict=True):
         board, term = names[row]
         if abs(value) > problem.tuning.answer.strain_sigmas * sigma:
             strain = abs(value) / sigma
-            notes.append(sentences.board_deviates(board if several else "", term, value, strain))
+            notes.append(sentences.board_deviates(board if is_set else "", term, value, strain))
     return notes

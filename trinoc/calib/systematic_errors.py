@@ -1,4 +1,4 @@
-"""The covariance of a calibration, with systematic errors added afterwards."""
+"""Covariance of a calibration with systematic errors added afterwards."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.rig import PARAMETER_NAMES, Rig
 from trinoc.numerics.precision import in_float64
 
-# Shared by all cameras: print scale along X and Y, and three ways in which a sheet bends.
+# Errors that all cameras share: print scale along X and Y, and three bends of the sheet.
 _SHEET_TERMS = [
     BentPaper.names.index(name) for name in ("print along X", "print along Y", "XX", "YY", "XY")
 ]
@@ -23,15 +23,27 @@ _SHEET_TERMS = [
 
 @in_float64
 def with_systematics(result: CalibrationResult, systematics: Systematics) -> CalibrationResult:
-    """The same calibration with systematic errors added to its covariance.
+    """Add systematic errors to the covariance of a calibration.
 
-    Each error moves the circles' centres, and with them the least-squares solution, linearly:
-    the implicit derivative of the fitted pose, -(J^T J)^-1 J^T dr/de, carries its covariance.
-    Nothing is fitted anew: `trinoc.calibrate(systematics=)` also asks the pictures about these
-    errors. An aim that was held stays exact.
+    Parameters
+    ----------
+    result : a calibration from one image of the sheet per camera.
+    systematics : standard deviations of the errors.
 
-    Raises InputError for a negative sigma, a lens covariance of another shape or not finite,
-    or one for a camera that the result does not know.
+    Returns
+    -------
+    The same calibration with a larger covariance. A fixed aim stays exact.
+
+    Raises
+    ------
+    InputError : a negative sigma, a lens covariance of wrong shape or not finite, or one for an
+        unknown camera.
+
+    Notes
+    -----
+    An error e moves the circle centres and, to first order, the least-squares solution. Its
+    covariance is propagated by the implicit derivative of the pose, -(J^T J)^-1 J^T dr/de. Nothing
+    is fitted again; `trinoc.calibrate(systematics=)` also estimates these errors from the images.
     """
     systematics.check()
     lenses = dict.fromkeys(result.status) | {
@@ -43,8 +55,8 @@ def with_systematics(result: CalibrationResult, systematics: Systematics) -> Cal
     shared_terms = len(_SHEET_TERMS)
     covariance, shared = np.array(result.rig.covariance), []
     for name in result.rig.names:
-        own = [rows[key] for key in (f"{name}.{p}" for p in PARAMETER_NAMES) if key in rows]
-        response = _response(result, name, len(own))
+        camera_rows = [rows[key] for key in (f"{name}.{p}" for p in PARAMETER_NAMES) if key in rows]
+        response = _response(result, name, len(camera_rows))
         size = response[:, :1] + response[:, 1:2]
         columns = [response[:, :shared_terms] * sheet_sigma, size * systematics.print_size_sigma]
         if name in factors:
@@ -53,27 +65,31 @@ def with_systematics(result: CalibrationResult, systematics: Systematics) -> Cal
             if systematics.lens_is_shared:
                 columns.append(by_lens)
             else:
-                covariance[np.ix_(own, own)] += by_lens @ by_lens.T
+                covariance[np.ix_(camera_rows, camera_rows)] += by_lens @ by_lens.T
         spread = np.zeros((len(covariance), sum(column.shape[1] for column in columns)))
-        spread[own] = np.concatenate(columns, axis=1)
+        spread[camera_rows] = np.concatenate(columns, axis=1)
         shared.append(spread)
     stacked = np.sum(shared, axis=0)
     covariance += stacked @ stacked.T
     rig = Rig(dict(result.rig.items()), parameters=result.rig.parameters, covariance=covariance)
-    told = [rows[key] for key in result.parameters]
-    words = (*result.systematics, *systematics.words)
+    parameter_rows = [rows[key] for key in result.parameters]
+    descriptions = (*result.systematics, *systematics.descriptions)
     return replace(
-        result, solution=rig, covariance=covariance[np.ix_(told, told)], systematics=words
+        result,
+        solution=rig,
+        covariance=covariance[np.ix_(parameter_rows, parameter_rows)],
+        systematics=descriptions,
     )
 
 
 def _response(result: CalibrationResult, name: str, count: int) -> Float[np.ndarray, "p e"]:
-    """Change of a camera's parameters, in degrees and mm, for a unit of each error: those of the
-    sheet, then those of its lens."""
+    """Derivatives of a camera's parameters, in degrees and mm, by the errors of sheet and lens, (p,
+    e).
+    """
     fit, camera = result.fits[name], result.rig[name]
-    seen = SheetCamera(name, fit.detection, camera.intrinsics, None, camera.pose)
+    sheet_camera = SheetCamera(name, fit.detection, camera.intrinsics, None, camera.pose)
     priors = SheetPriors(PoseModel.AIM_FREE, Systematics())
-    problem = sheet_problem([seen], result.pattern, priors)
+    problem = sheet_problem([sheet_camera], result.pattern, priors)
     view = problem.views[0]._replace(used=fit.used)
     problem, slices = problem._replace(views=(view,)), problem.slices
     parametrization, jacobian = problem.parametrization, whiten_views(problem).jacobian[0]

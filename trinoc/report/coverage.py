@@ -109,13 +109,17 @@ def places_seen(result: CalibrationResult) -> dict[str, CameraPlaces]:
     points = {}
     for number, name in enumerate(result.cameras):
         observations = [
-            (view, residuals[view.kept])
+            (view, residuals[view.rows_used])
             for view, residuals in zip(result.views, result.residuals_px, strict=True)
             if view.camera == number
         ]
         if sum(len(residuals) for _, residuals in observations):
             uv_px = [
-                np.asarray(v.detection.centres_px if v.shown is None else v.shown.uv_px)[v.kept]
+                np.asarray(
+                    v.detection.centres_px
+                    if v.grey_level_points is None
+                    else v.grey_level_points.uv_px
+                )[v.rows_used]
                 for v, _ in observations
             ]
             picture = PagePicture(name, *observations[0][0].detection.image_size_px, "")

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.starts.pictures import Pictures, deliver, name_pictures
-from trinoc.calib.starts.placing import of_one_moment
+from trinoc.calib.starts.placing import original_shot_name
 from trinoc.report.numbers import with_decimals
 from trinoc.report.pictures import Arrows, PagePicture, page_picture
 
@@ -125,13 +125,18 @@ def _list_shots(result: CalibrationResult, camera: int) -> list[_ShotResiduals]:
     for shot, rows in rows_of.items():
         views = [result.views[row] for row in rows]
         uv_px = np.concatenate(
-            [v.detection.centres_px if v.shown is None else v.shown.uv_px for v in views]
+            [
+                v.detection.centres_px if v.grey_level_points is None else v.grey_level_points.uv_px
+                for v in views
+            ]
         )
         residuals = np.concatenate([result.residuals_px[row] for row in rows])
-        used = np.concatenate([view.kept for view in views])
+        used = np.concatenate([view.rows_used for view in views])
         valid = np.isfinite(residuals).all(axis=1) & np.isfinite(uv_px).all(axis=1)
         # Grey levels report pieces of lines beside the points; those without information are none.
-        valid &= used | np.concatenate([np.full(v.rows, v.shown is None) for v in views])
+        valid &= used | np.concatenate(
+            [np.full(v.row_count, v.grey_level_points is None) for v in views]
+        )
         if valid.any():
             size_px = views[0].detection.image_size_px
             shots.append(_ShotResiduals(shot, size_px, uv_px[valid], residuals[valid], used[valid]))
@@ -153,7 +158,7 @@ def _shot_image(
     arrows: Arrows,
 ) -> ShotImage:
     name, shot = result.cameras[camera], result.shots[residuals.shot]
-    image = deliver(pictures.get(of_one_moment(shot, name)))
+    image = deliver(pictures.get(original_shot_name(shot, name)))
     key = f"shot-{camera}-{residuals.shot}"
     array = None if image is None or isinstance(image, Detection) else np.asarray(image)
     picture = page_picture(

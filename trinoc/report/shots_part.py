@@ -54,7 +54,7 @@ def _shot_cell(result: CalibrationResult, rows: list[int]) -> Cell:
     detected = sum(len(view.detection) for view in views)
     if not used:
         return _cell("left out", "left-out", f"{detected} places found, none of them used")
-    errors = np.concatenate([result.residuals_px[row][result.views[row].kept] for row in rows])
+    errors = np.concatenate([result.residuals_px[row][result.views[row].rows_used] for row in rows])
     rms = float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else float("nan")
     text = f"{used} of {len(result.board)}, {with_decimals(rms, 3)} px"
     hint = f"{used} of {detected} places found are used; rms of the residuals"

@@ -183,7 +183,7 @@ def test_places_that_scatter_more_than_they_claim_enlarge_their_camera_alone() -
     camera = made.cameras[2]
     bold = dataclasses.replace(camera, detection=camera.detection.with_larger_sigmas(1 / 3))
     found, honest = adjusted([*made.cameras[:2], bold]), adjusted(made.cameras)
-    assert found.enlarged[:2].tolist() == [1.0, 1.0]
-    assert found.enlarged[2] == pytest.approx(3, rel=0.3)
+    assert found.sigma_factors[:2].tolist() == [1.0, 1.0]
+    assert found.sigma_factors[2] == pytest.approx(3, rel=0.3)
     ratio = np.diag(pose_covariance(found, 2)) / np.diag(pose_covariance(honest, 2))
     assert (np.abs(np.log(ratio)) < np.log(1.5)).all()

@@ -37,10 +37,10 @@ def test_right_answers_agree_and_wrong_ones_do_not() -> None:
             _images_px(circles) - _residuals_px(circles),
             np.eye(2 * len(SHEET)) * np.sqrt(1.75) / SIGMA_PX,
         )
-        same = adjusted([dataclasses.replace(camera, shown=better)])
+        same = adjusted([dataclasses.replace(camera, grey_level_points=better)])
         probabilities.append(probability_of_agreement(circles, same, 0))
         shifted = better._replace(uv_px=better.uv_px + 6 * SIGMA_PX / 8)
-        other = adjusted([dataclasses.replace(camera, shown=shifted)])
+        other = adjusted([dataclasses.replace(camera, grey_level_points=shifted)])
         refuted.append(probability_of_agreement(circles, other, 0))
     # The same centres: no difference at all.
     assert min(probabilities) > 0.5
@@ -72,7 +72,7 @@ def test_more_unknowns_take_what_a_whole_fit_with_them_takes() -> None:
     score = score_of_residuals(extra, np.zeros(20), base, root, freedom=13.0)
     normal = whole.T @ whole
     normal[:5, :5] += prior
-    np.testing.assert_allclose(np.linalg.inv(score.left), np.linalg.inv(normal)[5:, 5:])
+    np.testing.assert_allclose(np.linalg.inv(score.information), np.linalg.inv(normal)[5:, 5:])
 
 
 def _images_px(circles: Adjustment) -> np.ndarray:
@@ -124,7 +124,9 @@ def test_grey_levels_that_differ_are_believed_where_their_places_agree_with_each
     noise = np.random.default_rng(1).normal(scale=2.0 if scatters else 1.0, size=(len(SHEET), 2))
     places_px = _images_px(circles) + SIGMA_PX + finer_px * noise
     root = np.eye(2 * len(SHEET)) / finer_px
-    shown = dataclasses.replace(camera, shown=SheetPoints(SHEET.centres_mm, places_px, root))
+    shown = dataclasses.replace(
+        camera, grey_level_points=SheetPoints(SHEET.centres_mm, places_px, root)
+    )
     choice = choose_observations(0, shown, circles, adjusted([shown]))
     assert choice.agreement < 1e-3
     assert choice.method == method
@@ -154,7 +156,7 @@ def test_grey_levels_of_sharpened_pictures_that_differ_give_way_to_sound_circles
     root = np.eye(2 * len(SHEET)) / finer_px
     points = SheetPoints(SHEET.centres_mm, places_px, root)
     picture = PictureFit(points, None, None, is_processed)
-    shown = dataclasses.replace(camera, picture=picture, shown=points)
+    shown = dataclasses.replace(camera, picture=picture, grey_level_points=points)
     choice = choose_observations(0, shown, circles, adjusted([shown], known))
     assert choice.agreement < 1e-2
     assert choice.method == method

@@ -9,7 +9,7 @@ from tests.calib.adjustment.made_views import SHEET, TYPICAL, made_views
 from trinoc.calib.adjustment.adjustment import adjust
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors, sheet_problem
-from trinoc.calib.problem.views import SheetPoints, view_table
+from trinoc.calib.problem.views import SheetPoints, observation_table
 from trinoc.geometry.pose import PoseModel
 
 PICTURE = np.zeros((4, 4))
@@ -24,19 +24,20 @@ def shown(camera: SheetCamera, pieces: int) -> SheetCamera:
     """With all circles of the sheet, and pieces of lines, as its grey levels show them."""
     places = np.concatenate([SHEET.centres_mm, np.zeros((pieces, 2))])
     return replace(
-        camera, shown=SheetPoints(places, np.zeros_like(places), np.eye(2 * len(places)))
+        camera,
+        grey_level_points=SheetPoints(places, np.zeros_like(places), np.eye(2 * len(places))),
     )
 
 
 def test_circles_and_what_the_picture_shows_have_tables_of_one_shape():
     camera = replace(made_views(0).cameras[0], image=PICTURE)
     tables = [
-        view_table(problem_of(each).views, SHEET)
+        observation_table(problem_of(each).views, SHEET)
         for each in (camera, shown(camera, 0), shown(camera, 32))
     ]
     shapes = [jax.tree.map(np.shape, table) for table in tables]
     assert shapes[0] == shapes[1] == shapes[2]
-    alone = view_table(problem_of(replace(camera, image=None)).views, SHEET)
+    alone = observation_table(problem_of(replace(camera, image=None)).views, SHEET)
     assert np.size(alone.whitening) < np.size(tables[0].whitening) / 10
 
 

@@ -9,12 +9,13 @@ import pytest
 from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, detection, seen_px
 from tests.calib.simulated import LENS, TABLE_1
 from trinoc.calib.adjustment.adjustment import adjust
-from trinoc.calib.adjustment.better_knowledge import say_what_goes_unseen
-from trinoc.calib.adjustment.model_tests import alternatives
+from trinoc.calib.adjustment.measurement_advice import find_undetectable_errors
+from trinoc.calib.adjustment.model_tests import run_fixed_parameter_tests
 from trinoc.calib.camera_notes import is_suspect
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors
-from trinoc.calib.result.calibration import Alternative
+from trinoc.calib.result.calibration import FixedParameterTest
+from trinoc.calib.sentences import undetectable_errors
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry import Pose
@@ -37,7 +38,7 @@ class Fitted(NamedTuple):
     """What its residuals say of a camera, and how far it is off, in its sigmas and in degrees and
     mm."""
 
-    tests: dict[str, Alternative]
+    tests: dict[str, FixedParameterTest]
     distance: float
     scatter: float
     off: np.ndarray
@@ -56,7 +57,7 @@ def fitted(seed: int, change: np.ndarray) -> Fitted:
     )
     camera = SheetCamera("left", seen, LENS, None, pose)
     near = adjust([camera], SHEET, SheetPriors(PoseModel.AIMED, MEASURED))
-    tests = alternatives(near, 0)
+    tests = run_fixed_parameter_tests(near, 0)
     off = near.parameters(0) - np.asarray(pose.parameters)
     off[:3] = np.degrees(off[:3])
     step = np.linalg.solve(near.degrees_by_step(0), off)
@@ -67,13 +68,13 @@ def fitted(seed: int, change: np.ndarray) -> Fitted:
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_four_in_five_changes_that_may_go_unseen_are_found_and_all_move_the_camera(name) -> None:
-    unseen = fitted(0, np.zeros(5)).tests[name].unseen
+    unseen = fitted(0, np.zeros(5)).tests[name].undetectable
     made = [fitted(seed, unseen @ CHANGES[name]) for seed in range(DRAWS)]
-    share = np.mean([one.tests[name].found for one in made])
+    share = np.mean([one.tests[name].is_significant for one in made])
     power = TUNING.answer.power
     assert share == pytest.approx(power, abs=3 * np.sqrt(power * (1 - power) / DRAWS))
     # The change, and what chance does in six directions.
-    foreseen = np.hypot([one.tests[name].unseen_strain for one in made], np.sqrt(6))
+    foreseen = np.hypot([one.tests[name].undetectable_strain for one in made], np.sqrt(6))
     distance = np.array([one.distance for one in made])
     assert np.mean(distance / foreseen) == pytest.approx(1.0, abs=0.1)
 
@@ -82,8 +83,10 @@ def test_four_in_five_changes_that_may_go_unseen_are_found_and_all_move_the_came
 def test_what_is_found_and_moves_the_camera_far_is_suspect_though_places_scatter_little(
     name,
 ) -> None:
-    change = 1.1 * fitted(0, np.zeros(5)).tests[name].unseen @ CHANGES[name]
-    found = [one for one in (fitted(seed, change) for seed in range(8)) if one.tests[name].found]
+    change = 1.1 * fitted(0, np.zeros(5)).tests[name].undetectable @ CHANGES[name]
+    found = [
+        one for one in (fitted(seed, change) for seed in range(8)) if one.tests[name].is_significant
+    ]
     assert len(found) > 4
     for one in found:
         assert one.scatter < TUNING.answer.large_chi_square
@@ -96,17 +99,20 @@ def test_what_goes_unseen_moves_the_camera_by_the_degrees_and_mm_that_are_stated
     """The same noise with the change and without."""
     right = fitted(0, np.zeros(5))
     test = right.tests[name]
-    wrong = fitted(0, test.unseen @ CHANGES[name])
+    wrong = fitted(0, test.undetectable @ CHANGES[name])
     moved = np.abs(wrong.off - right.off)
     np.testing.assert_allclose(
-        moved, np.abs(test.unseen_motion), rtol=0.1, atol=0.02 * np.abs(test.unseen_motion).max()
+        moved,
+        np.abs(test.undetectable_motion),
+        rtol=0.1,
+        atol=0.02 * np.abs(test.undetectable_motion).max(),
     )
 
 
 def test_rare_residuals_are_suspect_where_they_would_move_the_camera_far() -> None:
     test = fitted(0, np.zeros(5)).tests["focal length"]
     rare = test._replace(p_value=0.5 * TUNING.answer.chance_where_strained, strain=4.1)
-    assert not rare.found
+    assert not rare.is_significant
     assert is_suspect([test._replace(p_value=1e-8, strain=1.0), rare], 1.0)
     assert not is_suspect([rare._replace(strain=3.9)], 1.0)
     assert not is_suspect([rare._replace(p_value=2 * TUNING.answer.chance_where_strained)], 1.0)
@@ -114,20 +120,24 @@ def test_rare_residuals_are_suspect_where_they_would_move_the_camera_far() -> No
 
 def test_what_may_go_unseen_is_said_once_in_the_units_of_the_answer() -> None:
     tests = list(fitted(0, np.zeros(5)).tests.values())
-    worst = max(tests, key=lambda test: test.unseen_strain)
-    weaker = worst._replace(unseen=0.5 * worst.unseen, unseen_strain=0.5 * worst.unseen_strain)
-    said = say_what_goes_unseen({"left": tests, "right": [weaker]})
-    assert said.count("The sigmas rest on the lens being exact") == 1
+    worst = max(tests, key=lambda test: test.undetectable_strain)
+    weaker = worst._replace(
+        undetectable=0.5 * worst.undetectable, undetectable_strain=0.5 * worst.undetectable_strain
+    )
+    said = undetectable_errors(*find_undetectable_errors([*tests, weaker]))
+    assert said.count("The sigmas assume an exact lens") == 1
     assert worst.name == "principal point"
-    assert f"up to {np.linalg.norm(worst.unseen):.2g} px of the principal point" in said
+    assert f"up to {np.linalg.norm(worst.undetectable):.2g} px of the principal point" in said
     assert said.count("px of the principal point") == 1
-    assert f"distance by {abs(worst.unseen_motion[3]):.2g} mm" in said
-    assert f"by {np.abs(worst.unseen_motion[:3]).max():.2g} deg" in said
+    assert f"distance by {abs(worst.undetectable_motion[3]):.2g} mm" in said
+    assert f"by {np.abs(worst.undetectable_motion[:3]).max():.2g} deg" in said
     assert "trinoc intrinsics" in said
     assert "of its sigmas" not in said
 
 
 def test_what_would_move_no_camera_is_not_worth_saying() -> None:
-    tests = [test._replace(unseen_strain=3.9) for test in fitted(0, np.zeros(5)).tests.values()]
-    assert say_what_goes_unseen({"left": tests}) == ""
-    assert say_what_goes_unseen({}) == ""
+    tests = [
+        test._replace(undetectable_strain=3.9) for test in fitted(0, np.zeros(5)).tests.values()
+    ]
+    assert undetectable_errors(*find_undetectable_errors(tests)) == ""
+    assert undetectable_errors(*find_undetectable_errors([])) == ""

@@ -8,7 +8,7 @@ import pytest
 
 from tests.calib.made_shots import BOARD, LENSES, board_poses, chained, detection, shots
 from trinoc.calib import next_shot
-from trinoc.calib.advice.foreseen_shots import candidate_shots, foresee_shots, place_sigma_px
+from trinoc.calib.advice.foreseen_shots import candidate_shots, foresee_shots, point_sigma_px
 from trinoc.calib.advice.next_shot import add_shot, shot_error_px
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -24,7 +24,7 @@ def calibrated(seen):
 
 
 def worst_error_px(result):
-    end = result.ended
+    end = result.solved_problem
     return max(
         shot_error_px(shot, end.covariance)
         for shot in foresee_shots(end.problem, candidate_shots(end.problem))
@@ -65,7 +65,7 @@ def test_the_advice_gives_more_than_another_shot(after):
 
 
 def test_a_shot_never_takes_away(before):
-    end = before.ended
+    end = before.solved_problem
     told = foresee_shots(end.problem, candidate_shots(end.problem))
     assert {camera for shot in told for camera in shot.cameras} == {0, 1, 2}
     for shot in told[::17]:
@@ -76,11 +76,11 @@ def test_a_shot_never_takes_away(before):
 
 def test_a_shot_that_was_taken_is_foreseen_as_it_was(before):
     """As many places, each as accurate as the fit counts those that were seen."""
-    problem = before.ended.problem
+    problem = before.solved_problem.problem
     shot = foresee_shots(problem, candidate_shots(problem)[:2])[0]
     ratios = [np.median([v.sigma_ratio for v in problem.views if v.camera == c]) for c in range(3)]
     factors = np.array([before.fits[c].sigma_factor for c in CAMERAS])
-    np.testing.assert_allclose(place_sigma_px(problem), 0.05 * factors * ratios, rtol=0.03)
+    np.testing.assert_allclose(point_sigma_px(problem), 0.05 * factors * ratios, rtol=0.03)
     again = foresee_shots(
         problem,
         [
@@ -88,7 +88,7 @@ def test_a_shot_that_was_taken_is_foreseen_as_it_was(before):
             for k in range(7)
         ],
     )
-    assert [each.places for each in again] == [
+    assert [each.point_count for each in again] == [
         sum(len(view.detection) for view in problem.views if view.shot == k) for k in range(7)
     ]
 
@@ -96,7 +96,7 @@ def test_a_shot_that_was_taken_is_foreseen_as_it_was(before):
 def test_the_sentence_says_who_sees_it_and_where(advice, before):
     for name in advice.cameras:
         assert name in advice.sentence
-    assert "of its picture" in advice.sentence
+    assert "of its image" in advice.sentence
     assert advice.parameter in before.parameters
     assert f"sigma of {advice.parameter}" in advice.sentence
     held = advice._replace(parameter=None)
@@ -112,6 +112,6 @@ def test_the_command_s_record_is_json(advice, before):
 
 
 def test_what_did_not_converge_has_no_next_shot(before):
-    nothing = eqx.tree_at(lambda result: result.ended, before, None)
-    with pytest.raises(InputError, match="no rig that a shot could be added to"):
+    nothing = eqx.tree_at(lambda result: result.solved_problem, before, None)
+    with pytest.raises(InputError, match="A shot cannot be added"):
         next_shot(nothing)

@@ -12,7 +12,7 @@ from tests.calib.bundle.made_tracks import NAMES, SHEET_SIGMA, TRUTH, made_track
 from tests.geometry.strategies import vectors
 from trinoc.calib.bundle.camera import camera_of_state, camera_state, stack_states
 from trinoc.calib.bundle.estimate import (
-    HELD_SIGMA,
+    FIXED_SIGMA,
     FreeParameters,
     prior_information,
 )
@@ -228,11 +228,11 @@ def test_two_views_of_a_line_say_nothing_about_the_cameras():
 def test_the_prior_is_the_inverse_of_the_covariance_of_the_cameras_that_did_not_move():
     rig = rig_at(TRUTH, with_covariance=True)
     names = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_x_mm", "aim_y_mm")
-    choice = FreeParameters(PoseModel.AIM_FREE, False, ("upper", "right"), aim_held=True)
+    choice = FreeParameters(PoseModel.AIM_FREE, False, ("upper", "right"), aim_fixed=True)
     found = prior_information(rig, names, choice)
     sigma = dict(zip(NAMES, SHEET_SIGMA, strict=True))
     for k, camera in enumerate(rig.names):
-        of_aim = [HELD_SIGMA**-2] * 2
+        of_aim = [FIXED_SIGMA**-2] * 2
         expected = [sigma[f"{camera}.{name}"] ** -2 for name in names[:4]] + of_aim
         own = np.diag(found)[6 * k : 6 * k + 6]
         np.testing.assert_allclose(own, 0 if camera == "left" else expected, rtol=1e-12)
@@ -246,9 +246,9 @@ def test_a_lens_is_known_no_better_than_is_held_and_as_it_errs_with_the_pose():
     root = np.array([[2.0, 0.0, 0.0], [4.0, 0.5, 0.0], [0.0, 0.0, 0.0]])
     stated = Rig(dict(rig.items()), parameters=keys, covariance=root @ root.T)
     names = ("distance_mm", "fx_px", "fy_px")
-    choice = FreeParameters(PoseModel.AIM_FREE, False, ("upper",), aim_held=False)
+    choice = FreeParameters(PoseModel.AIM_FREE, False, ("upper",), aim_fixed=False)
     found = prior_information(stated, names, choice)
-    held = np.diag([0.0, HELD_SIGMA**2, HELD_SIGMA**2])
+    held = np.diag([0.0, FIXED_SIGMA**2, FIXED_SIGMA**2])
     np.testing.assert_allclose(found[:3, :3], np.linalg.inv(root @ root.T + held), rtol=1e-6)
 
 

@@ -75,7 +75,7 @@ def test_cameras_without_a_view_change_nothing():
     assert answer.parameters == expected.parameters
     np.testing.assert_array_equal(answer.values, expected.values)
     np.testing.assert_array_equal(answer.covariance, expected.covariance)
-    with pytest.raises(InputError, match="no camera camera 0 that could have moved"):
+    with pytest.raises(InputError, match="`moved` names camera 0"):
         refine(larger, lines, moved=("camera 0",))
 
 

@@ -23,6 +23,7 @@ from trinoc.calib import (
     with_systematics,
 )
 from trinoc.calib.rig_check.comparison import compare_rigs
+from trinoc.calib.sentences import fixed_parameter_off
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import InputError
@@ -50,7 +51,7 @@ def test_a_right_model_is_not_accused() -> None:
     for seed in range(30):
         detection = simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=seed)
         result = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
-        found.extend(item.p_value for item in result.fits["a"].alternatives)
+        found.extend(item.p_value for item in result.fits["a"].fixed_parameter_tests)
     # Aim, focal length, aspect, radial distortion.
     assert len(found) == 30 * 4
     assert min(found) > 1e-4
@@ -87,12 +88,13 @@ def test_what_the_model_leaves_out_is_named(
     camera = camera_of((23.568, 38.616, -0.994, 472.894), lens, aim_mm)
     detection = simulated_detection(camera, SHEET, seed=1, sigma_px=0.002)
     result = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
-    first = result.fits["a"].alternatives[0]
+    first = result.fits["a"].fixed_parameter_tests[0]
     assert first.name == name
-    assert first.found
-    assert first.sentence in result.fits["a"].notes
+    assert first.is_significant
+    sentence = fixed_parameter_off(first)
+    assert sentence in result.fits["a"].notes
     assert result.status["a"] is Status.SUSPECT
-    assert result.summary().startswith(f"SUSPECT a: {first.sentence}")
+    assert result.summary().startswith(f"SUSPECT a: {sentence}")
     if name == "aim":
         np.testing.assert_allclose(first.estimate, aim_mm, atol=5 * first.sigma.max())
 
@@ -175,7 +177,7 @@ def test_an_uncertain_focal_length_reaches_the_distance() -> None:
     lens = np.diag([1.0, 1.0, 0.0, 0.0])
     wide = with_systematics(result, Systematics(lens_covariance=lens, flatness_mm=0.02))
     assert wide.sigma("upper.distance_mm") > 10 * result.sigma("upper.distance_mm")
-    assert wide.systematics == ("flatness of the sheet (0.02 mm)", "the lens's own covariance")
+    assert wide.systematics == ("flatness of the sheet (0.02 mm)", "the lens covariance")
     with pytest.raises(InputError, match="shape"):
         with_systematics(result, Systematics(lens_covariance=np.zeros((2, 3))))
 

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trinoc.calib.problem.equations import PlacesProblem
-from trinoc.calib.problem.places import whitened_residuals
+from trinoc.calib.problem.equations import PointsProblem
 from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.reprojection import whitened_residuals
 from trinoc.calib.problem.variables import RigState, evaluate_prior, retract
 from trinoc.numerics.robust_loss import GemanMcClure
 
@@ -14,7 +14,7 @@ from trinoc.numerics.robust_loss import GemanMcClure
 SHOTS = 8
 
 
-def cost_of_places(problem: PlacesProblem, state: RigState) -> jax.Array:
+def cost_of_places(problem: PointsProblem, state: RigState) -> jax.Array:
     """Robust chi-square of all places, and that of the prior."""
     squared = jnp.sum(
         jnp.square(whitened_residuals(state, problem.parametrization, problem.table)), axis=-1
@@ -29,7 +29,7 @@ def assert_equations_are_those_of_the_cost(here: Problem) -> None:
     table, parametrization, state = jax.tree.map(
         jnp.asarray, (here.table, here.parametrization, here.state)
     )
-    problem = PlacesProblem(
+    problem = PointsProblem(
         parametrization, table, GemanMcClure.from_scale(jnp.full(len(table.shot), 3.0))
     )
     off = 1e-3 * np.random.default_rng(0).normal(size=len(parametrization.free))

@@ -3,9 +3,9 @@
 import numpy as np
 
 from tests.calib.made_shots import BOARD, SIZE_PX, cam_from_rig, lens_of, shots
-from trinoc.calib.problem.problem import Freedom
+from trinoc.calib.problem.problem import FreeLensParameters
 from trinoc.calib.problem.starting_problem import start_problem
-from trinoc.calib.problem.views import View
+from trinoc.calib.problem.views import BoardObservation
 from trinoc.calib.uncertainty.systematics import Systematics
 
 CAMERAS = ("left", "middle", "right")
@@ -15,7 +15,7 @@ def problem(poses, systematics=None):
     """At the truth, with noise in what was seen."""
     seen = shots(count=len(poses))
     views = [
-        View(c, s, each, np.ones(len(each), dtype=bool))
+        BoardObservation(c, s, each, np.ones(len(each), dtype=bool))
         for c, own in enumerate(seen.values())
         for s, each in enumerate(own)
     ]
@@ -27,6 +27,6 @@ def problem(poses, systematics=None):
         np.stack([cam_from_rig(name) for name in CAMERAS]),
         poses,
         [SIZE_PX] * 3,
-        Freedom(np.arange(3), np.ones((3, 9), dtype=bool)),
+        FreeLensParameters(np.arange(3), np.ones((3, 9), dtype=bool)),
         Systematics.typical({}) if systematics is None else systematics,
     )

@@ -11,8 +11,8 @@ from tests.calib.made_shots import (
 )
 from tests.calib.problem.equations import assert_equations_are_those_of_the_cost
 from tests.calib.problem.made_problem import problem
-from trinoc.calib.problem.board_shape import with_free_places
-from trinoc.calib.problem.places import BoardView, predict_places
+from trinoc.calib.problem.board_shape import with_free_points
+from trinoc.calib.problem.reprojection import BoardProjection, predict_points
 from trinoc.calib.problem.views import pad_count
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.geometry import Pose
@@ -24,7 +24,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 @pytest.mark.parametrize("places_are_free", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_equations_are_those_of_the_cost(places_are_free):
     here = problem(board_poses(3))
-    assert_equations_are_those_of_the_cost(with_free_places(here) if places_are_free else here)
+    assert_equations_are_those_of_the_cost(with_free_points(here) if places_are_free else here)
 
 
 def test_a_circle_is_predicted_as_the_exact_model_has_it():
@@ -32,8 +32,8 @@ def test_a_circle_is_predicted_as_the_exact_model_has_it():
     parametrization = problem(board_poses(1)).parametrization
     parametrization = type(parametrization)(**{**vars(parametrization), "has_circles": True})
     places, radius = sheet.centres_mm[:5], sheet.radius_mm[:5]
-    view = BoardView(lens, np.eye(3, 4), pose, None, np.zeros(4))
-    found = jax.jit(predict_places)(
+    view = BoardProjection(lens, np.eye(3, 4), pose, None, np.zeros(4))
+    found = jax.jit(predict_points)(
         view, parametrization, 0, np.pad(places, ((0, 0), (0, 1))), np.zeros((5, 3)), radius
     )
     camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))

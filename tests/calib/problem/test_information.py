@@ -8,15 +8,15 @@ import pytest
 
 from tests.calib.made_shots import board_poses
 from tests.calib.problem.made_problem import problem
-from trinoc.calib.problem.board_shape import shape_covariance, with_free_places
+from trinoc.calib.problem.board_shape import shape_covariance, with_free_points
 from trinoc.calib.problem.information import Information, compute_information, whiten_views
 from trinoc.calib.problem.outcome import ShotScatter, enlarge_covariance, shot_scatter
-from trinoc.calib.problem.places import whitened_residuals
 from trinoc.calib.problem.problem import with_lens_free
+from trinoc.calib.problem.reprojection import whitened_residuals
 from trinoc.calib.problem.robust_fit import (
     degrees_of_freedom,
     inliers,
-    place_errors_in_sigmas,
+    whitened_errors,
     with_sigma_factors,
 )
 from trinoc.calib.problem.shape_prior import shape_prior
@@ -74,13 +74,17 @@ def test_each_shot_says_what_dense_equations_say_once_its_board_is_eliminated(
         left = head + board @ follow
         scale = np.sqrt(np.maximum(np.diag(head.T @ head), 1.0))
         np.testing.assert_allclose(
-            information.of_shot[shot] / np.outer(scale, scale),
+            information.shot_information[shot] / np.outer(scale, scale),
             (left.T @ left) / np.outer(scale, scale),
             atol=1e-8,
         )
-        np.testing.assert_allclose(information.pulls[shot] / scale, left.T @ r / scale, atol=1e-6)
-        np.testing.assert_allclose(information.follow[shot], follow, atol=1e-6)
-        np.testing.assert_allclose(information.own[shot] @ board.T @ board, np.eye(6), atol=1e-6)
+        np.testing.assert_allclose(
+            information.gradients[shot] / scale, left.T @ r / scale, atol=1e-6
+        )
+        np.testing.assert_allclose(information.board_by_head[shot], follow, atol=1e-6)
+        np.testing.assert_allclose(
+            information.board_covariance[shot] @ board.T @ board, np.eye(6), atol=1e-6
+        )
 
 
 def test_the_covariance_is_that_of_all_unknowns_together_with_what_was_known(
@@ -184,13 +188,13 @@ def test_the_scatter_of_pulls_is_that_of_their_noise_whatever_was_held(off):
 
 def test_sigmas_of_corners_are_such_that_chi_square_is_as_large_as_it_should_be(here):
     """By the sigmas of cameras and images, chi-square is its degrees of freedom."""
-    chi_square = float(np.sum(place_errors_in_sigmas(with_sigma_factors(here)) ** 2))
+    chi_square = float(np.sum(whitened_errors(with_sigma_factors(here)) ** 2))
     assert chi_square == pytest.approx(degrees_of_freedom(here))
 
 
 def test_an_image_that_is_noisier_has_larger_sigmas(here):
     """Residuals three times as large in one image make its sigmas as large, as bounds allow."""
-    errors = place_errors_in_sigmas(here)
+    errors = whitened_errors(here)
     k = next(k for k, view in enumerate(here.views) if view.used.any())
     view = here.views[k]
     count = len(view.used)
@@ -212,7 +216,7 @@ def test_an_image_that_is_noisier_has_larger_sigmas(here):
 def test_the_shape_has_as_many_effective_parameters_as_the_shots_determine(here):
     """The trace of the shots' share of the information times the covariance."""
     prior = shape_prior(here.target, 0.05)
-    free = with_free_places(here, prior.information)
+    free = with_free_points(here, prior.information)
     information = compute_information(free)
     covariance = information.observability.covariance
     factor, of_shape_mm2 = shape_covariance(free)

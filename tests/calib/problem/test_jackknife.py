@@ -81,9 +81,9 @@ def test_what_was_known_is_not_enlarged():
 def test_one_shot_left_out_changes_a_linear_fit_by_what_the_jackknife_says():
     random = np.random.default_rng(1)
     error, covariance, information = drawn(random, 0.5)
-    whole, each = information.of_shot.sum(axis=0), information.of_shot
+    whole, each = information.shot_information.sum(axis=0), information.shot_information
     # Pulls at 0, where the parameters are known to be.
-    at_zero = information.pulls + each @ error
+    at_zero = information.gradients + each @ error
     without = [
         np.linalg.solve(whole - each[s], at_zero.sum(axis=0) - at_zero[s]) for s in range(SHOTS)
     ]
@@ -96,9 +96,9 @@ def test_one_shot_left_out_changes_a_linear_fit_by_what_the_jackknife_says():
 def test_a_camera_that_one_shot_alone_shows_has_a_finite_covariance():
     random = np.random.default_rng(2)
     _, covariance, information = drawn(random, 0.5)
-    of_shot, pulls = information.of_shot.copy(), information.pulls.copy()
+    of_shot, pulls = information.shot_information.copy(), information.gradients.copy()
     of_shot[1:, 0], of_shot[1:, :, 0], pulls[:, 0] = 0.0, 0.0, 0.0
-    information = information._replace(of_shot=of_shot, pulls=pulls)
+    information = information._replace(shot_information=of_shot, gradients=pulls)
     covariance = np.linalg.inv(of_shot.sum(axis=0))
     enlarged = enlarge_covariance(covariance, 4.0, information.prior)
     found = blend_with_jackknife(enlarged, covariance, information, 4.0)

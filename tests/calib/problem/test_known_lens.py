@@ -76,7 +76,7 @@ def check_left_is_strained(said: Intrinsics, covariance: np.ndarray) -> None:
         systematics=known_to(covariance, "left"),
     )
     assert found.overall_status is Status.SUSPECT
-    assert found.notes[0].startswith('Of "left": the lens is another than was said, by ')
+    assert found.notes[0].startswith('Lens of "left": the observations contradict the given lens')
 
 
 def test_a_lens_that_the_shots_refute_is_named():
@@ -99,8 +99,8 @@ def test_what_is_known_of_a_lens_stays_with_more_parameters_and_with_fewer_free(
     found = calibrate_rig(
         shots(count=4, cameras=TWO), BOARD, lens=KNOWN, systematics=known_to(COVARIANCE, *TWO)
     )
-    assert found.ended is not None
-    problem = found.ended.problem
+    assert found.solved_problem is not None
+    problem = found.solved_problem.problem
     before = evaluate_prior(problem.state, problem.parametrization).cost
     skewed = [skew_lens(lens_number(problem, number)) for number in range(2)]
     wider = with_wider_lenses(problem, skewed, [SIZE_PX, SIZE_PX])

@@ -8,14 +8,14 @@ from tests.calib.problem.made_problem import problem
 from trinoc.calib.problem.misfit_causes import change_point, lens_pattern_px, smooth_pattern_px
 from trinoc.calib.problem.moments import (
     errors_about_image_poses_px,
-    find_other_moments,
+    find_unsynchronised_images,
     fit_image_poses,
     images_of_shots,
+    split_into_own_shots,
     typical_excess,
-    with_shots_of_their_own,
 )
-from trinoc.calib.problem.problem import with_head_free
-from trinoc.calib.problem.robust_fit import errors_px, fit_places, place_errors_in_sigmas
+from trinoc.calib.problem.problem import with_free_head
+from trinoc.calib.problem.robust_fit import errors_px, fit_points, whitened_errors
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -73,8 +73,8 @@ def of_shots(*, late_mm=0.0, seed=0):
         name = ("left", "middle", "right")[view.camera]
         views[k] = view._replace(detection=detection(name, pose, random))
     here = here._replace(views=tuple(views))
-    held = with_head_free(here, np.zeros(len(here.free)))
-    return fit_places(held)[0]
+    held = with_free_head(here, np.zeros(len(here.free)))
+    return fit_points(held)[0]
 
 
 def test_the_excess_is_the_fall_of_chi_square_where_each_image_has_a_pose_of_its_own():
@@ -82,9 +82,9 @@ def test_the_excess_is_the_fall_of_chi_square_where_each_image_has_a_pose_of_its
     over 12 degrees of freedom."""
     together = of_shots()._replace(tuning=with_field(TUNING, "problem.gate", 1e6))
     others = [k for images in images_of_shots(together).values() for k in images[1:]]
-    apart, _ = fit_places(with_shots_of_their_own(together, others))
+    apart, _ = fit_points(split_into_own_shots(together, others))
     before, after = (
-        np.sum(np.square(place_errors_in_sigmas(each)), axis=(1, 2))[: len(together.views)]
+        np.sum(np.square(whitened_errors(each)), axis=(1, 2))[: len(together.views)]
         for each in (together, apart)
     )
     shot_of = np.array([view.shot for view in together.views])
@@ -101,7 +101,7 @@ def test_images_of_one_moment_have_an_excess_of_one():
 
 def test_of_three_images_the_one_that_disagrees_is_named():
     here = of_shots(late_mm=4.0)
-    (other,) = find_other_moments(here)
+    (other,) = find_unsynchronised_images(here)
     view = here.views[other.view]
     assert (view.camera, view.shot) == (1, 2)
 

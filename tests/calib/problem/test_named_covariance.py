@@ -38,7 +38,7 @@ def test_a_step_of_the_head_moves_boards_along_and_names_with_both(here, world):
     step = random.normal(size=len(information.free))
     head = np.zeros(len(problem.free))
     head[information.free] = 1e-6 * step
-    boards = np.einsum("sph,h->sp", information.follow, head)
+    boards = np.einsum("sph,h->sp", information.board_by_head, head)
     slope = values_after(here, head, boards, world) - values_after(here, -head, -boards, world)
     slope /= 2e-6
     named = named_covariance(
@@ -64,5 +64,5 @@ def test_the_world_s_board_has_an_error_of_its_own_with_the_variance_factor(here
     by_board = np.stack(slopes, axis=1)
     for factor in (1.0, 4.0):
         named = named_covariance(problem, information, none, factor, CAMERAS, WORLDS["a shot"])
-        expected = factor * by_board @ information.own[1] @ by_board.T
+        expected = factor * by_board @ information.board_covariance[1] @ by_board.T
         np.testing.assert_allclose(named.covariance, expected, rtol=1e-3, atol=1e-6)

@@ -11,8 +11,8 @@ import pytest
 from tests.calib.made_shots import board_poses
 from tests.calib.problem.equations import cost_of_places
 from tests.calib.problem.made_problem import problem
-from trinoc.calib.problem.board_shape import with_free_places
-from trinoc.calib.problem.equations import PlacesProblem
+from trinoc.calib.problem.board_shape import with_free_points
+from trinoc.calib.problem.equations import PointsProblem
 from trinoc.calib.problem.problem import lens_number
 from trinoc.calib.problem.sheet import BentPaper, WarpedBoard
 from trinoc.calib.problem.variables import Priors, evaluate_prior, retract
@@ -26,7 +26,7 @@ def with_every_prior(sheet_model):
     """Cameras over a sheet that stays, lenses by a factor of their covariance, places free; the
     state is off every mean, and no place is seen: all that is left is what was known."""
     random = np.random.default_rng(0)
-    here = with_free_places(problem(board_poses(2)))
+    here = with_free_points(problem(board_poses(2)))
     parametrization, state = here.parametrization, here.state
     lenses, size = parametrization.lens_shape
     roots = np.asarray(parametrization.lens_scale)[:, :, None] * random.normal(
@@ -37,7 +37,7 @@ def with_every_prior(sheet_model):
     sheet_root = random.normal(size=(terms, terms))
     slices = parametrization.slices
     before = parametrization.free[: slices.sheets.start]
-    after = parametrization.free[slices.places]
+    after = parametrization.free[slices.points]
     shape_root = random.normal(size=(len(after), len(after)))
     means = np.stack([lens_number(here, k).parameters for k in range(lenses)])
     priors = Priors(
@@ -70,7 +70,7 @@ def rows_of(parametrization, kind):
         "lens": slices.lenses,
         "aim": slices.cameras,
         "sheet": slices.sheets,
-        "places": slices.places,
+        "places": slices.points,
     }[kind]
     return np.arange(rows.start, rows.stop)
 
@@ -78,7 +78,7 @@ def rows_of(parametrization, kind):
 @eqx.filter_jit
 def _cost(state, parametrization, table, loss, head):
     moved = retract(state, parametrization, head, np.zeros((len(state.rig_from_board), 6)))
-    return cost_of_places(PlacesProblem(parametrization, table, loss), moved)
+    return cost_of_places(PointsProblem(parametrization, table, loss), moved)
 
 
 @functools.cache
@@ -86,7 +86,7 @@ def known(sheet_model_name):
     models = {"board": WarpedBoard(np.array([[60.0, 50.0]])), "paper": BentPaper(np.array(80.0))}
     state, parametrization, table = with_every_prior(models[sheet_model_name])
     loss = GemanMcClure.from_scale(np.full(len(table.shot), np.inf))
-    equations = PlacesProblem(parametrization, table, loss)
+    equations = PointsProblem(parametrization, table, loss)
     found = eqx.filter_jit(lambda each, at: each.equations(at))(equations, state)
     return functools.partial(_cost, state, parametrization, table, loss), parametrization, found
 
@@ -136,7 +136,7 @@ def test_what_is_held_has_no_prior_to_pull_at_it():
     )
     loss = GemanMcClure.from_scale(np.full(len(table.shot), np.inf))
     found = eqx.filter_jit(lambda each, at: each.equations(at))(
-        PlacesProblem(parametrization, table, loss), state
+        PointsProblem(parametrization, table, loss), state
     )
     np.testing.assert_array_equal(found.gradient[0], 0.0)
     np.testing.assert_array_equal(found.information.head, 0.0)

@@ -19,14 +19,15 @@ from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.lens_correction import (
     add_splines,
     assess_corrections,
-    correction_sentences,
+    measure_corrections,
     with_correction,
 )
-from trinoc.calib.problem.problem import Freedom, lens_number, with_priors
+from trinoc.calib.problem.problem import FreeLensParameters, lens_number, with_priors
 from trinoc.calib.problem.robust_fit import RobustFit
 from trinoc.calib.problem.starting_problem import start_problem
-from trinoc.calib.problem.views import View
+from trinoc.calib.problem.views import BoardObservation
 from trinoc.calib.rig_calibration import calibrate_rig
+from trinoc.calib.sentences import lens_corrected
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.errors import InputError
 from trinoc.geometry import Pose
@@ -89,12 +90,12 @@ def core_problem(count, seed=0):
     """Without the bump, at the truth."""
     boards = poses(count)
     views = [
-        View(0, shot, each, np.ones(len(each), dtype=bool))
+        BoardObservation(0, shot, each, np.ones(len(each), dtype=bool))
         for shot, each in enumerate(detections(boards, seed))
     ]
     return start_problem(
         views, BOARD, [lens_of("left")], np.eye(3, 4)[None], boards, [SIZE_PX],
-        Freedom(np.zeros(1, dtype=int), np.ones((1, 9), dtype=bool)), Systematics(),
+        FreeLensParameters(np.zeros(1, dtype=int), np.ones((1, 9), dtype=bool)), Systematics(),
     )  # fmt: skip
 
 
@@ -121,7 +122,7 @@ def test_control_points_are_told_as_far_as_the_shots_know_more_than_the_prior():
     own = np.flatnonzero(np.diag(information.prior) > 0)
     own = own[own < np.searchsorted(information.free, here.slices.lenses.stop)]
     # The trace of what all shots say times the covariance, over the control points.
-    shown = information.of_shot.sum(axis=0)[np.ix_(information.free, information.free)]
+    shown = information.shot_information.sum(axis=0)[np.ix_(information.free, information.free)]
     assert told[0] == pytest.approx(np.trace((covariance @ shown)[np.ix_(own, own)]), rel=1e-5)
     assert 5 < told[0] < 0.9 * len(own)
     parameters = lens_number(here, 0).parameters
@@ -200,15 +201,16 @@ def test_a_bump_is_found_as_well_as_is_claimed():
     moved_px = np.asarray(project(lens, unproject(lens.core, WHERE_PX[None]))) - WHERE_PX[None]
     assert np.abs(moved_px).max() > 0.3
     assert end.sigma_factor[0] == pytest.approx(1.0, abs=0.1)
-    (sentence,) = correction_sentences(end, ("left",))
-    assert sentence.startswith("Splines correct the lens brown_conrady of left by ")
+    (correction,) = measure_corrections(end)
+    sentence = lens_corrected(correction, "left")
+    assert sentence.startswith("Splines correct the brown_conrady lens of left by ")
 
 
 @pytest.mark.slow
 def test_a_rig_is_calibrated_with_splines_where_its_shots_ask_for_them(tmp_path):
     shots = {"left": detections(poses(24))}
     found = calibrate_rig(shots, BOARD, lens_model="auto", systematics=Systematics())
-    assert ", and ask for a correction by splines" in found.notes[0]
+    assert " and need a correction by splines" in found.notes[0]
     assert "splined_brown_conrady was chosen" in found.notes[0]
     assert found.halves is not None
     assert found.cross_validation is not None
@@ -240,7 +242,7 @@ def test_one_camera_is_corrected_from_its_circles():
     assert 0.8 < found.reduced_chi_square < 1.2
     assert found.fits["camera"].rank == len(simulated_lens.fitted_names(found)) == 249
     assert "du_3_4" not in found.summary()
-    assert any(note.startswith("Splines correct the lens brown_conrady") for note in found.notes)
+    assert any(note.startswith("Splines correct the brown_conrady lens") for note in found.notes)
 
 
 def test_a_rig_is_pickled_and_other_tools_files_say_that_they_cannot_hold_it(tmp_path):

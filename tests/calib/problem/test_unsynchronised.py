@@ -8,7 +8,7 @@ from tests.calib.problem.made_problem import problem
 from trinoc.calib.problem.board_shape import _lenses_stay
 from trinoc.calib.problem.moments import ImagePoses
 from trinoc.calib.problem.robust_fit import RobustFit
-from trinoc.calib.problem.unsynchronised import _motion_covariance, with_motion_between_images
+from trinoc.calib.problem.unsynchronised import _motion_covariance, fit_with_motion
 from trinoc.calib.problem.variables import POSE_SIZE
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.uncertainty.systematics import Systematics
@@ -74,7 +74,7 @@ def fits():
 
 def test_the_cause_is_named_with_its_size(fits):
     for result in fits:
-        assert any("do not look at one moment" in note for note in result.notes)
+        assert any("are not synchronised" in note for note in result.notes)
 
 
 def test_sigmas_of_corners_are_those_of_each_camera_alone(fits):
@@ -136,7 +136,7 @@ def test_the_prior_of_the_shape_does_not_pull_at_the_size():
 def test_a_shape_that_runs_away_with_the_lens_is_refused(fits):
     import equinox as eqx
 
-    problem = fits[0].ended.problem
+    problem = fits[0].solved_problem.problem
     assert _lenses_stay(problem, problem)
     away = eqx.tree_at(
         lambda s: s.lenses.focal_length_px,
@@ -148,7 +148,7 @@ def test_a_shape_that_runs_away_with_the_lens_is_refused(fits):
 
 def test_without_two_images_of_a_shot_there_is_no_motion_to_find(fits):
     """All images of the right camera may have been dropped as wrong."""
-    fit = RobustFit(fits[0].ended.problem, True, [], 0.0, 0)
+    fit = RobustFit(fits[0].solved_problem.problem, True, [], 0.0, 0)
     views = tuple(view._replace(used=view.used & (view.camera == 0)) for view in fit.problem.views)
     left_alone = fit._replace(problem=fit.problem._replace(views=views))
-    assert with_motion_between_images(left_alone, fit) is None
+    assert fit_with_motion(left_alone, fit) is None

@@ -7,7 +7,7 @@ from scipy import stats
 
 from trinoc.calib.rig_check.comparison import compare_rigs, sigmas_of_chi_square
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.calib.uncertainty.propagation import field_places_px
+from trinoc.calib.uncertainty.propagation import field_grid_px
 from trinoc.geometry.camera import POSE_NAMES, Camera
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
@@ -95,7 +95,7 @@ def test_a_turn_about_the_optical_axis_is_so_many_pixels_over_the_field() -> Non
         distance_mm=camera.distance_mm,
     )
     change = compare_rigs(Rig({"a": swung}), Rig({"a": camera})).cameras["a"]
-    from_middle = field_places_px(camera.image_size_px) - camera.intrinsics.principal_point_px
+    from_middle = field_grid_px(camera.image_size_px) - camera.intrinsics.principal_point_px
     unlike = np.asarray(camera.intrinsics.focal_length_px)
     turned = (from_middle / unlike)[..., ::-1] * unlike * np.radians(0.1)
     assert change.field_px == pytest.approx(np.sqrt(np.mean(np.sum(turned**2, -1))), rel=1e-3)

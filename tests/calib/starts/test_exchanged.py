@@ -5,7 +5,7 @@ import pytest
 
 from tests.calib.made_shots import BOARD, board_poses, detection, lens_of
 from trinoc.calib.starts import placing
-from trinoc.calib.starts.links import PlacedBoard
+from trinoc.calib.starts.links import AgreedBoard
 from trinoc.calib.starts.sightings import IN_PLACE, Sighting
 from trinoc.calib.tuning.every_group import TUNING
 
@@ -23,9 +23,9 @@ def test_two_explanations_are_none(monkeypatch, explaining, expected) -> None:
         Sighting(k, 0, lens_of(name), pictures[k], (IN_PLACE,)) for k, name in enumerate(NAMES)
     ]
 
-    def placed(trial, cam_from_rig, target, tuning) -> PlacedBoard:
+    def placed(trial, cam_from_rig, target, tuning) -> AgreedBoard:
         moved = tuple(s.camera for s in trial if s.detections is not pictures[s.camera])
-        return PlacedBoard([], IN_PLACE, [] if moved in explaining else [(trial[0], 9.0)])
+        return AgreedBoard([], IN_PLACE, [] if moved in explaining else [(trial[0], 9.0)])
 
     monkeypatch.setattr(placing, "place_board", placed)
     assert placing.find_exchanged_pair(sightings, {}, BOARD, TUNING) == expected

@@ -149,7 +149,7 @@ def test_lenses_of_their_own_err_independently() -> None:
     assert result.sigma("upper.distance_mm") > 5 * plain.sigma("upper.distance_mm")
     apart = result.sigma("right.distance_mm") / plain.sigma("right.distance_mm")
     assert apart == pytest.approx(1, rel=1e-6)
-    assert "sigmas include noise, the lens's own covariance of upper, left." in result.summary()
+    assert "sigmas include noise, the lens covariance of upper, left." in result.summary()
 
 
 @pytest.mark.slow

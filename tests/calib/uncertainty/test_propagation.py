@@ -11,7 +11,7 @@ from trinoc.calib import (
     projection_sigma,
 )
 from trinoc.calib.tuning.every_group import TUNING
-from trinoc.calib.uncertainty.propagation import field_places_px, field_sigma_px
+from trinoc.calib.uncertainty.propagation import field_grid_px, field_sigma_px
 from trinoc.calib.uncertainty.systematics import Systematics, data_sheet_covariance
 from trinoc.geometry import (
     epipolar_distance_px,
@@ -148,7 +148,7 @@ def test_places_beyond_the_image_circle_of_a_fisheye_have_no_sigma():
     assert np.isfinite(sigma[1:-1, 1:-1]).all()
     assert np.nanmax(sigma) < 10.0
     covariance = np.diag([0.01, 0.01, 0.0, 0.0, 1e-8, 0.0, 0.0, 0.0])
-    of_lens = np.asarray(field_sigma_px(lens.lens, covariance, field_places_px((848, 800))))
+    of_lens = np.asarray(field_sigma_px(lens.lens, covariance, field_grid_px((848, 800))))
     np.testing.assert_array_equal(np.isnan(of_lens), np.isnan(sigma))
     assert np.nanmax(of_lens) < 10.0
 

@@ -1,4 +1,6 @@
-"""Joint adjustment of the cameras over one sheet: estimate, covariance, scatter of each."""
+"""Joint adjustment of the cameras over one sheet: estimate, covariance, and scatter of
+each camera.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +12,8 @@ from jaxtyping import Float
 from trinoc.calib.problem.information import WhitenedViews, whiten_views
 from trinoc.calib.problem.problem import Problem, lens_number
 from trinoc.calib.problem.robust_fit import (
-    fit_places,
-    fit_without_wrong_places,
+    fit_points,
+    fit_without_wrong_points,
     inliers,
     with_sigma_factors,
 )
@@ -34,15 +36,15 @@ class Adjustment:
 
     Fields
     ------
-    cameras : the observations, in the order of the views.
-    priors : on sheet, lenses and aims.
-    problem : at the estimate, with the places that are used and the factors of their sigmas.
+    cameras : observations of the cameras, in the order of the views.
+    priors : priors on sheet, lenses and aims.
+    problem : problem at the estimate, with the used points and the factors of their sigmas.
     whitened : whitened residuals of the v views there, and their derivatives by all steps.
-    root : (f, f) upper triangular R of the information R^T R of the free steps, priors included.
-        `problem.information` forms the information of rigs, whose many shots would make a root too
-        large. Here that would halve the digits: over the demo's images R has a condition number of
-        5e6, and variances from the inverse of R^T R are off by up to .8 %.
-    reduced_chi_square : (v,) of the places, before sigmas were enlarged by it.
+    root : (f, f) upper triangular R of the information R^T R of the free steps, with the priors.
+        Rigs of many shots form the information itself (`problem.information`), since a root would
+        be too large. Here that would lose half of the digits: for the demo's images R has a
+        condition number of 5e6, and variances from the inverse of R^T R are wrong by up to 0.8 %.
+    reduced_chi_square : (v,) of the points, before their sigmas were enlarged.
     freedom : (v,) degrees of freedom of the same; 0 below 1.
     converged : whether the last fit converged.
     """
@@ -58,28 +60,28 @@ class Adjustment:
 
     @cached_property
     def free(self) -> np.ndarray:
-        """(f,) the steps of the head that are estimated."""
+        """Indices of the free steps of the head, (f,)."""
         return np.flatnonzero(self.problem.free)
 
     @cached_property
     def covariance(self) -> Float[np.ndarray, "f f"]:
-        """Covariance of the free steps; 0 along directions that nothing determines."""
+        """Covariance of the free steps, (f, f); 0 along undetermined directions."""
         inverse = _inverse(self.root)
         return inverse @ inverse.T
 
     @property
     def model(self) -> PoseModel:
-        """The parameters of each pose that are estimated."""
+        """Estimated parameters of each pose."""
         return self.priors.fitted_model
 
     @property
     def used(self) -> list[np.ndarray]:
-        """For each camera, (m,) which of its detected circles are used."""
+        """Masks of the used circles, (m,) for each camera."""
         return [view.used for view in self.problem.views]
 
     @property
-    def enlarged(self) -> Float[np.ndarray, "v"]:
-        """Factor of each camera's sigmas; 1 where the places scatter by their sigmas."""
+    def sigma_factors(self) -> Float[np.ndarray, "v"]:
+        """Factor of each camera's sigmas, (v,); 1 if its points scatter by their sigmas."""
         return np.asarray(self.problem.sigma_factor)[: len(self.problem.views)]
 
     def pose(self, view: int) -> Pose:
@@ -91,15 +93,17 @@ class Adjustment:
         return lens_number(self.problem, self._lens_of(view))
 
     def distance_mm(self, view: int) -> float:
-        """Distance from a camera along its axis to the sheet."""
+        """Distance from a camera to the sheet along its axis, mm."""
         return float(self.pose(view).distance_mm)
 
     def rows(self, view: int) -> np.ndarray:
-        """Indices, among the free steps, of a camera's pose."""
+        """Indices of a camera's pose among the free steps."""
         return self._rows_in(self.problem.slices.camera(view))
 
     def lens_steps(self, view: int) -> Float[np.ndarray, "r"]:
-        """Estimated less stated lens along each direction of its prior, in sigmas of that prior."""
+        """Estimated minus stated lens along each direction of its prior, in sigmas of the prior,
+        (r,).
+        """
         number = self._lens_of(view)
         change = np.asarray(self.lens(view).parameters) - self.problem.priors.lens_mean[number]
         count = int(np.sum(self.problem.free[self.problem.slices.lens(number)]))
@@ -108,7 +112,7 @@ class Adjustment:
         return steps
 
     def lens_rows(self, view: int) -> np.ndarray:
-        """Indices, among the free steps, of a camera's lens."""
+        """Indices of a camera's lens among the free steps."""
         return self._rows_in(self.problem.slices.lens(self._lens_of(view)))
 
     def _lens_of(self, view: int) -> int:
@@ -118,14 +122,16 @@ class Adjustment:
         return np.flatnonzero((self.free >= part.start) & (self.free < part.stop))
 
     def pose_root(self, view: int) -> Float[np.ndarray, "p p"]:
-        """R of the information R^T R of one camera's pose, all else being as uncertain as it is."""
+        """R of the information R^T R of one camera's pose, with all other unknowns eliminated, (p,
+        p).
+        """
         rows = self.rows(view)
         others = np.delete(np.arange(len(self.root)), rows)
         last = np.concatenate([others, rows])
         return _triangle(self.root[:, last])[len(others) :, len(others) :]
 
     def observability(self, view: int, sigma_factor: float = 1.0) -> Observability:
-        """Determined parameters of one camera's pose, all else being as uncertain as it is.
+        """Determined parameters of one camera's pose, with all other unknowns eliminated.
 
         sigma_factor : by which the sigmas of all observations are divided.
         """
@@ -134,16 +140,18 @@ class Adjustment:
         return observability_of_root(root, self.degrees_by_step(view), largest)
 
     def covariance_with(self, weights: Float[np.ndarray, "f"]) -> Float[np.ndarray, "f f"]:
-        """Covariance with one more prior on each free step, of one over its sigma as weight."""
+        """Covariance with one more prior on each free step, (f, f). weights : inverse sigmas of the
+        priors.
+        """
         inverse = _inverse(_triangle(np.concatenate([self.root, np.diag(weights)])))
         return inverse @ inverse.T
 
     def parameters(self, view: int) -> Float[np.ndarray, "p"]:
-        """Pan, tilt and swing in rad, distance and, where it is free, aim in mm."""
+        """Pan, tilt and swing in rad, distance in mm, and the aim in mm if it is free, (p,)."""
         return np.asarray(self.pose(view).parameters)[: self.model.size]
 
     def degrees_by_step(self, view: int) -> Float[np.ndarray, "p p"]:
-        """Derivative of the same, in degrees and mm, by a step of the pose."""
+        """Derivative of `parameters`, in degrees and mm, by a step of the pose, (p, p)."""
         return degrees_by_step(self.pose(view), self.problem.parametrization.unit_mm, self.model)
 
 
@@ -154,46 +162,49 @@ def adjust(
     start: Adjustment | None = None,
     first_damping: float | None = LEAST_DAMPING,
 ) -> Adjustment:
-    """Adjust all cameras together, without places that noise does not explain.
+    """Adjust all cameras together, without outliers.
 
-    start : an adjustment of the same cameras with other observations. This one continues from its
-        estimate, without the places that it leaves out: outliers are decided once.
-    first_damping : of the first fit; circles give a start so near that undamped steps do.
+    Parameters
+    ----------
+    start : adjustment of the same cameras with other observations. The new one continues from its
+        estimate and omits its outliers: outliers are determined only once.
+    first_damping : of the first fit. Circles give a start so near that undamped steps converge.
 
-    A camera whose places scatter more than their sigmas gets sigmas that are larger by that factor,
-    in a second fit.
+    Notes
+    -----
+    If the points of a camera scatter more than their sigmas, these are enlarged in a second fit.
     """
     problem = sheet_problem(cameras, target, priors)
     if start is not None:
         pairs = zip(problem.views, start.problem.views, strict=True)
-        views = tuple(view._replace(used=before.used) for view, before in pairs)
+        views = tuple(view._replace(used=earlier.used) for view, earlier in pairs)
         problem = problem._replace(views=views, state=start.problem.state)
-    problem, converged = fit_places(problem, first_damping=first_damping)
+    problem, converged = fit_points(problem, first_damping=first_damping)
     whitened = whiten_views(problem)
     if start is None:
         errors = whitened.residual.reshape(len(cameras), -1, 2)
         suspects = [
             k
             for k, camera in enumerate(cameras)
-            if camera.shown is None
+            if camera.grey_level_points is None
             and not inliers(errors[k], 1.0, problem.tuning.problem.gate).all()
         ]
         if suspects:
-            problem, converged = fit_without_wrong_places(problem, suspects)
+            problem, converged = fit_without_wrong_points(problem, suspects)
             whitened = whiten_views(problem)
     root = _root(problem, whitened)
     squared, freedom = _chi_squares(problem, whitened, root)
     reduced = np.where(freedom > 0, squared / np.maximum(freedom, 1.0), np.nan)
     enlarged = with_sigma_factors(problem, squared, freedom)
     if (enlarged.sigma_factor > 1).any():
-        problem, converged = fit_places(enlarged, first_damping=LEAST_DAMPING)
+        problem, converged = fit_points(enlarged, first_damping=LEAST_DAMPING)
         whitened = whiten_views(problem)
         root = _root(problem, whitened)
     return Adjustment(tuple(cameras), priors, problem, whitened, root, reduced, freedom, converged)
 
 
 def _root(problem: Problem, whitened: WhitenedViews) -> Float[np.ndarray, "f f"]:
-    """R of the information R^T R of the free steps, the priors included."""
+    """R of the information R^T R of the free steps, with the priors, (f, f)."""
     free = np.flatnonzero(problem.free)
     rows = whitened.jacobian[..., free].reshape(-1, len(free))
     priors = np.diag(prior_weights(problem)[free])
@@ -201,7 +212,7 @@ def _root(problem: Problem, whitened: WhitenedViews) -> Float[np.ndarray, "f f"]
 
 
 def prior_weights(problem: Problem) -> Float[np.ndarray, "h"]:
-    """Square root of the priors' information on each step of the head."""
+    """Inverse prior sigma of each step of the head, (h,); 0 without a prior."""
     slices, priors, scale = problem.slices, problem.priors, problem.parametrization.sheet_scale
     weights = np.zeros(len(problem.free))
     # A step of a lens or of the sheet is a standard deviation of its prior.
@@ -219,18 +230,22 @@ def _triangle(rows: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "k k"]:
 
 
 def _inverse(root: Float[np.ndarray, "f f"]) -> Float[np.ndarray, "f f"]:
-    """R^-1, zero along directions that nothing determines."""
+    """Inverse of R, zero along undetermined directions."""
     scale = np.maximum(np.linalg.norm(root, axis=0), 1e-300)
-    left, values, right = np.linalg.svd(root / scale)
-    known = values > _ROUNDING * values.max(initial=0.0)
-    return (right[known].T / values[known]) @ left[:, known].T / scale[:, None]
+    left_vectors, values, right_vectors = np.linalg.svd(root / scale)
+    is_determined = values > _ROUNDING * values.max(initial=0.0)
+    return (
+        (right_vectors[is_determined].T / values[is_determined])
+        @ left_vectors[:, is_determined].T
+        / scale[:, None]
+    )
 
 
 def _chi_squares(
     problem: Problem, whitened: WhitenedViews, root: Float[np.ndarray, "f f"]
 ) -> tuple[Float[np.ndarray, "v"], Float[np.ndarray, "v"]]:
-    """Chi-square of each camera and its degrees of freedom, those below 1 as 0."""
+    """Chi-square of each camera and its degrees of freedom; values below 1 are set to 0."""
     free = np.flatnonzero(problem.free)
     fitted = np.sum((whitened.jacobian[..., free] @ _inverse(root)) ** 2, axis=(1, 2))
-    freedom = np.array([view.numbers for view in problem.views]) - fitted
+    freedom = np.array([view.coordinate_count for view in problem.views]) - fitted
     return np.sum(whitened.residual**2, axis=1), np.where(freedom >= 1, freedom, 0.0)

@@ -1,16 +1,16 @@
-"""Agreement of a camera's circles, with each other and with its grey levels, and which are used.
+"""Agreement of a camera's circles with each other and with its grey levels; choice between both.
 
-Errors that neighbouring circles share (glare, a bend of no known shape) make a pose err more than
-independent errors of circles would. Estimates without whole blocks of circles show this: B. Efron
-and C. Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981.
+Errors that neighbouring circles share (glare, a bend of unmodelled shape) change a pose more than
+independent errors would. Estimates without whole blocks of circles show this: B. Efron and C.
+Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981.
 
-Both circles and grey levels are fitted to one image, the grey levels better. If the model of
-the grey levels is right, the circles' estimate differs from theirs by no more than the circles' own
-noise. If they differ by more, one of both models is wrong, and the scatter of the grey levels' own
-places shows which (`choose_observations`): J. A. Hausman, "Specification tests in econometrics",
-Econometrica 46(6), 1978. His covariance is the difference of both, whichever is the larger, here
-with the sheet and the lens as the grey levels have them. The priors, which make both estimates
-nearly as uncertain as each other, then drop out.
+Circles and grey levels come from one image, and grey levels are more precise. If the model of the
+grey levels is right, the estimate by circles differs from theirs only by the circles' noise. A
+larger difference shows that one model is wrong. The scatter of the grey-level points then decides
+which (`choose_observations`): J. A. Hausman, "Specification tests in econometrics", Econometrica
+46(6), 1978. His covariance is the difference of both covariances, whichever is larger. Sheet and
+lens are fixed at the values of the grey levels, since their priors would make both estimates nearly
+equally uncertain.
 """
 
 from dataclasses import replace
@@ -25,29 +25,30 @@ from trinoc.calib.problem.sheet_problem import SheetCamera
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.numerics.tails import chi_square_tail, normal_limit
 
-# numerical: neighbours on a lattice, whose diagonals are 1.41 as long.
+# numerical: largest distance of neighbours on a lattice; diagonals are 1.41.
 _NEIGHBOURS = 1.2
 
 
 def choose_observations(
     view: int, camera: SheetCamera, by_circles: Adjustment, by_pixels: Adjustment
 ) -> SheetCamera:
-    """Choose the observations of one camera: its grey levels, or its circles where those mislead.
+    """Choose the observations of one camera: its grey levels, or its circles if those are
+    misleading.
 
-    camera : with its grey levels, where these could be fitted.
-    by_circles, by_pixels : all cameras adjusted by their circles, and by such grey levels.
+    camera : with its grey-level points, if these could be fitted.
+    by_circles, by_pixels : adjustment of all cameras by circles, and by such grey levels.
     """
     has_pixels, agreement = camera.method == "pixels", float("nan")
     if has_pixels:
         agreement = probability_of_agreement(by_circles, by_pixels, view)
     tuning = by_circles.problem.tuning.answer
     agrees = agreement >= tuning.chance_of_answers
-    is_consistent = has_pixels and by_pixels.enlarged[view] == 1.0
-    # Shadows, uneven light and blur move circles alike, so that these agree among themselves; what
-    # the grey levels do not model makes their places scatter. Filters of phones move whole edges,
-    # which an uncertain lens or sheet absorbs: there the circles count, unless neighbouring ones
-    # are displaced alike, as by glare.
-    is_processed = camera.picture is not None and camera.picture.is_processed
+    is_consistent = has_pixels and by_pixels.sigma_factors[view] == 1.0
+    # Shadows, uneven light and blur displace all circles similarly, so that these agree with each
+    # other. Effects that the grey levels do not model make their points scatter. Filters of phones
+    # move whole edges, which an uncertain lens or sheet absorbs. Then the circles are used, unless
+    # neighbouring circles are displaced similarly, as by glare.
+    is_processed = camera.grey_level_fit is not None and camera.grey_level_fit.is_processed
     if is_processed and _has_open_model(by_circles) and not _are_displaced(by_circles, view):
         uses_pixels = agrees and is_consistent
     else:
@@ -55,20 +56,20 @@ def choose_observations(
     if uses_pixels:
         return replace(camera, agreement=agreement)
     scatter = scatter_of_blocks(by_circles, view)
-    # A model of the grey levels that is wrong casts doubt on the circles, too.
+    # If the model of the grey levels is wrong, the circles may be wrong, too.
     if not has_pixels and scatter <= tuning.largest_scatter:
         scatter = 1.0
-    return replace(camera, shown=None, agreement=agreement, scatter=scatter)
+    return replace(camera, grey_level_points=None, agreement=agreement, scatter=scatter)
 
 
 def _has_open_model(adjustment: Adjustment) -> bool:
-    """Return True if lens or sheet are estimated along with the poses."""
+    """True if lens or sheet are estimated along with the poses."""
     slices, weights = adjustment.problem.slices, prior_weights(adjustment.problem)
     return bool(weights[slices.lenses].any() or weights[slices.sheets].any())
 
 
 def _are_displaced(by_circles: Adjustment, view: int) -> bool:
-    """Return True if neighbouring circles share errors, as under glare.
+    """True if neighbouring circles share errors, as under glare.
 
     Then their blocks scatter, or their residuals are correlated.
     """
@@ -80,24 +81,24 @@ def _are_displaced(by_circles: Adjustment, view: int) -> bool:
 
 
 def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
-    """Scatter of the blocks of a camera's circles over that of independent errors; at least 1.
+    """Scatter of the blocks of a camera's circles relative to that of independent errors; at least
+    1.
 
     Independent errors have the sigmas of the camera's detection.
     """
     pose_steps, problem = adjustment.rows(view), adjustment.problem
     jacobian = adjustment.whitened.jacobian[view][:, adjustment.free]
     residuals, covariance = adjustment.whitened.residual[view], adjustment.covariance
-    place_mm = problem.target.centres_mm[problem.views[view].detection.circle_index]
+    circle_mm = problem.target.centres_mm[problem.views[view].detection.circle_index]
     steps, expected = [], []
     tuning = problem.tuning.adjustment
-    for block in _blocks(place_mm, adjustment.used[view], tuning.blocks):
+    for block in _blocks(circle_mm, adjustment.used[view], tuning.blocks):
         rows = np.concatenate([2 * block, 2 * block + 1])
-        # The estimate without the block, by its rows alone (M. A. Woodbury): what they fit of
-        # themselves is the leverage.
+        # The estimate without the block, from its rows alone (M. A. Woodbury), with their leverage.
         gain = jacobian[rows] @ covariance
         remainder = np.eye(len(rows)) - gain @ jacobian[rows].T
         steps.append(np.linalg.solve(remainder, residuals[rows]) @ gain[:, pose_steps])
-        # What independent noise makes of such a step, the residuals being less than the noise.
+        # Covariance of this step by independent noise; residuals are smaller than the noise.
         expected.append(gain[:, pose_steps].T @ np.linalg.solve(remainder, gain[:, pose_steps]))
     if len(steps) < tuning.fewest_blocks:
         return 1.0
@@ -113,9 +114,9 @@ def autocorrelation_of_circles(adjustment: Adjustment, view: int) -> float:
     """
     used = np.flatnonzero(adjustment.used[view])
     index = adjustment.problem.views[view].detection.circle_index[used]
-    place_mm = adjustment.problem.target.centres_mm[index]
+    circle_mm = adjustment.problem.target.centres_mm[index]
     residuals = adjustment.whitened.residual[view].reshape(-1, 2)[used]
-    separation_mm = cdist(place_mm, place_mm)
+    separation_mm = cdist(circle_mm, circle_mm)
     nearest_mm = np.partition(separation_mm, 1, axis=1)[:, 1]
     are_neighbours = separation_mm < _NEIGHBOURS * np.median(nearest_mm)
     first, second = np.nonzero(np.triu(are_neighbours, 1))
@@ -125,26 +126,30 @@ def autocorrelation_of_circles(adjustment: Adjustment, view: int) -> float:
     return float(products.sum() / sigma)
 
 
-def _blocks(place_mm: np.ndarray, used: np.ndarray, blocks: int) -> list[np.ndarray]:
-    """Rows of `place_mm` that are used, by the block of the sheet; `blocks` along each side."""
-    low, high = place_mm.min(axis=0), place_mm.max(axis=0)
-    cell = np.floor((place_mm - low) / (high - low + 1e-9) * blocks).astype(int)
+def _blocks(circle_mm: np.ndarray, used: np.ndarray, blocks: int) -> list[np.ndarray]:
+    """Rows of the used circles in each block of the sheet; `blocks` along each side."""
+    low, high = circle_mm.min(axis=0), circle_mm.max(axis=0)
+    cell = np.floor((circle_mm - low) / (high - low + 1e-9) * blocks).astype(int)
     number = np.where(used, cell[:, 0] * blocks + cell[:, 1], -1)
     return [np.flatnonzero(number == k) for k in range(blocks**2) if (number == k).any()]
 
 
 def probability_of_agreement(by_circles: Adjustment, by_pixels: Adjustment, view: int) -> float:
-    """Probability of so large a difference between both poses of one camera, were both models
+    """Probability of so large a difference between both poses of one camera if both models are
     right.
 
-    The sheet and the lens are as the grey levels have them.
+    Sheet and lens are fixed at the values of the grey levels.
     """
-    pose = by_circles.free[by_circles.rows(view)]
-    moved = whiten_views(by_circles.problem._replace(state=by_pixels.problem.state))
-    circles, pixels = (each.whitened.jacobian[view][:, pose] for each in (by_circles, by_pixels))
-    least = by_circles.problem.tuning.adjustment.least_difference
-    squared = difference_of_estimates(moved.residual[view], circles, pixels, least)
-    return float(chi_square_tail(squared, len(pose)))
+    pose_steps = by_circles.free[by_circles.rows(view)]
+    circles_at_pixels = whiten_views(by_circles.problem._replace(state=by_pixels.problem.state))
+    circles, pixels = (
+        adjustment.whitened.jacobian[view][:, pose_steps] for adjustment in (by_circles, by_pixels)
+    )
+    least_difference = by_circles.problem.tuning.adjustment.least_difference
+    squared = difference_of_estimates(
+        circles_at_pixels.residual[view], circles, pixels, least_difference
+    )
+    return float(chi_square_tail(squared, len(pose_steps)))
 
 
 def difference_of_estimates(
@@ -153,15 +158,16 @@ def difference_of_estimates(
     by_pixels: Float[np.ndarray, "m p"],
     least_difference: float = TUNING.adjustment.least_difference,
 ) -> float:
-    """Chi-square, of p degrees of freedom, of the circles' estimate less that of the grey levels.
+    """Chi-square, with p degrees of freedom, of the circles' estimate minus that of the grey
+    levels.
 
     residual : of the circles in sigmas, at the pose of the grey levels. by_circles, by_pixels :
-    derivatives of both by the pose.
+        derivatives of both by the pose.
     """
     root = np.asarray(np.linalg.qr(by_circles, mode="r"))
     step = np.linalg.solve(root.T, by_circles.T @ residual)
-    # The grey levels' covariance where that of the circles is one. Grey levels with a fitted
-    # gradient of the light determine less than circles, which assume even light.
+    # The grey levels' covariance in units of the circles'. Grey levels with a fitted gradient of
+    # the light determine less than circles, which assume even light.
     covariance = root @ np.linalg.solve(by_pixels.T @ by_pixels, root.T)
     shares, directions = np.linalg.eigh(0.5 * (covariance + covariance.T))
     variance = np.maximum(np.abs(1 - shares), least_difference)

@@ -1,17 +1,18 @@
-"""Score tests of what one camera's fit holds fixed: aim, focal length, principal point, distortion.
+"""Score tests of parameters that one camera's fit fixes: aim, focal length, principal point,
+distortion.
 
-Each alternative is one more unknown. The residuals show by how much it would reduce chi-square,
-without another adjustment. An error that such a test misses may still move the camera by many of
-its sigmas: W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic
-Commission, 1968, calls the one internal and the other external reliability.
+Each test adds one unknown. The residuals show by how much it would reduce chi-square, without
+another adjustment. An error that the test cannot detect may still move the camera by many of its
+sigmas. W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic
+Commission, 1968, calls these internal and external reliability.
 """
 
 import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.adjustment.adjustment import Adjustment
-from trinoc.calib.problem.rao_test import HeldScore, score_of_residuals, unseen_sigmas
-from trinoc.calib.result.calibration import Alternative
+from trinoc.calib.problem.rao_test import FixedScore, detectable_sigmas, score_of_residuals
+from trinoc.calib.result.calibration import FixedParameterTest
 
 # numerical: columns of a lens and of a pose.
 _FOCAL, _CENTRE, _RADIAL, _AIM = (0, 1), 2, 4, (4, 6)
@@ -19,8 +20,8 @@ _FOCAL, _CENTRE, _RADIAL, _AIM = (0, 1), 2, 4, (4, 6)
 _ASPECT = np.array([-0.5, 0.5])
 
 
-def alternatives(adjustment: Adjustment, view: int) -> list[Alternative]:
-    """Every alternative for one camera, the one that explains most of the residuals first."""
+def run_fixed_parameter_tests(adjustment: Adjustment, view: int) -> list[FixedParameterTest]:
+    """Run all score tests for one camera; the most significant one comes first."""
     problem, by_head = adjustment.problem, adjustment.whitened.jacobian[view]
     pose, aim_is_fixed = problem.slices.camera(view).start, adjustment.priors.aim_is_fixed
     columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_fixed else {}
@@ -33,7 +34,7 @@ def alternatives(adjustment: Adjustment, view: int) -> list[Alternative]:
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
         columns["aspect"] = by_lens[:, _FOCAL] @ (focal * _ASPECT)[:, None]
         if not aim_is_fixed:
-            # Where the aim is fixed, its test finds what displaces all circles alike.
+            # With a fixed aim, its test detects a common displacement of all circles.
             columns["principal point"] = by_lens[:, _CENTRE : _CENTRE + 2]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
     unit = {"aim": float(problem.parametrization.unit_mm)}
@@ -49,38 +50,39 @@ def alternatives(adjustment: Adjustment, view: int) -> list[Alternative]:
 def _test(
     name: str,
     extra: Float[np.ndarray, "n k"],
-    score: HeldScore,
+    score: FixedScore,
     adjustment: Adjustment,
     view: int,
     unit: float,
-) -> Alternative | None:
-    """Test of one alternative; None if the residuals cannot separate it from what is fitted."""
-    test = score.judge(range(extra.shape[1]))
+) -> FixedParameterTest | None:
+    """Test of one parameter group; None if the residuals cannot separate it from the fitted
+    parameters.
+    """
+    test = score.test(range(extra.shape[1]))
     if test.freedom < extra.shape[1]:
         return None
-    # Places that scatter more than their sigmas scatter alike in every direction.
+    # Points that scatter more than their sigmas scatter equally in every direction.
     test = test.with_noise(max(1.0, score.noise_variance(test)))
     sigma = unit * np.sqrt(np.diag(test.covariance))
     motion = motion_by_extra(extra, adjustment, view)
     by_pose = adjustment.pose_root(view) @ motion
     root = np.linalg.cholesky(test.covariance)
-    # Of all changes that are found equally often, the one that moves the camera most.
+    # The change that moves the camera most, of all changes with the same detection probability.
     strains, worst = np.linalg.svd(by_pose @ root)[1:]
     tuning = adjustment.problem.tuning.answer
-    sigmas = unseen_sigmas(tuning.chance, test.freedom, tuning.power)
+    sigmas = detectable_sigmas(tuning.chance, test.freedom, tuning.power)
     unseen_step = sigmas * root @ worst[0]
     unseen_step = unseen_step * np.sign(unseen_step[np.argmax(np.abs(unseen_step))])
-    return Alternative(
+    return FixedParameterTest(
         name=name,
         chi_square_drop=test.chi_square,
-        p_value=test.chance,
+        p_value=test.p_value,
         estimate=unit * test.step,
         sigma=sigma,
-        sentence=_sentence(name, unit * test.step, sigma),
         strain=float(np.linalg.norm(by_pose @ test.step)),
-        unseen=unit * unseen_step,
-        unseen_strain=sigmas * float(strains[0]),
-        unseen_motion=adjustment.degrees_by_step(view) @ motion @ unseen_step,
+        undetectable=unit * unseen_step,
+        undetectable_strain=sigmas * float(strains[0]),
+        undetectable_motion=adjustment.degrees_by_step(view) @ motion @ unseen_step,
         tuning=tuning,
     )
 
@@ -88,40 +90,11 @@ def _test(
 def motion_by_extra(
     extra: Float[np.ndarray, "n k"], adjustment: Adjustment, view: int
 ) -> Float[np.ndarray, "p k"]:
-    """Steps of a camera's pose by a unit of each unknown that is held fixed.
+    """Steps of a camera's pose for a unit of each fixed unknown, (p, k).
 
-    R of `Adjustment.pose_root` times a step is its length in sigmas: the squared Mahalanobis
-    distance of the pose is |R step|^2.
+    R from `Adjustment.pose_root` times a step is the step in sigmas: |R step|^2 is the squared
+    Mahalanobis distance of the pose.
     """
     base = adjustment.whitened.jacobian[view][:, adjustment.free]
     step = -adjustment.covariance @ (base.T @ extra)
     return step[adjustment.rows(view)]
-
-
-def _sentence(name: str, estimate: Float[np.ndarray, "k"], sigma: Float[np.ndarray, "k"]) -> str:
-    if name == "aim":
-        return (
-            f"the optical axis misses the origin of the sheet by ({estimate[0]:.2f}, "
-            f"{estimate[1]:.2f}) +- ({sigma[0]:.1g}, {sigma[1]:.1g}) mm: "
-            'use pose_model="aim-free".'
-        )
-    if name == "focal length":
-        return (
-            f"the residuals look like a focal length {100 * estimate[0]:+.3f} +- "
-            f"{100 * sigma[0]:.1g} % off: check the lens and its focus."
-        )
-    if name == "aspect":
-        return (
-            f"the residuals look like a focal length along v {100 * estimate[0]:+.3f} +- "
-            f"{100 * sigma[0]:.1g} % off against that along u: check the pixel pitch."
-        )
-    if name == "principal point":
-        return (
-            f"the residuals look like a principal point ({estimate[0]:+.2g}, {estimate[1]:+.2g}) "
-            f"+- ({sigma[0]:.1g}, {sigma[1]:.1g}) px off: see that the picture is not cut, and "
-            "that the lens is this camera's."
-        )
-    return (
-        f"the residuals look like radial distortion k1 = {estimate[0]:+.3f} +- {sigma[0]:.3f} "
-        "that the lens does not hold: calibrate its intrinsics."
-    )

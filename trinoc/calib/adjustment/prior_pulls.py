@@ -1,17 +1,17 @@
 """Distance of the fitted unknowns from their priors, normalised so that it is chi-square.
 
 Let theta be the unknowns with a prior of mean mu and covariance P_0, and P their covariance after
-the fit. If model and priors are right, theta - mu has the covariance P_0 - P: it is smaller than
+the fit. If model and priors are right, theta - mu has the covariance P_0 - P. It is smaller than
 P_0, because the prior pulls the estimate to its mean. So
 
     (theta - mu)^T (P_0 - P)^+ (theta - mu)
 
-has the chi-square distribution. Directions that the images do not determine have P = P_0 and are
-left out. Two unknowns of which the images show one combination alone have the correlation 1 in
-P_0 - P, and the same distance: an error of either looks like one of the other.
+has a chi-square distribution. Directions that the images do not determine have P = P_0 and are
+omitted. If the images show only one combination of two unknowns, these have the correlation 1 in
+P_0 - P and the same distance: an error of either looks like an error of the other.
 
 Reference: J. A. Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978, whose
-statistic this is for an efficient estimate (the prior and the images) and a consistent one.
+statistic this is for an efficient estimate (prior and images) and a consistent one.
 """
 
 from typing import NamedTuple
@@ -33,10 +33,10 @@ class Unknown(NamedTuple):
 
     Fields
     ------
-    kind : "focal length", "aspect", "principal point", "distortion", "aim", "print size",
-        "print aspect", "bend", or "all".
-    views : the cameras that it belongs to; none for the sheet.
-    by_step : (k, f) its derivative by the free steps: shares, px, or mm.
+    kind : "focal length", "aspect", "principal point", "distortion", "aim", "print size", "print
+        aspect", "bend", or "all".
+    views : cameras of the unknown; none for the sheet.
+    by_step : (k, f) derivative by the free steps: relative, px, or mm.
     """
 
     kind: str
@@ -49,17 +49,18 @@ class PriorPull(NamedTuple):
 
     Fields
     ------
-    unknown : what was tested.
-    offset : (k,) fitted value less the prior mean, in the unit of the unknown.
+    unknown : tested unknown.
+    offset : (k,) fitted value minus prior mean, in the unit of the unknown.
     freedom : number of directions that the images determine.
-    chance : probability of so large a distance where model and priors are right.
-    partners : unknowns that the images cannot separate from it and that lie as far off.
+    p_value : probability of so large a distance if model and priors are right.
+    partners : unknowns that the images cannot separate from it and that are equally far off.
+    largest_sigmas : distance, in sigmas, above which the prior is contradicted.
     """
 
     unknown: Unknown
     offset: Float[np.ndarray, "k"]
     freedom: int
-    chance: float
+    p_value: float
     partners: tuple[Unknown, ...] = ()
     largest_sigmas: float = TUNING.answer.strain_sigmas
 
@@ -70,19 +71,21 @@ class PriorPull(NamedTuple):
 
     @property
     def views(self) -> frozenset[int]:
-        """The cameras that are concerned alone; none where the sheet may be."""
+        """Indices of the cameras whose lens or aim is wrong; empty if the sheet may be wrong
+        instead.
+        """
         if not all(unknown.views for unknown in self.unknowns):
             return frozenset()
         return frozenset(view for unknown in self.unknowns for view in unknown.views)
 
     def concerns_aim(self, view: int) -> bool:
-        """Return True if the aim of a camera may be wrong."""
+        """True if the aim of a camera may be wrong."""
         return any(one.kind == "aim" and view in one.views for one in self.unknowns)
 
     @property
     def sigmas(self) -> float:
-        """Distance at which a standard normal variable is as improbable."""
-        return float(normal_limit(max(0.5 * self.chance, 1e-300)))
+        """Two-sided deviation of a standard normal variable with the same probability."""
+        return float(normal_limit(max(0.5 * self.p_value, 1e-300)))
 
     @property
     def is_refuted(self) -> bool:
@@ -93,7 +96,7 @@ class PriorPull(NamedTuple):
 def refuted_priors(adjustment: Adjustment) -> list[PriorPull]:
     """Unknowns whose priors the images contradict, the farthest first.
 
-    Unknowns that cannot be separated are one entry, the others being its `partners`.
+    Unknowns that cannot be separated are one entry, as its `partners`.
     """
     space = PriorSpace.of(adjustment)
     pulls = [space.pull(unknown) for unknown in unknowns_with_priors(adjustment)]
@@ -107,18 +110,19 @@ def refuted_priors(adjustment: Adjustment) -> list[PriorPull]:
         first, *others = refuted
         partners = [pull for pull in others if space.are_inseparable(first, pull)]
         entries.append(first._replace(partners=tuple(pull.unknown for pull in partners)))
-        refuted = [pull for pull in others if not any(pull is each for each in partners)]
+        refuted = [pull for pull in others if not any(pull is partner for partner in partners)]
     return entries
 
 
 class PriorSpace(NamedTuple):
-    """Offsets of the free steps from their priors, and the covariance that they should have.
+    """Offsets of the free steps from their priors, and the expected covariance of these offsets.
 
     Fields
     ------
-    weights : (f,) one over the prior sigma of each step; 0 for one without a prior.
-    offset : (f,) fitted steps less the prior means, in prior sigmas.
-    expected : (f, f) P_0 - P in prior sigmas: the covariance of `offset`.
+    weights : (f,) inverse prior sigma of each step; 0 without a prior.
+    offset : (f,) fitted steps minus prior means, in prior sigmas.
+    expected : (f, f) P_0 - P in prior sigmas, the covariance of `offset`.
+    tuning : limits of the tests.
     """
 
     weights: Float[np.ndarray, "f"]
@@ -136,22 +140,23 @@ class PriorSpace(NamedTuple):
         return cls(weights, weights * _offsets(adjustment), expected, tuning)
 
     def pull(self, unknown: Unknown) -> PriorPull:
-        """The distance of one unknown from its prior."""
+        """Distance of one unknown from its prior."""
         combinations = self._determined(unknown)
         squared, freedom = float(np.sum((combinations @ self.offset) ** 2)), len(combinations)
-        chance = float(chi_square_tail(squared, freedom)) if freedom else 1.0
+        p_value = float(chi_square_tail(squared, freedom)) if freedom else 1.0
         return PriorPull(
             unknown,
             self._by_sigma(unknown) @ self.offset,
             freedom,
-            chance,
+            p_value,
             largest_sigmas=self.tuning.strain_sigmas,
         )
 
     def are_inseparable(self, first: PriorPull, second: PriorPull) -> bool:
-        """True if the images determine only one combination of two unknowns, equally far off.
+        """True if the images determine only one combination of two unknowns, and both are equally
+        far off.
 
-        By the largest canonical correlation of both in P_0 - P (H. Hotelling, "Relations between
+        Uses the largest canonical correlation of both in P_0 - P (H. Hotelling, "Relations between
         two sets of variates", Biometrika 28, 1936).
         """
         largest = self.tuning.inseparable
@@ -162,17 +167,17 @@ class PriorSpace(NamedTuple):
         return bool(np.linalg.norm(across, 2) > largest)
 
     def _by_sigma(self, unknown: Unknown) -> Float[np.ndarray, "k f"]:
-        """Derivative of an unknown by the steps with a prior, in prior sigmas of these."""
+        """Derivative of an unknown by the steps with a prior, in prior sigmas, (k, f)."""
         has_prior = self.weights > 0
         return np.where(has_prior, unknown.by_step / np.where(has_prior, self.weights, 1.0), 0.0)
 
     def _determined(self, unknown: Unknown) -> Float[np.ndarray, "r f"]:
-        """Combinations of an unknown that the images determine, with unit covariance."""
+        """Combinations of an unknown that the images determine, with unit covariance, (r, f)."""
         by_sigma = self._by_sigma(unknown)
         scale = np.linalg.norm(by_sigma, axis=1)
         unit = by_sigma[scale > 0] / scale[scale > 0, None]
         _, values, right = np.linalg.svd(unit, full_matrices=False)
-        # Of unit prior covariance.
+        # Combinations with unit prior covariance.
         whitened = right[values > _ROUNDING * values.max(initial=0.0)]
         shares, axes = np.linalg.eigh(whitened @ self.expected @ whitened.T)
         is_determined = shares > self.tuning.least_share_of_prior
@@ -180,7 +185,7 @@ class PriorSpace(NamedTuple):
 
 
 def unknowns_with_priors(adjustment: Adjustment) -> list[Unknown]:
-    """Every unknown that is tested: of each lens, of the aims, of the sheet, and all together."""
+    """Every tested unknown: of the lenses, of the aims, of the sheet, and all together."""
     size = len(adjustment.free)
     weights = prior_weights(adjustment.problem)[adjustment.free]
     unknowns = [*_of_lenses(adjustment), *_of_aims(adjustment), *_of_sheet(adjustment)]
@@ -189,7 +194,7 @@ def unknowns_with_priors(adjustment: Adjustment) -> list[Unknown]:
 
 
 def _offsets(adjustment: Adjustment) -> Float[np.ndarray, "f"]:
-    """The free steps less their prior means; 0 for steps without a prior."""
+    """Free steps minus their prior means, (f,); 0 without a prior."""
     problem = adjustment.problem
     whole, parametrization = np.zeros(len(problem.free)), problem.parametrization
     whole[problem.slices.sheets] = np.asarray(problem.state.sheet) / parametrization.sheet_scale
@@ -252,9 +257,9 @@ def _of_sheet(adjustment: Adjustment) -> list[Unknown]:
 
 
 def list_kinds(pull: PriorPull) -> tuple[str, ...]:
-    """The kinds of an entry's unknown and of its partners, one for each lens, aim, and the sheet.
+    """Kinds of an unknown and its partners, one for each lens, aim, and the sheet.
 
-    Partners of one lens share the statement that is wrong.
+    Partners of one lens share one wrong statement.
     """
     by_owner: dict[tuple[str, tuple[int, ...]], str] = {}
     for unknown in pull.unknowns:

@@ -1,4 +1,4 @@
-"""Fit of one camera alone to the circles in its image: its start, or the reason of its failure."""
+"""Fit of one camera alone to the circles in its image."""
 
 import jax
 import numpy as np
@@ -31,15 +31,15 @@ def fit_single_camera(
 ) -> Adjustment | None:
     """Fit one camera to its circles, with sheet and lens exact; None if it has no first pose.
 
-    image : the grey levels, where these will be fitted too.
+    image : grey levels, if these will be fitted later.
     """
     rays = unproject_pixels(lens.lens, detection.centres_px)
-    place_mm = pattern.centres_mm[detection.circle_index]
+    circle_mm = pattern.centres_mm[detection.circle_index]
     planes = detection.lines_px @ np.asarray(lens.lens.matrix)
     best: Adjustment | None = None
     for first_pose in (
-        lambda: pose_of_crossed_lines(planes, rays[:, :2] / rays[:, 2:], place_mm),
-        lambda: plane_pose(rays, place_mm),
+        lambda: pose_of_crossed_lines(planes, rays[:, :2] / rays[:, 2:], circle_mm),
+        lambda: plane_pose(rays, circle_mm),
     ):
         pose = first_pose()
         if pose is None or not np.isfinite(np.asarray(pose.cam_from_world)).all():
@@ -76,8 +76,9 @@ def observe_single_camera(fit: Adjustment | None) -> tuple[Status, Observability
     # Distance and tilt of a camera above the sheet are positive.
     if not (is_finite and parameters[3] > 0 and parameters[1] > 0):
         return Status.NOT_CONVERGED, nothing
-    # Which directions are determined depends on where the circles are, not on how well they fit: a
-    # lens that is off by its data sheet's sigma misfits a fixed aim by hundreds of sigmas.
-    observability = fit.observability(0, sigma_factor=float(fit.enlarged[0]))
+    # The determined directions depend on the positions of the circles, not on the quality of the
+    # fit: an error of the lens within its data sheet's sigma misfits a fixed aim by hundreds of
+    # sigmas.
+    observability = fit.observability(0, sigma_factor=float(fit.sigma_factors[0]))
     is_complete = observability.rank == fit.model.size
     return Status.CONVERGED if is_complete else Status.RANK_DEFICIENT, observability

@@ -1,4 +1,5 @@
-"""What a fit of many shots is worth, and how it gains.
+"""Tests of a fit of many shots, and the shot to take next.
 
-`halves` fits to halves of the shots, looks at the others, and compares what both halves say,
-`field_difference` over the pictures; `foreseen_shots` -> `next_shot` say what to show next."""
+`halves` fits halves of the shots and compares them, `field_difference` does so over the images.
+`foreseen_shots` predicts the information of possible shots, `next_shot` selects one.
+"""

@@ -1,4 +1,4 @@
-"""Which shot to take next: the one after which lenses and rig err least where they err most."""
+"""Next shot to take: the one that reduces the largest error of lenses and rig most."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -23,23 +23,23 @@ from trinoc.numerics.precision import in_float64
 
 
 class NextShot(NamedTuple):
-    """A shot to take next.
+    """The shot to take next.
 
     Fields
     ------
-    cameras : which would see the board.
-    words : how to hold it.
-    world_from_board : (3, 4) the pose that these words mean, mm.
-    parameter : the parameter of a lens that would gain most; None if all lenses are held.
-    error_now_px : the largest error of lenses and rig over all candidate shots: root mean square
-        distance by which they miss the shot's corners, its board placed as well as possible.
+    cameras : names of the cameras that would see the board.
+    instruction : how to hold the board.
+    world_from_board : (3, 4) pose of the board, mm.
+    parameter : lens parameter that would gain most; None if all lenses are fixed.
+    error_now_px : largest error of lenses and rig over all candidate shots: root mean square error
+        of the shot's corners, with its board placed as well as possible.
     error_then_px : the same with this shot added.
-    sigma_now, sigma_then : standard deviations of the lenses' parameters, by name; infinite for
-        those that are not determined.
+    sigma_now, sigma_then : standard deviations of the lenses' parameters, by name; infinite if
+        undetermined.
     """
 
     cameras: tuple[str, ...]
-    words: str
+    instruction: str
     world_from_board: Float[np.ndarray, "3 4"]
     parameter: str | None
     error_now_px: float
@@ -49,13 +49,14 @@ class NextShot(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The advice for people."""
+        """Instruction and gain as one sentence."""
         name = self.parameter
         if name is not None and not np.isfinite(self.sigma_now[name]):
-            return f"Next, {self.words}: it would determine {name} to {self.sigma_then[name]:.2g}."
+            sigma = self.sigma_then[name]
+            return f"Next, {self.instruction}: it would determine {name} to {sigma:.2g}."
         share = 100.0 * (1.0 - self.error_then_px / self.error_now_px)
         sentence = (
-            f"Next, {self.words}: the largest error of lenses and cameras would fall by "
+            f"Next, {self.instruction}: the largest error of lenses and cameras would fall by "
             f"{max(share, 0.0):.0f} %"
         )
         if name is None:
@@ -67,7 +68,7 @@ class NextShot(NamedTuple):
 
 
 class _BestShot(NamedTuple):
-    """A shot, the covariance of the head with it added, and the errors before and after."""
+    """A shot, the covariance of the head with it, and the largest errors before and after."""
 
     shot: ForeseenShot
     covariance: Float[np.ndarray, "f f"]
@@ -77,10 +78,10 @@ class _BestShot(NamedTuple):
 
 @in_float64
 def next_shot(result: CalibrationResult) -> NextShot | None:
-    """Return the shot that lowers most the largest error of lenses and cameras.
+    """Return the shot that reduces the largest error of lenses and cameras most.
 
-    Compared are shots of the board in nine positions of each camera's image, at two distances, and
-    tilted in four ways or not, seen by every camera in whose image it then lies.
+    Candidates are shots of the board at nine positions of each camera's image, at two distances,
+    tilted in four directions or not.
 
     Parameters
     ----------
@@ -95,10 +96,10 @@ def next_shot(result: CalibrationResult) -> NextShot | None:
     InputError : a result of another calibration, or of a fit that did not converge.
     """
     check_kind(result, CalibrationResult, "result", "what calibrate_rig returns")
-    end = result.ended
+    end = result.solved_problem
     if end is None:
-        why = result.overall_status.value if result.views else "It is not of many shots."
-        raise InputError(f"There is no rig that a shot could be added to: {why}")
+        reason = result.overall_status.value if result.views else "It is not from many shots."
+        raise InputError(f"A shot cannot be added to this result: {reason}")
     problem = end.problem
     best = _best_shot(problem, end.covariance, end.variance_factor)
     if best is None:
@@ -122,7 +123,7 @@ def next_shot(result: CalibrationResult) -> NextShot | None:
     world_from_rig = Pose(result.world_from_board[0]) @ board.inverse
     return NextShot(
         cameras=names,
-        words=_words(candidate, names, result.cameras),
+        instruction=_instruction(candidate, names, result.cameras),
         world_from_board=np.asarray((world_from_rig @ candidate.rig_from_board).cam_from_world),
         parameter=parameter,
         error_now_px=best.error_now_px,
@@ -132,26 +133,27 @@ def next_shot(result: CalibrationResult) -> NextShot | None:
     )
 
 
-def _words(candidate: Candidate, names: Sequence[str], cameras: Sequence[str]) -> str:
-    """How to hold the board. names : of the cameras that would see it."""
+def _instruction(candidate: Candidate, names: Sequence[str], cameras: Sequence[str]) -> str:
+    """Instruction for holding the board, in words. names : of the cameras that would see it."""
     if len(cameras) == 1:
-        return f"hold the board {candidate.words.replace('its picture', 'the picture')}"
+        return f"hold the board {candidate.instruction.replace('its image', 'the image')}"
     *others, last = names
-    shown = f"{', '.join(others)} and {last}" if others else last
-    away = candidate.distance_mm
+    viewers = f"{', '.join(others)} and {last}" if others else last
+    decimals = "0f" if candidate.distance_mm >= 100.0 else "3g"
     return (
-        f"show the board to {shown}, {away:.{'0f' if away >= 100.0 else '3g'}} mm from "
-        f"{cameras[candidate.camera]}, {candidate.words}"
+        f"show the board to {viewers}, {candidate.distance_mm:.{decimals}} mm from "
+        f"{cameras[candidate.camera]}, {candidate.instruction}"
     )
 
 
 def weakly_known_covariance(information: Information) -> Float[np.ndarray, "f f"]:
-    """Covariance of the free steps under a weak prior, so that open directions have a variance.
+    """Covariance of the free steps with a weak prior, so that undetermined directions have a
+    variance.
 
-    Rounding may leave less than no information on a direction that is not determined.
+    Rounding may give an undetermined direction a negative information.
     """
     free = information.free
-    observed = information.of_shot.sum(axis=0)[np.ix_(free, free)] + information.prior
+    observed = information.shot_information.sum(axis=0)[np.ix_(free, free)] + information.prior
     eigenvalues, directions = np.linalg.eigh(observed)
     variance = 1 / (np.maximum(eigenvalues, 0.0) + 1 / information.tuning.advice.prior_sigma**2)
     return (directions * variance) @ directions.T
@@ -160,30 +162,29 @@ def weakly_known_covariance(information: Information) -> Float[np.ndarray, "f f"
 def _best_shot(
     problem: Problem, covariance: Float[np.ndarray, "f f"], variance_factor: float
 ) -> _BestShot | None:
-    """Compared are shots of the board in nine places of each camera's picture, at two distances,
-    and tilted in four ways or not, seen by every camera in whose picture it then lies."""
+    """Best of the candidates in `candidate_shots`; None if no camera would detect the board."""
     shots = foresee_shots(problem, candidate_shots(problem))
     if not shots:
         return None
     now = np.array([shot_error_px(shot, covariance) for shot in shots])
-    most = problem.tuning.advice.most_compared
-    compared = [shots[k] for k in np.argsort(-now, kind="stable")[:most]]
+    largest_number = problem.tuning.advice.most_compared
+    compared = [shots[k] for k in np.argsort(-now, kind="stable")[:largest_number]]
     after = [add_shot(covariance, shot, variance_factor) for shot in compared]
-    then = [max(shot_error_px(each, changed) for each in compared) for changed in after]
+    then = [max(shot_error_px(candidate, changed) for candidate in compared) for changed in after]
     best = int(np.argmin(then))
     return _BestShot(compared[best], after[best], float(now.max()), then[best])
 
 
 def shot_error_px(shot: ForeseenShot, covariance: Float[np.ndarray, "f f"]) -> float:
-    """Root mean square length by which a rig of this covariance misses the shot's places."""
+    """Root mean square error, px, of the shot's points by a rig of this covariance."""
     variance = float(np.sum(shot.information * covariance))
-    return shot.sigma_px * float(np.sqrt(max(variance, 0.0) / shot.places))
+    return shot.sigma_px * float(np.sqrt(max(variance, 0.0) / shot.point_count))
 
 
 def add_shot(
     covariance: Float[np.ndarray, "f f"], shot: ForeseenShot, variance_factor: float
 ) -> Float[np.ndarray, "f f"]:
-    """The covariance with a shot added, whose noise is enlarged as that of the others was."""
+    """Covariance with a shot added, whose noise has the variance factor of the other shots."""
     gained = covariance @ (shot.information / variance_factor)
     after = np.linalg.solve(np.eye(len(covariance)) + gained, covariance)
     return 0.5 * (after + after.T)
@@ -192,13 +193,13 @@ def add_shot(
 def _lens_sigmas(
     problem: Problem, covariance: Float[np.ndarray, "f f"], cameras: tuple[str, ...]
 ) -> dict[str, float]:
-    """Standard deviations of what is free of the lenses, splines apart, as "camera.fx_px"."""
+    """Standard deviations of the free lens parameters without splines, as "camera.fx_px"."""
     names, scale = head_names(problem, cameras), np.ravel(problem.parametrization.lens_scale)
     free = np.flatnonzero(problem.free)
-    of_lens = free[free < len(scale)]
-    sigma = np.sqrt(np.diag(covariance)[: len(of_lens)])
+    lens_columns = free[free < len(scale)]
+    sigma = np.sqrt(np.diag(covariance)[: len(lens_columns)])
     return {
         names[k]: float(scale[k] * s)
-        for k, s in zip(of_lens, sigma, strict=True)
+        for k, s in zip(lens_columns, sigma, strict=True)
         if names[k].rpartition(".")[2] not in SPLINE_PARAMETERS
     }

@@ -1,7 +1,8 @@
-"""Cameras and lines in space refined together: bundle adjustment with lines.
+"""Joint refinement of cameras and lines in space: bundle adjustment with lines.
 
-Each matched line enters by the distances of its fragments, the sheet as a prior: its estimate and
-covariance (factors). joint_problem (what `calib.problem` solves) -> covariance (gauge, errors,
-noise) -> estimate -> refinement (rounds of matching, other starts); implicit_diff is the answer as
-a differentiable function of the observations. Source: Triggs et al.,
-"Bundle adjustment: a modern synthesis" (2000)."""
+The distances of each matched line's fragments are the observations; the calibration with the sheet
+is the prior (`factors`). `joint_problem` is the problem for `calib.problem.solver`; `covariance`
+determines gauge, errors and noise; `estimate` is one joint estimate; `refinement` runs rounds of
+matching and other starts. `implicit_diff` gives the solution as a differentiable function of the
+observations. Source: Triggs et al., "Bundle adjustment: a modern synthesis" (2000).
+"""

@@ -1,4 +1,4 @@
-"""A camera while it is being refined: pose and lens, and the small steps that change them."""
+"""State of a camera during refinement: pose and lens, and the small steps that change them."""
 
 from collections.abc import Sequence
 
@@ -13,25 +13,25 @@ from trinoc.geometry.lenses.registry import stack_lenses
 from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.precision import ArrayLike, array_namespace
 
-# numerical: a step of one in focal length doubles it; in the principal point it is so many pixels.
+# numerical: a unit step doubles the focal length and moves the principal point by 1000 px.
 PRINCIPAL_POINT_STEP_PX = 1000.0
 
 
 class CameraState(eqx.Module):
-    """One camera and what is free of it; those of a rig, and of many rigs, stack for `vmap`.
+    """State of one camera. The states of a rig, or of many rigs, stack for `vmap`.
 
     Fields
     ------
-    pose : where it stands.
-    lens : of one model for all cameras that stack (`stack_states`).
-    reach_mm : unit of length of a step: the distance at which the camera works.
-    pose_model : which parameters of the pose a step changes.
-    with_intrinsics : whether a step changes focal lengths and principal point too.
+    pose : pose of the camera.
+    lens : lens; of one model for all stacked cameras (`stack_states`).
+    working_distance_mm : unit of length of a step, about the distance of the scene.
+    pose_model : pose parameters that a step changes.
+    with_intrinsics : whether a step changes focal lengths and principal point, too.
     """
 
     pose: Pose
     lens: AbstractLens
-    reach_mm: Float[ArrayLike, ""]
+    working_distance_mm: Float[ArrayLike, ""]
     pose_model: PoseModel = eqx.field(static=True)
     with_intrinsics: bool = eqx.field(static=True)
 
@@ -42,28 +42,30 @@ class CameraState(eqx.Module):
 
     @property
     def matrix_px(self) -> Float[ArrayLike, "3 4"]:
-        """K [R | t] of undistorted pixels."""
+        """Projection matrix K [R | t] for undistorted pixels, (3, 4)."""
         return self.lens.matrix @ self.pose.cam_from_world
 
     def retract(self, delta: Float[ArrayLike, "p"]) -> "CameraState":
-        """This camera after a small step; zero leaves it as it is.
+        """Camera after a small step; a step of zero leaves it unchanged.
 
-        All entries are of one scale: radians, shares of `reach_mm`, shares of the focal
-        length, and thousands of pixels of the principal point.
+        All entries have similar scales: radians, shares of `working_distance_mm`, shares of the
+        focal length, and thousands of pixels of the principal point.
         """
         count = self.pose_model.size
-        pose = self.pose.retract(delta[:count], self.pose_model, self.reach_mm)
+        pose = self.pose.retract(delta[:count], self.pose_model, self.working_distance_mm)
         lens = self.lens
         if self.with_intrinsics:
             scaled = lens.with_focal_factor(1 + delta[count : count + 2])
             shift = PRINCIPAL_POINT_STEP_PX * delta[count + 2 : count + 4]
             lens = scaled.retract(jnp.concatenate([jnp.zeros_like(shift), shift]))
-        return CameraState(pose, lens, self.reach_mm, self.pose_model, self.with_intrinsics)
+        return CameraState(
+            pose, lens, self.working_distance_mm, self.pose_model, self.with_intrinsics
+        )
 
     def parameters(self, origin: "CameraState") -> Float[ArrayLike, "p"]:
         """Values of the named parameters, in degrees, millimetres and pixels.
 
-        Rigid motions are those from `origin`.
+        Rigid motions are relative to `origin`.
         """
         values = self.pose.model_parameters(self.pose_model, origin.pose)
         values = jnp.concatenate([jnp.degrees(values[:3]), values[3:]])
@@ -72,7 +74,7 @@ class CameraState(eqx.Module):
         return values
 
     def d_parameters_d_delta(self, origin: "CameraState") -> Float[ArrayLike, "p p"]:
-        """Jacobian of `parameters` with respect to a step from here."""
+        """Jacobian of `parameters` with respect to a step, (p, p)."""
         zero = jnp.zeros(len(self.names))
         return jax.jacfwd(lambda delta: self.retract(delta).parameters(origin))(zero)
 
@@ -80,31 +82,38 @@ class CameraState(eqx.Module):
 def camera_state(
     camera: Camera, pose_model: PoseModel, *, with_intrinsics: bool = False
 ) -> CameraState:
-    """The state of a camera before refinement."""
+    """State of a camera before refinement."""
     centre = camera.centre_world_mm
     xp = array_namespace(centre)
     rigid = pose_model is PoseModel.RIGID
-    reach = xp.sqrt(centre @ centre) if rigid else camera.distance_mm
+    working_distance = xp.sqrt(centre @ centre) if rigid else camera.distance_mm
     lens = camera.intrinsics.lens
-    return CameraState(camera.pose, lens, xp.asarray(reach), pose_model, with_intrinsics)
+    return CameraState(camera.pose, lens, xp.asarray(working_distance), pose_model, with_intrinsics)
 
 
 def stack_states(states: Sequence[CameraState]) -> CameraState:
-    """Several cameras along a new first axis. Raises InputError where their lenses do not stack."""
+    """Several cameras along a new first axis. Raises InputError if their lenses do not stack."""
     lens = stack_lenses([state.lens for state in states])
-    alike = [eqx.tree_at(lambda state: state.lens, state, states[0].lens) for state in states]
-    xp = array_namespace(alike, lens)
-    stacked = jax.tree.map(lambda *leaves: xp.stack(leaves).astype(float), *alike)
+    with_first_lens = [
+        eqx.tree_at(lambda state: state.lens, state, states[0].lens) for state in states
+    ]
+    xp = array_namespace(with_first_lens, lens)
+    stacked = jax.tree.map(lambda *leaves: xp.stack(leaves).astype(float), *with_first_lens)
     lens = jax.tree.map(lambda leaf: xp.asarray(leaf, float), lens)
     return eqx.tree_at(lambda state: state.lens, stacked, lens)
 
 
 def camera_of_state(state: CameraState, start: Camera) -> Camera:
-    """The camera of a refined state; what refinement does not touch comes from `start`."""
+    """Camera of a refined state; properties that are not refined come from `start`."""
     if not state.with_intrinsics:
         return Camera(start.intrinsics, state.pose)
-    own, refined = start.intrinsics.lens, state.lens
-    lens = type(own)(
-        refined.focal_length_px, refined.principal_point_px, refined.skew_px, own.coefficients
+    start_lens, refined = start.intrinsics.lens, state.lens
+    lens = type(start_lens)(
+        refined.focal_length_px,
+        refined.principal_point_px,
+        refined.skew_px,
+        start_lens.coefficients,
     )
-    return Camera(eqx.tree_at(lambda given: given.lens, start.intrinsics, lens), state.pose)
+    return Camera(
+        eqx.tree_at(lambda intrinsics: intrinsics.lens, start.intrinsics, lens), state.pose
+    )

@@ -1,17 +1,17 @@
-"""What is known of cameras and segments at the end, and what segments alone cannot say.
+"""Covariance of refined cameras and segments, and the gauge that segments do not determine.
 
-Cameras: the information that eliminating the lines leaves, inverted where it determines anything;
-where the rig stands, how it is turned, and its scale may be free. Segments: for known cameras a
-segment is the maximum-likelihood pair of ends of its fragments (`geometry.triangulation`), with its
-own covariance H^-1. By the implicit function theorem the ends follow the cameras as
-dX = -H^-1 (J_X^T W J_c) dc, so that the covariance of several segments is block-diagonal in their
-own parts plus A S A^T with S the covariance of the cameras' parameters: the part that does not
-average out over segments.
+Cameras: the information with the lines eliminated, inverted on the directions that it determines.
+Position, orientation and scale of the rig may be undetermined. Segments: for known cameras a
+segment is the maximum-likelihood pair of ends of its fragments (`geometry.triangulation`), with
+covariance H^-1. By the implicit function theorem the ends follow the cameras as dX = -H^-1 (J_X^T W
+J_c) dc. So the covariance of several segments is block-diagonal in their independent parts, plus A
+S A^T with S the covariance of the cameras' parameters: the part that does not average out over
+segments.
 
-How noisy segments and sheet are is estimated and not assumed, by Helmert's estimator: the weighted
-squared residuals of a group over its redundancy, which is its number of observations less the
-trace of its share in the estimate. Source: K.-R. Koch, Parameter Estimation and Hypothesis Testing
-in Linear Models, 1999, section 3.6.
+The noise of segments and sheet is estimated by Helmert's estimator: the weighted squared residuals
+of a group over its redundancy, which is the number of its observations minus the trace of its share
+in the estimate. Source: K.-R. Koch, Parameter Estimation and Hypothesis Testing in Linear Models,
+1999, section 3.6.
 """
 
 import contextlib
@@ -30,18 +30,18 @@ from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.small_matrices import inverse_positive_definite
 from trinoc.numerics.tails import chi_square_limit
 
-# numerical: share of the largest eigenvalue of the unit-diagonal information below which a
-# direction is free: rounding leaves 1e-13 or so, and anything real stays far above.
+# numerical: directions with a smaller share of the largest eigenvalue of the unit-diagonal
+# information are undetermined: rounding leaves about 1e-13, and determined directions far more.
 FREE_EIGENVALUE = 1e-10
 RIGID_GAUGE = "position, orientation and scale of the whole rig"
 AIMED_GAUGE = "orientation and scale of the whole rig"
 
 
 class DeterminedPart(NamedTuple):
-    """Rank and covariance of the cameras' steps, and the name of what is free.
+    """Rank and covariance of the cameras' steps, and the name of the undetermined directions.
 
-    The covariance is that on the determined directions (the pseudo-inverse in scaled
-    coordinates): the inner constraints of a free network, no datum being preferred.
+    The covariance is that of the determined directions (the pseudo-inverse in scaled coordinates):
+    the inner constraints of a free network.
     """
 
     rank: int
@@ -52,38 +52,46 @@ class DeterminedPart(NamedTuple):
 def determined_part(
     information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
 ) -> DeterminedPart:
-    """Rank, covariance and gauge of the reduced information of all cameras' steps.
+    """Rank, covariance and gauge from the reduced information of all cameras' steps.
 
-    sheet_information : what of it is the sheet's. Its weak directions (a lens and a distance that
-    err together) are no gauge, so that directions are compared in its own units.
+    sheet_information : the sheet's part of it. Its weak directions (correlated errors of lens and
+        distance) are no gauge, so directions are compared in units of the sheet's sigmas.
     """
     units = _units(information, sheet_information)
-    within = units.T @ information @ units
-    scale = _positive_root(np.diag(within))
-    values, vectors = np.linalg.eigh(within / scale[:, None] / scale[None, :])
-    kept = values > FREE_EIGENVALUE * values[-1]
-    by_direction = (units / scale) @ vectors[:, kept]
-    free = int((~kept).sum())
-    gauge = {0: "", 4: AIMED_GAUGE, 7: RIGID_GAUGE}.get(free, f"{free} directions of the cameras")
-    return DeterminedPart(int(kept.sum()), (by_direction / values[kept]) @ by_direction.T, gauge)
+    scaled_information = units.T @ information @ units
+    scale = _positive_root(np.diag(scaled_information))
+    values, vectors = np.linalg.eigh(scaled_information / scale[:, None] / scale[None, :])
+    is_determined = values > FREE_EIGENVALUE * values[-1]
+    by_direction = (units / scale) @ vectors[:, is_determined]
+    undetermined = int((~is_determined).sum())
+    gauge = {0: "", 4: AIMED_GAUGE, 7: RIGID_GAUGE}.get(
+        undetermined, f"{undetermined} directions of the cameras"
+    )
+    return DeterminedPart(
+        int(is_determined.sum()), (by_direction / values[is_determined]) @ by_direction.T, gauge
+    )
 
 
 def _units(
     information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
 ) -> Float[np.ndarray, "k k"]:
-    """Steps of one sigma of the sheet, where it speaks; else steps that are independent."""
+    """Steps of one sigma of the sheet's prior where it has one; else independent steps."""
     units = np.diag(1 / _positive_root(np.diag(information)))
-    known = np.flatnonzero(np.diag(sheet_information) > 0)
-    if len(known):
-        scale = np.sqrt(np.diag(sheet_information)[known])
-        own = sheet_information[np.ix_(known, known)] / np.outer(scale, scale)
+    has_prior = np.flatnonzero(np.diag(sheet_information) > 0)
+    if len(has_prior):
+        scale = np.sqrt(np.diag(sheet_information)[has_prior])
+        prior_correlation = sheet_information[np.ix_(has_prior, has_prior)] / np.outer(scale, scale)
         with contextlib.suppress(np.linalg.LinAlgError):
-            units[np.ix_(known, known)] = np.linalg.inv(np.linalg.cholesky(own)).T / scale[:, None]
+            units[np.ix_(has_prior, has_prior)] = (
+                np.linalg.inv(np.linalg.cholesky(prior_correlation)).T / scale[:, None]
+            )
     return units
 
 
 def _positive_root(diagonal: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """A direction of which nothing is known at all must not divide by nothing."""
+    """Square root with a positive minimum, so that undetermined directions do not
+    divide by zero.
+    """
     return np.sqrt(np.maximum(diagonal, 1e-30 * diagonal.max() or 1.0))
 
 
@@ -93,7 +101,7 @@ def segment_and_errors(
     covariance_px2: Float[ArrayLike, "v 4 4"],
     seen: Bool[ArrayLike, "v"],
 ) -> tuple[Float[ArrayLike, "2 3"], Float[ArrayLike, "6 6"], Float[ArrayLike, "6 k"]]:
-    """Ends (mm), own covariance (mm^2), and Jacobian of the ends by all cameras' steps."""
+    """Ends (mm), independent covariance (mm^2), and Jacobian of the ends by all cameras' steps."""
     fragments_px = jnp.where(seen[:, None, None], fragments_px, 0.0)
     identity = jnp.eye(4, dtype=covariance_px2.dtype)
     covariance_px2 = jnp.where(seen[:, None, None], covariance_px2, identity[None])
@@ -126,22 +134,22 @@ def segment_factor(
     cameras_trace: float,
     tuning: CalibTuning,
 ) -> tuple[float, Bool[np.ndarray, "t v"]]:
-    """(factor on the sigma of segments, the fragments it is from) by tracks that fit as a whole.
+    """Factor of the segments' sigmas, and the fragments that it is estimated from.
 
-    `cameras_trace` is the trace of the segments' share in the cameras' estimate. A track with
-    n views leaves 2 n - 4 distances for the noise; two views leave none. With less than one in all
-    the claimed sigmas are kept.
+    cameras_trace : trace of the segments' share in the cameras' estimate. Only tracks that fit as a
+        whole are used. A track with n views has 2 n - 4 redundant distances; two views have none.
+        With less than one in total the stated sigmas are kept.
     """
-    # Of the two distances of a fragment's ends.
+    # Limit for the two distances of a fragment's ends.
     inlier_squared = chi_square_limit(tuning.bundle.outlier_chance, 2)
     factor = 1.0
     for _ in range(10):
         inlier = seen & (squared <= inlier_squared * max(factor, 1e-3) ** 2)
-        whole = (inlier == seen).all(axis=1) & (seen.sum(axis=1) >= 3)
-        redundancy = (2 * seen[whole].sum(axis=1) - 4).sum() - cameras_trace
+        all_inliers = (inlier == seen).all(axis=1) & (seen.sum(axis=1) >= 3)
+        redundancy = (2 * seen[all_inliers].sum(axis=1) - 4).sum() - cameras_trace
         if redundancy < 1:
             return 1.0, inlier
-        update = float(np.sqrt(squared[whole].sum() / redundancy))
+        update = float(np.sqrt(squared[all_inliers].sum() / redundancy))
         if abs(update - factor) < 1e-4 * factor:
             break
         factor = update
@@ -149,10 +157,10 @@ def segment_factor(
 
 
 def sheet_factor(chi_square: float, redundancy: float, tuning: CalibTuning) -> float:
-    """Factor on the sheet's sigmas from its own fit and from how far segments pulled it.
+    """Factor of the sheet's sigmas, from its own fit and from the change of the cameras by
+    segments.
 
-    With too little redundancy the claimed sigmas are kept: a factor from a handful of numbers
-    would be noise itself.
+    With little redundancy the stated sigmas are kept: a factor from a few numbers would be noise.
     """
     if redundancy < tuning.bundle.fewest_for_sheet:
         return 1.0

@@ -1,16 +1,16 @@
-"""One joint estimate: cameras and lines of maximum likelihood for given tracks, and their errors.
+"""One joint estimate: maximum-likelihood cameras and lines for given tracks, with their errors.
 
-How probable cameras and matches are together, so that one matching can be held against another: of
-a line's n fragments any two agree, whatever the cameras: they place the line. Each further one is
-either of this line, with the normal density of its squared distance s, or clutter that chance put
-there, whose density is that of a right one c sigma off (c^2 is the ceiling of the robust loss rho).
-Against the same fragments all being clutter the line gains, in log likelihood,
+The log posterior of cameras and matches compares one matching with another. Any two fragments of a
+line agree, whatever the cameras: they determine the line. Each further fragment either belongs to
+this line, with the normal density of its squared distance s, or is clutter. The density of clutter
+is that of a correct fragment at c sigma, where c^2 is the ceiling of the robust loss rho. Relative
+to all n fragments being clutter, the line gains a log likelihood of
 
-    1/2 max(0, (n - 2) c^2 - sum over its fragments of rho(s)),
+    1/2 max(0, (n - 2) c^2 - sum over its fragments of rho(s)).
 
-nothing in two views and nothing where a fragment is wrong, and the sheet takes half the squared
-distance by which the cameras left its estimate. What is common to all matchings of one set of
-segments is left out. Sigmas are those claimed, the same for all that are compared.
+This is zero in two views, and zero if a fragment is wrong. Half the squared distance of the cameras
+from the sheet's estimate is subtracted. Terms that all matchings of the same segments share are
+omitted. Sigmas are the stated ones, equal for all compared matchings.
 """
 
 from typing import NamedTuple
@@ -51,27 +51,32 @@ from trinoc.numerics.precision import ArrayLike, as_numpy
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
-# numerical: sigma, in mm or px, of what a calibration held in its place, such as an aim or a lens:
-# it stays there in the cameras that did not move. No segment can tell it from zero.
-HELD_SIGMA = 1e-3
+# numerical: sigma, in mm or px, of parameters that the calibration fixed, such as an aim or a lens.
+# They stay fixed in cameras that did not move. Segments cannot distinguish it from zero.
+FIXED_SIGMA = 1e-3
 
 
 class FreeParameters(NamedTuple):
-    """What the caller wants refined, and the cameras for which the prior still holds.
+    """Estimated parameters, and the cameras whose prior still holds.
 
-    `aim_held` says that the aims of those stay where they are, the sheet knowing no error of
-    them; `lens_held` that lenses of which the prior says nothing stay what they are.
+    Fields
+    ------
+    pose_model : estimated parameters of each pose.
+    intrinsics : whether focal lengths and principal points are estimated.
+    trusted : names of the cameras whose prior holds.
+    aim_fixed : whether the aims of these are fixed, because the sheet's prior has no error of them.
+    lens_fixed : whether lenses without a prior are fixed.
     """
 
     pose_model: PoseModel
     intrinsics: bool
     trusted: tuple[str, ...]
-    aim_held: bool = False
-    lens_held: bool = False
+    aim_fixed: bool = False
+    lens_fixed: bool = False
 
-    def holds_aims_of(self, rig: Rig) -> bool:
-        """Whether no aim of a rig can change, so that the answer need not tell them."""
-        return self.aim_held and set(self.trusted) >= set(rig.names)
+    def fixes_all_aims_of(self, rig: Rig) -> bool:
+        """True if no aim of a rig can change, so that the result need not contain aims."""
+        return self.aim_fixed and set(self.trusted) >= set(rig.names)
 
 
 def joint_estimate(
@@ -82,9 +87,10 @@ def joint_estimate(
     calibrated: CalibrationResult | Rig,
     tuning: CalibTuning,
 ) -> RefineResult:
-    """The estimate from the cameras of `rig`, what the sheet said being in `sheet_rig`.
+    """Joint estimate from the start `rig`, with the prior of `sheet_rig`.
 
-    `lines` have the rig's cameras in its order; `calibrated` knows how well the sheet fitted.
+    lines : observations with the rig's cameras in its order. calibrated : for the quality of the
+        sheet's fit.
     """
     tracks, lines_mm = _pad_tracks(lines)
     start = CamerasAndLines(_cameras(rig, choice), lines_mm)
@@ -99,17 +105,19 @@ def joint_estimate(
     trace_sheet = float(np.trace(fit.sheet_information @ determined.covariance))
     factor, inlier = segment_factor(squared, lines.seen, determined.rank - trace_sheet, tuning)
     sheet_chi_square = float(fit.sheet_chi_square)
-    own_chi_square, own_redundancy = _residuals_of_sheet(calibrated)
-    redundancy = own_redundancy + np.count_nonzero(np.diag(information)) - trace_sheet
-    sheet = sheet_factor(own_chi_square + sheet_chi_square, redundancy, tuning)
+    sheet_fit_chi_square, sheet_fit_redundancy = _residuals_of_sheet(calibrated)
+    redundancy = sheet_fit_redundancy + np.count_nonzero(np.diag(information)) - trace_sheet
+    sheet = sheet_factor(sheet_fit_chi_square + sheet_chi_square, redundancy, tuning)
 
     segment_information = fit.information - fit.sheet_information
     weighted = factor**-2 * segment_information + sheet**-2 * fit.sheet_information
     determined = determined_part(weighted, fit.sheet_information)
-    every = [f"{camera}.{name}" for camera in rig.names for name in sheet_cameras.names]
-    kept = np.flatnonzero([not choice.holds_aims_of(rig) or ".aim_" not in name for name in every])
-    names = tuple(every[i] for i in kept)
-    covariance = (fit.by_step @ determined.covariance @ fit.by_step.T)[np.ix_(kept, kept)]
+    all_names = [f"{camera}.{name}" for camera in rig.names for name in sheet_cameras.names]
+    reported = np.flatnonzero(
+        [not choice.fixes_all_aims_of(rig) or ".aim_" not in name for name in all_names]
+    )
+    names = tuple(all_names[i] for i in reported)
+    covariance = (fit.by_step @ determined.covariance @ fit.by_step.T)[np.ix_(reported, reported)]
     refined = {
         name: camera_of_state(jax.tree.map(lambda leaf, v=v: leaf[v], fit.cameras), rig[name])
         for v, name in enumerate(rig.names)
@@ -118,18 +126,20 @@ def joint_estimate(
     if fit.converged:
         status = RefineStatus.GAUGE_FREE if determined.gauge else RefineStatus.CONVERGED
     probability = log_posterior(squared, lines.seen, sheet_chi_square, loss)
-    known = not determined.gauge and choice.pose_model is not PoseModel.RIGID
-    own = factor**2 * fit.fragment_covariance_mm2[:count]
+    has_covariance = not determined.gauge and choice.pose_model is not PoseModel.RIGID
+    segment_covariance = factor**2 * fit.fragment_covariance_mm2[:count]
     return RefineResult(
         status,
-        Rig(refined, parameters=names, covariance=covariance) if known else Rig(refined),
+        Rig(refined, parameters=names, covariance=covariance) if has_covariance else Rig(refined),
         names,
-        fit.values.reshape(-1)[kept],
+        fit.values.reshape(-1)[reported],
         covariance,
-        UncertainLines(fit.ends_mm[:count], own, fit.by_cameras[:count], determined.covariance),
+        UncertainLines(
+            fit.ends_mm[:count], segment_covariance, fit.by_cameras[:count], determined.covariance
+        ),
         inlier,
         np.where(lines.seen, np.sqrt(squared), np.nan),
-        determined.rank - (len(every) - len(kept)),
+        determined.rank - (len(all_names) - len(reported)),
         determined.gauge,
         factor,
         sheet,
@@ -144,16 +154,18 @@ def joint_estimate(
 def squared_distances_with_rig(
     rig: Rig, lines: LineObservations, choice: FreeParameters
 ) -> Float[np.ndarray, "t v"]:
-    """Squared distances of fragments, in sigmas, from the lines that they give with a rig."""
-    found = _squared_distances_from_segments(_cameras(rig, choice), _pad_tracks(lines)[0])
-    squared = np.asarray(found)[: len(lines)]
+    """Squared distances, in sigmas, of fragments from the lines that they determine with a rig, (t,
+    v).
+    """
+    distances = _squared_distances_from_segments(_cameras(rig, choice), _pad_tracks(lines)[0])
+    squared = np.asarray(distances)[: len(lines)]
     return np.where(np.isfinite(squared), squared, np.inf)
 
 
 def _pad_tracks(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarray, "t 2 3"]]:
-    """Fragments and lines, in a number of tracks for which a program is kept."""
+    """Fragments and lines, padded to a number of tracks with a compiled program."""
     seen = lines.seen[:, :, None, None]
-    # What is not seen may hold anything: give it numbers that derivatives survive.
+    # Unobserved fragments may contain anything: replace them by values with finite derivatives.
     fragments = np.where(seen, lines.fragments_px, np.array([[0.0, 0.0], [1.0, 0.0]]))
     covariance = np.where(seen, lines.covariance_px2, np.eye(4))
     size, lines_mm = bucket(len(lines), finer_above=4096), np.asarray(lines.lines_mm, float)
@@ -172,7 +184,7 @@ def _cameras(rig: Rig, choice: FreeParameters) -> CameraState:
             for camera in rig.cameras
         ]
     )
-    if not np.isfinite(np.asarray(cameras.reach_mm)).all():
+    if not np.isfinite(np.asarray(cameras.working_distance_mm)).all():
         raise InputError(
             f'The rig cannot be refined with the pose model "{choice.pose_model.option_name}", '
             'because a camera\'s axis does not meet the sheet in front of it: use "rigid".'
@@ -183,46 +195,47 @@ def _cameras(rig: Rig, choice: FreeParameters) -> CameraState:
 def prior_information(
     rig: Rig, parameters: tuple[str, ...], choice: FreeParameters
 ) -> Float[np.ndarray, "k k"]:
-    """The prior's information on the trusted cameras and all lenses: their covariance, inverted.
+    """Prior information on the trusted cameras and all lenses: the inverse of their covariance, (k,
+    k).
 
-    `parameters` are those of each camera. A camera that was knocked keeps its lens.
+    parameters : names of the parameters of each camera. A knocked camera keeps its lens.
     """
     names = [f"{camera}.{name}" for camera in rig.names for name in parameters]
     information = np.zeros((len(names), len(names)))
-    of_lens = np.array([name.rpartition(".")[2] in AFFINE_PARAMETERS for name in names])
-    trusted = np.repeat(np.isin(rig.names, choice.trusted), len(parameters)) | of_lens
+    is_lens = np.array([name.rpartition(".")[2] in AFFINE_PARAMETERS for name in names])
+    trusted = np.repeat(np.isin(rig.names, choice.trusted), len(parameters)) | is_lens
     stated = np.isin(names, rig.parameters)
-    known = np.flatnonzero(trusted & stated)
-    if len(known):
-        covariance = rig.covariance_of([names[i] for i in known])
+    has_prior = np.flatnonzero(trusted & stated)
+    if len(has_prior):
+        covariance = rig.covariance_of([names[i] for i in has_prior])
         if not np.isfinite(covariance).all():
             raise InputError(
                 "The covariance of the rig is not finite: calibrate so that all parameters are "
                 "determined, or give the rig without a covariance."
             )
-        covariance = covariance + np.diag(HELD_SIGMA**2 * of_lens[known])
+        covariance = covariance + np.diag(FIXED_SIGMA**2 * is_lens[has_prior])
         scale = np.sqrt(np.diag(covariance))
         inverse = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
-        information[np.ix_(known, known)] = inverse
-    if choice.aim_held:
+        information[np.ix_(has_prior, has_prior)] = inverse
+    if choice.aim_fixed:
         aims = [i for i, name in enumerate(names) if trusted[i] and ".aim_" in name]
-        information[aims, aims] = HELD_SIGMA**-2
-    if choice.lens_held:
-        held = np.flatnonzero(of_lens & ~stated)
-        information[held, held] = HELD_SIGMA**-2
+        information[aims, aims] = FIXED_SIGMA**-2
+    if choice.lens_fixed:
+        fixed = np.flatnonzero(is_lens & ~stated)
+        information[fixed, fixed] = FIXED_SIGMA**-2
     return information
 
 
 class _Fit(NamedTuple):
-    """Where the minimisation ended, and what is read off there.
+    """End of the minimisation, and quantities evaluated there.
 
     Fields
     ------
-    cost, first_cost : by the loss at its last width, at the end and at the start.
-    squared : of every fragment's distance, in sigmas.
-    information : (k, k) on the cameras' steps, which `sheet_information` is a part of.
-    by_step, values : of the public parameters.
-    fragment_covariance_mm2, by_cameras : of the segments' ends, by the noise as it was claimed.
+    cost, first_cost : by the loss of final width, at the end and at the start.
+    squared : squared distance of every fragment, in sigmas.
+    information : (k, k) on the cameras' steps; `sheet_information` is a part of it.
+    by_step, values : Jacobian and values of the public parameters.
+    fragment_covariance_mm2, by_cameras : of the segments' ends, by the stated noise.
     """
 
     cameras: CameraState
@@ -249,10 +262,10 @@ def _fit(
     loss: GemanMcClure,
     widenings: Float[ArrayLike, "r"],
 ) -> _Fit:
-    """The minimum under a loss that narrows step by step, in one program.
+    """Minimum under a loss that narrows step by step, as one program.
 
     The loss is `widenings` times as wide from round to round; costs are those of `loss` itself.
-    Where it does not converge, everything is that of the start.
+    Without convergence, the result is the start.
     """
     start = jax.tree.map(jnp.asarray, start)
     parameters = jax.vmap(lambda camera, origin: camera.parameters(origin))
@@ -260,8 +273,8 @@ def _fit(
     problem = JointProblem(tracks.in_three_views(), prior, loss)
 
     def narrower(state: CamerasAndLines, widening: Array) -> tuple[CamerasAndLines, tuple]:
-        wide = JointProblem(problem.tracks, prior, loss.widen(widening))
-        solution = solve(wide, state)
+        wide_problem = JointProblem(problem.tracks, prior, loss.widen(widening))
+        solution = solve(wide_problem, state)
         return solution.state, (solution.cost, solution.converged)
 
     end, (costs, converged) = jax.lax.scan(narrower, start, jnp.asarray(widenings))
@@ -271,30 +284,32 @@ def _fit(
     converged = converged[-1] & jnp.isfinite(costs[-1])
     end = jax.tree.map(lambda a, b: jnp.where(without_sheet, a, b), scaled, end)
     end = jax.tree.map(lambda a, b: jnp.where(converged, a, b), end, start)
-    of_sheet = prior.normal_equations(end.cameras)
-    ends_mm, own, by_cameras = jax.vmap(segment_and_errors, (None, 0, 0, 0))(end.cameras, *tracks)
+    sheet = prior.normal_equations(end.cameras)
+    ends_mm, covariance_mm2, by_cameras = jax.vmap(segment_and_errors, (None, 0, 0, 0))(
+        end.cameras, *tracks
+    )
     return _Fit(
         end.cameras,
         converged,
         costs[-1],
         JointProblem(tracks, prior, loss).cost(start),
         squared_distances(end, tracks),
-        problem.line_information(end) + of_sheet.information,
-        of_sheet.information,
+        problem.line_information(end) + sheet.information,
+        sheet.information,
         prior.cost(end.cameras),
-        of_sheet.by_step,
+        sheet.by_step,
         parameters(end.cameras, sheet_cameras),
         ends_mm,
-        own,
+        covariance_mm2,
         by_cameras,
     )
 
 
 def _restore_scale(start: CamerasAndLines, end: CamerasAndLines) -> CamerasAndLines:
-    """Rig and lines scaled so that the centres spread as they did at the start.
+    """Rig and lines scaled so that the spread of the centres is that of the start.
 
-    Without a sheet nothing measures the scale: it stays as it was, exactly. Cameras that aim
-    at the origin still do so.
+    Without a sheet the scale is not observable and stays exactly as it was. Cameras that aim at the
+    origin still do.
     """
 
     def centres_and_spread(cameras: CameraState) -> tuple[Array, Array]:
@@ -323,7 +338,7 @@ def _squared_distances_from_segments(
 
 
 def _residuals_of_sheet(calibrated: CalibrationResult | Rig) -> tuple[float, float]:
-    """(chi-square, redundancy) of the calibration's own fits; nothing where they are not known."""
+    """Chi-square and redundancy of the calibration's fits; zero if unknown."""
     if isinstance(calibrated, Rig):
         return 0.0, 0.0
     fits = calibrated.fits.values()
@@ -338,9 +353,9 @@ def log_posterior(
     sheet_chi_square: float,
     loss: GemanMcClure,
 ) -> float:
-    """Log posterior of cameras and tracks against cameras at the sheet's estimate and no track.
+    """Log posterior of cameras and tracks, relative to the sheet's estimate without tracks.
 
-    `squared` are the fragments' squared distances from their lines in sigmas, which `loss` bounds.
+    squared : squared distances of the fragments from their lines in sigmas. loss : bounds them.
     """
     costs = np.where(seen, loss.rho(squared), 0.0).sum(axis=1)
     gains = (seen.sum(axis=1) - 2) * loss.ceiling - costs

@@ -1,15 +1,15 @@
-"""What cameras and lines are held against, for one item: a line seen in a view, and a sheet.
+"""Residuals for one item: a line observed in an image, and the prior of the cameras from the sheet.
 
-A line is held by two anchor points X1, X2 on it. Near it, any line that is not at right angles to
-it cuts the two planes through the anchors normal to the line, each in one point: two offsets in
-either plane are a chart (the minimal parametrisation of a line; compare Bartoli and Sturm 2005,
-doi:10.1016/j.cviu.2005.06.001). After a step the chart is laid anew.
+A line is represented by two anchor points X1, X2 on it. Any line near it cuts the two planes
+through the anchors normal to it in one point each. Two offsets in each plane are local coordinates,
+the minimal parametrization of a line (compare Bartoli and Sturm 2005,
+doi:10.1016/j.cviu.2005.06.001). After a step new coordinates are defined.
 
-Only the distances of a fragment's ends across the line count: where a fragment ends along the line
-says how the detector cut it, not where the camera stands.
+Only the distances of a fragment's ends across the line are used: the position of an end along the
+line depends on the detector, not on the camera.
 
-The sheet's own fit and its covariance hold all that its pictures say of the cameras, to second
-order about the estimate, the systematic errors shared by cameras included.
+The sheet's estimate and covariance contain the information of its images on the cameras, to second
+order, including systematic errors that the cameras share.
 """
 
 from typing import NamedTuple
@@ -29,14 +29,14 @@ from trinoc.geometry.lines import (
 from trinoc.geometry.projection import project_by_matrix
 from trinoc.numerics.precision import ArrayLike
 
-# numerical: how many parameters of a pose are angles.
+# numerical: number of angles in a pose.
 ANGLES = 3
 
 
 def complete_basis(direction: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2 3"]:
-    """Two unit vectors that complete a direction to an orthogonal basis."""
+    """Two unit vectors that complete a direction to an orthogonal basis, (2, 3)."""
     axis = direction / jnp.sqrt(direction @ direction)
-    # The coordinate axis that is most across the direction cannot be parallel to it.
+    # The coordinate axis with the largest angle to the direction cannot be parallel to it.
     across = jnp.eye(3)[jnp.argmin(jnp.abs(axis))]
     first = jnp.cross(axis, across)
     first = first / jnp.sqrt(first @ first)
@@ -46,7 +46,7 @@ def complete_basis(direction: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2 3"]:
 def retract_line(
     anchors_mm: Float[ArrayLike, "2 3"], offsets_mm: Float[ArrayLike, "4"]
 ) -> Float[ArrayLike, "2 3"]:
-    """Where the anchors go under the four offsets (two across the line at each anchor)."""
+    """Anchors of a line after four offsets (two across the line at each anchor), (2, 3)."""
     return anchors_mm + offsets_mm.reshape(2, 2) @ complete_basis(anchors_mm[1] - anchors_mm[0])
 
 
@@ -56,10 +56,9 @@ def line_residual(
     fragment_px: Float[ArrayLike, "2 2"],
     covariance_px2: Float[ArrayLike, "4 4"],
 ) -> Float[ArrayLike, "2"]:
-    """Signed distances of a fragment's ends across the image of the line, made independent, in
-    sigmas.
+    """Signed distances of a fragment's ends from the image of the line, whitened, in sigmas, (2,).
 
-    They are measured among undistorted pixels, where the line is straight.
+    They are measured in undistorted pixels, where the line is straight.
     """
     image = jax.vmap(project_by_matrix, (None, 0))(camera.matrix_px, anchors_mm)
     line = line_through(image[0], image[1])
@@ -71,7 +70,9 @@ def line_residual(
 def whiten_across(
     fragment_px: Float[ArrayLike, "2 2"], covariance_px2: Float[ArrayLike, "4 4"]
 ) -> Float[ArrayLike, "2 2"]:
-    """W with W S W^T = I for the covariance S of the two ends' distances across the fragment."""
+    """W with W S W^T = I for the covariance S of the ends' distances across the
+    fragment, (2, 2).
+    """
     direction = fragment_px[1] - fragment_px[0]
     direction = direction / jnp.sqrt(direction @ direction)
     normal = jnp.stack([-direction[1], direction[0]])
@@ -92,10 +93,10 @@ def line_from_two_views(
     fragments_px: Float[ArrayLike, "v 2 2"],
     seen: Bool[ArrayLike, "v"],
 ) -> Float[ArrayLike, "2 3"]:
-    """Anchors of a line that two views show, where the planes of its two fragments meet.
+    """Anchors of a line in two views: the intersection of the planes of its two fragments, (2, 3).
 
-    They are the points of that line nearest to `anchors_mm`. A line that more views show stays, as
-    does one whose two planes coincide.
+    They are the points of that line nearest to `anchors_mm`. A line in more views, or with
+    coincident planes, stays unchanged.
     """
 
     def plane(camera: CameraState, fragment_px: ArrayLike) -> ArrayLike:
@@ -112,12 +113,12 @@ def line_from_two_views(
 
 
 class PriorEquations(NamedTuple):
-    """What the prior says at given cameras.
+    """Normal equations of the prior at given cameras.
 
     Fields
     ------
     by_step : (k, k) derivatives of all public parameters by all cameras' steps.
-    information, gradient : (k, k) and (k,) by those steps.
+    information, gradient : (k, k) and (k,) by these steps.
     """
 
     by_step: Float[ArrayLike, "k k"]
@@ -130,9 +131,9 @@ class PosePrior(NamedTuple):
 
     Fields
     ------
-    values : (v, p) x0.
+    values : (v, p) prior mean x0.
     information : (k, k) L, the inverse of the covariance of x0; zeros for no prior.
-    start : the cameras from which small motions are counted.
+    start : cameras relative to which small motions are measured.
     """
 
     values: Float[ArrayLike, "v p"]
@@ -140,7 +141,7 @@ class PosePrior(NamedTuple):
     start: CameraState
 
     def difference(self, cameras: CameraState) -> Float[ArrayLike, "k"]:
-        """x - x0, with angles taken modulo a full turn."""
+        """x - x0, (k,), with angles modulo a full turn."""
         values = jax.vmap(lambda camera, start: camera.parameters(start))(cameras, self.start)
         difference = values - self.values
         turns = (difference[:, :ANGLES] + 180) % 360 - 180
@@ -152,13 +153,13 @@ class PosePrior(NamedTuple):
         return difference @ self.information @ difference
 
     def normal_equations(self, cameras: CameraState) -> PriorEquations:
-        """By the step of the cameras."""
+        """Normal equations by the step of the cameras."""
         by_step = d_parameters_d_delta(cameras, self.start)
         weighted = by_step.T @ self.information
         return PriorEquations(by_step, weighted @ by_step, weighted @ self.difference(cameras))
 
 
 def d_parameters_d_delta(cameras: CameraState, start: CameraState) -> Float[ArrayLike, "k k"]:
-    """Block-diagonal Jacobian of all public parameters by all cameras' steps."""
+    """Block-diagonal Jacobian of all public parameters by all cameras' steps, (k, k)."""
     blocks = jax.vmap(lambda camera, origin: camera.d_parameters_d_delta(origin))(cameras, start)
     return jax.scipy.linalg.block_diag(*blocks)

@@ -1,11 +1,10 @@
 """Refined cameras and lines as a differentiable function of the observations.
 
-At the minimum the gradient of the cost is zero, whatever path led there; the implicit function
-theorem turns that into derivatives by fragments, by the sheet's estimate and by anything they
-were computed from, without differentiating the minimisation. In the chart laid at the minimum
-the true Hessian is an arrow, because a line is seen in its own fragments only: it is read off by
-as many products as there are unknowns of the cameras and of one line, and solved by eliminating
-the lines.
+At the minimum the gradient of the cost is zero. The implicit function theorem gives the derivatives
+by fragments, by the sheet's estimate and by all their inputs, without differentiating the
+minimisation. In local coordinates at the minimum the true Hessian is an arrow, because a line
+appears only in its own fragments. It is evaluated by as many products as there are unknowns of the
+cameras and of one line, and solved by eliminating the lines.
 """
 
 from typing import NamedTuple
@@ -28,13 +27,13 @@ from trinoc.numerics.block_arrow import BlockArrowSolver
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.robust_loss import AbstractRobustLoss
 
-# numerical: Newton's steps take the minimum, known to a share of a sigma, to rounding error. Steps
-# are of radians, shares of the distance, and mm.
+# numerical: Newton steps from an approximate minimum to rounding error. Steps are in radians,
+# shares of the distance, and mm.
 STEP_TOLERANCE, MOST_NEWTON_STEPS = 1e-9, 8
 
 
 class Offsets(NamedTuple):
-    """Steps of all cameras (k,) and of all lines (t, 4) in the charts at one point."""
+    """Steps of all cameras (k,) and of all lines (t, 4) in local coordinates at one point."""
 
     cameras: Float[ArrayLike, "k"]
     lines: Float[ArrayLike, "t 4"]
@@ -49,9 +48,22 @@ def refine_differentiably(
 ) -> tuple[CameraState, Float[ArrayLike, "t 2 3"]]:
     """Cameras and lines of least cost, differentiable by `tracks` and `prior`.
 
-    `prior` must hold the gauge, as a sheet does. Derivatives by the starting values are zero:
-    the minimum does not depend on them. A line that is at no minimum of its own (a wrong match
-    on the flank of the loss) counts as held. For use under `jit` and `grad`, in double precision.
+    Parameters
+    ----------
+    cameras, anchors_mm : start of the cameras and of the lines, (t, 2, 3). Derivatives by the start
+        are zero, since the minimum does not depend on it.
+    tracks : fragments of the lines.
+    prior : prior of the cameras, which must determine the gauge, as a sheet does.
+    loss : robust loss of the fragments' distances.
+
+    Returns
+    -------
+    The refined cameras and anchors.
+
+    Notes
+    -----
+    A line that is at no minimum of its own (a wrong match on the flank of the loss) is treated as
+    fixed. For use under `jit` and `grad`, in double precision.
     """
     problem = JointProblem(tracks.in_three_views(), prior, loss)
     start = CamerasAndLines(cameras, jnp.asarray(anchors_mm))
@@ -72,6 +84,6 @@ def refine_differentiably(
 
 
 def _gradient_of_cost(offsets: Offsets, args: tuple[CamerasAndLines, JointProblem]) -> Offsets:
-    """Gradient of half the cost by a move of cameras and lines from a point."""
+    """Gradient of half the cost by an offset of cameras and lines."""
     minimum, problem = args
     return jax.grad(lambda move: 0.5 * problem.cost(minimum.retract(*move)))(offsets)

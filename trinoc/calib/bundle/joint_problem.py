@@ -1,13 +1,13 @@
-"""Cameras and lines as one calibration problem: its cost, and equations that form an arrow.
+"""Cameras and lines as one least-squares problem whose normal equations form an arrow.
 
-For one track with Jacobians A_v (by the step of camera v) and B_v (by the four numbers of the
-line) the normal equations are
+For one track with Jacobians A_v (by the step of camera v) and B_v (by the four numbers of the line)
+the normal equations are
 
     [ A^T A   A^T B ] [ camera step ]     [ A^T r ]
     [ B^T A   B^T B ] [ line step   ] = - [ B^T r ]
 
 and their sum over tracks is an arrow: the cameras are its head, and each line is a block. 10,000
-lines are 40,000 unknowns, of which 18 stay once every line is eliminated.
+lines have 40,000 unknowns, of which 18 remain after eliminating the lines.
 """
 
 from typing import ClassVar, NamedTuple
@@ -31,9 +31,10 @@ from trinoc.numerics.small_matrices import log_determinant_positive_definite
 
 
 class FragmentTable(NamedTuple):
-    """Fragments of all tracks, padded, in pixels of the picture, with the covariance of their ends.
+    """Fragments of all tracks, padded, in pixels of the image, with the covariance of their ends.
 
-    A padding track is seen nowhere. What is not seen holds numbers that derivatives survive.
+    A padding track has no observation. Unobserved fragments contain numbers with finite
+    derivatives.
     """
 
     fragments_px: Float[ArrayLike, "t v 2 2"]
@@ -41,13 +42,13 @@ class FragmentTable(NamedTuple):
     seen: Bool[ArrayLike, "t v"]
 
     def in_three_views(self) -> "FragmentTable":
-        """Without the tracks that fewer than three views show: those agree with any cameras."""
+        """Table without the tracks in fewer than three views, which agree with any cameras."""
         enough = jnp.sum(self.seen, axis=1) >= 3
         return self._replace(seen=self.seen & enough[:, None])
 
 
 class CamerasAndLines(NamedTuple):
-    """The unknowns: cameras, and lines by two anchor points on each."""
+    """Unknowns: cameras, and lines by two anchor points each."""
 
     cameras: CameraState
     anchors_mm: Float[ArrayLike, "t 2 3"]
@@ -55,21 +56,21 @@ class CamerasAndLines(NamedTuple):
     def retract(
         self, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "t 4"]
     ) -> "CamerasAndLines":
-        """The state after a step of all cameras and of all lines in the charts laid here."""
-        views = self.cameras.reach_mm.shape[0]
+        """State after a step of all cameras and lines in the local coordinates here."""
+        views = self.cameras.working_distance_mm.shape[0]
         cameras = jax.vmap(CameraState.retract)(self.cameras, head.reshape(views, -1))
         return CamerasAndLines(cameras, jax.vmap(retract_line)(self.anchors_mm, blocks))
 
 
 class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
-    """Lines seen in views by a robust loss, and the cameras' prior.
+    """Least-squares problem of lines in images with a robust loss and the cameras' prior.
 
     Fields
     ------
-    tracks : of three views or more; a line that two show has as many distances as unknowns.
+    tracks : of three views or more; a line in two views has as many distances as unknowns.
     """
 
-    # Lines start near where their fragments have them.
+    # Lines start near their minimum.
     first_damping: ClassVar[float] = 1e-4
 
     tracks: FragmentTable
@@ -82,10 +83,10 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
         return Costs(self.prior.cost(state.cameras), of_tracks)
 
     def equations(self, state: CamerasAndLines) -> ArrowEquations:
-        """All tracks, weighted by the loss, and the prior.
+        """Equations of all tracks, weighted by the loss, with the prior.
 
-        A line that its views do not determine (or padding) is left out: it has no step, and its
-        fragments say nothing of the cameras.
+        A line that its views do not determine (or padding) is omitted: it has no step, and its
+        fragments have no effect on the cameras.
         """
         residual, by_camera, by_line = jax.vmap(_linearise_track, (None, 0, 0))(
             state.cameras, state.anchors_mm, self.tracks
@@ -101,62 +102,66 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
         view = jnp.arange(views)
         head = jnp.zeros((views, size, views, size))
         head = head.at[view, :, view, :].set(jnp.einsum("tvrp,tvrq->vpq", of_camera, by_camera))
-        known = self.prior.normal_equations(state.cameras)
+        prior_equations = self.prior.normal_equations(state.cameras)
         return ArrowEquations(
             jnp.sum(self.loss.rho(squared)) + self.prior.cost(state.cameras),
             BlockArrow(
-                head.reshape(views * size, -1) + known.information,
+                head.reshape(views * size, -1) + prior_equations.information,
                 jnp.einsum("tvrp,tvri->tvpi", by_camera, of_line).reshape(tracks, -1, 4),
                 blocks,
             ),
             (
-                jnp.einsum("tvrp,tvr->vp", of_camera, residual).reshape(-1) + known.gradient,
+                jnp.einsum("tvrp,tvr->vp", of_camera, residual).reshape(-1)
+                + prior_equations.gradient,
                 jnp.einsum("tvri,tvr->ti", of_line, residual),
             ),
         )
 
     def line_information(self, state: CamerasAndLines) -> Float[ArrayLike, "k k"]:
-        """What the lines tell of the cameras' steps while they are free, by Gauss and Newton.
+        """Information of the free lines on the cameras' steps (Gauss-Newton), (k, k).
 
-        The Schur complement of the equations, but made of their rows, from which those of each
-        line are projected out: the rounding of a difference of two informations would pass for
-        knowledge of the gauge.
+        It is the Schur complement of the equations, computed from their rows by projecting out
+        those of each line. Rounding in a difference of two informations would otherwise look like
+        information on the gauge.
         """
         residual, by_camera, by_line = jax.vmap(_linearise_track, (None, 0, 0))(
             state.cameras, state.anchors_mm, self.tracks
         )
         root = self.loss.root_weight(jnp.sum(jnp.square(residual), axis=-1))[..., None, None]
         tracks, views = residual.shape[:2]
-        every = jnp.einsum("tvrp,vw->tvrwp", root * by_camera, jnp.eye(views))
+        camera_rows = jnp.einsum("tvrp,vw->tvrwp", root * by_camera, jnp.eye(views))
         rows = jnp.concatenate(
-            [(root * by_line).reshape(tracks, 2 * views, 4), every.reshape(tracks, 2 * views, -1)],
+            [
+                (root * by_line).reshape(tracks, 2 * views, 4),
+                camera_rows.reshape(tracks, 2 * views, -1),
+            ],
             axis=2,
         )
         for _ in range(4):
-            own, rows = rows[..., :1], rows[..., 1:]
-            length = jnp.sqrt(jnp.sum(own**2, axis=1, keepdims=True))
-            unit = own / jnp.where(length > 0, length, 1.0)
+            line_row, rows = rows[..., :1], rows[..., 1:]
+            length = jnp.sqrt(jnp.sum(line_row**2, axis=1, keepdims=True))
+            unit = line_row / jnp.where(length > 0, length, 1.0)
             rows = rows - unit * jnp.sum(unit * rows, axis=1, keepdims=True)
         return jnp.einsum("tri,trj->ij", rows, rows)
 
     def retract(
         self, state: CamerasAndLines, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "t 4"]
     ) -> CamerasAndLines:
-        """The state after a step."""
+        """State after a step."""
         return state.retract(head, blocks)
 
 
 def squared_distances(state: CamerasAndLines, tracks: FragmentTable) -> Float[ArrayLike, "t v"]:
-    """Squared Mahalanobis distance of every fragment; 0 where not seen."""
+    """Squared Mahalanobis distance of every fragment, (t, v); 0 if unobserved."""
     by_view = jax.vmap(line_residual, (0, None, 0, 0))
     residual = jax.vmap(by_view, (None, 0, 0, 0))(*state, *tracks[:2])
     return jnp.where(tracks.seen, jnp.sum(jnp.square(residual), axis=-1), 0.0)
 
 
 def with_lines_of_two_views(state: CamerasAndLines, tracks: FragmentTable) -> CamerasAndLines:
-    """The state with the lines that two views show, which follow the cameras in closed form."""
-    place = jax.vmap(line_from_two_views, (None, 0, 0, 0))
-    return state._replace(anchors_mm=place(*state, tracks.fragments_px, tracks.seen))
+    """State with the lines in two views, which follow the cameras in closed form."""
+    lines_from_views = jax.vmap(line_from_two_views, (None, 0, 0, 0))
+    return state._replace(anchors_mm=lines_from_views(*state, tracks.fragments_px, tracks.seen))
 
 
 def _linearise_track(

@@ -1,9 +1,9 @@
-"""Refine a rig jointly against the sheet it was calibrated with and segments matched by it.
+"""Refine a rig jointly with its sheet calibration and with segments that were matched by it.
 
-Segments that match by chance agree with almost any rig once its cameras have been fitted to them,
-and no residual shows it: the matcher has chosen those that fit. So the refinement is run again from
-starts with one camera turned to each side. Those that end elsewhere show what chance is worth in
-this scene, and a right answer stands clear of them.
+Wrong matches agree with almost any rig after its cameras were fitted to them. No residual shows
+this, since the matcher has selected those that fit. Therefore the refinement is repeated from
+starts with one camera turned in each direction. Different results show the effect of chance in this
+scene; a correct result is clearly more probable than these.
 """
 
 import dataclasses
@@ -27,20 +27,20 @@ from trinoc.geometry.rotation import rotation_from_vector
 from trinoc.geometry.segments import LineObservations
 from trinoc.numerics.precision import as_numpy, in_float64
 
-# numerical: rounds of matching and refining, which end once nothing is gained.
+# numerical: largest number of rounds of matching and refining.
 MOST_ROUNDS = 8
 
 
 @runtime_checkable
 class MatchedTracks(Protocol):
-    """Anything that holds tracks of fragments, as the matcher's answer does."""
+    """Tracks of fragments, such as `Matches`."""
 
     def line_observations(self) -> LineObservations:
-        """The tracks as observations of lines."""
+        """Tracks as observations of lines."""
         ...
 
 
-# What to give where tracks are wanted.
+# Expected argument, for error messages.
 A_MATCH = "Matches, such as match_segments finds"
 Matcher = Callable[[Rig], MatchedTracks | LineObservations]
 
@@ -57,26 +57,36 @@ def refine(
     start: Rig | None = None,
     tuning: CalibTuning = TUNING,
 ) -> RefineResult:
-    """Cameras and 3-D lines of maximum likelihood, given a sheet's calibration and matches.
+    """Refine cameras and 3-D lines by maximum likelihood, from a sheet's calibration and matches.
 
-    `calibrated` is the result of a calibration, or a rig. A covariance of the rig is used as a
-    Gaussian prior. Without one the gauge (position, orientation and scale of the rig) is held,
-    and reported in `gauge`. `pose_model` is what may move in each camera: by default what the
-    covariance names, and any rigid motion without one. `free_lens` frees focal lengths and
-    principal points too: by default those that the covariance names, each with what it says.
-    `moved` names cameras that were knocked since: the prior no longer holds for them, and they
-    need not aim at the sheet's origin any more.
-    `match_again`, for example `lambda rig: trinoc.match_segments(segments, rig)`, is called
-    with each refined rig until the tracks stop changing; a round that lowers the log posterior
-    is not accepted. After a large knock give several, the most tolerant first (a larger
-    `sigma_px`): each refines the rig for the next, and the last decides.
+    Parameters
+    ----------
+    calibrated : result of a calibration, or a rig. The covariance of the rig is its Gaussian prior.
+        Without one the gauge (position, orientation and scale of the rig) stays fixed and is
+        reported in `gauge`.
+    matches : matched tracks, such as `Matches`. Cameras of the rig without matches are omitted.
+    pose_model : estimated parameters of each pose. Default: those in the covariance; any rigid
+        motion without one.
+    free_lens : whether focal lengths and principal points are estimated. Default: those in the
+        covariance, with their prior.
+    moved : names of cameras that were knocked since. They have no prior on the pose and need not
+        aim at the sheet's origin.
+    match_again : function that matches with a rig, for example `lambda rig:
+        trinoc.match_segments(segments, rig)`. It is called with each refined rig until the tracks
+        stop changing. A round that lowers the log posterior is rejected. After a large knock give
+        several functions, the most tolerant first (a larger `sigma_px`): each refines the rig for
+        the next.
+    start : start of the cameras, if it is not their calibrated poses.
+    tuning : constants of calibration; a benchmark or a study changes them.
 
-    `start` is where the cameras start from, where that is not where the sheet placed them.
-    `tuning` holds every tuned constant of calibration; a benchmark or a study changes them.
-    Cameras of the rig that the matches are not of are left out of the result.
+    Returns
+    -------
+    The refined rig and lines.
 
-    Raises InputError where matches and rig do not belong together, CalibrationError where no
-    track is left.
+    Raises
+    ------
+    InputError : matches and rig do not belong together.
+    CalibrationError : no track is left.
     """
     rig = calibrated.rig if isinstance(calibrated, CalibrationResult) else calibrated
     check_kind(rig, Rig, "rig", A_RIG)
@@ -84,19 +94,21 @@ def refine(
     unknown = sorted(set(moved) - set(rig.names))
     if unknown:
         raise InputError(
-            f"There is no camera {list_names(unknown)} that could have moved; the matches are of "
+            f"`moved` names {list_names(unknown)}, but the cameras of the matches are "
             f"{list_names(rig)}."
         )
     trusted = tuple(name for name in rig.names if name not in moved)
-    usual = _usual_pose_model(rig)
-    chosen = None if pose_model is None else PoseModel.of(pose_model)
-    # Aims that the sheet knows are held by their prior and not by another model: a knocked camera
-    # need not aim at the origin any more, and one program serves both.
-    aim_held = chosen is None and usual is PoseModel.AIMED
-    model = PoseModel.AIM_FREE if aim_held else chosen or usual
-    lens_is_open = any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
-    is_free = lens_is_open if free_lens is None else free_lens
-    choice = FreeParameters(model, is_free, trusted, aim_held, lens_held=free_lens is None)
+    usual_model = _usual_pose_model(rig)
+    requested_model = None if pose_model is None else PoseModel.of(pose_model)
+    # Aims are fixed by a narrow prior and not by another model: a knocked camera need not aim at
+    # the origin any more, and one program handles both.
+    aim_fixed = requested_model is None and usual_model is PoseModel.AIMED
+    model = PoseModel.AIM_FREE if aim_fixed else requested_model or usual_model
+    has_lens_covariance = any(
+        name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters
+    )
+    with_lens = has_lens_covariance if free_lens is None else free_lens
+    choice = FreeParameters(model, with_lens, trusted, aim_fixed, lens_fixed=free_lens is None)
     refinement = _Refinement(calibrated, rig, choice, tuning)
     first = refinement.refine_matches(start.take(rig.names) if start else rig, matches)
     if match_again is None:
@@ -105,18 +117,18 @@ def refine(
     best = refinement.repeat_while_better(first, matchers[-1])
     if len(matchers) > 1:
         best = more_probable(best, refinement.refine_from(rig, matchers))
-    aimed = model is PoseModel.AIMED or (aim_held and not moved)
-    turned = start_rigs(rig, moved, tuning, aimed=aimed)
-    others = [refinement.refine_from(start, matchers) for start in turned]
-    for other in others:
-        best = more_probable(best, other)
-    if others and not is_unambiguous(best, others, choice, tuning):
+    aimed = model is PoseModel.AIMED or (aim_fixed and not moved)
+    turned_rigs = start_rigs(rig, moved, tuning, aimed=aimed)
+    other_results = [refinement.refine_from(start, matchers) for start in turned_rigs]
+    for result in other_results:
+        best = more_probable(best, result)
+    if other_results and not is_unambiguous(best, other_results, choice, tuning):
         return dataclasses.replace(best, status=RefineStatus.AMBIGUOUS, rig=rig)
     return best
 
 
 class _Refinement(NamedTuple):
-    """What stays the same over all rounds of matching."""
+    """Inputs that are the same in all rounds of matching."""
 
     calibrated: CalibrationResult | Rig
     sheet_rig: Rig
@@ -124,12 +136,12 @@ class _Refinement(NamedTuple):
     tuning: CalibTuning
 
     def refine_matches(self, rig: Rig, matches: MatchedTracks | LineObservations) -> RefineResult:
-        """The refinement of given matches, from the cameras of a rig."""
+        """Refinement of given matches, from the cameras of a rig."""
         lines = _observations_of_rig(matches, rig)
         return joint_estimate(rig, self.sheet_rig, lines, self.choice, self.calibrated, self.tuning)
 
     def match_and_refine(self, rig: Rig, match: Matcher) -> RefineResult | None:
-        """The refinement from what is found with a rig; None where that leads nowhere."""
+        """Refinement of the matches that a rig gives; None without tracks or convergence."""
         lines = _line_observations(match(rig))
         if len(lines) == 0:
             return None
@@ -137,7 +149,7 @@ class _Refinement(NamedTuple):
         return None if result.status is RefineStatus.NOT_CONVERGED else result
 
     def refine_from(self, rig: Rig, matchers: Sequence[Matcher]) -> RefineResult | None:
-        """The most probable rig that the matchers lead to, one after the other."""
+        """Most probable rig after all matchers, one after the other."""
         result = None
         for match in matchers:
             result = self.match_and_refine(rig, match)
@@ -147,13 +159,13 @@ class _Refinement(NamedTuple):
         return result
 
     def repeat_while_better(self, best: RefineResult, match: Matcher) -> RefineResult:
-        """Matched and refined again while that is more probable than what was before."""
+        """Refinement repeated with new matches while its log posterior increases."""
         history = [best.log_posterior]
         if best.status is RefineStatus.NOT_CONVERGED:
             return best
         for _ in range(MOST_ROUNDS):
             candidate = self.match_and_refine(best.rig, match)
-            # A hundredth is what a refinement leaves to its stopping rule.
+            # The stopping rule of a refinement leaves about a hundredth.
             if candidate is None or candidate.log_posterior < best.log_posterior + 0.01:
                 break
             best = candidate
@@ -162,7 +174,7 @@ class _Refinement(NamedTuple):
 
 
 def more_probable(best: RefineResult, candidate: RefineResult | None) -> RefineResult:
-    """The candidate where it is more probable, or where there was no answer; else the best."""
+    """More probable of two results; the candidate if `best` did not converge."""
     if candidate is None:
         return best
     failed = best.status is RefineStatus.NOT_CONVERGED
@@ -170,9 +182,9 @@ def more_probable(best: RefineResult, candidate: RefineResult | None) -> RefineR
 
 
 def _usual_pose_model(rig: Rig) -> PoseModel:
-    own = {name.rpartition(".")[2] for name in rig.parameters}
+    parameters = {name.rpartition(".")[2] for name in rig.parameters}
     for pose_model in (PoseModel.AIM_FREE, PoseModel.AIMED):
-        if own >= set(pose_model.parameter_names):
+        if parameters >= set(pose_model.parameter_names):
             return pose_model
     return PoseModel.RIGID
 
@@ -183,7 +195,7 @@ def _line_observations(matches: MatchedTracks | LineObservations) -> LineObserva
 
 
 def rig_of_tracks(rig: Rig, matches: MatchedTracks | LineObservations) -> Rig:
-    """The cameras of the rig that the tracks are of. Raises InputError where it lacks one."""
+    """Cameras of the rig that observe the tracks. Raises InputError if the rig lacks one."""
     views = _line_observations(matches).views
     _expect_cameras(set(views) <= set(rig.names), views, rig)
     return rig.take(views)
@@ -202,7 +214,7 @@ def _observations_of_rig(matches: MatchedTracks | LineObservations, rig: Rig) ->
     _expect_cameras(set(lines.views) == set(rig.names), lines.views, rig)
     if len(lines) == 0:
         raise CalibrationError(
-            "There is no track to refine with: match segments of pictures that overlap first."
+            "There is no track to refine with: match segments of overlapping images first."
         )
     order = [lines.views.index(name) for name in rig.names]
     return LineObservations(
@@ -215,14 +227,14 @@ def _observations_of_rig(matches: MatchedTracks | LineObservations, rig: Rig) ->
 
 
 def start_rigs(rig: Rig, moved: Collection[str], tuning: CalibTuning, *, aimed: bool) -> list[Rig]:
-    """The rig with one camera turned about its x and y axes, to either side.
+    """Rigs with one camera turned about its x and y axes, in both directions.
 
-    It is the last of those that moved, or of all where none is named; no start where the sheet
-    knows its orientation. One that must stay `aimed` at the origin is taken round it instead.
+    It is the last of the moved cameras, or of all. Empty if the sheet determines its orientation. A
+    camera that must stay `aimed` at the origin is moved around it instead.
     """
     name = next(camera for camera in reversed(rig.names) if camera in moved or not moved)
-    known_deg = tuning.bundle.known_share * tuning.bundle.turn_deg
-    if not moved and (_angle_sigmas_deg(rig, name) < known_deg).all():
+    small_deg = tuning.bundle.known_share * tuning.bundle.turn_deg
+    if not moved and (_angle_sigmas_deg(rig, name) < small_deg).all():
         return []
     pose, poses = rig[name].pose, []
     for axis in (*np.eye(3)[:2], *-np.eye(3)[:2]):
@@ -234,13 +246,16 @@ def start_rigs(rig: Rig, moved: Collection[str], tuning: CalibTuning, *, aimed: 
         else:
             turn = np.append(np.radians(tuning.bundle.turn_deg) * axis, np.zeros(3))
             poses.append(pose.retract(turn, PoseModel.RIGID, 1.0))
-    return [eqx.tree_at(lambda each: each[name].pose, rig, as_numpy(turned)) for turned in poses]
+    return [
+        eqx.tree_at(lambda start: start[name].pose, rig, as_numpy(turned_pose))
+        for turned_pose in poses
+    ]
 
 
 def _angle_sigmas_deg(rig: Rig, name: str) -> Float[np.ndarray, "3"]:
-    """Of pan, tilt and swing, were the camera's lens what the rig says; NaN where not known.
+    """Sigmas of pan, tilt and swing for a fixed lens, degrees; NaN if unknown.
 
-    A lens that is off takes the pose with it, which hides no line from the other cameras.
+    An error of the lens changes the pose, too, but hides no line from the other cameras.
     """
     angles = [f"{name}.{angle}_deg" for angle in ("pan", "tilt", "swing")]
     if not set(angles) <= set(rig.parameters):
@@ -257,7 +272,7 @@ def is_unambiguous(
     choice: FreeParameters,
     tuning: CalibTuning,
 ) -> bool:
-    """Whether the best answer is clear of all others that are not the same."""
+    """True if the best result is much more probable than all different results."""
     return all(
         other.log_posterior * tuning.bundle.clear_factor < best.log_posterior
         or _separation_sigmas(best, other, choice) < tuning.bundle.same_sigmas
@@ -267,7 +282,7 @@ def is_unambiguous(
 
 
 def _separation_sigmas(best: RefineResult, other: RefineResult, choice: FreeParameters) -> float:
-    """By how much the tracks that agree with one rig miss each other with the other rig."""
+    """Misfit, with the other rig, of the tracks that agree with the best rig, in sigmas."""
     agree = (best.inlier == best.tracks.seen).all(axis=1) & (best.tracks.seen.sum(axis=1) > 2)
     if not agree.any():
         return 0.0

@@ -1,4 +1,4 @@
-"""The answer of a joint refinement, with its status, its gauge and its errors."""
+"""Result of a joint refinement, with status, gauge and errors."""
 
 import enum
 
@@ -14,12 +14,14 @@ from trinoc.numerics.values import Value
 
 
 class RefineStatus(enum.Enum):
-    """How a joint refinement ended; the value is the sentence shown to people."""
+    """Status of a joint refinement; the value is the sentence for the user."""
 
     CONVERGED = "The refinement converged and all parameters are determined."
-    GAUGE_FREE = "The refinement converged; segments alone leave the named gauge as it was."
-    NOT_CONVERGED = "The refinement did not converge: the rig is returned as it was."
-    AMBIGUOUS = "Other rigs explain the segments about as well: the rig is returned as it was."
+    GAUGE_FREE = (
+        "The refinement converged; segments do not determine the gauge, which is unchanged."
+    )
+    NOT_CONVERGED = "The refinement did not converge: the rig is unchanged."
+    AMBIGUOUS = "Other rigs explain the segments about as well: the rig is unchanged."
 
 
 class RefineResult(Displayable, Value):
@@ -27,27 +29,27 @@ class RefineResult(Displayable, Value):
 
     Fields
     ------
-    status : how it ended; the start is never shown as a result without saying so. Where it is
-        AMBIGUOUS, all fields but `rig` are those of the answer that was refused.
-    rig : the refined cameras, with `parameters` and `covariance` where these are determined.
+    status : how the refinement ended. If it is AMBIGUOUS, all fields but `rig` are those of the
+        rejected solution.
+    rig : refined cameras, with `parameters` and `covariance` if these are determined.
     parameters : names such as "upper.pan_deg", the rows of `covariance`.
-    values : (p,) of `parameters`, in degrees, mm and px.
-    covariance : (p, p); where a gauge is free, that of the inner constraints.
-    lines : 3-D segments with own and shared errors, one per track.
+    values : (p,) values of `parameters`, in degrees, mm and px.
+    covariance : (p, p) covariance; with a free gauge, that of the inner constraints.
+    lines : 3-D segments with independent and shared errors, one per track.
     inlier : (t, v) fragments that agree with the refined rig and line.
-    distance_sigma : (t, v) distance of each fragment from its line in its own sigmas; NaN
-        where not seen.
-    rank : number of directions of the cameras that are determined.
-    gauge : what stays as it was, in words; empty where nothing does.
-    segment_sigma_factor : the segments' noise over what they claimed.
+    distance_sigma : (t, v) distance of each fragment from its line in its sigmas; NaN if
+        unobserved.
+    rank : number of determined directions of the cameras.
+    gauge : description of the undetermined directions; empty without any.
+    segment_sigma_factor : noise of the segments over their stated sigmas.
     sheet_sigma_factor : the same for the sheet.
-    sheet_chi_square : squared distance, in the sheet's sigmas, by which segments pulled the
-        cameras from where the sheet had placed them.
+    sheet_chi_square : squared distance, in the sheet's sigmas, between the refined and the
+        calibrated cameras.
     chi_square : robust cost at the end, and at the start.
-    log_posterior : of cameras and tracks, against cameras where the sheet placed them and no
-        track (`bundle.estimate`); comparable for matches of the same segments.
-    history : log posterior after each round of matching that was accepted, in order.
-    tracks : what was refined: the matches given, or those found with the refined rig.
+    log_posterior : of cameras and tracks, relative to the calibrated cameras without tracks
+        (`bundle.estimate`). Comparable for matches of the same segments.
+    history : log posterior after each accepted round of matching, in order.
+    tracks : refined tracks: the given matches, or those found with the refined rig.
     """
 
     status: RefineStatus
@@ -69,9 +71,9 @@ class RefineResult(Displayable, Value):
     tracks: LineObservations
 
     def sigma(self, parameter: str) -> float:
-        """Standard deviation of a parameter such as "upper.pan_deg"; NaN if not known.
+        """Standard deviation of a parameter such as "upper.pan_deg"; NaN if unknown.
 
-        Raises InputError for a name that is no parameter of the rig.
+        Raises InputError for a name that is not a parameter of the rig.
         """
         if parameter not in self.parameters:
             return self.rig.sigma(parameter)
@@ -79,14 +81,14 @@ class RefineResult(Displayable, Value):
         return float(np.sqrt(max(self.covariance[row, row], 0.0)))
 
     def summary(self) -> str:
-        """What was refined, by how much it is known now, and what to make of it, as text."""
+        """Status, noise factors, and all parameters with their sigmas, as text."""
         before, after = self.chi_square[1], self.chi_square[0]
         tracks, fragments = self.inlier.shape[0], int(np.isfinite(self.distance_sigma).sum())
         rows = [
             self.status.value + (f" Gauge: {self.gauge}." if self.gauge else ""),
             f"{tracks} lines, {int(self.inlier.sum())} of {fragments} fragments agree; "
             f"robust chi-square {before:.1f} -> {after:.1f}.",
-            f"Noise over claimed sigma: segments {self.segment_sigma_factor:.2f}, "
+            f"Noise over stated sigma: segments {self.segment_sigma_factor:.2f}, "
             f"sheet {self.sheet_sigma_factor:.2f}.",
         ]
         sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))

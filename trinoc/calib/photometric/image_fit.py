@@ -107,7 +107,7 @@ def refine_image(
     ) -> ImageRefinement:
         points = patch_points(lens, pattern, scene, point, covariance.inflation)
         if shift is not None:
-            points = points._replace(uv_px=points.uv_px + shift(points.place_mm))
+            points = points._replace(uv_px=points.uv_px + shift(points.point_mm))
         noise = _noise_in_the_middle(point) * float(np.sqrt(covariance.chi_square))
         return ImageRefinement(
             point.state,

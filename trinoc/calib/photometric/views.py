@@ -97,7 +97,7 @@ def _refine(
         return silent(
             "the picture shows too little of the sheet's edges, and so cannot be fitted itself."
         )
-    finite = np.isfinite(refined.information).all() and len(refined.points.place_mm) > 0
+    finite = np.isfinite(refined.information).all() and len(refined.points.point_mm) > 0
     if not refined.converged or not finite:
         return silent("the fit of the picture itself did not converge.")
     before, after = (

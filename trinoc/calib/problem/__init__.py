@@ -1,7 +1,9 @@
-"""One calibration problem: variables on manifolds, factors that observe them, one solver.
+"""The calibration problem: variables on manifolds, residuals with priors, and one solver.
 
-`variables` are lenses, cameras, boards and how these were made, with their priors (`sheet` bends a
-board); `views` are what was seen of them; `places` are the factor that all fits share;
-`equations` sums them up, `solver` minimises. `problem` holds all this, `starting_problem` begins
-it, `robust_fit` ends it without what is wrong. `information` says what it determines,
-`named_covariance` in the terms that people use, `rao_test` what else the views ask for."""
+- `variables`: lenses, cameras, boards, and their priors; `sheet` bends a board.
+- `views`: observations of the board; `reprojection`: residuals of board points, used by all fits.
+- `equations`: normal equations of all observations; `solver`: minimisation.
+- `problem`: all of these in one value; `starting_problem` builds it, `robust_fit` removes outliers.
+- `information`: information of each shot; `named_covariance`: covariance of public parameters.
+- `rao_test`: score tests of fixed parameters.
+"""

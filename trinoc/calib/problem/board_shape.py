@@ -1,9 +1,8 @@
-"""Places of the board that lie elsewhere than the drawing says, found along with the rig.
+"""Displacements of board points from the drawing, estimated along with the rig.
 
-A plate that is wavy by a tenth of a millimetre, or a print whose circles are some hundredths off,
-shows every place aside in the same way in all shots. That is no noise: more shots do not average
-it away, and lenses bend to follow it. Where the residuals show it, each place becomes an unknown of
-three coordinates, whose spread over the board is estimated with them.
+On a wavy plate, or an inaccurate print, each point is displaced in the same way in all shots. More
+shots do not average this out, and lenses bend to follow it. If the residuals show it, each board
+point gets three unknown coordinates; their variance is estimated, too.
 """
 
 import equinox as eqx
@@ -11,66 +10,68 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from trinoc.calib.problem.equations import PlacesProblem
+from trinoc.calib.problem.equations import PointsProblem
 from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.outcome import shot_scatter
-from trinoc.calib.problem.places import whitened_residuals
-from trinoc.calib.problem.problem import Problem, with_head_free, with_priors
+from trinoc.calib.problem.problem import Problem, with_free_head, with_priors
+from trinoc.calib.problem.reprojection import whitened_residuals
 from trinoc.calib.problem.robust_fit import (
     LEAST_CHANGE,
     RobustFit,
     degrees_of_freedom,
-    drop_wrong_places,
+    drop_wrong_points,
     errors_px,
     finish_fit,
-    fit_places,
-    use_all_places,
+    fit_points,
+    use_all_points,
     with_sigma_factors,
 )
 from trinoc.calib.problem.shape_prior import ShapePrior, shape_prior
 from trinoc.calib.problem.solver import gauss_newton_gain
 from trinoc.calib.problem.variables import Parametrization, RigState
-from trinoc.calib.problem.views import ViewTable
+from trinoc.calib.problem.views import ObservationTable
 from trinoc.calib.problem.wrong_circles import drop_wrong_circles
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
-# numerical: more places would make the equations of all shots too large.
-_MOST_PLACES = 300
+# numerical: more board points would make the equations of all shots too large.
+_MOST_POINTS = 300
 # numerical: updates of the prior's variances.
 _MOST_UPDATES = 12
 
 
 def with_board_shape(fit: RobustFit) -> RobustFit:
-    """The fit with every place of the board free, where the shots show that they lie elsewhere."""
+    """Fit with every board point free, if the shots show displacements."""
     problem = fit.problem
-    if len(problem.state.shape) or not _may_lie_elsewhere(problem):
+    if len(problem.state.shape) or not _may_be_displaced(problem):
         return fit
     spread_mm = problem.tuning.problem.first_spread * _residual_mm(problem)
-    opened = with_free_places(problem, np.eye(3 * len(problem.target)) / spread_mm**2)
-    if not _is_shown(opened):
+    freed = with_free_points(problem, np.eye(3 * len(problem.target)) / spread_mm**2)
+    if not _is_significant(freed):
         return fit
     prior = shape_prior(problem.target, spread_mm, problem.tuning)
-    opened = with_priors(opened, shape_information=prior.information)
-    by_pixels = any(view.shown is not None for view in opened.views)
+    freed = with_priors(freed, shape_information=prior.information)
+    by_pixels = any(view.grey_level_points is not None for view in freed.views)
     if not by_pixels:
-        # Places that seemed to be located wrongly may only have lain elsewhere.
-        opened = use_all_places(opened, fit.elsewhere)
-    opened, _ = fit_places(opened)
-    opened, prior = with_estimated_prior(opened, prior)
+        # Apparent outliers may only have been displaced on the board.
+        freed = use_all_points(freed, fit.rejected_images)
+    freed, _ = fit_points(freed)
+    freed, prior = with_estimated_prior(freed, prior)
     if by_pixels:
-        opened = drop_wrong_circles(opened)
+        freed = drop_wrong_circles(freed)
     else:
-        opened, _ = drop_wrong_places(opened)
-    opened, _ = fit_places(opened)
-    opened, _ = with_estimated_prior(opened, prior)
-    shaped = finish_fit(opened, fit.elsewhere)
+        freed, _ = drop_wrong_points(freed)
+    freed, _ = fit_points(freed)
+    freed, _ = with_estimated_prior(freed, prior)
+    shaped = finish_fit(freed, fit.rejected_images)
     return shaped if shaped.converged and _lenses_stay(fit.problem, shaped.problem) else fit
 
 
 def _lenses_stay(before: Problem, after: Problem) -> bool:
-    """Whether the focal lengths are those of the drawn board, but for a factor that a bent board
-    explains: images that hardly determine them let a shape run away with them."""
+    """True if the focal lengths change little, by no more than a bent board explains.
+
+    Images that hardly determine focal lengths let the shape change them arbitrarily.
+    """
     ratio = np.asarray(after.state.lenses.focal_length_px) / np.asarray(
         before.state.lenses.focal_length_px
     )
@@ -78,90 +79,94 @@ def _lenses_stay(before: Problem, after: Problem) -> bool:
     return bool(np.all(ratio < largest) and np.all(ratio > 1 / largest))
 
 
-def _is_shown(opened: Problem) -> bool:
-    """Whether free places would take more off the chi-square than chance."""
+def _is_significant(freed: Problem) -> bool:
+    """True if free board points would reduce chi-square by more than chance."""
     gain, chi_square = (
-        float(part) for part in _chi_square_gain(opened.state, opened.parametrization, opened.table)
+        float(part) for part in _chi_square_gain(freed.state, freed.parametrization, freed.table)
     )
-    unknowns = 3 * len(opened.target)
-    left = degrees_of_freedom(opened) - unknowns
-    if left <= unknowns:
+    unknowns = 3 * len(freed.target)
+    remaining_freedom = degrees_of_freedom(freed) - unknowns
+    if remaining_freedom <= unknowns:
         return False
-    ratio = gain / unknowns / max((chi_square - gain) / left, 1e-300)
+    ratio = gain / unknowns / max((chi_square - gain) / remaining_freedom, 1e-300)
     return bool(
-        ratio > 1.0 + opened.tuning.problem.refuted_sigmas * np.sqrt(2.0 / unknowns + 2.0 / left)
+        ratio
+        > 1.0
+        + freed.tuning.problem.refuted_sigmas * np.sqrt(2.0 / unknowns + 2.0 / remaining_freedom)
     )
 
 
-def _may_lie_elsewhere(problem: Problem) -> bool:
-    """Whether the board is not said to be exact, and small enough."""
+def _may_be_displaced(problem: Problem) -> bool:
+    """True if the board is uncertain and small enough."""
     first = problem.slices.sheets.start
-    return bool(np.any(problem.free[first:])) and len(problem.target) <= _MOST_PLACES
+    return bool(np.any(problem.free[first:])) and len(problem.target) <= _MOST_POINTS
 
 
 def _residual_mm(problem: Problem) -> float:
-    """Residuals on the board, at the distance at which it was."""
+    """Rms residual on the board, mm, at its distance."""
     focal_px = float(np.mean(np.asarray(problem.state.lenses.focal_length_px)))
     errors = np.concatenate(
-        [each[view.kept] for view, each in zip(problem.views, errors_px(problem), strict=True)]
+        [each[view.rows_used] for view, each in zip(problem.views, errors_px(problem), strict=True)]
     )
     return float(np.sqrt(np.mean(errors**2)) * problem.parametrization.unit_mm / focal_px)
 
 
-def with_free_places(
+def with_free_points(
     problem: Problem, shape_information: Float[np.ndarray, "m m"] | None = None
 ) -> Problem:
-    """The problem with free places, where they are drawn.
+    """Problem with free board points, starting as drawn.
 
-    shape_information : of the prior, in 1/mm^2; a standard deviation of 1 mm unless given.
+    shape_information : of the prior, 1/mm^2; a standard deviation of 1 mm unless given.
     """
-    places = len(problem.target)
+    points = len(problem.target)
     if shape_information is None:
-        shape_information = np.eye(3 * places)
-    state = eqx.tree_at(lambda s: s.shape, problem.state, np.zeros((places, 3)))
-    free = np.concatenate([np.asarray(problem.free), np.ones(3 * places)])
-    known = with_priors(problem, shape_information=shape_information)
-    return with_head_free(known._replace(state=state), free)
+        shape_information = np.eye(3 * points)
+    state = eqx.tree_at(lambda s: s.shape, problem.state, np.zeros((points, 3)))
+    free = np.concatenate([np.asarray(problem.free), np.ones(3 * points)])
+    with_prior = with_priors(problem, shape_information=shape_information)
+    return with_free_head(with_prior._replace(state=state), free)
 
 
 @kept_jit
-def _chi_square_gain(state: RigState, parametrization: Parametrization, table: ViewTable) -> tuple:
-    """What free places would take off the chi-square, to first order, and it."""
+def _chi_square_gain(
+    state: RigState, parametrization: Parametrization, table: ObservationTable
+) -> tuple:
+    """Reduction of chi-square by free board points, to first order, and chi-square itself."""
     plain = GemanMcClure.from_scale(jnp.full(len(table.shot), jnp.inf))
-    equations = PlacesProblem(parametrization, table, plain).equations(state)
+    equations = PointsProblem(parametrization, table, plain).equations(state)
     gain = gauss_newton_gain(equations)
     return gain, jnp.sum(jnp.square(whitened_residuals(state, parametrization, table)))
 
 
 def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, ShapePrior]:
-    """The fit with the prior of the shape, and the sigmas, that its residuals show.
+    """Fit with the shape prior and the sigmas that its residuals show.
 
-    Where shots disagree by a variance factor F, the noise by which the shape is judged is that of
-    whole shots: the information of the prior is multiplied by F against that of the residuals.
-    Otherwise what is common to the few shots by chance would be taken for the board's own shape.
+    If the shots disagree by a variance factor F, the information of the prior is multiplied by F
+    against that of the residuals, because the noise that matters is that of whole shots. Otherwise
+    chance agreement of few shots would be mistaken for the board's shape.
     """
     factor = np.inf
     for _ in range(_MOST_UPDATES):
         scatter, covariance_mm2 = shape_covariance(problem)
         # A tighter prior leaves larger residuals, which must not tighten it again.
         factor = min(factor, scatter, problem.tuning.problem.largest_scatter)
-        after = prior.update(np.asarray(problem.state.shape), covariance_mm2)
-        spent = prior.count_determined(covariance_mm2)
-        problem = with_sigma_factors(problem._replace(spent=max(spent, 0.0)))
-        problem, converged = fit_places(
-            with_priors(problem, shape_information=factor * after.information)
+        updated_prior = prior.update(np.asarray(problem.state.shape), covariance_mm2)
+        determined = prior.count_determined(covariance_mm2)
+        problem = with_sigma_factors(problem._replace(shape_dof=max(determined, 0.0)))
+        problem, converged = fit_points(
+            with_priors(problem, shape_information=factor * updated_prior.information)
         )
         if not converged:
             break
-        change = np.abs(np.log(after.variance / prior.variance)).max()
-        prior = after
+        change = np.abs(np.log(updated_prior.variance / prior.variance)).max()
+        prior = updated_prior
         if change < 2 * LEAST_CHANGE:
             break
     return problem, prior
 
 
 def shape_covariance(problem: Problem) -> tuple[float, Float[np.ndarray, "m m"]]:
-    """(variance factor of the shots, posterior covariance of the shape in mm^2 with it)."""
+    """Variance factor of the shots, and posterior covariance of the shape with it, mm^2."""
     count, unit_mm = 3 * len(problem.target), float(problem.parametrization.unit_mm)
     information = compute_information(problem)
     factor = shot_scatter(information).variance_factor

@@ -1,8 +1,8 @@
-"""How many coefficients of the lenses are determined, and how many are called for.
+"""Numbers of lens coefficients that are determined, and that the residuals need.
 
-All that are determined stay free. Leaving out a coefficient because it is within its noise would
-lend the others sigmas that hold only if it is exactly zero: measured, their errors were then
-more than twice the claimed sigmas, while freeing it costs the focal length nothing.
+All determined coefficients stay free. Without a coefficient because it is within its noise, the
+sigmas of the others would hold only if it is exactly zero: in tests, their errors were then more
+than twice their sigmas. Freeing it does not increase the sigma of the focal length.
 """
 
 from collections.abc import Sequence
@@ -15,17 +15,17 @@ from trinoc.calib.problem.problem import Problem, with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, refit
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 
-# numerical: what a coefficient must lower chi-square by to be called for, Akaike's price.
+# numerical: least reduction of chi-square by a needed coefficient, as in Akaike's criterion.
 _PRICE = 2.0
 
 
-def hold_undetermined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
-    """The fit with as many coefficients as are determined, and those that are held at 0 instead.
+def fix_undetermined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
+    """Fit with the determined coefficients free, and the names of the others, which are fixed at 0.
 
-    Those that the lenses' model calls dispensable are held one after the other; none are where
-    what remains is not determined either.
+    The dispensable coefficients of the lens model are fixed one after the other. None is fixed if
+    the remaining parameters are not determined either.
     """
-    richest, held = fit, []
+    first_fit, fixed = fit, []
     lenses = fit.problem.state.lenses
     for name in ("", *lenses.dispensable):
         if name:
@@ -33,16 +33,16 @@ def hold_undetermined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
             if not free[:, column].any():
                 continue
             free[:, column] = False
-            fit = refit(with_lens_free(fit.problem, free), fit.elsewhere)
-            held.append(name)
+            fit = refit(with_lens_free(fit.problem, free), fit.rejected_images)
+            fixed.append(name)
         information = compute_information(fit.problem)
         if information.observability.rank == len(information.free):
-            return fit, tuple(held)
-    return richest, ()
+            return fit, tuple(fixed)
+    return first_fit, ()
 
 
 def free_of_lenses(problem: Problem) -> Bool[np.ndarray, "l q"]:
-    """Which parameters of each lens are fitted."""
+    """Mask of the estimated parameters of each lens, (l, q)."""
     return np.asarray(problem.free)[problem.slices.lenses].reshape(
         problem.parametrization.lens_shape
     ) > 0  # fmt: skip
@@ -51,17 +51,17 @@ def free_of_lenses(problem: Problem) -> Bool[np.ndarray, "l q"]:
 def fewest_coefficients(
     lens: AbstractLens, free: Sequence[str], covariance: Float[np.ndarray, "q q"]
 ) -> tuple[int, float]:
-    """The number of coefficients that pays best, and what the others lower chi-square by (Wald).
+    """Best number of coefficients, and the reduction of chi-square by the others (Wald test).
 
-    free : names of those that are fitted. covariance : of all parameters of the lens.
+    free : names of the estimated coefficients. covariance : of all parameters of the lens.
     """
-    names, offers = lens.parameter_names, []
+    names, scores = lens.parameter_names, []
     for count in lens.coefficient_counts:
-        kept = lens.coefficient_names[:count]
-        if set(kept) <= set(free):
-            rows = [names.index(name) for name in free if name not in kept]
+        needed = lens.coefficient_names[:count]
+        if set(needed) <= set(free):
+            rows = [names.index(name) for name in free if name not in needed]
             values = np.asarray(lens.parameters)[rows]
             gain = float(values @ np.linalg.solve(covariance[np.ix_(rows, rows)], values))
-            offers.append((gain + _PRICE * len(kept), count, gain))
-    _, count, gain = min(offers)
+            scores.append((gain + _PRICE * len(needed), count, gain))
+    _, count, gain = min(scores)
     return count, gain

@@ -1,6 +1,6 @@
-"""Gauss-Newton's equations of all views: an arrow from which every shot's board is eliminated.
+"""Gauss-Newton equations of all observations, a block arrow in which each shot is a block.
 
-The head holds the lenses, the cameras and the sheet; each block the board's pose in one shot.
+The head contains lenses, cameras and sheet; each block is the pose of the board in one shot.
 """
 
 from typing import ClassVar
@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from trinoc.calib.problem.places import linearise
+from trinoc.calib.problem.reprojection import linearise
 from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations
 from trinoc.calib.problem.variables import (
     POSE_SIZE,
@@ -19,76 +19,92 @@ from trinoc.calib.problem.variables import (
     head_columns,
     retract,
 )
-from trinoc.calib.problem.views import ViewTable
+from trinoc.calib.problem.views import ObservationTable
 from trinoc.numerics.block_arrow import BlockArrow
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.robust_loss import AbstractRobustLoss
 
 
-class PlacesProblem(AbstractArrowProblem):
-    """Places of boards, seen by the cameras of a rig, and what was known beforehand.
+class PointsProblem(AbstractArrowProblem):
+    """Least-squares problem of board points observed by the cameras of a rig, with priors.
 
     Fields
     ------
-    parametrization : units, and what is free.
-    table : v views.
-    loss : of each view's places, along a first axis of its fields.
+    parametrization : units, priors, and free unknowns.
+    table : v observations.
+    loss : robust loss of each observation's points, along a first axis of its fields.
     """
 
-    # numerical: of some twenty shots.
+    # numerical: state of about twenty shots.
     optimized_from: ClassVar[float] = 256
 
     parametrization: Parametrization
-    table: ViewTable
+    table: ObservationTable
     loss: AbstractRobustLoss
 
     def equations(self, state: RigState) -> ArrowEquations:
-        """Summed over views, weighted by the loss, the prior included."""
+        """Equations of all observations, weighted by the loss, with the priors."""
 
-        def of_view(view: ViewTable, loss: AbstractRobustLoss) -> tuple[Array, ...]:
-            near = linearise(state, self.parametrization, view)
-            squared = jnp.sum(jnp.square(near.residual), axis=-1)
-            return jnp.sum(loss.rho(squared)), near.columns, *near.weigh(self.parametrization, loss)
+        def of_view(view: ObservationTable, loss: AbstractRobustLoss) -> tuple[Array, ...]:
+            linearised = linearise(state, self.parametrization, view)
+            squared = jnp.sum(jnp.square(linearised.residual), axis=-1)
+            return (
+                jnp.sum(loss.rho(squared)),
+                linearised.columns,
+                *linearised.weigh(self.parametrization, loss),
+            )
 
-        costs, *seen = jax.vmap(of_view)(self.table, self.loss)
-        columns, own, gradient = seen
+        costs, *view_equations = jax.vmap(of_view)(self.table, self.loss)
+        columns, block_information, gradient = view_equations
         size, prior = columns.shape[1], evaluate_prior(state, self.parametrization)
-        # Views of one board by one camera have the same columns: sums are scattered, not views.
+        # Observations of one board by one camera have the same columns: only sums are scattered.
         cameras, boards = state.cam_from_rig.shape[0], self.parametrization.boards
         kind = jnp.asarray(self.table.board) * cameras + self.table.camera
-        of_kinds = jax.ops.segment_sum(own[:, :size, :size], kind, cameras * boards)
-        every = jnp.arange(cameras * boards)
-        those = jax.vmap(lambda k: head_columns(self.parametrization, k % cameras, k // cameras))(
-            every
+        kind_sums = jax.ops.segment_sum(block_information[:, :size, :size], kind, cameras * boards)
+        kinds = jnp.arange(cameras * boards)
+        columns_of_kind = jax.vmap(
+            lambda k: head_columns(self.parametrization, k % cameras, k // cameras)
+        )(kinds)
+        head = (
+            jnp.asarray(prior.information)
+            .at[columns_of_kind[:, :, None], columns_of_kind[:, None, :]]
+            .add(kind_sums)
         )
-        head = jnp.asarray(prior.information).at[those[:, :, None], those[:, None, :]].add(of_kinds)
-        of_head = jnp.asarray(prior.gradient).at[columns].add(gradient[:, :size])
-        coupling, blocks, of_boards = sum_boards(state, self.parametrization, self.table, *seen)
+        head_gradient = jnp.asarray(prior.gradient).at[columns].add(gradient[:, :size])
+        coupling, blocks, board_gradients = sum_boards(
+            state, self.parametrization, self.table, *view_equations
+        )
         cost = jnp.sum(costs) + prior.cost
-        return ArrowEquations(cost, BlockArrow(head, coupling, blocks), (of_head, of_boards))
+        return ArrowEquations(
+            cost, BlockArrow(head, coupling, blocks), (head_gradient, board_gradients)
+        )
 
     def retract(
         self, state: RigState, head: Float[ArrayLike, "h"], blocks: Float[ArrayLike, "s 6"]
     ) -> RigState:
-        """The state after a step."""
+        """State after a step."""
         return retract(state, self.parametrization, head, blocks)
 
 
 def sum_boards(
     state: RigState,
     parametrization: Parametrization,
-    table: ViewTable,
+    table: ObservationTable,
     columns: Int[Array, "v k"],
-    own: Float[Array, "v m m"],
+    block_information: Float[Array, "v m m"],
     gradient: Float[Array, "v m"],
 ) -> tuple[Float[Array, "s h 6"], Float[Array, "s 6 6"], Float[Array, "s 6"]]:
-    """Of the views' equations, summed over each shot: how its board goes with the head, its own
-    information, and its gradient."""
+    """Sums over each shot: coupling of board and head, information and gradient of the board.
+
+    block_information, gradient : equations of each observation.
+    """
     size, shot = columns.shape[1], jnp.asarray(table.shot)
     shots, heads = state.rig_from_board.shape[0], parametrization.free.shape[0]
-    coupling = jnp.zeros((shots, heads, POSE_SIZE), own.dtype)
-    coupling = coupling.at[shot[:, None], columns].add(own[:, :size, size:])
-    blocks = jnp.zeros((shots, POSE_SIZE, POSE_SIZE), own.dtype)
-    blocks = blocks.at[shot].add(own[:, size:, size:])
-    of_boards = jnp.zeros((shots, POSE_SIZE), own.dtype).at[shot].add(gradient[:, size:])
-    return coupling, blocks, of_boards
+    coupling = jnp.zeros((shots, heads, POSE_SIZE), block_information.dtype)
+    coupling = coupling.at[shot[:, None], columns].add(block_information[:, :size, size:])
+    blocks = jnp.zeros((shots, POSE_SIZE, POSE_SIZE), block_information.dtype)
+    blocks = blocks.at[shot].add(block_information[:, size:, size:])
+    board_gradients = (
+        jnp.zeros((shots, POSE_SIZE), block_information.dtype).at[shot].add(gradient[:, size:])
+    )
+    return coupling, blocks, board_gradients

@@ -1,4 +1,4 @@
-"""What the fit to the grey levels of one image of the sheet has estimated of the image."""
+"""Quality of one image of the sheet, from the fit to its grey levels."""
 
 import equinox as eqx
 
@@ -11,14 +11,14 @@ class ImageQuality(Value):
     Fields
     ------
     noise : standard deviation of the residuals, grey levels.
-    noise_floor : the same of the picture's flat parts, which no fit can go below; `noise` itself
-        where it depends on the grey level, so that flat parts do not tell.
-    pixels : number of pixels that took part.
+    noise_floor : the same in flat parts of the image, which no fit can go below; equal to `noise`
+        if the noise depends on the grey level.
+    pixels : number of used pixels.
     pixels_cut : number of pixels near an edge of the sheet that show something else.
     blur_px : sigma of the lens's blur.
-    ink_spread_mm : by which ink reaches beyond the drawing.
-    ink_over_paper : grey level of ink over that of paper.
-    found : what the picture shows of its camera and its light, in words.
+    ink_spread_mm : distance by which ink extends beyond the drawing.
+    ink_over_paper : grey level of ink relative to that of paper.
+    found : effects of camera and light that the fit includes, in words.
     """
 
     noise: float = eqx.field(static=True)
@@ -32,5 +32,5 @@ class ImageQuality(Value):
 
     @property
     def reduced_chi_square(self) -> float:
-        """Variance of the residuals over that of the noise: 1 for a model that is right."""
+        """Variance of the residuals over that of the noise; 1 for a correct model."""
         return (self.noise / self.noise_floor) ** 2 if self.noise_floor > 0 else float("nan")

@@ -1,4 +1,4 @@
-"""What each shot says of lenses, cameras and board, at the end of a fit."""
+"""Information of each shot on lenses, cameras and board, at the end of a fit."""
 
 from functools import partial
 from typing import NamedTuple
@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from trinoc.calib.problem.equations import sum_boards
-from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.problem import Problem
+from trinoc.calib.problem.reprojection import linearise
 from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, RigState, evaluate_prior
-from trinoc.calib.problem.views import ViewTable
+from trinoc.calib.problem.views import ObservationTable
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.numerics.information import Observability, observability
 from trinoc.numerics.programs import kept_jit
@@ -21,105 +21,125 @@ from trinoc.numerics.small_matrices import inverse_positive_definite
 
 
 class Information(NamedTuple):
-    """What each shot says of the head, its board eliminated, at the end of a fit.
+    """Information of each shot on the head, with the pose of its board eliminated.
 
     Fields
     ------
-    of_shot : (s, h, h) information of each shot, without what was known beforehand.
-    pulls : (s, h) gradient of half of each shot's chi-square; with the prior's they cancel.
-    follow : (s, 6, h) how each board follows the head.
-    own : (s, 6, 6) covariance of each board, the head given.
-    free : (f,) columns of the head that were fitted.
-    prior : (f, f) information that was known of lenses and board beforehand.
-    shape_first : where, in the head, the steps of the board's places begin.
-    tuning : constants of the problem that was fitted.
+    shot_information : (s, h, h) information of each shot, without priors.
+    gradients : (s, h) gradient of half of each shot's chi-square; with the prior's they sum to
+        zero.
+    board_by_head : (s, 6, h) derivative of each board's pose by the head.
+    board_covariance : (s, 6, 6) covariance of each board's pose for a known head.
+    free : (f,) free columns of the head.
+    prior : (f, f) prior information on lenses and board.
+    first_shape_step : first column of the board points in the head.
+    tuning : constants of the fitted problem.
     """
 
-    of_shot: Float[np.ndarray, "s h h"]
-    pulls: Float[np.ndarray, "s h"]
-    follow: Float[np.ndarray, "s 6 h"]
-    own: Float[np.ndarray, "s 6 6"]
+    shot_information: Float[np.ndarray, "s h h"]
+    gradients: Float[np.ndarray, "s h"]
+    board_by_head: Float[np.ndarray, "s 6 h"]
+    board_covariance: Float[np.ndarray, "s 6 6"]
     free: np.ndarray
     prior: Float[np.ndarray, "f f"]
-    shape_first: int
+    first_shape_step: int
     tuning: CalibTuning = TUNING
 
     @property
     def observability(self) -> Observability:
-        """What is determined of the free steps of the head."""
+        """Determined directions of the free steps of the head."""
         return self.observability_of(np.ones(len(self.free), dtype=bool))
 
     def observability_of(self, rows: Bool[np.ndarray, "f"]) -> Observability:
-        """What is determined of some of the free steps, the others held."""
+        """Determined directions of some of the free steps, with the others fixed."""
         free = self.free[rows]
-        kept = self.of_shot.sum(axis=0)[np.ix_(free, free)] + self.prior[np.ix_(rows, rows)]
+        information = (
+            self.shot_information.sum(axis=0)[np.ix_(free, free)] + self.prior[np.ix_(rows, rows)]
+        )
         count = len(free)
-        return observability(0.5 * (kept + kept.T), np.eye(count), np.full(count, np.inf))
+        return observability(
+            0.5 * (information + information.T), np.eye(count), np.full(count, np.inf)
+        )
 
-    def of_steps(self, rows: Bool[np.ndarray, "f"]) -> "Information":
-        """The same with some of the free steps alone, the others held."""
+    def restrict_to(self, rows: Bool[np.ndarray, "f"]) -> "Information":
+        """Information on some of the free steps, with the others fixed."""
         prior = self.prior[np.ix_(rows, rows)]
         return self._replace(free=self.free[rows], prior=prior)
 
 
 def compute_information(problem: Problem) -> Information:
-    """The information at a problem's state."""
-    of_shot, pulls, follow, own, prior = (
+    """Information at a problem's state."""
+    shot_information, gradients, board_by_head, board_covariance, prior = (
         np.asarray(part)
         for part in _of_shots(problem.state, problem.parametrization, problem.table)
     )
     free = np.flatnonzero(problem.free)
     prior = prior[np.ix_(free, free)]
-    first = problem.slices.places.start
-    return Information(of_shot, pulls, follow, own, free, prior, first, problem.tuning)
+    first = problem.slices.points.start
+    return Information(
+        shot_information,
+        gradients,
+        board_by_head,
+        board_covariance,
+        free,
+        prior,
+        first,
+        problem.tuning,
+    )
 
 
 @kept_jit
 def _of_shots(
-    state: RigState, parametrization: Parametrization, table: ViewTable
+    state: RigState, parametrization: Parametrization, table: ObservationTable
 ) -> tuple[Array, ...]:
     plain = GemanMcClure.from_scale(jnp.asarray(jnp.inf))
 
-    def of_view(view: ViewTable) -> tuple[Array, Array, Array]:
-        near = linearise(state, parametrization, view)
-        return near.columns, *near.weigh(parametrization, plain)
+    def of_view(view: ObservationTable) -> tuple[Array, Array, Array]:
+        linearised = linearise(state, parametrization, view)
+        return linearised.columns, *linearised.weigh(parametrization, plain)
 
-    seen = jax.vmap(of_view)(table)
-    columns, own, gradient = seen
+    equations = jax.vmap(of_view)(table)
+    columns, block_information, gradient = equations
     size, shots, heads = (
         columns.shape[1],
         state.rig_from_board.shape[0],
         parametrization.free.shape[0],
     )
     shot = jnp.asarray(table.shot)
-    # From each step of the head to its column, the last one for what a view does not have: to look
-    # numbers up is quicker than to scatter them.
-    column = jax.vmap(lambda own: jnp.full(heads, size).at[own].set(jnp.arange(size)))(columns)
-    padded = jnp.pad(own[:, :size, :size], ((0, 0), (0, 1), (0, 1)))
-    of_views = jax.vmap(lambda own, at: own[at][:, at])(padded, column)
-    head = jax.ops.segment_sum(of_views, shot, shots)
-    of_head = jnp.zeros((shots, heads), own.dtype)
-    of_head = of_head.at[shot[:, None], columns].add(gradient[:, :size])
-    coupling, block, of_board = sum_boards(state, parametrization, table, *seen)
+    # Map from each step of the head to its column, the last one for steps without an effect:
+    # reading by index is faster than scattering.
+    column = jax.vmap(
+        lambda block_information: jnp.full(heads, size).at[block_information].set(jnp.arange(size))
+    )(columns)
+    padded = jnp.pad(block_information[:, :size, :size], ((0, 0), (0, 1), (0, 1)))
+    view_information = jax.vmap(
+        lambda block_information, columns_of_view: block_information[columns_of_view][
+            :, columns_of_view
+        ]
+    )(padded, column)
+    head = jax.ops.segment_sum(view_information, shot, shots)
+    head_gradient = jnp.zeros((shots, heads), block_information.dtype)
+    head_gradient = head_gradient.at[shot[:, None], columns].add(gradient[:, :size])
+    coupling, block, board_gradient = sum_boards(state, parametrization, table, *equations)
     inverse = jax.vmap(inverse_positive_definite)(block)
     determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
     inverse = jnp.where(determined[:, None, None], inverse, 0.0)
-    follow = -jnp.einsum("spq,shq->sph", inverse, coupling)
+    board_by_head = -jnp.einsum("spq,shq->sph", inverse, coupling)
     return (
-        head + jnp.einsum("shp,spg->shg", coupling, follow),
-        of_head + jnp.einsum("sph,sp->sh", follow, of_board),
-        follow,
+        head + jnp.einsum("shp,spg->shg", coupling, board_by_head),
+        head_gradient + jnp.einsum("sph,sp->sh", board_by_head, board_gradient),
+        board_by_head,
         inverse,
         jnp.asarray(evaluate_prior(state, parametrization).information),
     )
 
 
 class WhitenedViews(NamedTuple):
-    """All views at a state, by every step of the head, those that are held too.
+    """Whitened residuals of all observations, and their derivatives by every step of the head.
 
     Fields
     ------
-    jacobian : (v, 2n, h) of the whitened residuals.
+    jacobian : (v, 2n, h) of the whitened residuals, fixed steps included.
     residual : (v, 2n) predicted minus observed, in sigmas.
     """
 
@@ -128,24 +148,24 @@ class WhitenedViews(NamedTuple):
 
 
 def whiten_views(problem: Problem) -> WhitenedViews:
-    """Residuals of each view and their derivatives; dense, for problems of few views."""
+    """Whitened residuals and their dense derivatives, for problems of few observations."""
     columns, jacobian, residual = (
         np.asarray(part)[: len(problem.views)]
         for part in _whiten_views(problem.state, problem.parametrization, problem.table)
     )
     dense = np.zeros((*jacobian.shape[:2], len(problem.free)))
-    for k, own in enumerate(columns):
-        dense[k][:, own] = jacobian[k]
+    for k, view_columns in enumerate(columns):
+        dense[k][:, view_columns] = jacobian[k]
     return WhitenedViews(dense, residual)
 
 
 @partial(kept_jit, optimized_from=1 << 20)
 def _whiten_views(
-    state: RigState, parametrization: Parametrization, table: ViewTable
+    state: RigState, parametrization: Parametrization, table: ObservationTable
 ) -> tuple[Array, Array, Array]:
-    near = jax.vmap(lambda view: linearise(state, parametrization, view))(table)
-    views, places, _, _ = near.jacobian.shape
-    by_places = jax.vmap(lambda one: one.by_all_places)(near)
-    jacobian = jnp.concatenate([near.jacobian[..., :-POSE_SIZE], by_places], axis=-1)
-    jacobian = jacobian.reshape(views, 2 * places, -1)
-    return near.columns, jacobian, near.residual.reshape(views, 2 * places)
+    linearised = jax.vmap(lambda view: linearise(state, parametrization, view))(table)
+    views, points, _, _ = linearised.jacobian.shape
+    by_points = jax.vmap(lambda one: one.by_all_points)(linearised)
+    jacobian = jnp.concatenate([linearised.jacobian[..., :-POSE_SIZE], by_points], axis=-1)
+    jacobian = jacobian.reshape(views, 2 * points, -1)
+    return linearised.columns, jacobian, linearised.residual.reshape(views, 2 * points)

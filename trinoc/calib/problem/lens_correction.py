@@ -1,11 +1,12 @@
-"""The correction of lenses by B-splines, fitted after their polynomial cores.
+"""Correction of lenses by B-splines, fitted after their polynomial core.
 
-The control points have a prior, so that those which no place was seen near are known, too: the
-correction is a smooth random surface of mean zero. Its standard deviation over the field, in px,
-is what the shots themselves show, of each lens by itself.
+The control points have a prior: the correction is a smooth random surface of mean zero. It
+determines the points near which nothing was observed. The standard deviation of the surface over
+the image, in px, is estimated from the shots for each lens.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,38 +19,42 @@ from trinoc.calib.problem.robust_fit import (
     RobustFit,
     errors_px,
     finish_fit,
-    fit_places,
+    fit_points,
     fit_robustly,
-    use_all_places,
+    use_all_points,
     with_sigma_factors,
 )
 from trinoc.geometry.lenses.registry import spline_lens
 from trinoc.geometry.lenses.splined import AbstractSplinedLens
 
-# numerical: a correction of which the shots show nothing is taken to be no larger than this.
+# numerical: smallest standard deviation of a correction, for shots that show none.
 _LEAST_SIGMA_PX = 1e-3
 
 
 def with_correction(fit: RobustFit, sizes_px: Sequence[tuple[int, int]]) -> RobustFit:
-    """The fit with its lenses corrected. sizes_px : (width, height) of the pictures of each.
+    """Fit with the lenses corrected by splines.
 
-    Places that seemed to be located wrongly may only have been seen through another lens than the
-    core: all take part again, but for views that show the board elsewhere.
+    Points that seemed to be outliers may only have contradicted the core: all are used again,
+    except in rejected images.
+
+    sizes_px : (width, height) of the images of each lens.
     """
-    problem = use_all_places(add_splines(fit.problem, sizes_px), fit.elsewhere)
-    again = fit_robustly(_with_sigmas(problem, _first_sigmas_px(problem)))
-    return with_own_correction_sigmas(again._replace(elsewhere=[*fit.elsewhere, *again.elsewhere]))
+    problem = use_all_points(add_splines(fit.problem, sizes_px), fit.rejected_images)
+    refitted = fit_robustly(_with_sigmas(problem, _first_sigmas_px(problem)))
+    return with_own_correction_sigmas(
+        refitted._replace(rejected_images=[*fit.rejected_images, *refitted.rejected_images])
+    )
 
 
 def with_own_correction_sigmas(fit: RobustFit) -> RobustFit:
-    """The fit with the size of each correction, and the sigmas of the places, that it shows."""
+    """Fit with the correction sigmas and the sigmas of the points that the residuals show."""
     if not correction_sigmas_px(fit.problem).any():
         return fit
-    return finish_fit(_with_own_sigmas(fit.problem), fit.elsewhere)
+    return finish_fit(_with_own_sigmas(fit.problem), fit.rejected_images)
 
 
 def add_splines(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Problem:
-    """The problem with splined lenses, whose corrections are zero and free, without a prior."""
+    """Problem with splined lenses whose corrections are zero and free, without a prior."""
     lenses = [
         spline_lens(lens_number(problem, k), each)
         for k, each in enumerate(sizes_px[: problem.parametrization.lens_shape[0]])
@@ -58,53 +63,70 @@ def add_splines(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Proble
 
 
 def correction_sigmas_px(problem: Problem) -> Float[np.ndarray, "l"]:
-    """Standard deviation of the correction of each lens over its field, by its prior; 0 where it
-    has none."""
-    last = np.asarray(problem.priors.lens_information)[:, -1, -1]
+    """Prior standard deviation of each lens's correction over the image, px; 0 without a
+    correction.
+    """
+    last_information = np.asarray(problem.priors.lens_information)[:, -1, -1]
     model = type(problem.state.lenses)
     if not issubclass(model, AbstractSplinedLens):
-        return np.zeros(len(last))
+        return np.zeros(len(last_information))
     unit = model.correction_information()[-1, -1]
-    return np.sqrt(np.divide(unit, last, out=np.zeros_like(last), where=last > 0))
+    return np.sqrt(
+        np.divide(
+            unit, last_information, out=np.zeros_like(last_information), where=last_information > 0
+        )
+    )
 
 
-def correction_sentences(problem: Problem, cameras: Sequence[str]) -> tuple[str, ...]:
-    """How far splines move the pixels of each lens that they correct."""
-    sentences = []
+class LensCorrection(NamedTuple):
+    """Size of the spline correction of one lens.
+
+    Fields
+    ------
+    lens : number of the lens.
+    model : name of its core model.
+    rms_px, largest_px : root mean square and largest value of the control points.
+    sigma_px : prior standard deviation, which remains where nothing was observed.
+    """
+
+    lens: int
+    model: str
+    rms_px: float
+    largest_px: float
+    sigma_px: float
+
+
+def measure_corrections(problem: Problem) -> list[LensCorrection]:
+    """Sizes of the corrections of all lenses that have one."""
+    corrections = []
     for k, sigma_px in enumerate(correction_sigmas_px(problem)):
         if sigma_px == 0.0:
             continue
         lens = lens_number(problem, k)
         assert isinstance(lens, AbstractSplinedLens)
-        first = cameras[
-            int(np.flatnonzero(np.asarray(problem.parametrization.lens_of_camera) == k)[0])
-        ]
         control = np.asarray(lens.control_px)
-        sentences.append(
-            f"Splines correct the lens {lens.core.model} of {first} by "
-            f"{np.sqrt(np.mean(control**2)):.2g} px (root mean square of the control points, at "
-            f"most {np.abs(control).max():.2g}); where no place was seen, the correction is known "
-            f"to {sigma_px:.2g} px."
-        )
-    return tuple(sentences)
+        rms_px, largest_px = np.sqrt(np.mean(control**2)), np.abs(control).max()
+        corrections.append(LensCorrection(k, lens.core.model, rms_px, largest_px, sigma_px))
+    return corrections
 
 
 def _with_own_sigmas(problem: Problem) -> Problem:
-    """The fit with the corrections' sigmas of greatest evidence.
+    """Fit with the correction sigmas of greatest evidence.
 
-    For each lens the chi-square of its control points under a prior of 1 px, over how many of
-    them the shots tell, is the next guess of the variance. Source: D. J. C. MacKay, "Bayesian
-    interpolation", Neural Computation 4(3), 1992.
+    The next estimate of each lens's variance is the chi-square of its control points under a prior
+    of 1 px, over the effective number of control points that the shots determine.
+
+    Source: D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4(3), 1992.
     """
     for _ in range(MOST_ROUNDS):
         before = correction_sigmas_px(problem)
         squares, determined = assess_corrections(problem, before)
         after = np.sqrt(np.maximum(squares / np.maximum(determined, 1e-9), _LEAST_SIGMA_PX**2))
         after = np.where(before > 0, after, 0.0)
-        problem = with_sigma_factors(problem._replace(spent_on_lenses=float(determined.sum())))
-        problem, _ = fit_places(_with_sigmas(problem, after))
-        fitted_ones = before > 0
-        if np.all(np.abs(np.log(after[fitted_ones] / before[fitted_ones])) < LEAST_CHANGE):
+        problem = with_sigma_factors(problem._replace(lens_dof=float(determined.sum())))
+        problem, _ = fit_points(_with_sigmas(problem, after))
+        has_correction = before > 0
+        if np.all(np.abs(np.log(after[has_correction] / before[has_correction])) < LEAST_CHANGE):
             break
     return problem
 
@@ -112,28 +134,36 @@ def _with_own_sigmas(problem: Problem) -> Problem:
 def assess_corrections(
     problem: Problem, sigma_px: Float[np.ndarray, "l"]
 ) -> tuple[Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
-    """Of each lens, the chi-square of its correction under a sigma of 1 px, and how many numbers
-    of it the shots tell, at the end of a fit under priors of `sigma_px`."""
+    """Chi-square of each lens's correction under a sigma of 1 px, and its determined number of
+    points.
+
+    The second result is the effective number of control points that the shots determine, at the end
+    of a fit under priors of `sigma_px`.
+    """
     information = compute_information(problem)
     covariance = np.nan_to_num(information.observability.covariance)
     model = type(problem.state.lenses)
     assert issubclass(model, AbstractSplinedLens)
     unit, scale = model.correction_information(), np.asarray(problem.parametrization.lens_scale)
     count, size = scale.shape
-    known = np.diag(unit) > 0
+    has_prior = np.diag(unit) > 0
     squares, determined = np.zeros(count), np.zeros(count)
     for k in np.flatnonzero(sigma_px > 0):
         values = np.asarray(lens_number(problem, int(k)).parameters)
         squares[k] = values @ unit @ values
-        rows = np.searchsorted(information.free, k * size + np.flatnonzero(known))
-        own = covariance[np.ix_(rows, rows)] * np.outer(scale[k, known], scale[k, known])
-        of_prior = np.sum(unit[np.ix_(known, known)] * own) / sigma_px[k] ** 2
-        determined[k] = known.sum() - of_prior
+        rows = np.searchsorted(information.free, k * size + np.flatnonzero(has_prior))
+        lens_covariance = covariance[np.ix_(rows, rows)] * np.outer(
+            scale[k, has_prior], scale[k, has_prior]
+        )
+        prior_share = (
+            np.sum(unit[np.ix_(has_prior, has_prior)] * lens_covariance) / sigma_px[k] ** 2
+        )
+        determined[k] = has_prior.sum() - prior_share
     return squares, determined
 
 
 def _with_sigmas(problem: Problem, sigma_px: Float[np.ndarray, "l"]) -> Problem:
-    """The problem with priors of these sigmas; those of 0 are of lenses that are held."""
+    """Problem with spline priors of these sigmas; 0 for lenses that are fixed."""
     model = type(problem.state.lenses)
     assert issubclass(model, AbstractSplinedLens)
     inverse = np.divide(1.0, sigma_px**2, out=np.zeros_like(sigma_px), where=sigma_px > 0)
@@ -142,8 +172,10 @@ def _with_sigmas(problem: Problem, sigma_px: Float[np.ndarray, "l"]) -> Problem:
 
 
 def _first_sigmas_px(problem: Problem) -> Float[np.ndarray, "l"]:
-    """What the core leaves, for lenses that are fitted."""
+    """Rms residual of the polynomial fit, px, per fitted lens: initial sigma of the
+    spline prior.
+    """
     count, size = problem.parametrization.lens_shape
     is_free = np.asarray(problem.free)[: count * size].reshape(count, size).any(axis=1)
-    errors = [each[view.kept] for view, each in zip(problem.views, errors_px(problem))]
+    errors = [each[view.rows_used] for view, each in zip(problem.views, errors_px(problem))]
     return np.where(is_free, np.sqrt(np.mean(np.concatenate(errors) ** 2)), 0.0)

@@ -1,15 +1,15 @@
-"""Causes of residuals that are larger than their sigmas, with their size in pixels.
+"""Causes of residuals that exceed their sigmas, with their size in pixels.
 
 Four causes leave four patterns in the residuals of a rig from shots:
 
-- the lens is of another model: a pattern fixed in the image of a camera, the same in all shots;
-- the board changes its shape from shot to shot (paper in the hand), or moves while a rolling
-  shutter reads the image: a smooth pattern over the board that differs from image to image;
-- the cameras do not look at one moment: the board's pose differs between the cameras of a shot;
-- one camera moved during the recording: that difference changes once and stays.
+- Wrong lens model: a pattern fixed in the image of a camera, the same in all shots.
+- Board of changing shape (paper in the hand), or moving while a rolling shutter reads the image: a
+  smooth pattern over the board that differs from image to image.
+- Unsynchronised cameras: the board's pose differs between the cameras of a shot.
+- One camera moved during the recording: that difference changes once and stays.
 
-Each pattern is compared with what noise alone leaves of it, as in an analysis of variance; its
-amplitude is the root mean square length in pixels after the noise's share was subtracted.
+As in an analysis of variance, each pattern is compared with its expectation under noise alone. Its
+amplitude is the root mean square length in pixels, minus the noise's share.
 """
 
 from collections.abc import Sequence
@@ -34,12 +34,12 @@ from trinoc.calib.tuning.every_group import TUNING
 _CELLS, _FEWEST_IMAGES = 8, 3
 # numerical: fewer shots on one side of a change do not show that a camera moved.
 _FEWEST_SHOTS = 3
-# numerical: numbers of a smooth pattern of second degree that the pose of a board leaves.
+# numerical: parameters of a smooth pattern of second degree, and those that a pose absorbs.
 _SMOOTH, _ABSORBED = 12, 6
 
 
 class CauseKind(Enum):
-    """What makes residuals larger than their sigmas."""
+    """Kinds of causes of large residuals."""
 
     LENS_MODEL = "lens model"
     BOARD_CHANGES = "board changes"
@@ -52,11 +52,11 @@ class MisfitCause(NamedTuple):
 
     Fields
     ------
-    kind : which.
-    camera : index of the camera that shows it.
-    amplitude_px : root mean square length of the pattern; of a camera that moved, how far.
+    kind : kind of cause.
+    camera : index of the camera with the pattern.
+    amplitude_px : root mean square length of the pattern; for a moved camera, its shift.
     noise_px : root mean square length of all residuals of the camera.
-    shot : of a camera that moved, the first shot after it.
+    shot : for a moved camera, the first shot after the motion.
     """
 
     kind: CauseKind
@@ -67,21 +67,21 @@ class MisfitCause(NamedTuple):
 
 
 def find_causes(problem: Problem) -> list[MisfitCause]:
-    """The causes that explain a share of the residuals worth naming, the largest first."""
+    """Causes that explain a relevant share of the residuals, the largest first."""
     causes, poses, tuning = [], fit_image_poses(problem), problem.tuning.answer
-    # Where the cameras of a shot see the board at other moments, each image has a pose of its own.
-    every = errors_about_image_poses_px(problem, poses)
+    # Each image has its own pose, in case the cameras are not synchronised.
+    errors = errors_about_image_poses_px(problem, poses)
     for camera in range(problem.cameras):
         rows = [
             k
             for k, view in enumerate(problem.views)
-            if view.camera == camera and view.rows == len(view.used) and view.used.any()
+            if view.camera == camera and view.row_count == len(view.used) and view.used.any()
         ]
         if len(rows) < _FEWEST_IMAGES:
             continue
-        residuals = [every[k][problem.views[k].used] for k in rows]
-        places = [problem.views[k].detection.centres_px[problem.views[k].used] for k in rows]
-        board = [
+        residuals = [errors[k][problem.views[k].used] for k in rows]
+        pixels = [problem.views[k].detection.centres_px[problem.views[k].used] for k in rows]
+        board_mm = [
             problem.target.centres_mm[problem.views[k].detection.circle_index][
                 problem.views[k].used
             ]
@@ -90,8 +90,8 @@ def find_causes(problem: Problem) -> list[MisfitCause]:
         noise_px = float(np.sqrt(np.mean(np.sum(np.concatenate(residuals) ** 2, axis=1))))
         size_px = problem.views[rows[0]].detection.image_size_px
         patterns = {
-            CauseKind.LENS_MODEL: lens_pattern_px(residuals, places, size_px, tuning.named_ratio),
-            CauseKind.BOARD_CHANGES: smooth_pattern_px(residuals, board, tuning.named_ratio),
+            CauseKind.LENS_MODEL: lens_pattern_px(residuals, pixels, size_px, tuning.named_ratio),
+            CauseKind.BOARD_CHANGES: smooth_pattern_px(residuals, board_mm, tuning.named_ratio),
         }
         least_px = max(tuning.named_share * noise_px, tuning.least_shift_px)
         causes += [
@@ -99,35 +99,35 @@ def find_causes(problem: Problem) -> list[MisfitCause]:
             for kind, amplitude_px in patterns.items()
             if amplitude_px > least_px
         ]
-    causes += _of_moments(problem, poses)
+    causes += _causes_of_moments(problem, poses)
     return sorted(causes, key=lambda cause: -cause.amplitude_px)
 
 
 def lens_pattern_px(
     residuals: Sequence[Float[np.ndarray, "_m 2"]],
-    places_px: Sequence[Float[np.ndarray, "_m 2"]],
+    observed_px: Sequence[Float[np.ndarray, "_m 2"]],
     size_px: tuple[int, int],
     named_ratio: float = TUNING.answer.named_ratio,
 ) -> float:
-    """Amplitude of the pattern that all images of one camera share; 0 where noise explains it.
+    """Amplitude of the pattern that all images of one camera share, px; 0 if noise explains it.
 
     The residuals are averaged over the cells of a grid, first in each image. The scatter between
     the images is the noise of a cell's mean.
     """
     cell_of = [
-        np.minimum((each / size_px * _CELLS).clip(0), _CELLS - 1).astype(int)
+        np.minimum((pixels / size_px * _CELLS).clip(0), _CELLS - 1).astype(int)
         @ np.array([1, _CELLS])
-        for each in places_px
+        for pixels in observed_px
     ]
     sums = np.zeros((len(residuals), _CELLS**2, 2))
     counts = np.zeros((len(residuals), _CELLS**2))
-    for image, (cell, own) in enumerate(zip(cell_of, residuals, strict=True)):
-        np.add.at(sums[image], cell, own)
+    for image, (cell, image_residuals) in enumerate(zip(cell_of, residuals, strict=True)):
+        np.add.at(sums[image], cell, image_residuals)
         np.add.at(counts[image], cell, 1)
     excess, weight, score, freedom = 0.0, 0.0, 0.0, 0
     for cell in np.flatnonzero((counts > 0).sum(axis=0) >= _FEWEST_IMAGES):
-        seen = counts[:, cell] > 0
-        means = sums[seen, cell] / counts[seen, cell, None]
+        shows_cell = counts[:, cell] > 0
+        means = sums[shows_cell, cell] / counts[shows_cell, cell, None]
         variance = means.var(axis=0, ddof=1).sum() / len(means)
         square = float(np.sum(means.mean(axis=0) ** 2))
         number = counts[:, cell].sum()
@@ -144,36 +144,42 @@ def smooth_pattern_px(
     board_mm: Sequence[Float[np.ndarray, "_m 2"]],
     named_ratio: float = TUNING.answer.named_ratio,
 ) -> float:
-    """Amplitude of polynomials of second degree over the board, one for each image; 0 where noise
-    explains them. Six of their twelve numbers are the pose's, which residuals do not show."""
-    explained, rest, freedom, count = 0.0, 0.0, 0, 0
-    for own, place in zip(residuals, board_mm, strict=True):
-        if 2 * len(own) <= 2 * _SMOOTH:
+    """Amplitude of polynomials of second degree over the board, one per image; 0 if noise explains
+    them.
+
+    Six of their twelve parameters are absorbed by the pose, and residuals do not show them.
+    """
+    explained, unexplained, freedom, count = 0.0, 0.0, 0, 0
+    for image_residuals, points in zip(residuals, board_mm, strict=True):
+        if 2 * len(image_residuals) <= 2 * _SMOOTH:
             continue
-        x, y = ((place - place.mean(axis=0)) / np.maximum(np.ptp(place, axis=0), 1e-9)).T
+        x, y = ((points - points.mean(axis=0)) / np.maximum(np.ptp(points, axis=0), 1e-9)).T
         basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
         orthonormal, _ = np.linalg.qr(basis)
-        square = float(np.sum((orthonormal.T @ own) ** 2))
-        explained, rest = explained + square, rest + float(np.sum(own**2)) - square
-        freedom, count = freedom + 2 * len(own) - _SMOOTH, count + 1
+        square = float(np.sum((orthonormal.T @ image_residuals) ** 2))
+        explained, unexplained = (
+            explained + square,
+            unexplained + float(np.sum(image_residuals**2)) - square,
+        )
+        freedom, count = freedom + 2 * len(image_residuals) - _SMOOTH, count + 1
     if not count or freedom <= 0:
         return 0.0
-    variance = rest / freedom
+    variance = unexplained / freedom
     expected = (_SMOOTH - _ABSORBED) * count * variance
     if explained < named_ratio * expected:
         return 0.0
     return float(np.sqrt((explained - expected) / sum(map(len, residuals))))
 
 
-def _of_moments(problem: Problem, poses: ImagePoses) -> list[MisfitCause]:
-    causes, every, tuning = [], errors_px(problem), problem.tuning.answer
+def _causes_of_moments(problem: Problem, poses: ImagePoses) -> list[MisfitCause]:
+    causes, errors, tuning = [], errors_px(problem), problem.tuning.answer
     for camera, (shots, shifts_px) in pose_differences_px(problem, poses).items():
         rows = [k for k, v in enumerate(problem.views) if v.camera == camera and v.used.any()]
-        residuals = np.concatenate([every[k][problem.views[k].kept] for k in rows])
+        residuals = np.concatenate([errors[k][problem.views[k].rows_used] for k in rows])
         noise_px = float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
-        moved = change_point(shifts_px, tuning.moved_scatters)
-        if moved is not None:
-            index, distance_px = moved
+        change = change_point(shifts_px, tuning.moved_scatters)
+        if change is not None:
+            index, distance_px = change
             causes.append(
                 MisfitCause(
                     CauseKind.CAMERA_MOVED, camera, distance_px, noise_px, int(shots[index])
@@ -189,20 +195,23 @@ def _of_moments(problem: Problem, poses: ImagePoses) -> list[MisfitCause]:
 def change_point(
     shifts_px: Float[np.ndarray, "s 2"], moved_scatters: float = TUNING.answer.moved_scatters
 ) -> tuple[int, float] | None:
-    """(index of the first shot after a change, its size in px), where the shifts of a camera jump
-    once by far more than they scatter on either side; else None."""
+    """First shot after a change of a camera's shifts, and the size of the change in px; None
+    without one.
+
+    The change is a single jump that is far larger than the scatter on either side.
+    """
     splits = range(_FEWEST_SHOTS, len(shifts_px) - _FEWEST_SHOTS + 1)
     if not splits:
         return None
 
     def parts(index: int) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "s 2"]]:
-        """The jump of the medians, and what is left of the shifts on either side."""
+        """Jump of the medians, and the deviations from the medians."""
         sides = shifts_px[:index], shifts_px[index:]
         middles = [np.median(side, axis=0) for side in sides]
         return middles[1] - middles[0], np.concatenate([s - m for s, m in zip(sides, middles)])
 
     index = min(splits, key=lambda index: float(np.sum(parts(index)[1] ** 2)))
-    jump, rest = parts(index)
+    jump, remainder = parts(index)
     size_px = float(np.linalg.norm(jump))
-    scatter_px = float(np.median(np.linalg.norm(rest, axis=1)))
+    scatter_px = float(np.median(np.linalg.norm(remainder, axis=1)))
     return (index, size_px) if size_px > moved_scatters * scatter_px else None

@@ -1,10 +1,10 @@
-"""Shots whose cameras did not see the board at one moment, by a score test at the end of a fit.
+"""Score test for shots whose images were not taken at one moment.
 
-In a shot of n cameras the board has one pose. Were it free in each image, the chi-square of the
-shot would fall by D = sum_v g_v^T H_v^-1 g_v - g^T H^-1 g, to first order, where g_v and H_v are
-gradient and information of the pose by the residuals of image v, and g and H their sums. For
-images of one moment D has a chi-square law with 6 (n - 1) degrees of freedom, times the factor by
-which all residuals exceed their sigmas. A board that moved makes D far larger than in other shots.
+In a shot of n cameras the board has one pose. If it were free in each image, the chi-square of the
+shot would fall by D = sum_v g_v^T H_v^-1 g_v - g^T H^-1 g, to first order. Here g_v and H_v are
+gradient and information of the pose from image v, and g and H their sums. For images of one moment
+D has a chi-square distribution with 6 (n - 1) degrees of freedom, times the variance factor of all
+residuals. A board that moved makes D far larger than in other shots.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,62 +15,64 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from trinoc.calib.problem.places import linearise
 from trinoc.calib.problem.problem import Problem
-from trinoc.calib.problem.robust_fit import errors_px, place_errors_in_sigmas
+from trinoc.calib.problem.reprojection import linearise
+from trinoc.calib.problem.robust_fit import errors_px, whitened_errors
 from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, RigState
-from trinoc.calib.problem.views import ViewTable, shot_capacity
+from trinoc.calib.problem.views import ObservationTable, shot_capacity
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.robust_loss import GemanMcClure
 
-# numerical: fewer shots do not show what is usual.
+# numerical: fewer shots have no typical value.
 _FEWEST_SHOTS = 4
 
 
-class OtherMoment(NamedTuple):
-    """An image that shows the board elsewhere than the other cameras of its shot.
+class UnsynchronisedImage(NamedTuple):
+    """An image with the board at another pose than in the other images of its shot.
 
     Fields
     ------
-    view : its index.
-    excess : D over its degrees of freedom, in units of what is usual among the shots.
+    view : index of the observation.
+    excess : D over its degrees of freedom, relative to its typical value in the shots.
     """
 
     view: int
     excess: float
 
 
-def find_other_moments(problem: Problem) -> list[OtherMoment]:
-    """Images to be taken out of their shots, at the end of a robust fit.
+def find_unsynchronised_images(problem: Problem) -> list[UnsynchronisedImage]:
+    """Images to be removed from their shots, at the end of a robust fit.
 
-    From a flagged shot of three and more cameras, the image is taken whose removal makes the others
-    agree best. A board of several, or a shot of one camera, is not tested.
+    In a shot of three or more cameras, the image is removed without which the others agree best.
+    Sets of boards and shots of one camera are not tested.
     """
     images_by_shot, excess = _excesses(problem)
     excess_by_shot = {shot: excess(images) for shot, images in images_by_shot.items()}
-    usual = max(_typical(images_by_shot, excess_by_shot), 1.0)
+    typical = max(_typical(images_by_shot, excess_by_shot), 1.0)
     if len(images_by_shot) < _FEWEST_SHOTS:
         return []
-    others = []
+    unsynchronised = []
     for shot, images in images_by_shot.items():
         remaining, value = list(images), excess_by_shot[shot]
-        while value > problem.tuning.problem.other_moment * usual:
+        while value > problem.tuning.problem.other_moment * typical:
             without = {k: excess([j for j in remaining if j != k]) for k in remaining}
-            # Of two images either may be the other one: the first keeps the shot.
+            # Of two images either may be wrong: the first keeps the shot.
             worst = (
                 remaining[-1]
                 if len(remaining) == 2
                 else min(without, key=lambda image: without[image])
             )
-            others.append(OtherMoment(worst, value / usual))
+            unsynchronised.append(UnsynchronisedImage(worst, value / typical))
             remaining.remove(worst)
             value = without[worst]
-    return others
+    return unsynchronised
 
 
 def typical_excess(problem: Problem) -> float:
-    """D over its degrees of freedom, in the median of the shots, over that of noise alone: 1 where
-    the cameras look at one moment and the sigmas are right; 0 where too few shots show it."""
+    """Median over the shots of D over its degrees of freedom, relative to that of noise alone.
+
+    1 for synchronised cameras and correct sigmas; 0 for too few shots.
+    """
     images_by_shot, excess = _excesses(problem)
     if len(images_by_shot) < _FEWEST_SHOTS:
         return 0.0
@@ -78,7 +80,7 @@ def typical_excess(problem: Problem) -> float:
 
 
 def _typical(images_by_shot: dict[int, list[int]], excess_by_shot: dict[int, float]) -> float:
-    """Median of the shots' excesses, each over the median that its law has under noise alone."""
+    """Median of the shots' excesses, each over the median of its distribution under noise alone."""
     ratios = []
     for shot, images in images_by_shot.items():
         freedom = POSE_SIZE * (len(images) - 1)
@@ -90,9 +92,9 @@ def _typical(images_by_shot: dict[int, list[int]], excess_by_shot: dict[int, flo
 def _excesses(
     problem: Problem,
 ) -> tuple[dict[int, list[int]], Callable[[list[int]], float]]:
-    """(the images of each shot of several cameras, D over its degrees of freedom for some images).
+    """Images of each shot with several cameras, and a function for D over its degrees of freedom.
 
-    Of a board of several there are no shots to compare.
+    Empty for sets of boards.
     """
     if len(problem.state.set_from_board):
         return {}, lambda _: 0.0
@@ -102,15 +104,15 @@ def _excesses(
         if len(rows) < 2:
             return 0.0
         gains = [_gain(information[k], gradient[k]) for k in rows]
-        together = _gain(information[rows].sum(axis=0), gradient[rows].sum(axis=0))
-        return (sum(gains) - together) / (POSE_SIZE * (len(rows) - 1))
+        joint_gain = _gain(information[rows].sum(axis=0), gradient[rows].sum(axis=0))
+        return (sum(gains) - joint_gain) / (POSE_SIZE * (len(rows) - 1))
 
     shots = images_of_shots(problem)
     return {shot: rows for shot, rows in shots.items() if len(rows) > 1}, excess
 
 
 def images_of_shots(problem: Problem) -> dict[int, list[int]]:
-    """Indices of the images that take part, by shot."""
+    """Indices of the used images, by shot."""
     shots: dict[int, list[int]] = {}
     for k, view in enumerate(problem.views):
         if view.used.any():
@@ -121,7 +123,7 @@ def images_of_shots(problem: Problem) -> dict[int, list[int]]:
 def _pose_step(
     information: Float[np.ndarray, "*v 6 6"], gradient: Float[np.ndarray, "*v 6"]
 ) -> Float[np.ndarray, "*v 6"]:
-    """Gauss-Newton step of a pose; directions that nothing determines stay nearly at rest."""
+    """Gauss-Newton step of a pose; undetermined directions hardly move."""
     scale = 1 / np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
     scaled = information * scale[..., :, None] * scale[..., None, :] + 1e-9 * np.eye(POSE_SIZE)
     return -scale * np.linalg.solve(scaled, (gradient * scale)[..., None])[..., 0]
@@ -135,16 +137,16 @@ def _gain(information: Float[np.ndarray, "6 6"], gradient: Float[np.ndarray, "6"
 def _pose_equations(
     problem: Problem,
 ) -> tuple[Float[np.ndarray, "v 6 6"], Float[np.ndarray, "v 6"]]:
-    """Information and gradient of the pose of each image's board.
+    """Information and gradient of the pose of the board in each image.
 
-    A place that lies far off where most of its own image lie was located wrongly, and is weighted
-    down: the image as a whole may lie anywhere.
+    Points far from most points of their own image are outliers and have a small weight. The image
+    as a whole may lie anywhere.
     """
     count = len(problem.views)
-    whitened = place_errors_in_sigmas(problem)
+    whitened = whitened_errors(problem)
     scale = np.full(len(whitened), np.inf)
     for k, view in enumerate(problem.views):
-        length = np.linalg.norm(whitened[k], axis=1)[: view.rows][view.kept]
+        length = np.linalg.norm(whitened[k], axis=1)[: view.row_count][view.rows_used]
         if len(length):
             scale[k] = problem.tuning.problem.gate * max(float(np.median(length)), 1e-9)
     loss = GemanMcClure.from_scale(scale)
@@ -155,10 +157,12 @@ def _pose_equations(
 
 @kept_jit
 def _by_view(
-    state: RigState, parametrization: Parametrization, table: ViewTable, loss: GemanMcClure
+    state: RigState, parametrization: Parametrization, table: ObservationTable, loss: GemanMcClure
 ) -> tuple[Float[Array, "v 6 6"], Float[Array, "v 6"]]:
-    def of_view(view: ViewTable, own: GemanMcClure) -> tuple[Array, Array]:
-        information, gradient = linearise(state, parametrization, view).weigh(parametrization, own)
+    def of_view(view: ObservationTable, view_loss: GemanMcClure) -> tuple[Array, Array]:
+        information, gradient = linearise(state, parametrization, view).weigh(
+            parametrization, view_loss
+        )
         return information[-POSE_SIZE:, -POSE_SIZE:], gradient[-POSE_SIZE:]
 
     return jax.vmap(of_view)(table, loss)
@@ -169,9 +173,9 @@ class ImagePoses(NamedTuple):
 
     Fields
     ------
-    step : (v, 6) from the pose of the shot to that which fits the image alone.
-    information : (v, 6, 6) of the step, by the sigmas as they are.
-    jacobian_px : (v, n, 2, 6) change of the places' pixels by the step.
+    step : (v, 6) from the pose of the shot to that of the image.
+    information : (v, 6, 6) of the step, by the present sigmas.
+    jacobian_px : (v, n, 2, 6) derivative of the points' pixels by the step.
     """
 
     step: Float[np.ndarray, "v 6"]
@@ -182,28 +186,31 @@ class ImagePoses(NamedTuple):
 def fit_image_poses(problem: Problem) -> ImagePoses:
     """Fit the pose of the board to each image alone, by one Gauss-Newton step."""
     information, gradient = _pose_equations(problem)
-    drawn_mm = [np.asarray(rows) for rows in problem.table.place_mm[: len(problem.views)]]
+    drawn_mm = [np.asarray(rows) for rows in problem.table.point_mm[: len(problem.views)]]
     jacobian_px = pose_jacobian_px(problem, drawn_mm)
     return ImagePoses(_pose_step(information, gradient), information, jacobian_px)
 
 
 def pose_jacobian_px(
-    problem: Problem, place_mm: Sequence[Float[np.ndarray, "_n 3"]]
+    problem: Problem, point_mm: Sequence[Float[np.ndarray, "_n 3"]]
 ) -> Float[np.ndarray, "v n 2 6"]:
-    """Change of the pixels of given places of the board by steps of its pose, of each image."""
+    """Derivative of the pixels of board points by the pose of the board, for each image.
+
+    point_mm : points of each image on the board, (n, 3).
+    """
     count, table = len(problem.views), problem.table
     used = np.any(table.whitening != 0, axis=(-2, -1))
-    plain = used[..., None, None] * np.eye(table.whitening.shape[-1])
-    places = np.array(table.place_mm)
-    for k, rows in enumerate(place_mm):
-        places[k, : len(rows)] = rows
-    table = table._replace(whitening=plain, place_mm=places)
+    identity = used[..., None, None] * np.eye(table.whitening.shape[-1])
+    table_points_mm = np.array(table.point_mm)
+    for k, rows in enumerate(point_mm):
+        table_points_mm[k, : len(rows)] = rows
+    table = table._replace(whitening=identity, point_mm=table_points_mm)
     return np.asarray(_pose_jacobian(problem.state, problem.parametrization, table))[:count]
 
 
 @kept_jit
 def _pose_jacobian(
-    state: RigState, parametrization: Parametrization, table: ViewTable
+    state: RigState, parametrization: Parametrization, table: ObservationTable
 ) -> Float[Array, "v n 2 6"]:
     return jax.vmap(
         lambda view: linearise(state, parametrization, view).jacobian[..., -POSE_SIZE:]
@@ -213,7 +220,7 @@ def _pose_jacobian(
 def errors_about_image_poses_px(
     problem: Problem, poses: ImagePoses
 ) -> list[Float[np.ndarray, "_m 2"]]:
-    """Residuals of each image about its own pose, without what moments differ by."""
+    """Residuals of each image about its own pose, without differences between moments, px."""
     return [
         errors + jacobian[: len(errors)] @ step
         for errors, jacobian, step in zip(errors_px(problem), poses.jacobian_px, poses.step)
@@ -223,39 +230,45 @@ def errors_about_image_poses_px(
 def pose_differences_px(
     problem: Problem, poses: ImagePoses
 ) -> dict[int, tuple[np.ndarray, Float[np.ndarray, "_s 2"]]]:
-    """For each camera but the first (shots, shifts in px of the board's image).
+    """Shots and shifts (px) of the board's image, for each camera but the first.
 
-    A shift is the mean motion of the board's places in this camera, were its pose that which fits
-    the image alone, less the mean of the other cameras of the shot. It is small where they look at
-    one moment.
+    A shift is the mean motion of the board points to the pose that fits this image alone, minus the
+    mean of the other cameras of the shot. It is small for synchronised cameras.
     """
     if len(problem.state.set_from_board):
         return {}
     shifts: dict[int, dict[int, np.ndarray]] = {}
     for k, view in enumerate(problem.views):
         if view.used.any():
-            moved = poses.jacobian_px[k, : view.rows] @ poses.step[k]
-            shifts.setdefault(view.shot, {})[view.camera] = moved[view.kept].mean(axis=0)
-    answer = {}
+            motion_px = poses.jacobian_px[k, : view.row_count] @ poses.step[k]
+            shifts.setdefault(view.shot, {})[view.camera] = motion_px[view.rows_used].mean(axis=0)
+    differences_of_camera = {}
     for camera in range(1, problem.cameras):
-        shots = sorted(shot for shot, each in shifts.items() if camera in each and len(each) > 1)
+        shots = sorted(
+            shot
+            for shot, camera_shifts in shifts.items()
+            if camera in camera_shifts and len(camera_shifts) > 1
+        )
         if len(shots) >= _FEWEST_SHOTS:
             differences = [
                 shifts[shot][camera]
-                - np.mean([each for c, each in shifts[shot].items() if c != camera], axis=0)
+                - np.mean(
+                    [camera_shifts for c, camera_shifts in shifts[shot].items() if c != camera],
+                    axis=0,
+                )
                 for shot in shots
             ]
-            answer[camera] = np.array(shots), np.array(differences)
-    return answer
+            differences_of_camera[camera] = np.array(shots), np.array(differences)
+    return differences_of_camera
 
 
-def with_shots_of_their_own(problem: Problem, views: list[int]) -> Problem:
-    """The problem with these views in new shots behind the others, in the order given."""
+def split_into_own_shots(problem: Problem, views: list[int]) -> Problem:
+    """Problem with these observations in new shots behind the others, in the given order."""
     boards = np.asarray(problem.state.rig_from_board)
-    own = boards[[problem.views[k].shot for k in views]]
+    new_boards = boards[[problem.views[k].shot for k in views]]
     shots = problem.shots + len(views)
-    more = np.broadcast_to(np.eye(3, 4), (shot_capacity(shots) - shots, 3, 4))
-    rig_from_board = np.concatenate([boards[: problem.shots], own, more])
+    spare_poses = np.broadcast_to(np.eye(3, 4), (shot_capacity(shots) - shots, 3, 4))
+    rig_from_board = np.concatenate([boards[: problem.shots], new_boards, spare_poses])
     state = eqx.tree_at(lambda s: s.rig_from_board, problem.state, rig_from_board)
     members = list(problem.views)
     for number, k in enumerate(views):

@@ -18,8 +18,10 @@ from trinoc.numerics.programs import kept_jit
 
 
 class World(NamedTuple):
-    """Where the world lies: the board in a shot, or a camera; one of them is given, as an array,
-    so that another one does not compile anew."""
+    """Frame of the world: that of the board in a shot, or of a camera.
+
+    One of both is given, as an array, so that another one does not compile again.
+    """
 
     shot: Int[np.ndarray, ""] | None
     camera: Int[np.ndarray, ""] | None
@@ -30,10 +32,10 @@ class NamedCovariance(NamedTuple):
 
     Fields
     ------
-    names : "upper.pan_deg", ..., "upper.fx_px", ..., "board.scale_x", ...; of several boards
+    names : "upper.pan_deg", ..., "upper.fx_px", ..., "board.scale_x", ...; for sets
         "board.NAME.turn_x_deg", ..., and "board.NAME.scale_x", ...
-    values : (p,).
-    covariance : (p, p).
+    values : (p,) values.
+    covariance : (p, p) covariance.
     """
 
     names: tuple[str, ...]
@@ -49,12 +51,12 @@ def named_covariance(
     cameras: tuple[str, ...],
     world: World,
 ) -> NamedCovariance:
-    """The public parameters, with the covariance that the head's and the world's board's have.
+    """Public parameters with the covariance of the head and of the world's board.
 
-    variance_factor : of the board's own covariance; the head's already has it.
+    variance_factor : of the board's covariance; that of the head already contains it.
 
-    Poses are pan, tilt, swing, distance and aim where all cameras look at the plane Z = 0, rigid
-    motions about where they stand otherwise.
+    Poses are pan, tilt, swing, distance and aim if all cameras look at the plane Z = 0. Otherwise
+    they are rigid motions about their values.
     """
     _, over_sheet = poses_in_world(problem.state, world)
     is_over_sheet = world.shot is not None and np.isfinite(over_sheet).all()
@@ -66,18 +68,18 @@ def named_covariance(
     )
     by_board = by_board[:, shot] if world.shot is not None else np.zeros((len(values), POSE_SIZE))
     by_free = by_head[:, information.free]
-    by_free = by_free + by_board @ information.follow[shot][:, information.free]
+    by_free = by_free + by_board @ information.board_by_head[shot][:, information.free]
     covariance = by_free @ head_covariance @ by_free.T
-    covariance += variance_factor * by_board @ information.own[shot] @ by_board.T
+    covariance += variance_factor * by_board @ information.board_covariance[shot] @ by_board.T
     names = []
     for name in cameras:
-        names += [f"{name}.{each}" for each in model.parameter_names]
-        names += [f"{name}.{each}" for each in problem.state.lenses.parameter_names]
+        names += [f"{name}.{parameter}" for parameter in model.parameter_names]
+        names += [f"{name}.{parameter}" for parameter in problem.state.lenses.parameter_names]
     prefixes = board_prefixes(problem.target)
     for prefix in prefixes[1:]:
-        names += [f"{prefix}{each}" for each in IN_SET_NAMES]
+        names += [f"{prefix}{parameter}" for parameter in IN_SET_NAMES]
     for prefix in prefixes:
-        names += [f"{prefix}{each}" for each in problem.parametrization.sheet_model.names]
+        names += [f"{prefix}{parameter}" for parameter in problem.parametrization.sheet_model.names]
     return NamedCovariance(tuple(names), values, 0.5 * (covariance + covariance.T))
 
 
@@ -87,39 +89,44 @@ def _poses_in_world(state: RigState, world: World) -> Float[ArrayLike, "c 3 4"]:
         rig_from_world = Pose(jnp.asarray(state.rig_from_board)[world.shot])
     else:
         rig_from_world = Pose(cameras[world.camera]).inverse
-    return jax.vmap(lambda own: (Pose(own) @ rig_from_world).cam_from_world)(cameras)
+    return jax.vmap(lambda cam_from_rig: (Pose(cam_from_rig) @ rig_from_world).cam_from_world)(
+        cameras
+    )
 
 
 @kept_jit
 def poses_in_world(
     state: RigState, world: World
 ) -> tuple[Float[ArrayLike, "c 3 4"], Float[ArrayLike, "c 6"]]:
-    """cam_from_world of every camera, and its parameters over the sheet, NaN where it has none."""
+    """Poses cam_from_world (c, 3, 4) of all cameras, and their parameters over the sheet (c, 6).
+
+    The parameters are NaN for a camera that does not look at the sheet.
+    """
     poses = _poses_in_world(state, world)
     return poses, jax.vmap(lambda pose: Pose(pose).parameters)(poses)
 
 
-def open_rows(
+def undetermined_rows(
     problem: Problem, information: Information, names: tuple[str, ...], world: World
 ) -> np.ndarray:
-    """Which named parameters a direction that is not determined changes, (p,).
+    """Mask of the named parameters that an undetermined direction changes, (p,).
 
-    The pose of the camera whose frame is the world's is exact.
+    The pose of the camera that is the world is exact.
     """
     parametrization, slices = problem.parametrization, problem.slices
-    open_head = np.zeros(len(parametrization.free), dtype=bool)
-    open_head[information.free[list(information.observability.gauge)]] = True
+    head_undetermined = np.zeros(len(parametrization.free), dtype=bool)
+    head_undetermined[information.free[list(information.observability.gauge)]] = True
     count, size = parametrization.lens_shape
-    open_steps = open_head[: count * size].reshape(count, 1, size)
-    of_lens = np.any((np.asarray(parametrization.lens_basis) != 0) & open_steps, axis=2)
-    any_pose = bool(open_head[slices.lenses.stop :].any())
+    lens_undetermined = head_undetermined[: count * size].reshape(count, 1, size)
+    lens_rows = np.any((np.asarray(parametrization.lens_basis) != 0) & lens_undetermined, axis=2)
+    poses_undetermined = bool(head_undetermined[slices.lenses.stop :].any())
     rows = []
     for camera, lens in enumerate(parametrization.lens_of_camera):
         is_world = world.camera is not None and int(world.camera) == camera
-        rows += [not is_world and (any_pose or bool(of_lens.any()))] * POSE_SIZE
-        rows += of_lens[lens].tolist()
-    rows += [any_pose] * (POSE_SIZE * max(len(problem.state.set_from_board) - 1, 0))
-    rows += open_head[slices.sheets].tolist()
+        rows += [not is_world and (poses_undetermined or bool(lens_rows.any()))] * POSE_SIZE
+        rows += lens_rows[lens].tolist()
+    rows += [poses_undetermined] * (POSE_SIZE * max(len(problem.state.set_from_board) - 1, 0))
+    rows += head_undetermined[slices.sheets].tolist()
     assert len(rows) == len(names)
     return np.array(rows)
 
@@ -132,21 +139,23 @@ def _parameters(
     start = _poses_in_world(state, world)
 
     def values(head: Array, boards: Array) -> Array:
-        here = retract(state, parametrization, head, boards)
-        poses = _poses_in_world(here, world)
+        moved = retract(state, parametrization, head, boards)
+        poses = _poses_in_world(moved, world)
 
         def of_camera(pose: ArrayLike, origin: ArrayLike, lens: ArrayLike) -> Array:
-            own = jax.tree.map(lambda leaf: leaf[lens], here.lenses)
+            moved_lens = jax.tree.map(lambda leaf: leaf[lens], moved.lenses)
             numbers = Pose(pose).model_parameters(model, Pose(origin))
             in_degrees = jnp.concatenate([jnp.degrees(numbers[:3]), numbers[3:]])
-            return jnp.concatenate([in_degrees, own.parameters])
+            return jnp.concatenate([in_degrees, moved_lens.parameters])
 
-        every = jax.vmap(of_camera)(poses, start, jnp.asarray(parametrization.lens_of_camera))
-        # How far a board turns counts from where it stands; its reference does not move.
+        camera_values = jax.vmap(of_camera)(
+            poses, start, jnp.asarray(parametrization.lens_of_camera)
+        )
+        # Rotations of boards are relative to their present pose; the reference board is fixed.
         turn_deg = jnp.degrees((head * parametrization.free)[parametrization.slices.boards])
         turn_deg = turn_deg.reshape(-1, POSE_SIZE)[1:, :3]
-        in_set = jnp.concatenate([turn_deg, here.set_from_board[1:, :, 3]], axis=1)
-        return jnp.concatenate([every.ravel(), in_set.ravel(), here.sheet])
+        set_values = jnp.concatenate([turn_deg, moved.set_from_board[1:, :, 3]], axis=1)
+        return jnp.concatenate([camera_values.ravel(), set_values.ravel(), moved.sheet])
 
     head = jnp.zeros_like(jnp.asarray(parametrization.free))
     boards = jnp.zeros((state.rig_from_board.shape[0], POSE_SIZE), head.dtype)

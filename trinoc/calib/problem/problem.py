@@ -1,4 +1,4 @@
-"""A rig to be fitted: its views, where the fit starts or ended, and what of it is free."""
+"""The calibration problem as one value: observations, state, and what is estimated."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from trinoc.calib.problem.variables import HeadSlices, Parametrization, Priors, RigState
-from trinoc.calib.problem.views import View, ViewTable, view_table
+from trinoc.calib.problem.views import BoardObservation, ObservationTable, observation_table
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.geometry.lenses.abstract_lens import AFFINE_PARAMETERS, AbstractLens
@@ -19,78 +19,78 @@ from trinoc.geometry.lenses.registry import stack_lenses
 from trinoc.geometry.pose import Pose
 from trinoc.numerics.precision import ArrayLike
 
-# numerical: share of the variance by which errors that are alike are set apart.
-_APART = 1e-6
+# numerical: share of the variance that keeps fully correlated errors invertible.
+_INDEPENDENT_SHARE = 1e-6
 
 
 class Problem(NamedTuple):
-    """Everything that the fit takes.
+    """All inputs of a fit, or its solution.
 
     Fields
     ------
-    views : what was seen.
+    views : observations of the board.
     target : the board.
-    state : where the fit starts, or where it ended.
-    parametrization : units, and what is free.
-    shots : how many there are; arrays have more rows.
-    sigma_factor : (c,) by how much the places' sigmas are multiplied for each camera.
-    spent : how many numbers the residuals determine of where the board's places lie.
-    spent_on_lenses : how many they determine of what has a prior in the lenses.
-    tuning : constants of the method, which every step of the fit reads.
+    state : unknowns at the start or at the end of a fit.
+    parametrization : units, priors, and free unknowns.
+    shots : number of shots; arrays have more rows.
+    sigma_factor : (c,) factor of the board points' sigmas, for each camera.
+    shape_dof : effective number of board-shape parameters determined by the residuals.
+    lens_dof : effective number of parameters of lenses with a prior determined by the residuals.
+    tuning : constants of the method for every step of the fit.
     """
 
-    views: tuple[View, ...]
+    views: tuple[BoardObservation, ...]
     target: AbstractTarget
     state: RigState
     parametrization: Parametrization
     shots: int
     sigma_factor: Float[np.ndarray, "c"]
-    spent: float = 0.0
-    spent_on_lenses: float = 0.0
+    shape_dof: float = 0.0
+    lens_dof: float = 0.0
     tuning: CalibTuning = TUNING
 
     @property
     def slices(self) -> HeadSlices:
-        """Where the steps of each kind of unknown stand in the head."""
+        """Positions of the steps of each kind of unknown in the head."""
         return self.parametrization.slices
 
     @property
     def free(self) -> Float[ArrayLike, "h"]:
-        """1 for steps of the head that are taken, 0 for others."""
+        """1 for free steps of the head, 0 for fixed ones."""
         return self.parametrization.free
 
     @property
     def priors(self) -> Priors:
-        """What was known of the unknowns beforehand."""
+        """Priors of the unknowns."""
         return self.parametrization.priors
 
     @property
     def cameras(self) -> int:
-        """How many cameras there are."""
+        """Number of cameras."""
         return len(self.parametrization.lens_of_camera)
 
     @property
     def image_sizes_px(self) -> dict[int, tuple[int, int]]:
-        """(width, height) of each camera's pictures."""
+        """(width, height) of each camera's images."""
         return {view.camera: view.detection.image_size_px for view in self.views}
 
     @property
-    def table(self) -> ViewTable:
-        """The views as arrays."""
-        table = view_table(self.views, self.target)
-        by_view = self.sigma_factor[np.asarray(table.camera)]
-        by_view[: len(self.views)] *= [view.sigma_ratio for view in self.views]
-        return table._replace(whitening=table.whitening / by_view[:, None, None, None])
+    def table(self) -> ObservationTable:
+        """Observations as arrays, whitened by sigmas times their factors."""
+        table = observation_table(self.views, self.target)
+        factor = self.sigma_factor[np.asarray(table.camera)]
+        factor[: len(self.views)] *= [view.sigma_ratio for view in self.views]
+        return table._replace(whitening=table.whitening / factor[:, None, None, None])
 
 
-class EndedProblem(NamedTuple):
-    """Where a fit ended, and how well that is known.
+class SolvedProblem(NamedTuple):
+    """Solution of a calibration problem with its covariance.
 
     Fields
     ------
-    problem : at its end.
-    covariance : (f, f) of the free steps of the head.
-    variance_factor : of the shots' noise, which is in the covariance.
+    problem : the problem at its solution.
+    covariance : (f, f) covariance of the free steps of the head.
+    variance_factor : variance factor of the shots' noise, which the covariance contains.
     """
 
     problem: Problem
@@ -98,8 +98,8 @@ class EndedProblem(NamedTuple):
     variance_factor: float
 
 
-def cam_from_board(state: RigState, view: View) -> Pose:
-    """The pose of a view's board before its camera."""
+def cam_from_board(state: RigState, view: BoardObservation) -> Pose:
+    """Pose of an observed board in the frame of its camera."""
     pose = Pose(np.asarray(state.cam_from_rig)[view.camera])
     pose @= Pose(np.asarray(state.rig_from_board)[view.shot])
     return (
@@ -114,13 +114,13 @@ def lens_number(problem: Problem, number: int) -> AbstractLens:
     return jax.tree.map(lambda leaf: np.asarray(leaf)[number], problem.state.lenses)
 
 
-class Freedom(NamedTuple):
-    """What is fitted of the lenses.
+class FreeLensParameters(NamedTuple):
+    """Lens of each camera, and the estimated parameters of each lens.
 
     Fields
     ------
-    lens_of_camera : (c,) which lens each camera has.
-    free : (l, q) which parameters of each lens are fitted.
+    lens_of_camera : (c,) index of each camera's lens.
+    free : (l, q) mask of the estimated parameters.
     """
 
     lens_of_camera: np.ndarray
@@ -128,80 +128,103 @@ class Freedom(NamedTuple):
 
 
 def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
-    """The problem with other parameters of the lenses held; held coefficients are zero, but for
-    lenses that are held as a whole or known by a covariance, and for what is never fitted."""
+    """Problem with these parameters of the lenses free, and fixed coefficients at 0.
+
+    Fixed coefficients keep their values in a lens that is fixed as a whole, in a lens with a
+    covariance, and if the model never fits them.
+    """
     head = np.array(problem.free)
     head[problem.slices.lenses] = free.astype(float).ravel()
-    given = np.asarray(problem.state.lenses.coefficients)
-    whole = ~free.any(axis=1, keepdims=True) | is_given(problem.priors)[:, None]
+    coefficients = np.asarray(problem.state.lenses.coefficients)
+    keeps_values = ~free.any(axis=1, keepdims=True) | has_lens_prior(problem.priors)[:, None]
     model = problem.state.lenses
-    never = np.array([[name in model.never_fitted for name in model.coefficient_names]], dtype=bool)
-    kept = np.where(free[:, len(AFFINE_PARAMETERS) :] | whole | never, given, 0.0)
-    state = eqx.tree_at(lambda state: state.lenses.coefficients, problem.state, kept)
-    return with_head_free(problem._replace(state=state), head)
+    never_fitted = np.array(
+        [[name in model.never_fitted for name in model.coefficient_names]], dtype=bool
+    )
+    values = np.where(
+        free[:, len(AFFINE_PARAMETERS) :] | keeps_values | never_fitted, coefficients, 0.0
+    )
+    state = eqx.tree_at(lambda state: state.lenses.coefficients, problem.state, values)
+    return with_free_head(problem._replace(state=state), head)
 
 
 def with_fixed_aspect(problem: Problem) -> Problem:
-    """The problem in which the focal lengths fx and fy of each fitted lens change in proportion."""
+    """Problem in which fx and fy of each fitted lens change in proportion."""
     fx, fy = AFFINE_PARAMETERS.index("fx_px"), AFFINE_PARAMETERS.index("fy_px")
     free = np.array(problem.free)
-    free_of_lens = free[problem.slices.lenses].reshape(problem.parametrization.lens_shape)
+    lens_free = free[problem.slices.lenses].reshape(problem.parametrization.lens_shape)
     basis = np.array(problem.parametrization.lens_basis)
     basis[:, fy, fx] = basis[:, fy, fy]
-    free_of_lens[:, fy] = 0.0
-    free[problem.slices.lenses] = free_of_lens.ravel()
+    lens_free[:, fy] = 0.0
+    free[problem.slices.lenses] = lens_free.ravel()
     parametrization = dataclasses.replace(problem.parametrization, lens_basis=basis, free=free)
     return problem._replace(parametrization=parametrization)
 
 
-def is_given(priors: Priors) -> Bool[np.ndarray, "l"]:
-    """Which lenses are known by a covariance; the prior of splines has a mean of 0."""
-    each = zip(np.asarray(priors.lens_mean), np.asarray(priors.lens_information), strict=True)
-    return np.array([bool(mean.any() and information.any()) for mean, information in each])
+def has_lens_prior(priors: Priors) -> Bool[np.ndarray, "l"]:
+    """Mask of the lenses with a prior from a covariance, (l,). Priors of splines have a
+    mean of 0.
+    """
+    means_and_information = zip(
+        np.asarray(priors.lens_mean), np.asarray(priors.lens_information), strict=True
+    )
+    return np.array(
+        [bool(mean.any() and information.any()) for mean, information in means_and_information]
+    )
 
 
 def with_priors(problem: Problem, **values: ArrayLike) -> Problem:
-    """The problem with other values of fields of `Priors`."""
+    """Problem with other values of fields of `Priors`."""
     priors = dataclasses.replace(problem.priors, **values)
     parametrization = dataclasses.replace(problem.parametrization, priors=priors)
     return problem._replace(parametrization=parametrization)
 
 
 def with_lens_prior(problem: Problem, number: int, factor: Float[np.ndarray, "k r"]) -> Problem:
-    """The problem whose lens `number` is known as it starts, to a covariance L L^T of its first k
-    parameters; those without variance are held."""
+    """Problem with a Gaussian prior of one lens around its present value.
+
+    factor : L of the covariance L L^T of its first k parameters. Parameters without variance are
+        fixed.
+    """
     covariance = factor @ factor.T
     rows = np.flatnonzero(np.diag(covariance) > 0)
     sigma = np.sqrt(np.diag(covariance)[rows])
-    # What is off alike, such as both focal lengths of a data sheet, is two unknowns, not one.
-    apart = covariance[np.ix_(rows, rows)] / np.outer(sigma, sigma) + _APART * np.eye(len(rows))
+    # Fully correlated parameters, such as both focal lengths of a data sheet, stay two unknowns.
+    correlation = covariance[np.ix_(rows, rows)] / np.outer(
+        sigma, sigma
+    ) + _INDEPENDENT_SHARE * np.eye(len(rows))
     mean = np.array(problem.priors.lens_mean)
     information = np.array(problem.priors.lens_information)
     mean[number] = np.asarray(lens_number(problem, number).parameters)
-    information[number][np.ix_(rows, rows)] = np.linalg.inv(apart) / np.outer(sigma, sigma)
+    information[number][np.ix_(rows, rows)] = np.linalg.inv(correlation) / np.outer(sigma, sigma)
     free = np.array(problem.free)
     free[problem.slices.lens(number)][rows] = 1.0
-    known = with_head_free(with_priors(problem, lens_mean=mean, lens_information=information), free)
-    # As many as the shots can tell of it; they tell of thousands of numbers.
-    return known._replace(spent_on_lenses=problem.spent_on_lenses + float(len(rows)))
+    with_prior = with_free_head(
+        with_priors(problem, lens_mean=mean, lens_information=information), free
+    )
+    # Thousands of coordinates of the shots determine all of them.
+    return with_prior._replace(lens_dof=problem.lens_dof + float(len(rows)))
 
 
 def with_wider_lenses(
     problem: Problem, lenses: Sequence[AbstractLens], image_sizes_px: Sequence[tuple[int, int]]
 ) -> Problem:
-    """The problem with lenses of a model whose parameters begin with those of its own.
+    """Problem with lenses of a model whose parameters begin with the present ones.
 
-    What is added is free, without a prior, of lenses that are not held as a whole.
+    The additional parameters are free and without a prior, except in lenses that are fixed as a
+    whole.
     """
     count, size = problem.parametrization.lens_shape
     more = len(lenses[0].parameter_names) - size
-    names, never = lenses[0].parameter_names[size:], lenses[0].never_fitted
+    names, never_fitted = lenses[0].parameter_names[size:], lenses[0].never_fitted
     scale = np.stack(
-        [lens.parameter_scales(each) for lens, each in zip(lenses, image_sizes_px[:count])]
+        [lens.parameter_scales(size_px) for lens, size_px in zip(lenses, image_sizes_px[:count])]
     )
     head = np.asarray(problem.free)
-    of_lens, of_rest = head[: count * size].reshape(count, size), head[count * size :]
-    added = of_lens.any(axis=1, keepdims=True) * np.array([name not in never for name in names])
+    lens_free, other_free = head[: count * size].reshape(count, size), head[count * size :]
+    added_free = lens_free.any(axis=1, keepdims=True) * np.array(
+        [name not in never_fitted for name in names]
+    )
     wider = with_priors(
         problem,
         lens_mean=np.pad(problem.priors.lens_mean, ((0, 0), (0, more))),
@@ -210,32 +233,34 @@ def with_wider_lenses(
     parametrization = dataclasses.replace(
         wider.parametrization,
         lens_basis=basis_of_scales(scale),
-        free=np.append(np.append(of_lens, added, axis=1).ravel(), of_rest),
+        free=np.append(np.append(lens_free, added_free, axis=1).ravel(), other_free),
     )
     state = eqx.tree_at(lambda state: state.lenses, problem.state, stack_problem_lenses(lenses))
     return problem._replace(state=state, parametrization=parametrization)
 
 
-def with_sheet_held(problem: Problem) -> Problem:
-    """The problem with the board taken as it was found."""
+def with_fixed_sheet(problem: Problem) -> Problem:
+    """Problem with the board fixed at its present shape."""
     head = np.array(problem.free)
     head[problem.slices.sheets.start :] = 0.0
-    return with_head_free(problem, head)
+    return with_free_head(problem, head)
 
 
-def with_head_held(problem: Problem) -> Problem:
-    """The problem with lenses, cameras and board as they are: only where it stands is free."""
-    return with_head_free(problem, np.zeros(len(problem.free)))
+def with_fixed_head(problem: Problem) -> Problem:
+    """Problem with lenses, cameras and board fixed; only the pose of the board in each shot is
+    free.
+    """
+    return with_free_head(problem, np.zeros(len(problem.free)))
 
 
-def with_head_free(problem: Problem, free: Float[np.ndarray, "h"]) -> Problem:
-    """The problem with other steps of the head free: 1 where they are, else 0."""
+def with_free_head(problem: Problem, free: Float[np.ndarray, "h"]) -> Problem:
+    """Problem with other free steps of the head. free : (h,) 1 if free, else 0."""
     parametrization = dataclasses.replace(problem.parametrization, free=free)
     return problem._replace(parametrization=parametrization)
 
 
 def basis_of_scales(scale: Float[np.ndarray, "l q"]) -> Float[np.ndarray, "l q q"]:
-    """A `Parametrization.lens_basis` by which each parameter has a step of its own."""
+    """`Parametrization.lens_basis` with one step for each parameter, (l, q, q)."""
     return scale[:, :, None] * np.eye(scale.shape[1])[None]
 
 

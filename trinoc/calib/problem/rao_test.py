@@ -1,4 +1,4 @@
-"""Rao's score test of parameters that a fit held fixed, without another fit."""
+"""Rao's score test of fixed parameters, without another fit."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeVar
@@ -14,22 +14,22 @@ from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.registry import lens_model, widen_lens
 from trinoc.numerics.tails import chi_square_tail
 
-# numerical: shares of the information on held parameters, after what is free has explained what it
-# can, below which a direction cannot be distinguished from rounding.
+# numerical: smallest share of the information on fixed parameters that remains with the fitted ones
+# eliminated; smaller shares are rounding.
 _LEAST_SHARE = 1e-10
-# numerical: the same of what is free: lengths, and shifts of the board's places, are open in part.
+# numerical: the same for fitted parameters: some lengths and board displacements are undetermined.
 _OPEN_SHARE = 1e-11
-Cause = TypeVar("Cause")
+Group = TypeVar("Group")
 
 
 class RaoTest(NamedTuple):
-    """Score test of parameters that were held fixed.
+    """Score test of fixed parameters.
 
     Fields
     ------
-    chi_square : reduction of the residuals' chi-square, were the parameters free.
+    chi_square : reduction of the residuals' chi-square if the parameters were free.
     freedom : number of directions of the parameters that the residuals determine.
-    step : (k,) change of the parameters, were they free.
+    step : (k,) change of the parameters if they were free.
     covariance : (k, k) of the step, for residuals in sigmas; zero in undetermined directions.
     """
 
@@ -39,147 +39,163 @@ class RaoTest(NamedTuple):
     covariance: Float[np.ndarray, "k k"]
 
     @property
-    def chance(self) -> float:
-        """Probability of such a reduction by noise; uniform where the held values are right."""
+    def p_value(self) -> float:
+        """Probability of such a reduction by noise; uniformly distributed if the fixed values are
+        right.
+        """
         return float(chi_square_tail(self.chi_square, self.freedom)) if self.freedom else 1.0
 
     def with_noise(self, variance: float) -> "RaoTest":
-        """The test for residuals whose noise has this variance, in sigmas squared."""
+        """Test for residuals with this noise variance, in squared sigmas."""
         return self._replace(
             chi_square=self.chi_square / variance, covariance=variance * self.covariance
         )
 
     def noise_variance(self, squared: float, freedom: float) -> float:
-        """Variance of the residuals, were the held parameters free.
+        """Variance of the residuals if the fixed parameters were free.
 
-        squared, freedom : sum of the residuals' squares in the fit, and its degrees of freedom.
+        squared, freedom : sum of the squared residuals of the fit, and its degrees of freedom.
         """
         return max(squared - self.chi_square, 1e-12 * squared) / (freedom - self.freedom)
 
-    def chance_beside(self, squared: float, freedom: float) -> float:
-        """`chance` with the noise estimated from the residuals, by an F test."""
+    def f_test_p_value(self, squared: float, freedom: float) -> float:
+        """`p_value` with the noise variance estimated from the residuals (F test)."""
         if not self.freedom or freedom - self.freedom < 1:
             return 1.0
-        return self.chance_by(self.noise_variance(squared, freedom), freedom - self.freedom)
+        return self.p_value_with_noise(
+            self.noise_variance(squared, freedom), freedom - self.freedom
+        )
 
-    def chance_by(self, variance: float, freedom: float) -> float:
-        """`chance` with a variance of the noise that has so many degrees of freedom."""
+    def p_value_with_noise(self, variance: float, freedom: float) -> float:
+        """`p_value` with a noise variance that was estimated with so many degrees of freedom."""
         ratio = self.chi_square / max(self.freedom, 1) / variance
         return float(fdtrc(self.freedom, freedom, ratio)) if self.freedom else 1.0
 
 
-def unseen_sigmas(chance: float, freedom: int, power: float = TUNING.answer.power) -> float:
-    """Size of an error, in sigmas, that a test at this chance detects with this power.
+def detectable_sigmas(chance: float, freedom: int, power: float = TUNING.answer.power) -> float:
+    """Size of an error, in sigmas, that a test detects with this power.
+
+    chance : significance level of the test.
 
     W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic Commission,
-    1968, by the noncentral chi-square law.
+    1968, by the noncentral chi-square distribution.
     """
     return float(np.sqrt(chndtrinc(chdtri(freedom, chance), freedom, 1.0 - power)))
 
 
-def judge_pull(
-    left: Float[np.ndarray, "k k"], pull: Float[np.ndarray, "k"], whole: Float[np.ndarray, "k"]
+def score_test(
+    information: Float[np.ndarray, "k k"],
+    gradient: Float[np.ndarray, "k"],
+    total_information: Float[np.ndarray, "k"],
 ) -> RaoTest:
-    """Score test from the information and the gradient that the fitted parameters leave.
+    """Score test from information and gradient with the fitted parameters eliminated.
 
-    left : information on the held parameters. pull : gradient of half of chi-square by them. Of
-    both, what the fitted parameters explain is taken off. whole : (k,) information on each, had
-    nothing been fitted.
+    information : (k, k) on the fixed parameters. gradient : (k,) of half of chi-square.
+        total_information : (k,) on each parameter without the elimination; sets the scale.
     """
-    scale = np.sqrt(np.maximum(whole, 1e-300))
-    shares, directions = np.linalg.eigh(left / np.outer(scale, scale))
+    scale = np.sqrt(np.maximum(total_information, 1e-300))
+    shares, directions = np.linalg.eigh(information / np.outer(scale, scale))
     shares, directions = (part[..., shares > _LEAST_SHARE] for part in (shares, directions))
-    along = directions.T @ (pull / scale)
-    by_share = directions / shares / scale[:, None]
+    gradient_along = directions.T @ (gradient / scale)
+    steps_along = directions / shares / scale[:, None]
     return RaoTest(
-        chi_square=float(np.sum(along**2 / shares)),
+        chi_square=float(np.sum(gradient_along**2 / shares)),
         freedom=len(shares),
-        step=-by_share @ along,
-        covariance=by_share @ (directions / scale[:, None]).T,
+        step=-steps_along @ gradient_along,
+        covariance=steps_along @ (directions / scale[:, None]).T,
     )
 
 
-class HeldScore(NamedTuple):
-    """Score of all parameters that a fit held fixed, from which `judge` tests some.
+class FixedScore(NamedTuple):
+    """Score of all fixed parameters of a fit, with the fitted parameters eliminated.
 
     Fields
     ------
-    left : (k, k) information on them, less what a change of the fitted parameters explains.
-    pull : (k,) gradient of half of chi-square by them, likewise.
-    whole : (k,) information on each, had nothing been fitted.
-    squared, freedom : sum of the residuals' squares, and its degrees of freedom.
+    information : (k, k) information on the fixed parameters.
+    gradient : (k,) gradient of half of chi-square.
+    total_information : (k,) information on each parameter without the elimination.
+    squared, freedom : sum of the squared residuals, and its degrees of freedom.
     are_exact : whether the residuals are rounding errors, which contradict nothing.
     """
 
-    left: Float[np.ndarray, "k k"]
-    pull: Float[np.ndarray, "k"]
-    whole: Float[np.ndarray, "k"]
+    information: Float[np.ndarray, "k k"]
+    gradient: Float[np.ndarray, "k"]
+    total_information: Float[np.ndarray, "k"]
     squared: float
     freedom: float
     are_exact: bool
 
-    def judge(self, columns: Sequence[int]) -> RaoTest:
-        """The score test of some of the columns."""
+    def test(self, columns: Sequence[int]) -> RaoTest:
+        """Score test of some of the parameters. columns : their indices."""
         rows = np.asarray(columns)
-        return judge_pull(self.left[np.ix_(rows, rows)], self.pull[rows], self.whole[rows])
+        return score_test(
+            self.information[np.ix_(rows, rows)], self.gradient[rows], self.total_information[rows]
+        )
 
-    def chance(self, test: RaoTest) -> float:
-        """Probability of a test's reduction, with the noise that the residuals show."""
-        return 1.0 if self.are_exact else test.chance_beside(self.squared, self.freedom)
+    def p_value(self, test: RaoTest) -> float:
+        """Probability of a test's reduction by noise, with the noise of the residuals."""
+        return 1.0 if self.are_exact else test.f_test_p_value(self.squared, self.freedom)
 
     def noise_variance(self, test: RaoTest) -> float:
-        """Variance of the residuals, were the tested parameters free."""
+        """Variance of the residuals if the tested parameters were free."""
         return test.noise_variance(self.squared, self.freedom)
 
     def rank(self, test: RaoTest) -> tuple[float, float]:
-        """Sort key of tests, smallest for the strongest: the chance, then the negative reduction in
-        each direction, for chances that are too small for floating point."""
-        return self.chance(test), -test.chi_square / max(test.freedom, 1)
+        """Sort key of tests; the most significant test has the smallest key.
 
-    def strongest(self, causes: Mapping[Cause, Sequence[int]]) -> Cause | None:
-        """The cause that explains most of the residuals; causes : the columns of each."""
-        return min(causes, key=lambda cause: self.rank(self.judge(causes[cause])), default=None)
+        The key is the p-value, then the negative reduction per direction, for p-values that
+        underflow.
+        """
+        return self.p_value(test), -test.chi_square / max(test.freedom, 1)
 
-    def with_freed(self, columns: Sequence[int]) -> "HeldScore":
-        """The same after these columns were freed, too, to first order."""
-        test = self.judge(columns)
+    def strongest(self, groups: Mapping[Group, Sequence[int]]) -> Group | None:
+        """Group of parameters with the most significant test. groups : columns of each."""
+        return min(groups, key=lambda group: self.rank(self.test(groups[group])), default=None)
+
+    def with_freed(self, columns: Sequence[int]) -> "FixedScore":
+        """Score after these parameters were freed, to first order."""
+        test = self.test(columns)
         return self._replace(
-            left=self.left - self.left[:, columns] @ test.covariance @ self.left[columns],
-            pull=self.pull + self.left[:, columns] @ test.step,
+            information=self.information
+            - self.information[:, columns] @ test.covariance @ self.information[columns],
+            gradient=self.gradient + self.information[:, columns] @ test.step,
             squared=max(self.squared - test.chi_square, 1e-12 * self.squared),
             freedom=self.freedom - test.freedom,
         )
 
 
-def is_refuted(chance: float, causes: int, limit: float = TUNING.answer.chance) -> bool:
-    """Whether a score test is significant after the Bonferroni correction for the causes tested.
+def is_refuted(p_value: float, tests: int, limit: float = TUNING.answer.chance) -> bool:
+    """True if a score test is significant after the Bonferroni correction.
 
-    chance : p-value of the strongest of `causes` causes. limit : largest p-value of all together.
+    p_value : of the most significant test. tests : their number. limit : largest p-value of all.
     """
-    return chance * causes < limit
+    return p_value * tests < limit
 
 
-def explain_pull(
-    information: Information, held: Bool[np.ndarray, "f"]
+def score_of_fixed(
+    information: Information, fixed: Bool[np.ndarray, "f"]
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """`left`, `pull` and `whole`, as `HeldScore` has them, of what was not fitted.
+    """Score of fixed parameters as (information, gradient, total_information) of `FixedScore`.
 
-    held : which of `information.free` that is.
+    fixed : (f,) mask of `information.free` that was fixed.
 
-    What was known of the board beforehand is left out: a test then holds for any board, whether or
-    not it is as typical as that prior says.
+    The prior on the board is excluded: a test then holds for any board.
     """
     rows = information.free
-    whole = information.of_shot.sum(axis=0)[np.ix_(rows, rows)]
-    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    whole = whole / np.outer(scale, scale)
-    pull = information.pulls.sum(axis=0)[rows] / scale
-    explained = whole[np.ix_(held, ~held)] @ np.linalg.pinv(
-        whole[np.ix_(~held, ~held)], rcond=_OPEN_SHARE, hermitian=True
+    total = information.shot_information.sum(axis=0)[np.ix_(rows, rows)]
+    scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    total = total / np.outer(scale, scale)
+    gradient = information.gradients.sum(axis=0)[rows] / scale
+    explained = total[np.ix_(fixed, ~fixed)] @ np.linalg.pinv(
+        total[np.ix_(~fixed, ~fixed)], rcond=_OPEN_SHARE, hermitian=True
     )
-    left = whole[np.ix_(held, held)] - explained @ whole[np.ix_(~held, held)]
-    unit = scale[held]
-    return left * np.outer(unit, unit), unit * (pull[held] - explained @ pull[~held]), unit**2
+    remaining = total[np.ix_(fixed, fixed)] - explained @ total[np.ix_(~fixed, fixed)]
+    unit = scale[fixed]
+    return (
+        remaining * np.outer(unit, unit),
+        unit * (gradient[fixed] - explained @ gradient[~fixed]),
+        unit**2,
+    )
 
 
 def score_of_residuals(
@@ -188,43 +204,42 @@ def score_of_residuals(
     base: Float[np.ndarray, "n f"],
     root: Float[np.ndarray, "f f"],
     freedom: float,
-) -> HeldScore:
-    """Score of unknowns that were held, from residuals in sigmas with `freedom` degrees.
+) -> FixedScore:
+    """Score of fixed unknowns from residuals in sigmas with `freedom` degrees of freedom.
 
-    extra, base : derivatives of the residuals by these unknowns and by those that were fitted.
-    root : R of the information R^T R on the latter, priors and other views included.
+    extra, base : derivatives of the residuals by the fixed and by the fitted unknowns.
+    root : R of the information R^T R on the fitted unknowns, with priors and other images.
     """
     fitted = solve_triangular(root, base.T @ extra, trans=1)
-    return HeldScore(
-        left=extra.T @ extra - fitted.T @ fitted,
-        pull=extra.T @ residual,
-        whole=np.sum(extra**2, axis=0),
+    return FixedScore(
+        information=extra.T @ extra - fitted.T @ fitted,
+        gradient=extra.T @ residual,
+        total_information=np.sum(extra**2, axis=0),
         squared=float(residual @ residual),
         freedom=freedom,
         are_exact=False,
     )
 
 
-def rao_test(information: Information, held: Bool[np.ndarray, "f"]) -> RaoTest:
-    """The pull at some of the free parameters, had they been held, and the others fitted.
+def rao_test(information: Information, tested: Bool[np.ndarray, "f"]) -> RaoTest:
+    """Score test of some of the free parameters, as if they had been fixed and the others fitted.
 
-    held : which of `information.free`.
+    tested : (f,) mask of `information.free` that is tested.
 
-    What the others can explain is taken off the pull and off its covariance: what is left of k
-    parameters often has fewer directions than k.
+    The effect of the others is eliminated from gradient and covariance. For k parameters, fewer
+    than k directions may remain.
     """
-    return judge_pull(*explain_pull(information, held))
+    return score_test(*score_of_fixed(information, tested))
 
 
 def rational_lens_test(
     problem: Problem, image_sizes_px: Sequence[tuple[int, int]], variance_factor: float
 ) -> RaoTest:
-    """Test the rational lens against Brown and Conrady's, at the end of the latter's fit.
+    """Score test of the rational lens at the end of a fit of Brown and Conrady's lens.
 
-    Brown and Conrady's lens is the rational one with k4 = k5 = k6 = 0: the score test says whether
-    the shots ask for other values.
+    The latter is the rational lens with k4 = k5 = k6 = 0.
 
-    image_sizes_px : (width, height) of the pictures of each lens.
+    image_sizes_px : (width, height) of the images of each lens.
     """
     model, count = lens_model("rational"), problem.parametrization.lens_shape[0]
     lenses = [widen_lens(lens_number(problem, k), model) for k in range(count)]
@@ -234,7 +249,8 @@ def rational_lens_test(
 
 
 def wider_lens_test(problem: Problem, wider: Problem, variance_factor: float) -> RaoTest:
-    """Test whether the shots ask for the parameters that `wider` has beyond those of `problem`.
+    """Score test of the additional lens parameters of `wider`, which has them fixed at their
+    default.
 
     wider : the same problem `with_wider_lenses`.
     """

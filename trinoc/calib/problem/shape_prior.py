@@ -1,9 +1,9 @@
-"""Prior of a board's shape: displacements of neighbouring corners are alike.
+"""Prior of a board's shape, with similar displacements of neighbouring corners.
 
-A plate that warps and a print that is distorted displace neighbouring corners by nearly the same
-amount. A prior of independent displacements allows such smooth shapes too little: it holds them to
-1/sqrt(corners) of the displacements it was estimated from, and principal points are then reported
-several times too exact. The prior here is a sum of independent parts, each with one variance:
+A plate that warps and a distorted print displace neighbouring corners by nearly the same amount. A
+prior of independent displacements is too narrow for such smooth shapes: it reduces them by
+1/sqrt(corners), and the sigmas of principal points become several times too small. This prior is a
+sum of independent parts with one variance each:
 
     covariance of the shape = sum over parts of variance * modes modes^T,
 
@@ -19,7 +19,7 @@ from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import first_point_indices, list_boards
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 
-# numerical: polynomials that the corners of a small board do not tell apart have less of the norm.
+# numerical: polynomials with a smaller relative norm are dependent on the corners of a small board.
 _DEPENDENT = 1e-6
 # numerical: the smallest standard deviation of a part, mm.
 _SMALLEST_MM = 1e-4
@@ -33,8 +33,9 @@ class ShapePart(NamedTuple):
 
     Fields
     ------
-    name : what it is.
-    modes : (3n, w) X, Y and Z in mm of each of n corners, for each of w amplitudes of one variance.
+    name : name of the part.
+    modes : (3n, w) displacement X, Y, Z in mm of n corners by each of w amplitudes with one
+        variance.
     is_estimated : whether the variance is estimated from the images, or fixed.
     """
 
@@ -44,12 +45,12 @@ class ShapePart(NamedTuple):
 
 
 class ShapePrior(NamedTuple):
-    """The parts and the variances of their amplitudes.
+    """All parts and the variances of their amplitudes.
 
     Fields
     ------
-    parts : of the prior.
-    variance : (k,) of the amplitudes of each part.
+    parts : parts of the prior.
+    variance : (k,) variance of the amplitudes of each part.
     """
 
     parts: tuple[ShapePart, ...]
@@ -71,7 +72,7 @@ class ShapePrior(NamedTuple):
     def update(
         self, shape_mm: Float[np.ndarray, "n 3"], covariance_mm2: Float[np.ndarray, "m m"]
     ) -> "ShapePrior":
-        """The prior after one step of expectation and maximisation.
+        """Prior after one step of expectation maximisation.
 
         shape_mm, covariance_mm2 : posterior mean and covariance of the shape under this prior.
 
@@ -92,17 +93,19 @@ class ShapePrior(NamedTuple):
         return self._replace(variance=np.maximum(variance, _SMALLEST_MM**2))
 
     def count_determined(self, covariance_mm2: Float[np.ndarray, "m m"]) -> float:
-        """Effective number of shape parameters that the images determine, given the posterior
-        covariance of the shape."""
+        """Effective number of shape parameters that the images determine.
+
+        covariance_mm2 : posterior covariance of the shape.
+        """
         return float(len(covariance_mm2) - np.sum(self.information * covariance_mm2))
 
 
 def shape_prior(
     target: AbstractTarget, spread_mm: float, tuning: CalibTuning = TUNING
 ) -> ShapePrior:
-    """The prior of a board, or of a set of boards, before any image.
+    """Prior of a board, or a set of boards, before any image.
 
-    spread_mm : standard deviation of single corners, and of each smooth amplitude, to start from.
+    spread_mm : initial standard deviation of single corners and of each smooth amplitude.
     """
     flatness, shear = tuning.uncertainty.flatness_mm, tuning.problem.shear
     boards = [
@@ -120,10 +123,10 @@ def shape_prior(
         if modes.shape[1]:
             parts.append(ShapePart(name, modes, is_estimated))
             variance.append(sigma**2)
-    every = np.eye(3 * len(target))
+    identity = np.eye(3 * len(target))
     is_height = np.arange(3 * len(target)) % 3 == 2
     for name, columns in (("corner plane", ~is_height), ("corner height", is_height)):
-        parts.append(ShapePart(name, every[:, columns], True))
+        parts.append(ShapePart(name, identity[:, columns], True))
         variance.append(spread_mm**2)
     return ShapePrior(tuple(parts), np.array(variance))
 
@@ -133,8 +136,8 @@ def _smooth_parts(
 ) -> dict[str, Float[np.ndarray, "_ _w"]]:
     """Smooth displacements of one board, by part; its corners begin with `first` of `total`.
 
-    Polynomials have a root mean square of 1 mm over the corners, `twist` one of 1 mm at the board's
-    edges, `shear` a unit of displacement per unit of length.
+    Polynomials have a root mean square of 1 mm over the corners, `twist` has 1 mm at the board's
+    edges, `shear` has unit displacement per unit length.
     """
     count = len(xy_mm)
     middle = 0.5 * (xy_mm.max(axis=0) + xy_mm.min(axis=0))
@@ -143,36 +146,40 @@ def _smooth_parts(
     def powers(degree: int) -> Float[np.ndarray, "n _"]:
         return np.stack([u**k * v ** (d - k) for d in range(degree + 1) for k in range(d + 1)], 1)
 
-    def place(displacement_mm: Float[np.ndarray, "n 3 w"]) -> Float[np.ndarray, "_ w"]:
-        whole = np.zeros((total, 3, displacement_mm.shape[-1]))
-        whole[first : first + count] = displacement_mm
-        return whole.reshape(3 * total, -1)
+    def embed(displacement_mm: Float[np.ndarray, "n 3 w"]) -> Float[np.ndarray, "_ w"]:
+        all_displacements = np.zeros((total, 3, displacement_mm.shape[-1]))
+        all_displacements[first : first + count] = displacement_mm
+        return all_displacements.reshape(3 * total, -1)
 
     height, plane = powers(_HEIGHT_DEGREE), powers(_PLANE_DEGREE)
     # Constant and slopes tilt the board; the squares along its sides are the sheet's own warps.
-    lower = np.concatenate([height[:, :3], (u * u)[:, None], (v * v)[:, None]], axis=1)
+    fixed_columns = np.concatenate([height[:, :3], (u * u)[:, None], (v * v)[:, None]], axis=1)
     twist = np.zeros((count, 3, 1))
     twist[:, 2, 0] = u * v
-    higher = _orthogonal(np.concatenate([lower, twist[:, 2], height[:, 6:]], axis=1), 6)
-    heights = np.zeros((count, 3, higher.shape[1]))
-    heights[:, 2] = higher
-    bent = _orthogonal(plane, 3)
-    planes = np.zeros((count, 3, 2 * bent.shape[1]))
-    planes[:, 0, : bent.shape[1]] = planes[:, 1, bent.shape[1] :] = bent
+    height_modes = _orthogonal(
+        np.concatenate([fixed_columns, twist[:, 2], height[:, 6:]], axis=1), 6
+    )
+    heights = np.zeros((count, 3, height_modes.shape[1]))
+    heights[:, 2] = height_modes
+    plane_modes = _orthogonal(plane, 3)
+    planes = np.zeros((count, 3, 2 * plane_modes.shape[1]))
+    planes[:, 0, : plane_modes.shape[1]] = planes[:, 1, plane_modes.shape[1] :] = plane_modes
     shear = np.zeros((count, 3, 1))
     shear[:, :2, 0] = 0.5 * (xy_mm - middle)[:, ::-1]
     return {
-        "shear": place(shear),
-        "twist": place(twist),
-        "height": place(heights),
-        "plane": place(planes),
+        "shear": embed(shear),
+        "twist": embed(twist),
+        "height": embed(heights),
+        "plane": embed(planes),
     }
 
 
 def _orthogonal(columns: Float[np.ndarray, "n k"], skipped: int) -> Float[np.ndarray, "n _w"]:
-    """Columns after the first `skipped`, orthogonal to all before them, of root mean square 1."""
+    """Columns after the first `skipped`, orthogonal to all before them, with a root mean square of
+    1.
+    """
     basis, triangle = np.linalg.qr(columns)
     size = np.abs(np.diag(triangle))
-    kept = size > _DEPENDENT * size.max()
-    kept[:skipped] = False
-    return basis[:, kept] * np.sqrt(len(columns))
+    independent = size > _DEPENDENT * size.max()
+    independent[:skipped] = False
+    return basis[:, independent] * np.sqrt(len(columns))

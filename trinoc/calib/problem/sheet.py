@@ -1,11 +1,11 @@
 """Shape of a printed sheet: print scale, height over its plane, and shortening by the bend.
 
 Two models map a position on the drawing to a point in the frame of the board. `WarpedBoard` is a
-stiff board whose middle rises over its edges. `BentPaper` is paper on a table that touches the
+stiff board whose middle is higher than its edges. `BentPaper` is paper on a table that touches the
 plane Z = 0 at the origin. Its height is a polynomial of second degree (along X, along Y, twisted)
-with smaller parts of third and fourth degree.
+with smaller terms of third and fourth degree.
 
-Paper and plates bend without stretching: lengths along the surface stay those of the drawing, so a
+Paper and plates bend without stretching: lengths along the surface stay those of the drawing. So a
 bent sheet is shorter in the plane Z = 0. `bend_displacement_mm` is that shortening.
 """
 
@@ -61,7 +61,7 @@ def bend_displacement_mm(
 
 
 class AbstractSheet(eqx.Module):
-    """Model of a board that is printed and bent differently from its drawing.
+    """Model of print and bend of a board.
 
     `names` : names of its parameters for one board, such as "scale_x".
     """
@@ -71,24 +71,28 @@ class AbstractSheet(eqx.Module):
     @abstractmethod
     def point(
         self,
-        place_mm: Float[ArrayLike, "3"],
+        point_mm: Float[ArrayLike, "3"],
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """Where a place of the drawing of one of the boards lies, in mm."""
+        """Position of a point of the drawing on the printed and bent board, mm."""
 
     def size(self, shape: Float[ArrayLike, "w"]) -> ScalarLike:
-        """Size of the board over that of its drawing, by which its single displacements grow, too:
-        their prior must not pull at the size."""
+        """Size of the board relative to its drawing.
+
+        Displacements of single board points scale with it, so that their prior does not pull at the
+        size.
+        """
         return 1.0
 
 
 class WarpedBoard(AbstractSheet):
-    """Scales along X and Y over nominal less one, and the rise of the middle along both in mm.
+    """Print scales along X and Y (relative, minus one), and the rise of the middle along both in
+    mm.
 
-    The rise is w_x (1 - x^2) + w_y (1 - y^2), where x and y are shares of half the board.
-    Source: mrcal, "Board deformation" in its formulation. Glass and aluminium bend like paper:
-    lengths along the board stay (`bend_displacement_mm`).
+    The rise is w_x (1 - x^2) + w_y (1 - y^2), with x and y relative to half the board. Source:
+    mrcal, "Board deformation" in its formulation. Lengths along the board do not change
+    (`bend_displacement_mm`), for glass and aluminium as for paper.
 
     Fields
     ------
@@ -104,25 +108,26 @@ class WarpedBoard(AbstractSheet):
 
     def point(
         self,
-        place_mm: Float[ArrayLike, "3"],
+        point_mm: Float[ArrayLike, "3"],
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """The position with its print scale, its rise and its displacement by the bend."""
+        """Position with print scale, rise and displacement by the bend."""
         half_mm = jnp.asarray(self.half_mm)[board]
-        share = place_mm[:2] / half_mm
+        share = point_mm[:2] / half_mm
         height = -shape[2:] @ (share * share)
         slope = -2 * shape[2:] * share / half_mm
-        moved = place_mm[:2] * (1 + shape[:2]) + bend_displacement_mm([height], [slope])
-        return jnp.append(moved, place_mm[2] + jnp.sum(shape[2:]) + height)
+        moved = point_mm[:2] * (1 + shape[:2]) + bend_displacement_mm([height], [slope])
+        return jnp.append(moved, point_mm[2] + jnp.sum(shape[2:]) + height)
 
 
 class BentPaper(AbstractSheet):
-    """Size of the print, its lengths along X and Y (shares), and coefficients of its height in mm.
+    """Relative print size, relative lengths along X and Y, and height coefficients in mm.
 
     Fields
     ------
-    reach_mm : distance from the origin at which a unit of each height counts.
+    reference_radius_mm : distance from the origin at which each height term has the size of its
+        coefficient.
     """
 
     print_terms: ClassVar[tuple[str, ...]] = ("print size", "print along X", "print along Y")
@@ -132,16 +137,16 @@ class BentPaper(AbstractSheet):
         *("XXXX", "XXXY", "XXYY", "XYYY", "YYYY"),
     )
     names: ClassVar[tuple[str, ...]] = (*print_terms, *height_terms)
-    reach_mm: Float[ArrayLike, ""]
+    reference_radius_mm: Float[ArrayLike, ""]
 
     def point(
         self,
-        place_mm: Float[ArrayLike, "3"],
+        point_mm: Float[ArrayLike, "3"],
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """Return the point, mm, at which a position of the drawing lies on the bent paper."""
-        scaled = place_mm[:2] / self.reach_mm
+        """Position of a point of the drawing on the bent paper, mm."""
+        scaled = point_mm[:2] / self.reference_radius_mm
         power = {"": jnp.ones_like(scaled[0])}
         for term in ("X", "Y", *self.height_terms):
             power[term] = power[term[:-1]] * scaled[0 if term[-1] == "X" else 1]
@@ -156,10 +161,10 @@ class BentPaper(AbstractSheet):
             ]
             weights = jnp.asarray(shape)[np.array(rows)]
             heights.append(jnp.stack([power[term] for term in terms]) @ weights)
-            slopes.append(jnp.stack(by_axis) @ weights / self.reach_mm)
-        moved = place_mm[:2] * (1 + shape[0] + shape[1:count])
+            slopes.append(jnp.stack(by_axis) @ weights / self.reference_radius_mm)
+        moved = point_mm[:2] * (1 + shape[0] + shape[1:count])
         moved = moved + bend_displacement_mm(heights, slopes)
-        return jnp.append(moved, place_mm[2] + jnp.sum(jnp.stack(heights)))
+        return jnp.append(moved, point_mm[2] + jnp.sum(jnp.stack(heights)))
 
     @classmethod
     def sigmas(
@@ -169,7 +174,7 @@ class BentPaper(AbstractSheet):
         flatness_mm: float,
         height_shares: tuple[float, float, float] = TUNING.problem.height_shares,
     ) -> Float[np.ndarray, "w"]:
-        """Standard deviations of `names`: shares of a length, then mm."""
+        """Standard deviations of `names`: relative lengths, then mm."""
         shares: dict[int, float] = dict(zip((2, 3, 4), height_shares, strict=True))
         heights = [shares[len(term)] * flatness_mm for term in cls.height_terms]
         return np.array([print_size, *print_lengths, *heights])

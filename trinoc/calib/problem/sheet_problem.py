@@ -1,8 +1,7 @@
-"""The problem of cameras that look at one sheet of paper in one shot.
+"""Problem of cameras that observe one sheet of paper in one shot.
 
-What the user states with a standard deviation is an unknown with that prior: D. C. Brown, "The
-bundle adjustment - progress and prospects", 1976, calls this self-calibration with additional
-parameters.
+Every stated standard deviation is the prior of an unknown: D. C. Brown, "The bundle adjustment -
+progress and prospects", 1976, calls this self-calibration with additional parameters.
 """
 
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ from trinoc.calib.problem.image_quality import ImageQuality
 from trinoc.calib.problem.problem import Problem, basis_of_scales, stack_problem_lenses
 from trinoc.calib.problem.sheet import BentPaper
 from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, Priors, RigState
-from trinoc.calib.problem.views import LINE_PIECES, SheetPoints, View, pad_count
+from trinoc.calib.problem.views import LINE_PIECES, BoardObservation, SheetPoints, pad_count
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.calib.uncertainty.systematics import CAMERAS_AT_ONCE, Systematics
@@ -32,13 +31,13 @@ Method = Literal["pixels", "points"]
 
 @dataclass(frozen=True, eq=False)
 class PictureFit:
-    """Result of the fit to the grey levels of one image, or the reason why it has none.
+    """Result of the fit to the grey levels of one image, or the reason why there is none.
 
     Fields
     ------
-    points : where the image shows each circle and each piece of the crossed lines.
+    points : pixels of each circle and each piece of the crossed lines.
     quality : light, ink, blur and noise.
-    note : why the grey levels cannot be used; None where they can.
+    note : reason why the grey levels cannot be used; None if they can.
     is_processed : whether software has sharpened the image.
     """
 
@@ -54,23 +53,24 @@ class PictureFit:
 
 @dataclass(frozen=True, eq=False)
 class SheetCamera:
-    """Observations of the sheet by one camera, and what is known of the camera.
+    """Observations of the sheet by one camera, and the prior knowledge of the camera.
 
     Fields
     ------
-    name : of the camera.
-    detection : the circles and lines that were detected in its image.
-    lens : as the user states it.
-    lens_factor : (k, r) L of the covariance L L^T of the first k of the lens's parameters; None for
-        a lens that is exact.
-    pose : from which the fit starts.
-    image : (h, w) grey levels of its image; None where the circles alone are used.
-    picture : the fit to these grey levels.
-    shown : positions from the grey levels, which are used instead of circle centres; None where
-        circle centres are used.
-    ink_spread_mm : by which ink extends beyond the drawing of each circle.
-    agreement : probability that circles and grey levels differ so much; NaN without grey levels.
-    scatter : factor by which the sigmas of its circles are enlarged.
+    name : name of the camera.
+    detection : detected circles and lines.
+    lens : intrinsics as given by the user.
+    lens_factor : (k, r) L of the covariance L L^T of the first k lens parameters; None for an exact
+        lens.
+    pose : start of the fit.
+    image : (h, w) grey levels; None if only circles are used.
+    grey_level_fit : fit to these grey levels.
+    grey_level_points : points from the grey levels, used instead of circle centres; None if circle
+        centres are used.
+    ink_spread_mm : distance by which ink extends beyond the drawing of each circle.
+    agreement : probability of so large a difference between circles and grey levels; NaN without
+        grey levels.
+    scatter : factor of the sigmas of its circles.
     """
 
     name: str
@@ -79,41 +79,41 @@ class SheetCamera:
     lens_factor: Float[np.ndarray, "_k _r"] | None
     pose: Pose
     image: Float[np.ndarray, "_h _w"] | None = None
-    picture: PictureFit | None = None
-    shown: SheetPoints | None = None
+    grey_level_fit: PictureFit | None = None
+    grey_level_points: SheetPoints | None = None
     ink_spread_mm: float = 0.0
     agreement: float = float("nan")
     scatter: float = 1.0
 
     @property
     def method(self) -> Method:
-        """Which observations of the camera are used: grey levels or circle centres."""
-        return "points" if self.shown is None else "pixels"
+        """ "pixels" if grey levels are used, "points" if circle centres are."""
+        return "points" if self.grey_level_points is None else "pixels"
 
     def by_pixels(self) -> "SheetCamera":
-        """The camera by its grey levels where these could be fitted, else by its circles."""
-        return replace(self, shown=self.picture and self.picture.points)
+        """Camera with its grey-level points if they exist, else with its circles."""
+        return replace(self, grey_level_points=self.grey_level_fit and self.grey_level_fit.points)
 
     @property
-    def places_of_picture(self) -> int:
-        """Largest number of places that its grey levels show: circles, and pieces of the lines."""
-        shown = 0 if self.shown is None else len(self.shown.place_mm)
-        return max(len(self.detection) + 4 * LINE_PIECES, shown)
+    def largest_point_count(self) -> int:
+        """Upper bound of the number of grey-level points: circles, and pieces of the lines."""
+        count = 0 if self.grey_level_points is None else len(self.grey_level_points.point_mm)
+        return max(len(self.detection) + 4 * LINE_PIECES, count)
 
     @property
     def promoted_lens(self) -> AbstractLens:
-        """The lens, of a model that has distortion."""
+        """Lens in a model with distortion."""
         return promote_lens(self.lens.lens)
 
 
 @dataclass(frozen=True)
 class SheetPriors:
-    """What is known of sheet, lenses and aims before the fit, and what of each pose is wanted.
+    """Priors on sheet, lenses and aims, and the pose parameters that the user wants.
 
     Fields
     ------
-    pose_model : the parameters of each pose that the user wants.
-    systematics : standard deviations of what is not exact.
+    pose_model : wanted parameters of each pose.
+    systematics : standard deviations of everything that is not exact.
     tuning : constants of the method.
     """
 
@@ -122,25 +122,25 @@ class SheetPriors:
     tuning: CalibTuning = TUNING
 
     def __post_init__(self) -> None:
-        """Raise InputError for something else, or a sigma that is negative or not finite."""
+        """Raise InputError for another type, or a sigma that is negative or not finite."""
         check_kind(self.systematics, Systematics, "knowledge of the sheet", "trinoc.Systematics")
         self.systematics.check()
 
     @property
     def aim_is_fixed(self) -> bool:
-        """Whether the optical axes meet the origin exactly."""
+        """True if the optical axes meet the origin exactly."""
         return self.pose_model is PoseModel.AIMED and not self.systematics.aim_sigma_mm
 
     @property
     def fitted_model(self) -> PoseModel:
-        """The parameters of each pose that are estimated."""
+        """Estimated parameters of each pose."""
         if self.pose_model is PoseModel.AIMED and self.systematics.aim_sigma_mm:
             return PoseModel.AIM_FREE
         return self.pose_model
 
     @property
     def aim_sigma_mm(self) -> float:
-        """Standard deviation of the prior on each aim; 0 for none."""
+        """Standard deviation of the prior on each aim, mm; 0 for none."""
         return self.systematics.aim_sigma_mm if self.pose_model is PoseModel.AIMED else 0.0
 
 
@@ -149,7 +149,10 @@ def sheet_problem(
     target: AbstractTarget,
     priors: SheetPriors,
 ) -> Problem:
-    """The problem at its start: the sheet flat, as drawn, and on the plane Z = 0."""
+    """Calibration problem of cameras over one sheet, at its start.
+
+    The sheet is flat, as drawn, and lies on the plane Z = 0.
+    """
     count, systematics, model = len(cameras), priors.systematics, priors.fitted_model
     padded = [cameras[min(k, count - 1)] for k in range(pad_count(count, CAMERAS_AT_ONCE))]
     is_real = np.arange(len(padded)) < count
@@ -171,13 +174,13 @@ def sheet_problem(
         systematics.flatness_mm,
         priors.tuning.problem.height_shares,
     )
-    reach_mm = max(float(np.hypot(*_places_mm(one, target).T[:2]).max()) for one in cameras)
-    unit_mm = np.median([_reach_of_camera_mm(one, target) for one in cameras])
+    radius_mm = max(float(np.hypot(*_points_mm(one, target).T[:2]).max()) for one in cameras)
+    unit_mm = np.median([_camera_distance_mm(one, target) for one in cameras])
     pose_free = np.outer(is_real, np.arange(POSE_SIZE) < model.size)
     parametrization = Parametrization(
         lens_basis=basis,
         unit_mm=np.asarray(unit_mm),
-        sheet_model=BentPaper(np.asarray(reach_mm)),
+        sheet_model=BentPaper(np.asarray(radius_mm)),
         sheet_scale=np.where(sigma > 0, sigma, 1.0),
         lens_of_camera=lens_of_camera,
         free=np.concatenate([lens_free.ravel(), pose_free.ravel(), sigma > 0]).astype(float),
@@ -201,14 +204,16 @@ def sheet_problem(
         shape=np.zeros((0, 3)),
     )
     views = tuple(
-        View(
+        BoardObservation(
             camera=k,
             shot=0,
             detection=one.detection,
             used=np.ones(len(one.detection), dtype=bool),
-            shown=one.shown,
+            grey_level_points=one.grey_level_points,
             ink_spread_mm=one.ink_spread_mm,
-            room=0 if one.image is None else one.places_of_picture - len(_places_mm(one, target)),
+            spare_rows=0
+            if one.image is None
+            else one.largest_point_count - len(_points_mm(one, target)),
             sigma_ratio=one.scatter,
         )
         for k, one in enumerate(cameras)
@@ -227,8 +232,9 @@ def sheet_problem(
 def _lens_prior(
     factor: Float[np.ndarray, "k r"], scale: Float[np.ndarray, "q"]
 ) -> tuple[Float[np.ndarray, "q q"], Float[np.ndarray, "q q"], Float[np.ndarray, "q"]]:
-    """Basis of steps of one sigma along a covariance's directions, its inverse, and which steps
-    exist."""
+    """Basis of one-sigma steps along a covariance's directions, its information, and the free
+    steps.
+    """
     parameters, steps = factor.shape
     size = len(scale)
     basis, information = np.zeros((size, size)), np.zeros((size, size))
@@ -243,15 +249,15 @@ def _are_one_lens(cameras: Sequence[SheetCamera]) -> bool:
     return all(np.array_equal(np.asarray(one.promoted_lens.parameters), first) for one in cameras)
 
 
-def _reach_of_camera_mm(camera: SheetCamera, target: AbstractTarget) -> float:
-    """Distance from a camera's centre to the mean of the places that it shows."""
+def _camera_distance_mm(camera: SheetCamera, target: AbstractTarget) -> float:
+    """Distance from a camera's centre to the mean of its observed points, mm."""
     middle = np.zeros(3)
-    places = _places_mm(camera, target)
-    middle[: places.shape[1]] = places.mean(axis=0)
+    points_mm = _points_mm(camera, target)
+    middle[: points_mm.shape[1]] = points_mm.mean(axis=0)
     return float(np.linalg.norm(camera.pose.transform(middle)))
 
 
-def _places_mm(camera: SheetCamera, target: AbstractTarget) -> Float[np.ndarray, "n _"]:
-    if camera.shown is not None:
-        return camera.shown.place_mm
+def _points_mm(camera: SheetCamera, target: AbstractTarget) -> Float[np.ndarray, "n _"]:
+    if camera.grey_level_points is not None:
+        return camera.grey_level_points.point_mm
     return target.centres_mm[camera.detection.circle_index]

@@ -1,10 +1,10 @@
-"""Levenberg and Marquardt's method for everything whose normal equations are a block arrow.
+"""Levenberg-Marquardt method for problems whose normal equations are a block arrow.
 
-Lenses, cameras and boards share few unknowns (the head), and every shot or line has a few of its
-own (a block); a picture's pose and look are a head, the light about each circle a block. The state
-is a point on a manifold: charts are laid anew at every point, and the Jacobian is never formed.
-`ArrowDescent` proposes steps, `WatchdogSearch` accepts or refuses them, and `ArrowMinimiser` runs
-both. Source: Triggs et al., "Bundle adjustment: a modern synthesis" (2000).
+Few unknowns are shared (the head: lenses, cameras and boards, or the pose and look of an image).
+Every shot, line or circle has a few of its own (a block). The state is a point on a manifold: local
+coordinates are defined anew at every point, and the Jacobian is never formed. `ArrowDescent`
+proposes steps, `WatchdogSearch` accepts or rejects them, `ArrowMinimiser` runs both. Source: Triggs
+et al., "Bundle adjustment: a modern synthesis" (2000).
 """
 
 from abc import abstractmethod
@@ -24,20 +24,20 @@ from trinoc.numerics.programs import count_numbers, kept_jit
 
 State = TypeVar("State")
 
-# numerical: the cost is a chi-square; so small a gain moves no parameter by a few hundredths of its
-# sigma.
+# numerical: the cost is a chi-square; a gain this small moves parameters by about a hundredth of
+# their sigma.
 CONVERGED_GAIN = 1e-4
 # numerical: bounds of the damping.
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e8
-# numerical: keeps directions that nothing determines, and those that are held, at rest.
+# numerical: keeps undetermined and fixed directions at their start.
 FLOOR_DAMPING = 1e-13
 # numerical: a descent ends long before.
 MOST_STEPS = 300
-# numerical: a step that promises less of the chi-square may rise if the next one makes up for it:
-# along a curved valley, such as a lens that the pictures tell less than its prior, all do.
+# numerical: a step with a smaller predicted gain may raise the cost if the next one compensates.
+# Along a curved valley all steps do, for instance for a lens that its prior determines.
 _NEAR = 10.0
-# numerical: where blocks step by themselves, the gain of a descent that has converged is granted to
-# the head and to every hundred blocks, a few of which creep along the flank of the robust loss.
+# numerical: with separate dampings of blocks, the final gain is allowed for the head and for every
+# hundred blocks, because a few blocks move slowly along the flank of the robust loss.
 BLOCKS_THAT_CREEP = 100
 
 
@@ -46,11 +46,10 @@ class ArrowEquations(NamedTuple):
 
     Fields
     ------
-    cost : of the state.
-    information, gradient : J^T W J, and J^T W r, half the gradient of the cost, over the steps of
+    cost : cost of the state.
+    information, gradient : J^T W J, and J^T W r (half the gradient of the cost), over the steps of
         the head (h,) and of the blocks (b, w).
-    details : whatever else the problem computes on the way; a descent returns that of the last
-        state that it evaluated.
+    details : other results of the evaluation; a descent returns those of the last evaluated state.
     """
 
     cost: Float[ArrayLike, ""]
@@ -60,10 +59,11 @@ class ArrowEquations(NamedTuple):
 
 
 class AbstractArrowProblem(eqx.Module, Generic[State]):
-    """A robust least-squares problem over states of any kind that are PyTrees of arrays.
+    """A robust least-squares problem over states that are PyTrees of arrays.
 
-    What is held fixed has no information, no gradient, and a `retract` that ignores its step. From
-    so many numbers of a state on, steps run for longer than it takes to optimize their program.
+    Fixed unknowns have no information and no gradient, and `retract` ignores their step.
+
+    `optimized_from` : size of a state above which optimizing the program pays off.
     """
 
     first_damping: ClassVar[float] = 1e-3
@@ -71,42 +71,47 @@ class AbstractArrowProblem(eqx.Module, Generic[State]):
 
     @abstractmethod
     def equations(self, state: State) -> ArrowEquations:
-        """The equations at a state, weighted by the loss, with the priors, and its cost, the robust
-        chi-square of all observations and priors, which decides on a step."""
+        """Equations at a state, weighted by the loss, with the priors.
+
+        Their cost, the robust chi-square of observations and priors, decides on a step.
+        """
 
     @abstractmethod
     def retract(self, state: State, head: Float[Array, "h"], blocks: Float[Array, "b w"]) -> State:
-        """The state after a step in the charts laid there; zero leaves it as it is."""
+        """State after a step in the local coordinates at `state`; a step of zero leaves it
+        unchanged.
+        """
 
 
 class Costs(NamedTuple):
-    """What of a cost depends on the head alone, and what on each block as well."""
+    """Parts of the cost: that of the head alone, and that of each block."""
 
     head: Float[ArrayLike, ""]
     blocks: Float[ArrayLike, "b"]
 
     @property
     def total(self) -> Float[ArrayLike, ""]:
-        """The whole cost."""
+        """Sum of all parts."""
         return self.head + jnp.sum(self.blocks)
 
 
 class AbstractSeparableProblem(AbstractArrowProblem[State]):
-    """A problem of so many blocks that one which strays would hold back all others.
+    """A problem of many blocks with separate dampings.
 
-    Every block has a damping of its own, and stays where it was when that serves it better.
+    A single diverging block would otherwise stop all others. A block does not move if its step
+    raises its cost.
     """
 
     @abstractmethod
     def costs(self, state: State) -> Costs:
-        """The parts of the cost."""
+        """Parts of the cost."""
 
     def block_costs(self, state: State) -> Float[ArrayLike, "b"]:
-        """What of the cost depends on each block."""
+        """Costs of the blocks."""
         return self.costs(state).blocks
 
     def cost(self, state: State) -> Float[ArrayLike, ""]:
-        """Their sum."""
+        """Total cost."""
         return self.costs(state).total
 
 
@@ -115,12 +120,12 @@ class Solution(eqx.Module, Generic[State]):
 
     Fields
     ------
-    state, cost : the best state and its cost.
-    steps : number of steps that were tried.
-    converged : whether the descent ended by itself.
-    promised : gain that the next step promises.
-    details : those of the equations at `state`, where `has_details`: where the state that was
-        evaluated last is the best one.
+    state, cost : best state and its cost.
+    steps : number of tried steps.
+    converged : whether the descent ended by its own criterion.
+    promised : predicted gain of the next step.
+    details : those of the equations at `state`, if `has_details`.
+    has_details : whether the last evaluated state is the best one.
     """
 
     state: State
@@ -137,12 +142,12 @@ def solve(
 ) -> Solution[State]:
     """Return the state of least cost near a start.
 
-    first_damping : of the first step, over the diagonal of the equations; that of the problem
-        unless given. With `LEAST_DAMPING` it is Gauss and Newton's, for a start so near that it
-        gains: directions that are known a million times less well than others move at once.
+    first_damping : of the first step, relative to the diagonal of the equations; by default that of
+        the problem. `LEAST_DAMPING` gives the Gauss-Newton method, for starts near the minimum.
+        Then weakly determined directions move at once.
 
-    Directions that nothing determines keep their start. Differentiating it raises: a state has
-    more numbers than freedoms.
+    Undetermined directions keep their start. Differentiation raises an error: a state has more
+    numbers than degrees of freedom.
     """
     damping = problem.first_damping if first_damping is None else first_damping
     run = _solve_many if count_numbers(state) >= problem.optimized_from else _solve_few
@@ -158,22 +163,22 @@ def descend(
     atol: ScalarLike = CONVERGED_GAIN,
     most_steps: Int[ArrayLike, ""] | int = MOST_STEPS,
 ) -> Solution[State]:
-    """Return the best state after steps from a start, as a part of a compiled program.
+    """Return the best state after steps from a start, as part of a compiled program.
 
     Parameters
     ----------
-    start : equations at the state where they are known; with an infinite cost the first step is
-        accepted whatever it gains. Then no step is tried that promises less than `atol`; else the
-        last one is tried before the descent ends.
+    start : equations at the state if available. With an infinite cost, the first step is always
+        accepted. No step is then tried whose predicted gain is below `atol`; without `start`, the
+        last step is tried before the descent ends.
     atol : gain that ends the descent.
-    most_steps : how many are tried at most.
+    most_steps : largest number of steps.
     """
 
     def cost_and_equations(state: Any, problem: Any) -> tuple[Any, ArrowEquations]:
         equations = _equations(problem, state)
         return equations.cost, equations
 
-    # Without equations the first step is of nothing, and gains: it divides the damping by ten.
+    # Without equations the first step is zero and succeeds, which divides the damping by ten.
     damping = jnp.asarray(first_damping) * (10 if start is None else 1)
     block_costs = problem.block_costs if isinstance(problem, AbstractSeparableProblem) else None
     solution = optx.minimise(
@@ -194,7 +199,7 @@ def descend(
     return Solution(
         solution.value,
         jnp.asarray(progress.at_best.cost),
-        progress.steps - int(start is None),  # the first is of nothing
+        progress.steps - int(start is None),  # the first is zero
         solution.result == optx.RESULTS.successful,
         jnp.asarray(progress.step.promised),
         solution.aux.details,
@@ -215,7 +220,7 @@ _solve_many = kept_jit(_solve, optimized_from=0)  # numerical: see above
 
 @jax.jit
 def _equations(problem: AbstractArrowProblem[State], state: State) -> ArrowEquations:
-    """Traced once for the whole descent."""
+    """Equations at a state; traced once for the whole descent."""
     return problem.equations(state)
 
 
@@ -232,7 +237,7 @@ class ArrowStep(NamedTuple):
     Fields
     ------
     head, blocks : step of the head and of the blocks.
-    promised : gain that the equations promise.
+    promised : gain predicted by the equations.
     follows : whether each block takes part.
     """
 
@@ -245,28 +250,29 @@ class ArrowStep(NamedTuple):
 class ArrowDescent(optx.AbstractDescent):
     """Damped Gauss-Newton step of a block arrow.
 
-    Its state is the point that it steps from, with the equations there.
+    Its state is the present point with the equations there.
 
     Fields
     ------
-    retract : the state after a step, of (state, head, blocks).
-    block_costs : the cost of each block, of a state, where blocks step by themselves; else None.
+    retract : function of (state, head, blocks) that returns the state after a step.
+    block_costs : function that returns the cost of each block of a state, for separate dampings;
+        else None.
     """
 
     retract: Callable[..., Any]
     block_costs: Callable[..., Any] | None
 
     def init(self, y: Any, f_info_struct: Any) -> Any:
-        """Equations of an infinite cost, without information."""
+        """Equations with an infinite cost and without information."""
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), f_info_struct)
         return y, zeros._replace(cost=jnp.full_like(zeros.cost, jnp.inf), details=None)
 
     def query(self, y: Any, f_info: ArrowEquations, state: Any) -> Any:
-        """Step from here."""
+        """Continue from this point."""
         return y, f_info
 
     def step(self, step_size: Any, state: Any) -> tuple[ArrowStep, optx.RESULTS]:
-        """The step with the damping `step_size`; blocks that it would not serve stay."""
+        """Step with the damping `step_size`; blocks whose cost it would raise do not move."""
         y, equations = state
         solver = BlockArrowSolver(step_size.head + FLOOR_DAMPING, step_size.blocks)
         factored, gradient = solver.init(equations.information, {}), equations.gradient
@@ -278,17 +284,25 @@ class ArrowDescent(optx.AbstractDescent):
             promised = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
             step = ArrowStep(head, blocks, promised, jnp.ones(len(blocks), bool))
             return step, optx.RESULTS.successful
-        block_costs, both = self.block_costs, jnp.stack([blocks, jnp.zeros_like(blocks)])
-        moved, stayed = jax.vmap(lambda own: block_costs(self.retract(y, head, own)))(both)
-        follows = moved <= stayed
+        block_costs, with_and_without = (
+            self.block_costs,
+            jnp.stack([blocks, jnp.zeros_like(blocks)]),
+        )
+        cost_with, cost_without = jax.vmap(
+            lambda block_steps: block_costs(self.retract(y, head, block_steps))
+        )(with_and_without)
+        follows = cost_with <= cost_without
         promised = -factored.elimination.reduced_side(gradient) @ head
         step = ArrowStep(head, jnp.where(follows[:, None], blocks, 0.0), promised, follows)
         return step, optx.RESULTS.successful
 
 
 class _SearchState(NamedTuple):
-    """Damping of the next step, the step that is tried, whether the descent stands above the best
-    state, and whether it may end."""
+    """State of the search.
+
+    damping : of the next step. tried : the step that is evaluated. risen : whether the present
+        point is above the best state. done : whether the descent may end.
+    """
 
     damping: Damping
     tried: ArrowStep
@@ -297,17 +311,18 @@ class _SearchState(NamedTuple):
 
 
 class WatchdogSearch(optx.AbstractSearch):
-    """Accepts a step that gains, and near the minimum one that rises, if the next makes up for it.
+    """Accept steps that reduce the cost, and near the minimum one that raises it if the next
+    compensates.
 
-    A step that gains divides the damping by ten, one that does not multiplies it. Source:
-    Chamberlain et al., "The watchdog technique for forcing convergence in algorithms for
-    constrained optimization" (1982).
+    A successful step divides the damping by ten, another one multiplies it. Source: Chamberlain et
+    al., "The watchdog technique for forcing convergence in algorithms for constrained optimization"
+    (1982).
 
     Fields
     ------
     first_damping : of the first step.
     atol : gain that ends the descent.
-    is_separable : whether blocks step by themselves.
+    is_separable : whether blocks have separate dampings.
     """
 
     first_damping: Float[ArrayLike, ""]
@@ -315,7 +330,7 @@ class WatchdogSearch(optx.AbstractSearch):
     is_separable: bool = eqx.field(static=True)
 
     def init(self, y: Any, f_info_struct: Any) -> _SearchState:
-        """Nothing tried yet: a step of nothing, which promises nothing."""
+        """State before the first step: a step of zero with no predicted gain."""
         head, blocks = (jnp.zeros(part.shape, part.dtype) for part in f_info_struct.gradient)
         step = ArrowStep(head, blocks, jnp.zeros(()), jnp.ones(len(blocks), bool))
         damping, no = jnp.asarray(self.first_damping), jnp.asarray(False)
@@ -330,24 +345,24 @@ class WatchdogSearch(optx.AbstractSearch):
         f_eval_info: ArrowEquations,
         state: _SearchState,
     ) -> tuple[Any, Bool[Array, ""], optx.RESULTS, _SearchState]:
-        """(the next damping, whether to go on from the tried state, success, the state).
+        """Return (next damping, whether the tried state is accepted, success, state of the search).
 
-        f_info, f_eval_info : at the best state, and at the one that was tried.
+        f_info, f_eval_info : equations at the best state, and at the tried one.
         """
         damping, step, risen, _ = state
         gain = f_info.cost - f_eval_info.cost
         better = f_eval_info.cost <= f_info.cost
         rises = ~better & ~risen & (step.promised < _NEAR) & jnp.isfinite(f_eval_info.cost)
         stuck = (damping.head * 10 > MOST_DAMPING) | (step.promised < 1e-3 * self.atol)
-        creeping = len(step.blocks) / BLOCKS_THAT_CREEP if self.is_separable else 0.0
-        still = (step.promised < self.atol) & (gain < self.atol * (1 + creeping))
+        slow_blocks = len(step.blocks) / BLOCKS_THAT_CREEP if self.is_separable else 0.0
+        has_converged = (step.promised < self.atol) & (gain < self.atol * (1 + slow_blocks))
         factor = jnp.where(better, 0.1, jnp.where(rises, 1.0, 10.0))
-        of_blocks = jnp.where(step.follows, factor, 10.0)
+        block_factor = jnp.where(step.follows, factor, 10.0)
         damping = Damping(
             jnp.maximum(damping.head * factor, LEAST_DAMPING),
-            jnp.clip(damping.blocks * of_blocks, LEAST_DAMPING, MOST_DAMPING),
+            jnp.clip(damping.blocks * block_factor, LEAST_DAMPING, MOST_DAMPING),
         )
-        done = jnp.where(better, still, stuck)
+        done = jnp.where(better, has_converged, stuck)
         accepted = jnp.asarray(better | (rises & ~stuck))
         return damping, accepted, optx.RESULTS.successful, _SearchState(damping, step, rises, done)
 
@@ -357,12 +372,12 @@ class _Progress(eqx.Module):
 
     Fields
     ------
-    best, at_best : the best state so far, and the equations there.
-    here : point of the descent.
+    best, at_best : best state so far, and the equations there.
+    here : present point of the descent.
     search : state of the search.
-    step : what is tried next.
-    steps : how many were tried.
-    is_best : whether the state that was tried last is the best one.
+    step : next step to try.
+    steps : number of tried steps.
+    is_best : whether the last tried state is the best one.
     done : whether the descent has ended.
     """
 
@@ -377,29 +392,30 @@ class _Progress(eqx.Module):
 
 
 class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
-    """Runs a descent and a search, from equations that the function returns beside its cost.
+    """Minimiser that runs a descent and a search, with equations that the function returns with its
+    cost.
 
-    Of the function there is one copy in the program, after a step: without equations at the start,
-    a first step of nothing finds them.
+    The program contains the function once, after a step. Without equations at the start, a first
+    step of zero evaluates them.
 
     Fields
     ------
-    most_steps : how many are tried at most.
-    start : equations at the start, and the sign that steps of little promise are not tried.
+    most_steps : largest number of steps.
+    start : equations at the start. With them, steps with a small predicted gain are not tried.
     """
 
     descent: ArrowDescent
     search: WatchdogSearch
     most_steps: Int[ArrayLike, ""]
     start: ArrowEquations | None
-    # optimistix wants these; the search's `atol` alone ends the steps: a chi-square has a scale of
-    # its own.
+    # optimistix requires these; only the search's `atol` ends the descent, since a chi-square has
+    # its own scale.
     rtol: ClassVar[float] = 0.0
     atol: ClassVar[float] = CONVERGED_GAIN
     norm: ClassVar[Callable[[PyTree], Float[Array, ""]]] = staticmethod(optx.max_norm)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Progress:
-        """At the start, with the first step from the equations there."""
+        """State at the start, with the first step if equations are given."""
         here, search = self.descent.init(y, aux_struct), self.search.init(y, aux_struct)
         step, done = search.tried, jnp.asarray(False)
         if self.start is not None:
@@ -410,7 +426,7 @@ class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
         return _Progress(y, here[1], here, search, step, jnp.asarray(0), done, done)
 
     def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, ArrowEquations]:
-        """Try a step, and propose the next one."""
+        """Evaluate a step, and propose the next one."""
         tried = self.descent.retract(y, state.step.head, state.step.blocks)
         _, evaluated = fn(tried, args)
         there = evaluated._replace(details=None)
@@ -430,7 +446,7 @@ class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
         return here[0], progress, evaluated
 
     def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """Converged, or nowhere to go; it has failed where no cost was a number."""
+        """True if the descent has ended; it failed if no cost was finite."""
         failed = state.done & ~jnp.isfinite(state.at_best.cost)
         result = optx.RESULTS.where(failed, optx.RESULTS.nonfinite, optx.RESULTS.successful)
         return state.done, result
@@ -438,7 +454,7 @@ class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
     def postprocess(
         self, fn, y, aux, args, options, state, tags, result
     ) -> tuple[Any, ArrowEquations, dict[str, Any]]:
-        """The best state, and the equations of the last one."""
+        """Best state, and the equations of the last evaluated state."""
         return state.best, aux, {}
 
 
@@ -447,8 +463,8 @@ def _where(condition: Bool[ArrayLike, ""], yes: Any, no: Any) -> Any:
 
 
 def gauss_newton_gain(equations: ArrowEquations) -> Float[Array, ""]:
-    """What an undamped step takes off the cost, to first order in the residuals."""
+    """Reduction of the cost by an undamped step, to first order in the residuals."""
     solver = BlockArrowSolver(FLOOR_DAMPING)
     solved = lx.linear_solve(equations.information, equations.gradient, solver, throw=False).value
-    (head, blocks), (of_head, of_blocks) = solved, equations.gradient
-    return of_head @ head + jnp.sum(of_blocks * blocks)
+    (head, blocks), (head_gradient, block_gradient) = solved, equations.gradient
+    return head_gradient @ head + jnp.sum(block_gradient * blocks)

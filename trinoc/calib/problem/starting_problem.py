@@ -1,4 +1,4 @@
-"""The problem at its start: lenses, cameras and boards as they were placed, and what is known."""
+"""Problem at its start: initial lenses, cameras and boards, with their priors."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.problem.problem import (
-    Freedom,
+    FreeLensParameters,
     Problem,
     basis_of_scales,
     cam_from_board,
@@ -15,7 +15,7 @@ from trinoc.calib.problem.problem import (
 )
 from trinoc.calib.problem.sheet import WarpedBoard
 from trinoc.calib.problem.variables import POSE_SIZE, Parametrization, Priors, RigState
-from trinoc.calib.problem.views import View, shot_capacity
+from trinoc.calib.problem.views import BoardObservation, shot_capacity
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.board_set import list_boards
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
@@ -23,34 +23,34 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import PoseModel
 
-# numerical: a guard.
+# numerical: smaller sigmas count as exact.
 _SMALLEST_SIGMA = 1e-12
 
 
 def start_problem(
-    views: Sequence[View],
+    views: Sequence[BoardObservation],
     target: AbstractTarget,
     lenses: Sequence[AbstractLens],
     cam_from_rig: Float[np.ndarray, "c 3 4"],
     rig_from_board: Float[np.ndarray, "s 3 4"],
     image_sizes_px: Sequence[tuple[int, int]],
-    freedom: Freedom,
+    freedom: FreeLensParameters,
     systematics: Systematics,
     set_from_board: Float[np.ndarray, "b 3 4"] | None = None,
     tuning: CalibTuning = TUNING,
 ) -> Problem:
-    """The problem at its start. The first camera, and of several boards the first, stay in place.
+    """Problem at its start. The first camera, and the first board of a set, are fixed.
 
-    image_sizes_px : (width, height) of the pictures of each lens. set_from_board : of each of
-    several boards.
+    image_sizes_px : (width, height) of the images of each lens. set_from_board : pose of each board
+        of a set.
     """
     members = list_boards(target)
     in_set = np.zeros((0, 3, 4))
     if len(members) > 1 and set_from_board is not None:
         in_set = np.asarray(set_from_board)
     shots = len(rig_from_board)
-    more = shot_capacity(shots) - shots
-    boards = np.concatenate([rig_from_board, np.broadcast_to(np.eye(3, 4), (more, 3, 4))])
+    spare_poses = shot_capacity(shots) - shots
+    boards = np.concatenate([rig_from_board, np.broadcast_to(np.eye(3, 4), (spare_poses, 3, 4))])
     stacked = stack_problem_lenses(lenses)
     scale = np.stack(
         [lens.parameter_scales(size) for lens, size in zip(lenses, image_sizes_px, strict=True)]
@@ -98,19 +98,21 @@ def start_problem(
 def _sheet_prior(
     systematics: Systematics, boards: int
 ) -> tuple[Float[np.ndarray, "w w"], Float[np.ndarray, "w"]]:
-    """Information on scales and warps, and which of these are free: those that are not exact.
+    """Information on scales and warps, and which of these are free because they are not exact.
 
-    The size is off alike for all boards of a set, as one printer makes it; scales along X and Y,
-    and warps, are each board's own.
+    All boards of a set have the same size error, as from one printer. Scales along X and Y, and
+    warps, are independent for each board.
     """
     terms = len(WarpedBoard.names)
     size = np.zeros((terms, terms))
     size[:2, :2] = systematics.print_size_sigma**2
-    own = np.diag([*np.square(systematics.print_scale_sigma), 0.0, 0.0])
-    own += np.diag([0.0, 0.0, systematics.flatness_mm**2, systematics.flatness_mm**2])
-    covariance = np.kron(np.ones((boards, boards)), size) + np.kron(np.eye(boards), own)
+    board_covariance = np.diag([*np.square(systematics.print_scale_sigma), 0.0, 0.0])
+    board_covariance += np.diag([0.0, 0.0, systematics.flatness_mm**2, systematics.flatness_mm**2])
+    covariance = np.kron(np.ones((boards, boards)), size) + np.kron(
+        np.eye(boards), board_covariance
+    )
     free = (np.diag(covariance) > _SMALLEST_SIGMA**2).astype(float)
-    # A size that is off with sides in proportion is one unknown, not two.
+    # Fully correlated scales are one unknown: a small independent variance keeps the inverse.
     covariance += np.diag(np.where(free > 0, 1e-6 * np.diag(covariance), 0.0))
     rows = np.flatnonzero(free)
     information = np.zeros_like(covariance)

@@ -1,19 +1,19 @@
-"""Cameras that do not look at one moment: the pose of the board differs within each shot.
+"""Fit of unsynchronised cameras: the pose of the board differs between the images of a shot.
 
-A board that moves while cameras without a common trigger look at it is observed in slightly
-different poses. One pose for all images of a shot would bend the lenses of all cameras. Therefore
+Cameras without a common trigger observe a moving board at slightly different poses. One pose for
+all images of a shot would distort the lenses of all cameras. Therefore:
 
-1. lenses and board are fitted with a pose of the board for each image (`with_images_apart`), as
-   for each camera alone;
-2. the poses of the cameras follow from the shots, with the motion between the moments as a random
-   effect (`with_motion_between_images`): a small step m of the board's pose in each image, of
-   covariance M, the same for all images. Eliminated, it adds J M J^T to the covariance of an
-   image's places, with J their derivative by the pose. The pose of one camera from another is then
-   a mean over the shots, with a sigma by its scatter.
+1. Lenses and board are fitted with a pose of the board for each image (`fit_images_apart`), as for
+   each camera alone.
+2. The poses of the cameras follow from the shots, with the motion between the moments as a random
+   effect (`fit_with_motion`). It is a small step m of the board's pose in each image, of covariance
+   M, the same for all images. Its elimination adds J M J^T to the covariance of an image's points,
+   with J their derivative by the pose. The relative pose of two cameras is then a mean over the
+   shots, with a sigma by its scatter.
 
-M is half the covariance of the differences between the poses of two images of a shot, less that
-which the noise of their places gives to these differences. Source: S. R. Searle, G. Casella,
-C. E. McCulloch, "Variance Components" (1992), chapter 4.
+M is half the covariance of the pose differences between two images of a shot, minus the part from
+the noise of their points. Source: S. R. Searle, G. Casella, C. E. McCulloch, "Variance Components"
+(1992), chapter 4.
 """
 
 import equinox as eqx
@@ -26,35 +26,35 @@ from trinoc.calib.problem.moments import (
     fit_image_poses,
     images_of_shots,
     pose_jacobian_px,
+    split_into_own_shots,
     typical_excess,
-    with_shots_of_their_own,
 )
-from trinoc.calib.problem.problem import Problem, with_head_free
+from trinoc.calib.problem.problem import Problem, with_free_head
 from trinoc.calib.problem.robust_fit import (
     RobustFit,
-    drop_wrong_places,
+    drop_wrong_points,
     end_of_fit,
     finish_fit,
-    fit_places,
+    fit_points,
 )
 from trinoc.calib.problem.variables import POSE_SIZE, step_motion
-from trinoc.calib.problem.views import SheetPoints, View
+from trinoc.calib.problem.views import BoardObservation, SheetPoints
 
-# numerical: rounds in which the cameras' poses and the covariance of the motion follow each other.
+# numerical: rounds that alternate the cameras' poses and the covariance of the motion.
 _ROUNDS = 3
 # numerical: the least variance of a motion, over the largest one.
 _LEAST_SHARE = 1e-6
-# numerical: a pair of images counts at most with so many times the median squared difference.
+# numerical: largest squared difference of a pair of images, relative to the median.
 _MOST_INFLUENCE = 9.0
 
 
-def with_images_apart(fit: RobustFit) -> RobustFit | None:
-    """Fit lenses and board with a pose of the board for each image, and the cameras held.
+def fit_images_apart(fit: RobustFit) -> RobustFit | None:
+    """Fit lenses and board with a pose of the board for each image, and the cameras fixed.
 
-    Returns None where the cameras look at one moment.
+    Returns None if the cameras are synchronised.
     """
     problem = fit.problem
-    if any(view.shown is not None for view in problem.views):
+    if any(view.grey_level_points is not None for view in problem.views):
         return None
     excess = typical_excess(problem)
     if excess == 0.0:
@@ -64,57 +64,59 @@ def with_images_apart(fit: RobustFit) -> RobustFit | None:
     noise = float(np.median(_reduced_chi_square(problem, poses)[used]))
     if excess < problem.tuning.problem.moments_differ * noise:
         return None
-    # Places that were right for one pose of the shot may be wrong for that of their image.
-    problem, elsewhere = drop_wrong_places(problem, _errors_in_sigmas(problem, poses))
+    # Inliers for the pose of the shot may be outliers for that of their image.
+    problem, rejected = drop_wrong_points(problem, _errors_in_sigmas(problem, poses))
     later_images = [k for images in images_of_shots(problem).values() for k in images[1:]]
-    apart = with_shots_of_their_own(problem, later_images)
-    free = np.array(apart.free)
-    free[apart.slices.cameras] = 0.0
-    apart, _ = fit_places(with_head_free(apart, free))
-    return finish_fit(apart, [*fit.elsewhere, *elsewhere])
+    images_problem = split_into_own_shots(problem, later_images)
+    free = np.array(images_problem.free)
+    free[images_problem.slices.cameras] = 0.0
+    images_problem, _ = fit_points(with_free_head(images_problem, free))
+    return finish_fit(images_problem, [*fit.rejected_images, *rejected])
 
 
-def with_motion_between_images(apart_fit: RobustFit, shots_fit: RobustFit) -> RobustFit | None:
-    """Find the cameras from the shots, the motion between the images of a shot a random effect.
+def fit_with_motion(images_fit: RobustFit, shots_fit: RobustFit) -> RobustFit | None:
+    """Estimate the cameras from the shots, with the motion between images as a random effect.
 
     Parameters
     ----------
-    apart_fit : with a pose of the board for each image; it gives lenses, board and sigmas.
-    shots_fit : with one pose for each shot; the cameras begin there.
+    images_fit : fit with a pose of the board for each image; gives lenses, board and sigmas.
+    shots_fit : fit with one pose for each shot; gives the start of the cameras.
 
-    Returns None where no shot has two images left that take part: they would not show the motion.
+    Returns
+    -------
+    The fit; None if no shot has two used images, which would show the motion.
     """
-    apart, shots = apart_fit.problem, shots_fit.problem
+    images_problem, shots = images_fit.problem, shots_fit.problem
     state = eqx.tree_at(
         lambda state: (state.cam_from_rig, state.rig_from_board),
-        apart.state,
+        images_problem.state,
         (shots.state.cam_from_rig, shots.state.rig_from_board),
     )
     views_in_shots = tuple(
         view._replace(shot=shot_view.shot)
-        for view, shot_view in zip(apart.views, shots.views, strict=True)
+        for view, shot_view in zip(images_problem.views, shots.views, strict=True)
     )
-    free = np.array(apart.free)
-    cameras = apart.slices.cameras
+    free = np.array(images_problem.free)
+    cameras = images_problem.slices.cameras
     free[cameras] = np.asarray(shots.free)[cameras]
     only_cameras = np.zeros_like(free)
     only_cameras[cameras] = free[cameras]
-    uncorrelated = apart._replace(state=state, views=views_in_shots, shots=shots.shots)
+    uncorrelated = images_problem._replace(state=state, views=views_in_shots, shots=shots.shots)
     if all(len(images) < 2 for images in images_of_shots(uncorrelated).values()):
         return None
-    uncorrelated, converged = fit_places(with_head_free(uncorrelated, only_cameras))
+    uncorrelated, converged = fit_points(with_free_head(uncorrelated, only_cameras))
     for _ in range(_ROUNDS):
-        correlated, converged = fit_places(_with_motion(uncorrelated))
+        correlated, converged = fit_points(_with_motion(uncorrelated))
         uncorrelated = uncorrelated._replace(state=correlated.state)
-    # Lenses and board are not fitted again: the correlations were computed for these lenses, and
-    # would pull them back to where they are.
-    end = with_head_free(_with_motion(uncorrelated), free)
-    converged = converged and apart_fit.converged
-    return end_of_fit(end, converged, apart_fit.elsewhere)._replace(is_held=True)
+    # Lenses and board are not fitted again: the correlations were computed for these lenses and
+    # would bias them toward their present values.
+    end = with_free_head(_with_motion(uncorrelated), free)
+    converged = converged and images_fit.converged
+    return end_of_fit(end, converged, images_fit.rejected_images)._replace(lenses_fixed=True)
 
 
 def _errors_in_sigmas(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "v n 2"]:
-    """Residuals of each image about its own pose, in sigmas as they were detected."""
+    """Residuals of each image about its own pose, in sigmas as detected, (v, n, 2)."""
     table = problem.table
     errors = np.zeros(np.shape(table.uv_px))
     for k, about_pose in enumerate(errors_about_image_poses_px(problem, poses)):
@@ -122,55 +124,58 @@ def _errors_in_sigmas(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, 
     return np.einsum("vnij,vnj->vni", table.whitening, errors)
 
 
-def _sigma_multiplier(problem: Problem, view: View) -> float:
-    """By how much the sigmas of an image's places are multiplied."""
+def _sigma_multiplier(problem: Problem, view: BoardObservation) -> float:
+    """Factor of the sigmas of an image's points."""
     return float(problem.sigma_factor[view.camera]) * view.sigma_ratio
 
 
 def _reduced_chi_square(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "v"]:
-    """Chi-square of each image about its own pose, by the sigmas as they are, over its degrees of
-    freedom."""
+    """Reduced chi-square of each image about its own pose, by the present sigmas, (v,)."""
     squared = np.sum(_errors_in_sigmas(problem, poses) ** 2, axis=(1, 2))
     return np.array(
         [
-            chi_square / max(view.numbers - POSE_SIZE, 1) / _sigma_multiplier(problem, view) ** 2
+            chi_square
+            / max(view.coordinate_count - POSE_SIZE, 1)
+            / _sigma_multiplier(problem, view) ** 2
             for chi_square, view in zip(squared, problem.views)
         ]
     )
 
 
 def _with_motion(problem: Problem) -> Problem:
-    """The problem with the errors of an image's places correlated by the motion of its board.
+    """Problem with the errors of each image's points correlated by the motion of its board.
 
-    The places are taken where the pose of their image has them, and the motion is taken off again
-    to first order: so they stay right where lenses and cameras change.
+    Points are taken at the pose of their image, and the motion is subtracted to first order. They
+    stay valid for other lenses and cameras.
     """
     poses = fit_image_poses(problem)
     motion = _motion_covariance(problem, poses)
-    moved = [
-        _moved_places_mm(problem, view, step)
+    moved_points_mm = [
+        _moved_points_mm(problem, view, step)
         for view, step in zip(problem.views, poses.step, strict=True)
     ]
-    jacobian_px = pose_jacobian_px(problem, moved)
+    jacobian_px = pose_jacobian_px(problem, moved_points_mm)
     views = []
-    for view, place_mm, jacobian, step in zip(
-        problem.views, moved, jacobian_px, poses.step, strict=True
+    for view, image_points_mm, jacobian, step in zip(
+        problem.views, moved_points_mm, jacobian_px, poses.step, strict=True
     ):
         if not view.used.any():
             views.append(view)
             continue
-        uv_px = view.detection.centres_px + jacobian[: view.rows] @ step
+        uv_px = view.detection.centres_px + jacobian[: view.row_count] @ step
         whitening = _correlated_whitening(view, _sigma_multiplier(problem, view), jacobian, motion)
         # The table divides by the camera's factor.
-        shown = SheetPoints(place_mm, uv_px, whitening * problem.sigma_factor[view.camera])
-        views.append(view._replace(shown=shown, sigma_ratio=1.0, is_moved=True))
+        points = SheetPoints(image_points_mm, uv_px, whitening * problem.sigma_factor[view.camera])
+        views.append(
+            view._replace(grey_level_points=points, sigma_ratio=1.0, has_motion_errors=True)
+        )
     return problem._replace(views=tuple(views))
 
 
-def _moved_places_mm(
-    problem: Problem, view: View, step: Float[np.ndarray, "6"]
+def _moved_points_mm(
+    problem: Problem, view: BoardObservation, step: Float[np.ndarray, "6"]
 ) -> Float[np.ndarray, "m 3"]:
-    """Places of an image's board, moved within the frame of the shot's board as its pose is."""
+    """Board points of an image, moved within the frame of the shot's board as its pose is, mm."""
     from_board = np.asarray(problem.state.rig_from_board[view.shot])
     after = np.asarray(step_motion(from_board, step, problem.parametrization.unit_mm))
     drawn_mm = problem.target.centres_mm[view.detection.circle_index]
@@ -179,29 +184,29 @@ def _moved_places_mm(
 
 
 def _correlated_whitening(
-    view: View,
+    view: BoardObservation,
     factor: float,
     jacobian_px: Float[np.ndarray, "n 2 6"],
     motion: Float[np.ndarray, "6 6"],
 ) -> Float[np.ndarray, "k k"]:
-    """W with W^T W the inverse of noise and motion together; 0 for places that take no part."""
+    """W with W^T W the inverse of noise and motion covariance together; 0 for unused points."""
     rows = np.flatnonzero(view.used)
     covariance = np.zeros((2 * len(rows), 2 * len(rows)))
     for number, row in enumerate(rows):
-        place = slice(2 * number, 2 * number + 2)
-        covariance[place, place] = factor**2 * view.detection.covariance_px2[row]
+        block = slice(2 * number, 2 * number + 2)
+        covariance[block, block] = factor**2 * view.detection.covariance_px2[row]
     jacobian = jacobian_px[rows].reshape(-1, POSE_SIZE)
     covariance += jacobian @ motion @ jacobian.T
-    whitening = np.zeros((2 * view.rows, 2 * view.rows))
-    numbers = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
-    whitening[np.ix_(numbers, numbers)] = np.linalg.inv(np.linalg.cholesky(covariance))
+    whitening = np.zeros((2 * view.row_count, 2 * view.row_count))
+    coordinates = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
+    whitening[np.ix_(coordinates, coordinates)] = np.linalg.inv(np.linalg.cholesky(covariance))
     return whitening
 
 
 def _motion_covariance(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "6 6"]:
-    """Covariance M of the motion of the board in one image, in steps of its pose.
+    """Covariance M of the motion of the board in one image, in steps of its pose, (6, 6).
 
-    The influence of pairs that differ most is bounded.
+    The influence of the most different pairs is bounded.
     """
     differences, noises = [], []
     for first, *others in images_of_shots(problem).values():
@@ -217,5 +222,5 @@ def _motion_covariance(problem: Problem, poses: ImagePoses) -> Float[np.ndarray,
     total = (steps * weight[:, None]).T @ steps
     excess = 0.5 * (total - np.einsum("j,jpq->pq", weight, np.array(noises)))
     values, vectors = np.linalg.eigh(excess / np.outer(scale, scale))
-    kept = np.maximum(values, _LEAST_SHARE * max(float(values[-1]), 1e-12))
-    return (vectors * kept) @ vectors.T * np.outer(scale, scale)
+    positive = np.maximum(values, _LEAST_SHARE * max(float(values[-1]), 1e-12))
+    return (vectors * positive) @ vectors.T * np.outer(scale, scale)

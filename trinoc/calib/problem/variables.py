@@ -1,9 +1,9 @@
-"""The unknowns of a calibration, and the small steps that change them.
+"""Unknowns of a calibration, and the small steps that change them.
 
-Some cameras look at a board in some shots. What all shots share is the *head*: lenses, cameras,
-where several boards stand in their set, how each board was printed and bent, and where single
-places of it lie. Each shot has a *block*: where the board stands in it. A problem says which of
-these are free (`Parametrization.free`) and what was known of them beforehand.
+Cameras observe a board in shots. The unknowns that all shots share are the *head*: lenses, camera
+poses, poses of boards in a set, print and bend of each board, and displacements of single board
+points. Each shot has a *block*: the pose of the board. `Parametrization.free` states which are
+estimated; `Priors` states what is known before the fit.
 """
 
 import itertools
@@ -22,22 +22,22 @@ from trinoc.geometry.pose import Pose, PoseModel
 from trinoc.numerics.precision import ArrayLike
 
 POSE_SIZE = PoseModel.RIGID.size
-# numerical: rows of a pose.
+# numerical: steps of a pose that move its aim.
 _AIM_STEPS = np.eye(POSE_SIZE)[4:]
 
 
 class RigState(eqx.Module):
-    """Lenses, cameras, boards of all shots, and how the board was made.
+    """Values of all unknowns.
 
     Fields
     ------
     lenses : l lenses of one model, along the first axis of their fields.
-    cam_from_rig : (c, 3, 4) of each camera.
-    rig_from_board : (s, 3, 4) of the board in each shot; of a set of boards, of their common frame.
-    set_from_board : (b, 3, 4) of each of several boards; no rows for one board, whose frame is it.
-    sheet : (b * w,) numbers of each board's `AbstractSheet`.
-    shape : (p, 3) by which each place of the board lies elsewhere, X, Y and Z in mm; no rows where
-        all lie where the drawing and `sheet` have them.
+    cam_from_rig : (c, 3, 4) pose of each camera.
+    rig_from_board : (s, 3, 4) pose of the board in each shot; for a set, of the set's frame.
+    set_from_board : (b, 3, 4) pose of each board in its set; no rows for a single board.
+    sheet : (b * w,) parameters of each board's `AbstractSheet`.
+    shape : (p, 3) displacement of each board point from the drawing with its `sheet`, X, Y and Z in
+        mm; no rows without displacements.
     """
 
     lenses: AbstractLens
@@ -49,17 +49,17 @@ class RigState(eqx.Module):
 
 
 class Priors(eqx.Module):
-    """Normal laws of what was known of the unknowns beforehand.
+    """Gaussian priors of the unknowns.
 
     Fields
     ------
-    lens_mean : (l, q) parameters of each lens that were thought likeliest.
-    lens_information : (l, q, q) inverse covariance of these; zero where nothing was known.
+    lens_mean : (l, q) mean of each lens's parameters.
+    lens_information : (l, q, q) their inverse covariance; zero without a prior.
     sheet_information : (w, w) inverse covariance of `RigState.sheet`, whose mean is 0.
     shape_information : (3p, 3p) inverse covariance of `RigState.shape`, whose mean is 0; no rows
-        where that has none.
-    aim_information : (c,) inverse variance, in 1/mm^2, of each coordinate of the point of Z = 0 on
-        each optical axis, whose mean is the origin.
+        without displacements.
+    aim_information : (c,) inverse variance, 1/mm^2, of each coordinate of the intersection of an
+        optical axis with Z = 0; its mean is the origin.
     """
 
     lens_mean: Float[ArrayLike, "l q"]
@@ -70,15 +70,15 @@ class Priors(eqx.Module):
 
 
 class HeadSlices(NamedTuple):
-    """Where, in the head, the steps of each kind of unknown stand, in the order of the head.
+    """Positions of the steps of each kind of unknown in the head, in their order.
 
     Fields
     ------
-    lenses : each has `lens_size` steps.
-    cameras : POSE_SIZE steps of each camera's pose.
-    boards : POSE_SIZE steps of the pose, in their set, of each of several boards; none of one.
-    sheets : of how each board is bent and stretched.
-    places : 3 steps of each place of the boards.
+    lenses : `lens_size` steps for each lens.
+    cameras : POSE_SIZE steps for each camera's pose.
+    boards : POSE_SIZE steps for the pose of each board in its set; none for a single board.
+    sheets : steps of the print and bend of each board.
+    points : 3 steps for each board point.
     lens_size : steps of one lens.
     """
 
@@ -86,39 +86,39 @@ class HeadSlices(NamedTuple):
     cameras: slice
     boards: slice
     sheets: slice
-    places: slice
+    points: slice
     lens_size: int
 
     def lens(self, number: int) -> slice:
-        """The steps of one lens."""
+        """Steps of one lens."""
         return _part(self.lenses, number, self.lens_size)
 
     def camera(self, number: int) -> slice:
-        """The steps of one camera's pose."""
+        """Steps of one camera's pose."""
         return _part(self.cameras, number, POSE_SIZE)
 
 
-def _part(whole: slice, number: int, size: int) -> slice:
-    first = whole.start + number * size
+def _part(section: slice, number: int, size: int) -> slice:
+    first = section.start + number * size
     return slice(first, first + size)
 
 
 class Parametrization(eqx.Module):
-    """What a step changes, by how much, and which steps are taken.
+    """Map from steps to changes of the unknowns, and which steps are free.
 
     Fields
     ------
-    lens_basis : (l, q, r) change of each lens's q parameters by its r steps: units on a diagonal,
+    lens_basis : (l, q, r) change of each lens's q parameters by its r steps: a diagonal of units,
         or the factor of a covariance, whose steps are in standard deviations.
-    unit_mm : length of a step of one in translations.
-    sheet_model : how a board is bent and stretched.
-    sheet_scale : (w,) change of `RigState.sheet` for a step of one.
-    lens_of_camera : (c,) which of the lenses each camera has.
-    free : (h,) 1 for steps of the head that are taken, 0 for others.
-    boards_free : 1 where the boards of the shots move, 0 where they stay.
-    priors : what was known beforehand.
-    pose_model : of the steps of cameras: RIGID, or AIM_FREE over a sheet that stays.
-    has_circles : whether some place is a circle.
+    unit_mm : length of a unit step in translations.
+    sheet_model : model of print and bend of a board.
+    sheet_scale : (w,) change of `RigState.sheet` for a unit step.
+    lens_of_camera : (c,) index of each camera's lens.
+    free : (h,) 1 for free steps of the head, 0 for fixed ones.
+    boards_free : 1 if the boards of the shots move, 0 if they are fixed.
+    priors : priors of the unknowns.
+    pose_model : parametrization of camera steps: RIGID, or AIM_FREE over a fixed sheet.
+    has_circles : whether some board point is a circle.
     """
 
     lens_basis: Float[ArrayLike, "l q r"]
@@ -134,23 +134,25 @@ class Parametrization(eqx.Module):
 
     @property
     def lens_shape(self) -> tuple[int, int]:
-        """How many lenses there are, and how many steps each has."""
+        """Number of lenses, and number of steps of each."""
         lenses, _, steps = self.lens_basis.shape
         return lenses, steps
 
     @property
     def lens_scale(self) -> Float[ArrayLike, "l q"]:
-        """Change of each parameter for a step of one, where each parameter has its own step."""
+        """Change of each lens parameter for its unit step, (l, q), if each parameter has its own
+        step.
+        """
         return self.lens_basis.diagonal(axis1=1, axis2=2)
 
     @property
     def boards(self) -> int:
-        """How many boards there are."""
+        """Number of boards."""
         return self.sheet_scale.shape[0] // len(self.sheet_model.names)
 
     @property
     def slices(self) -> HeadSlices:
-        """Where the steps of each kind stand in the head."""
+        """Positions of the steps of each kind of unknown in the head."""
         lenses, lens_size = self.lens_shape
         sizes = (
             lenses * lens_size,
@@ -158,13 +160,13 @@ class Parametrization(eqx.Module):
             POSE_SIZE * self.boards if self.boards > 1 else 0,
             self.sheet_scale.shape[0],
         )
-        cameras, boards, sheets, places = itertools.accumulate(sizes)
+        cameras, boards, sheets, points = itertools.accumulate(sizes)
         return HeadSlices(
             lenses=slice(0, cameras),
             cameras=slice(cameras, boards),
             boards=slice(boards, sheets),
-            sheets=slice(sheets, places),
-            places=slice(places, self.free.shape[0]),
+            sheets=slice(sheets, points),
+            points=slice(points, self.free.shape[0]),
             lens_size=lens_size,
         )
 
@@ -172,8 +174,11 @@ class Parametrization(eqx.Module):
 def head_columns(
     parametrization: Parametrization, camera: Int[ArrayLike, ""], board: Int[ArrayLike, ""]
 ) -> Int[Array, "k"]:
-    """Where, in the head, the steps of one camera's lens, its pose, that of one of several boards,
-    this board's sheet and all places stand."""
+    """Columns of the head whose steps move the board points of one image.
+
+    These are the steps of the camera's lens and pose, of the board's pose in its set, of its sheet,
+    and of all board points.
+    """
     slices, terms = parametrization.slices, len(parametrization.sheet_model.names)
     size = slices.lens_size
     lens = parametrization.lens_of_camera[camera] * size + jnp.arange(size)
@@ -182,8 +187,8 @@ def head_columns(
     if parametrization.boards > 1:
         in_set = slices.boards.start + board * POSE_SIZE + jnp.arange(POSE_SIZE)
     sheet = slices.sheets.start + board * terms + jnp.arange(terms)
-    places = jnp.arange(slices.places.start, slices.places.stop)
-    return jnp.concatenate([lens, pose, in_set, sheet, places])
+    points = jnp.arange(slices.points.start, slices.points.stop)
+    return jnp.concatenate([lens, pose, in_set, sheet, points])
 
 
 def step_motion(
@@ -192,7 +197,7 @@ def step_motion(
     unit_mm: Float[ArrayLike, ""],
     model: PoseModel = PoseModel.RIGID,
 ) -> Float[ArrayLike, "3 4"]:
-    """A rigid motion after a step of `Pose.retract`."""
+    """Rigid motion after a step of `Pose.retract`."""
     return Pose(motion).retract(step, model, unit_mm).cam_from_world
 
 
@@ -202,7 +207,7 @@ def retract(
     head: Float[ArrayLike, "h"],
     boards: Float[ArrayLike, "s 6"],
 ) -> RigState:
-    """The state after a step of what is free."""
+    """State after a step of the free unknowns."""
     head, slices = head * parametrization.free, parametrization.slices
     unit_mm = parametrization.unit_mm
 
@@ -210,8 +215,10 @@ def retract(
         return lens.retract(basis @ step)
 
     def step_all(motions: ArrayLike, steps: ArrayLike, model: PoseModel) -> ArrayLike:
-        each = steps.reshape(-1, POSE_SIZE)
-        return jax.vmap(lambda own, step: step_motion(own, step, unit_mm, model))(motions, each)
+        pose_steps = steps.reshape(-1, POSE_SIZE)
+        return jax.vmap(lambda motion, step: step_motion(motion, step, unit_mm, model))(
+            motions, pose_steps
+        )
 
     by_lens = head[slices.lenses].reshape(parametrization.lens_shape)
     return RigState(
@@ -220,13 +227,12 @@ def retract(
         step_all(state.rig_from_board, parametrization.boards_free * boards, PoseModel.RIGID),
         step_all(state.set_from_board, head[slices.boards], PoseModel.RIGID),
         state.sheet + parametrization.sheet_scale * head[slices.sheets],
-        state.shape + unit_mm * head[slices.places].reshape(-1, 3),
+        state.shape + unit_mm * head[slices.points].reshape(-1, 3),
     )
 
 
 class Prior(NamedTuple):
-    """What was known beforehand: chi-square, half its gradient and half its Hessian by the steps
-    of the head."""
+    """Chi-square of the priors, half its gradient and half its Hessian by the steps of the head."""
 
     cost: Float[ArrayLike, ""]
     gradient: Float[ArrayLike, "h"]
@@ -234,24 +240,24 @@ class Prior(NamedTuple):
 
 
 def evaluate_prior(state: RigState, parametrization: Parametrization) -> Prior:
-    """The prior at a state: of lenses, aims, sheets and single places; none of the rest."""
+    """Prior at a state: of lenses, aims, sheets and displacements of board points."""
     unit_mm, cameras = parametrization.unit_mm, parametrization.lens_of_camera.shape[0]
-    known, slices, free = parametrization.priors, parametrization.slices, parametrization.free
+    priors, slices, free = parametrization.priors, parametrization.slices, parametrization.free
     parameters = jax.vmap(lambda lens: jnp.asarray(lens.parameters))(state.lenses)
     lenses = jax.vmap(_gaussian)(
-        parameters - known.lens_mean, known.lens_information, parametrization.lens_basis
+        parameters - priors.lens_mean, priors.lens_information, parametrization.lens_basis
     )
     aim_mm = jnp.zeros((cameras, 2))
     if parametrization.pose_model is not PoseModel.RIGID:
         aim_mm = jax.vmap(lambda pose: Pose(pose).aim_mm)(jnp.asarray(state.cam_from_rig))
-    # The aim is what the last two steps of AIM_FREE change.
-    poses = jax.vmap(lambda aim, each: _gaussian(aim, each * jnp.eye(2), unit_mm * _AIM_STEPS))(
-        aim_mm, known.aim_information
-    )
+    # The last two steps of AIM_FREE change the aim.
+    poses = jax.vmap(
+        lambda aim, information: _gaussian(aim, information * jnp.eye(2), unit_mm * _AIM_STEPS)
+    )(aim_mm, priors.aim_information)
     in_set = slices.boards.stop - slices.boards.start
-    sheet = _gaussian(state.sheet, known.sheet_information, jnp.diag(parametrization.sheet_scale))
+    sheet = _gaussian(state.sheet, priors.sheet_information, jnp.diag(parametrization.sheet_scale))
     steps = unit_mm * jnp.eye(3 * state.shape.shape[0])
-    shape = _gaussian(state.shape.ravel(), jnp.asarray(known.shape_information), steps)
+    shape = _gaussian(state.shape.ravel(), jnp.asarray(priors.shape_information), steps)
     gradient = jnp.concatenate(
         [
             *(lenses.gradient.ravel(), poses.gradient.ravel(), jnp.zeros(in_set)),
@@ -271,6 +277,6 @@ def _gaussian(
     precision: Float[ArrayLike, "n n"],
     by_step: Float[ArrayLike, "n m"],
 ) -> Prior:
-    """A normal law: `offset` from its mean, and the change of the values by a step."""
+    """Gaussian prior. offset : from its mean. by_step : derivative of the values by a step."""
     weighted = precision @ offset
     return Prior(offset @ weighted, by_step.T @ weighted, by_step.T @ precision @ by_step)

@@ -1,1 +1,1 @@
-"""The answer of a calibration: status, cameras, covariance, and what each fit says."""
+"""Result of every calibration: rig, covariance, status, and the quality of each fit."""

@@ -1,6 +1,6 @@
 """Baseline and relative rotation of each pair of cameras, with sigmas from their joint covariance.
 
-Both belong to the pair: they do not depend on where the world lies.
+Both are properties of the pair: they do not depend on the world frame.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ _NO_AXIS_DEG = 1e-9
 
 @dataclasses.dataclass(frozen=True)
 class CameraPair:
-    """Where the second camera stands and how it is turned, seen from the first.
+    """Pose of a second camera relative to a first one, with sigmas.
 
     Fields
     ------
@@ -31,15 +31,14 @@ class CameraPair:
     second_from_first : (3, 4) rigid motion x_second = [R | t] x_first, mm. OpenCV's
         `stereoCalibrate` returns these as R and T.
     baseline_mm : distance between the centres of projection.
-    baseline_sigma_mm : its standard deviation.
-    size_sigma_mm : the part of it that the error of the board's size makes, a scale that no image
-        shows; 0 if the size is exact.
+    baseline_sigma_mm : standard deviation of the baseline.
+    size_sigma_mm : part of it from the error of the board's size, a scale that no image shows; 0
+        for an exact size.
     rest_sigma_mm : the remaining part: baseline_sigma^2 = size_sigma^2 + rest_sigma^2.
-    angle_deg : angle of the rotation that turns the axes of the first camera into those of the
-        second.
-    angle_sigma_deg : its standard deviation.
-    turn_deg : (3,) rotation vector of that rotation, about the x, y and z axes of the first
-        camera; its length is `angle_deg`.
+    angle_deg : angle of the rotation from the axes of the first camera to those of the second.
+    angle_sigma_deg : standard deviation of the angle.
+    turn_deg : (3,) rotation vector of that rotation, about the x, y and z axes of the first camera;
+        its length is `angle_deg`.
     turn_sigma_deg : (3,) standard deviations of `turn_deg`.
     """
 
@@ -59,11 +58,14 @@ class CameraPair:
 def camera_pairs(
     rig: Rig, parameters: tuple[str, ...], covariance: Float[np.ndarray, "p p"]
 ) -> tuple[CameraPair, ...]:
-    """Pairs of cameras in the order of the rig: the first camera with each other one comes first.
+    """All pairs of cameras in the order of the rig; those with the first camera come first.
 
-    parameters, covariance : joint covariance of the cameras' poses, and of the boards' scales if
-        these are uncertain, in degrees and mm; `CalibrationResult` has both. Poses that it does not
-        contain are exact.
+    Parameters
+    ----------
+    rig : the cameras.
+    parameters, covariance : names and joint covariance of the poses and, if uncertain, of the
+        boards' scales, in degrees and mm, as in `CalibrationResult`. Poses that are not named are
+        exact.
     """
     size = covariance_of_size(parameters, covariance)
     return tuple(
@@ -84,31 +86,32 @@ def _camera_pair(
     names = [name for pose in poses for name in pose.names]
     rows = np.array([parameters.index(name) if name in parameters else -1 for name in names])
     is_known = np.outer(rows >= 0, rows >= 0)
-    own, own_size = (
-        np.where(is_known, each[np.ix_(rows, rows)], 0.0) for each in (covariance, size)
+    pair_covariance, pair_size = (
+        np.where(is_known, matrix[np.ix_(rows, rows)], 0.0) for matrix in (covariance, size)
     )
 
-    def place_and_turn(change: Float[np.ndarray, "12"]) -> Float[np.ndarray, "6"]:
-        return _place_and_turn(poses[0].move(change[:6]), poses[1].move(change[6:]))
+    def centre_and_turn(change: Float[np.ndarray, "12"]) -> Float[np.ndarray, "6"]:
+        return _centre_and_turn(poses[0].move(change[:6]), poses[1].move(change[6:]))
 
-    there = place_and_turn(np.zeros(len(names)))
-    by = _central_differences(place_and_turn, np.concatenate([pose.steps for pose in poses]))
-    along, axis = _directions(there)
-    of_baseline, of_angle = along @ by[:3], axis @ by[3:]
-    variance = float(of_baseline @ own @ of_baseline)
-    by_size = float(of_baseline @ own_size @ of_baseline)
+    motion = centre_and_turn(np.zeros(len(names)))
+    jacobian = _central_differences(centre_and_turn, np.concatenate([pose.steps for pose in poses]))
+    direction, axis = _directions(motion)
+    baseline_gradient, angle_gradient = direction @ jacobian[:3], axis @ jacobian[3:]
+    variance = float(baseline_gradient @ pair_covariance @ baseline_gradient)
+    size_variance = float(baseline_gradient @ pair_size @ baseline_gradient)
+    turn_variance = np.einsum("ip,pq,iq->i", jacobian[3:], pair_covariance, jacobian[3:])
     return CameraPair(
         first=first,
         second=second,
         second_from_first=np.asarray((rig[second].pose @ rig[first].pose.inverse).cam_from_world),
-        baseline_mm=float(np.linalg.norm(there[:3])),
+        baseline_mm=float(np.linalg.norm(motion[:3])),
         baseline_sigma_mm=_root(variance),
-        size_sigma_mm=_root(by_size),
-        rest_sigma_mm=_root(variance - by_size),
-        angle_deg=float(np.linalg.norm(there[3:])),
-        angle_sigma_deg=_root(float(of_angle @ own @ of_angle)),
-        turn_deg=there[3:],
-        turn_sigma_deg=np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", by[3:], own, by[3:]), 0.0)),
+        size_sigma_mm=_root(size_variance),
+        rest_sigma_mm=_root(variance - size_variance),
+        angle_deg=float(np.linalg.norm(motion[3:])),
+        angle_sigma_deg=_root(float(angle_gradient @ pair_covariance @ angle_gradient)),
+        turn_deg=motion[3:],
+        turn_sigma_deg=np.sqrt(np.maximum(turn_variance, 0.0)),
     )
 
 
@@ -126,7 +129,7 @@ class _PoseByParameters:
         self.steps = _STEP * np.array([1.0, 1.0, 1.0, *np.full(3, length / 100.0)])
 
     def move(self, change: Float[np.ndarray, "6"]) -> Pose:
-        """The pose with its parameters changed."""
+        """Pose after a change of its parameters."""
         if not self._is_rigid and self._has_aim:
             radians = np.concatenate([np.radians(change[:3]), change[3:]])
             return Pose.from_parameters(np.asarray(self._pose.parameters) + radians)
@@ -134,17 +137,17 @@ class _PoseByParameters:
         return Pose.from_centre(turn @ self._pose.rotation, self._pose.centre_world_mm + change[3:])
 
 
-def _place_and_turn(first: Pose, second: Pose) -> Float[np.ndarray, "6"]:
+def _centre_and_turn(first: Pose, second: Pose) -> Float[np.ndarray, "6"]:
     """Centre (mm) and rotation vector (degrees) of the second camera in the frame of the first."""
-    place = first.rotation @ (second.centre_world_mm - first.centre_world_mm)
+    centre_mm = first.rotation @ (second.centre_world_mm - first.centre_world_mm)
     turn = Rotation.from_matrix(first.rotation @ second.rotation.T).as_rotvec(degrees=True)
-    return np.concatenate([place, turn])
+    return np.concatenate([centre_mm, turn])
 
 
 def _central_differences(
     function: Callable[[np.ndarray], np.ndarray], steps: Float[np.ndarray, "p"]
 ) -> Float[np.ndarray, "q p"]:
-    """Derivatives of a function at zero, (q, p)."""
+    """Jacobian of a function at zero, (q, p)."""
     columns = [
         (function(step) - function(-step)) / (2.0 * length)
         for step, length in zip(np.diag(steps), steps, strict=True)
@@ -153,16 +156,16 @@ def _central_differences(
 
 
 def _directions(
-    there: Float[np.ndarray, "6"],
+    motion: Float[np.ndarray, "6"],
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Unit vectors of the baseline and of the rotation's axis.
+    """Unit vectors of the baseline and of the rotation axis.
 
-    Without an axis, z stands for it: the angle of no rotation has no derivative.
+    The x axis replaces a baseline of length 0, the z axis the axis of no rotation.
     """
-    baseline, angle = np.linalg.norm(there[:3]), np.linalg.norm(there[3:])
-    along = there[:3] / baseline if baseline > 0.0 else np.array([1.0, 0.0, 0.0])
-    axis = there[3:] / angle if angle > _NO_AXIS_DEG else np.array([0.0, 0.0, 1.0])
-    return along, axis
+    baseline, angle = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
+    direction = motion[:3] / baseline if baseline > 0.0 else np.array([1.0, 0.0, 0.0])
+    axis = motion[3:] / angle if angle > _NO_AXIS_DEG else np.array([0.0, 0.0, 1.0])
+    return direction, axis
 
 
 def _root(variance: float) -> float:

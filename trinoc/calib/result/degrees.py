@@ -1,4 +1,4 @@
-"""Poses as people read them: pan, tilt and swing in degrees, distance and aim in mm."""
+"""Poses in public units: pan, tilt and swing in degrees, distance and aim in mm."""
 
 from functools import partial
 
@@ -15,7 +15,7 @@ DEGREES = np.array([180 / np.pi, 180 / np.pi, 180 / np.pi, 1.0, 1.0, 1.0])
 
 
 def values_of_parameters(parameters: Float[np.ndarray, "p"]) -> Float[np.ndarray, "6"]:
-    """All six parameters in degrees and mm, an aim that is held at the origin."""
+    """All six pose parameters in degrees and mm, from internal ones; a fixed aim is 0."""
     values = np.zeros(len(DEGREES))
     values[: len(parameters)] = DEGREES[: len(parameters)] * parameters
     return values
@@ -23,20 +23,20 @@ def values_of_parameters(parameters: Float[np.ndarray, "p"]) -> Float[np.ndarray
 
 @in_float64
 def pose_of_values(values: Float[np.ndarray, "6"]) -> Pose:
-    """The pose of pan, tilt, swing in degrees, distance and aim in mm."""
+    """Pose from pan, tilt, swing in degrees, distance and aim in mm."""
     return Pose.from_parameters(np.concatenate([np.radians(values[:3]), values[3:]]))
 
 
 @in_float64
 def degrees_by_step(pose: Pose, unit_mm: ScalarLike, model: PoseModel) -> Float[np.ndarray, "p p"]:
-    """Derivative of a pose's named parameters, in degrees and mm, by a step of it."""
+    """Jacobian of a pose's named parameters, in degrees and mm, by a step of the pose, (p, p)."""
     return DEGREES[: model.size, None] * np.asarray(
         _by_step(pose, np.asarray(unit_mm, dtype=float), model=model)
     )
 
 
 def largest_sigmas(model: PoseModel, distance_mm: float) -> Float[np.ndarray, "p"]:
-    """Standard deviations, in degrees and mm, of a direction that is as good as free."""
+    """Standard deviations, in degrees and mm, above which a parameter counts as undetermined."""
     lengths = [1.0, 1.0, 1.0, *np.full(3, distance_mm)]
     return (LARGEST_SIGMA * DEGREES * np.array(lengths))[: model.size]
 

@@ -1,4 +1,4 @@
-"""What halves of the shots say of a rig: by how much fits to them differ, and what they miss."""
+"""Agreement of two halves of the shots: their difference, and the errors of each on the other."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -8,17 +8,18 @@ from jaxtyping import Float
 
 
 class CrossValidation(NamedTuple):
-    """How far lenses and cameras from one half of the shots miss the places of the other half.
+    """Errors of lenses and cameras, fitted to one half of the shots, on the other half.
 
-    Of a shot that is held out only the board's pose is fitted, to what one camera saw of it.
+    For a held-out shot only the pose of the board is fitted, to the image of one camera.
 
     Fields
     ------
-    shots : how many were held out in turn.
-    own_px : for each camera root mean square length of its errors, the board placed by itself:
-        what its lens does not explain.
-    across_px : the same, the board placed by each other camera of the shot in turn, which errs by
-        that camera's noise, too: what the rig does not explain. Empty for one camera.
+    shots : number of shots, each held out once.
+    own_px : for each camera, the root mean square error with the board placed by the same camera,
+        px. Includes the error of the lens model.
+    across_px : for each camera, the root mean square error with the board placed by each other
+        camera, px. Includes the error of the rig, and the noise of the other camera. Empty for one
+        camera.
     """
 
     shots: int
@@ -42,16 +43,18 @@ def _list_errors(errors_px: Mapping[str, float]) -> str:
 
 
 class FieldDifference(NamedTuple):
-    """By how much two halves of the shots have a camera image the same points elsewhere.
+    """Difference between the pixels of the same points by the rigs of two halves of the shots.
 
     Fields
     ------
-    camera : its name.
-    distance_mm : (2,) of the points: where the boards were, and `farther` times as far.
-    uv_px : (n, 2) places in the picture, along whose rays the points lie.
-    difference_px : (2, n, 2) first half less second at each distance, along u and v; NaN where the
-        lens has no ray.
-    sigma_px : (2, n) standard deviation claimed for it, per axis.
+    camera : name of the camera.
+    distance_mm : (2,) distances of the points: that of the boards, and `AdviceTuning.farther` times
+        that.
+    uv_px : (n, 2) pixels whose rays contain the points.
+    difference_px : (2, n, 2) first half minus second half at each distance, along u and v; NaN
+        where the lens has no ray.
+    sigma_px : (2, n) standard deviation of the difference by the covariances of both halves, per
+        axis.
     """
 
     camera: str
@@ -62,32 +65,33 @@ class FieldDifference(NamedTuple):
 
     @property
     def over_sigma(self) -> Float[np.ndarray, "2 n"]:
-        """Length of the difference over that claimed: its mean square is 1 for a right model."""
+        """Length of the difference over its sigma, (2, n). The mean square is 1 for a correct
+        model.
+        """
         return np.linalg.norm(self.difference_px, axis=-1) / (np.sqrt(2.0) * self.sigma_px)
 
     @property
     def rms_px(self) -> Float[np.ndarray, "2"]:
-        """Root mean square length of the difference over the field."""
+        """Root mean square length of the difference over the field, px, at each distance."""
         return np.sqrt(np.nanmean(np.sum(self.difference_px**2, axis=-1), axis=-1))
 
     @property
     def rms_over_sigma(self) -> Float[np.ndarray, "2"]:
-        """Root mean square of `over_sigma` over the field."""
+        """Root mean square of `over_sigma` over the field, at each distance."""
         return np.sqrt(np.nanmean(self.over_sigma**2, axis=-1))
 
 
 class HalvesCheck(NamedTuple):
-    """The rig from one half of the shots against that from the other.
+    """Difference between the rigs of two halves of the shots.
 
     Fields
     ------
-    ratio : difference over claimed sigma, root mean square over everything determined: 1 where
-        the model is right, more where something is not in it.
-    worst : name of the parameter with the largest difference in sigmas, as "camera 1" has them.
-    worst_ratio : that difference.
-    parameters : how many were compared.
-    over_field : for each camera how far apart both image the same points, in px and beside what
-        is claimed.
+    ratio : root mean square normalised difference over all determined parameters. 1 for a correct
+        model, larger if the model omits something.
+    worst : name of the parameter with the largest normalised difference.
+    worst_ratio : that normalised difference.
+    parameters : number of compared directions.
+    over_field : difference in pixels over the field of each camera.
     """
 
     ratio: float

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def summarise(result: "CalibrationResult") -> str:
-    """Text of a result: a table for one image of a sheet per camera, a block per camera else."""
+    """Text of a result: one table for a sheet, one block per camera for shots and points."""
     return _summarise_sheet(result) if _is_of_sheet(result) else _summarise_shots(result)
 
 
@@ -28,7 +28,7 @@ def _is_of_sheet(result: "CalibrationResult") -> bool:
 
 
 def _summarise_sheet(result: "CalibrationResult") -> str:
-    """A row for each camera; above them the SUSPECT ones, below them everything else."""
+    """One row per camera, warnings above and everything else below."""
     values = dict(zip(result.parameters, result.values, strict=True))
     columns = [
         name
@@ -68,7 +68,7 @@ def _summarise_sheet(result: "CalibrationResult") -> str:
 
 
 def _noise(fit: "CameraFit") -> str:
-    """Noise of the residuals over the picture's own, in grey levels."""
+    """Residual noise over the noise of the image, in grey levels."""
     if fit.image is None:
         return "circles only"
     return f"{fit.image.noise:.2f} / {fit.image.noise_floor:.2f}"
@@ -83,7 +83,7 @@ def _with_sigma(value: float, sigma: float) -> str:
 
 
 def _summarise_shots(result: "CalibrationResult") -> str:
-    """A block for each camera, then the board, the pairs of cameras, and notes."""
+    """One block per camera, then the board, the pairs of cameras, and the notes."""
     lines = [f"SUSPECT: {result.notes[0]}"] if result.overall_status is Status.SUSPECT else []
     for camera, fit in result.fits.items():
         lines.append(_fit_sentence(result, camera, fit))
@@ -123,12 +123,12 @@ def _summarise_shots(result: "CalibrationResult") -> str:
         lines.append(result.cross_validation.sentence)
     lines.append(f"sigmas include {', '.join(('noise', *result.systematics))}.")
     lines += [*result.notes, *result.refused]
-    lines += [f"{where}: {why}" for where, why in result.failures.items()]
+    lines += [f"{where}: {reason}" for where, reason in result.failures.items()]
     return "\n".join(lines)
 
 
 def _fit_sentence(result: "CalibrationResult", camera: str, fit: "CameraFit") -> str:
-    """Number of observations of one camera and how well they are fitted."""
+    """Number of observations of one camera and the quality of their fit."""
     if result.target is None:
         return f"{camera}: {int(fit.used.sum())} of {len(fit.used)} points, rms {fit.rms_px:.3f} px"
     number = result.cameras.index(camera)
@@ -136,7 +136,7 @@ def _fit_sentence(result: "CalibrationResult", camera: str, fit: "CameraFit") ->
     count = sum(int(view.used.sum()) for view in views)
     kind = "circles" if isinstance(result.target, Pattern) else "corners"
     return (
-        f"{camera}: {count} {kind} in {len({view.shot for view in views})} pictures, "
+        f"{camera}: {count} {kind} in {len({view.shot for view in views})} images, "
         f"rms {fit.rms_px:.3f} px, sigmas x {fit.sigma_factor:.2f}"
     )
 
@@ -193,7 +193,7 @@ def _two_digits(value: float) -> str:
 
 def _extent(target: AbstractTarget) -> str:
     sides = [np.ptp(board.centres_mm, axis=0) for board in list_boards(target)]
-    return ", ".join(" x ".join(f"{side:.6g}" for side in own) for own in sides)
+    return ", ".join(" x ".join(f"{side:.6g}" for side in extent) for extent in sides)
 
 
 def _value(result: "CalibrationResult", name: str) -> str:
@@ -206,22 +206,22 @@ def _board_sentence(
     reference: str,
     reference_from_board: Float[np.ndarray, "3 4"],
 ) -> str:
-    """Where a board's origin lies in the frame of another, and by how much it is turned."""
+    """Position of a board's origin in the frame of another board, and its rotation."""
     pose = Pose(reference_from_board)
     cosine = np.clip(0.5 * (np.trace(pose.rotation) - 1.0), -1.0, 1.0)
-    places = ", ".join(
+    position = ", ".join(
         f"{axis} {value_words(value, result.sigma(f'board.{name}.{axis}_mm'))}"
         for axis, value in zip("xyz", pose.translation_mm, strict=True)
     )
     turns = ", ".join(f"{result.sigma(f'board.{name}.turn_{axis}_deg'):.2g}" for axis in "xyz")
     return (
-        f'"{name}" lies at {places} mm in the frame of "{reference}", turned by '
+        f'"{name}" lies at {position} mm in the frame of "{reference}", turned by '
         f"{np.degrees(np.arccos(cosine)):.2f} degrees (+- {turns} about x, y, z)"
     )
 
 
 def value_words(value: float, sigma: float) -> str:
-    """A value with as many decimals as its sigma warrants; one without sigma was held."""
+    """Text "value +- sigma" with the decimals that the sigma justifies; three for a sigma of 0."""
     if not (np.isfinite(value) and np.isfinite(sigma)):
         return "not determined"
     decimals = max(0, 1 - int(np.floor(np.log10(sigma)))) if sigma > 0 else 3

@@ -1,4 +1,4 @@
-"""A calibration against an earlier one: which camera moved, and whose pictures were swapped."""
+"""Compare a calibration with an earlier one: moved cameras and swapped images."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
-from trinoc.calib.uncertainty.propagation import field_places_px, projection_sigma
+from trinoc.calib.uncertainty.propagation import field_grid_px, projection_sigma
 from trinoc.errors import list_names
 from trinoc.geometry.camera import Camera
 from trinoc.geometry.projection import project_points, unproject_pixels
@@ -20,19 +20,19 @@ _LEAST_TAIL = 1e-304
 
 
 class CameraChange(NamedTuple):
-    """How one camera stands against the earlier rig.
+    """Change of one camera since the earlier calibration.
 
     Fields
     ------
-    moved_mm : displacement of the centre.
-    turned_deg : angle of the rotation between the two.
-    sigmas : of the change of the parameters, by both covariances; NaN where not known.
-    moved : whether that is more than noise.
-    field_px : root mean square, over the field, of how far apart both image the same points, which
-        lie as far from the camera as the origin of the world; NaN for pictures of another size, and
-        for a camera at the origin.
-    field_sigmas : the same over its standard deviation by both covariances, which is 1 in the mean
-        of rigs that do not differ; NaN where not known.
+    moved_mm : displacement of the centre of projection.
+    turned_deg : angle of the rotation from the earlier to the new orientation.
+    sigmas : significance of the change by both covariances; NaN if these are unknown.
+    moved : whether the change exceeds the noise.
+    field_px : root mean square distance, over the image, between the pixels of the same points in
+        both rigs. The points are as far from the camera as the origin of the world. NaN for images
+        of different size, and for a camera at the origin.
+    field_sigmas : `field_px` over its standard deviation by both covariances; 1 on average for
+        equal rigs, NaN if these are unknown.
     """
 
     moved_mm: float
@@ -44,13 +44,13 @@ class CameraChange(NamedTuple):
 
 
 class RigComparison(NamedTuple):
-    """Every camera's change, swapped pictures, and sentences that say both.
+    """Changes of all cameras, swapped images, and sentences on both.
 
     Fields
     ------
-    cameras : by name, those that both rigs hold.
-    swapped : pairs (name, earlier name) whose picture shows the other camera's place.
-    sentences : for people; one when nothing has changed.
+    cameras : change of each camera of both rigs, by name.
+    swapped : pairs (name, earlier name) of cameras whose images are exchanged.
+    sentences : sentences for the user; one sentence if nothing changed.
     """
 
     cameras: dict[str, CameraChange]
@@ -64,12 +64,21 @@ def compare_rigs(
     *,
     tuning: CalibTuning = TUNING,
 ) -> RigComparison:
-    """Which cameras moved since an earlier calibration of the same sheet position.
+    """Find the cameras that moved since an earlier calibration over the same sheet position.
 
-    Errors that both rigs have in common, as those of one sheet or of one lens, cancel in the
-    change, and are counted in its sigmas: these are the largest that it can have.
+    Parameters
+    ----------
+    result, earlier : the new and the earlier calibration, or their rigs.
+    tuning : constants of calibration; a benchmark or a study changes them.
 
-    `tuning` holds every tuned constant of calibration; a benchmark or a study changes them.
+    Returns
+    -------
+    The change of each camera in both rigs.
+
+    Notes
+    -----
+    Errors that both rigs share, for instance those of one sheet or one lens, cancel in the change.
+    The sigmas nevertheless contain them: they are upper bounds.
     """
     now = result.rig if isinstance(result, CalibrationResult) else result
     before = earlier.rig if isinstance(earlier, CalibrationResult) else earlier
@@ -77,7 +86,7 @@ def compare_rigs(
     cameras = {name: _change(now, before, name, tuning) for name in common}
     swapped = _find_swaps(now, before, common, tuning)
     sentences = [
-        f'The picture of "{name}" shows the place of "{other}": the pictures were swapped.'
+        f'Camera "{name}" stands at the earlier pose of "{other}": the images were swapped.'
         for name, other in swapped
     ]
     exchanged = {name for name, _ in swapped}
@@ -90,11 +99,11 @@ def compare_rigs(
             f"{change.turned_deg:.4f} deg{size}."
         )
     if len(common) > 1 and len(moved) == len(common):
-        sentences.append("Every camera changed: it may be the sheet that moved.")
+        sentences.append("Every camera changed: the sheet may have moved instead.")
     for name in common:
         one, other = (" x ".join(map(str, rig[name].image_size_px)) for rig in (now, before))
         if one != other:
-            sentences.append(f'The pictures of "{name}" are {one} px, and were {other} px.')
+            sentences.append(f'The images of "{name}" have {one} px; earlier they had {other} px.')
     new, missing = ([name for name in rig if name not in common] for rig in (now, before))
     if new:
         sentences.append("{} {} not in the earlier rig.".format(*_subject(new)))
@@ -109,7 +118,7 @@ def _subject(names: Sequence[str]) -> tuple[str, str]:
 
 
 def _change(now: Rig, before: Rig, name: str, tuning: CalibTuning) -> CameraChange:
-    moved_mm, turned_deg = _apart(now[name], before[name])
+    moved_mm, turned_deg = _displacement_and_rotation(now[name], before[name])
     sigmas = _sigmas_of_change(now, before, name)
     limits = tuning.rig_check
     is_large = moved_mm > limits.quiet_mm or turned_deg > limits.quiet_deg
@@ -119,28 +128,28 @@ def _change(now: Rig, before: Rig, name: str, tuning: CalibTuning) -> CameraChan
 
 
 def _change_over_field(now: Rig, before: Rig, name: str) -> tuple[float, float]:
-    """(px, sigmas): root mean squares over the field of the earlier camera."""
+    """Root mean square change over the image of the earlier camera, in px and in sigmas."""
     one, other = now[name], before[name]
     distance_mm = float(np.linalg.norm(other.centre_world_mm))
     if one.image_size_px != other.image_size_px or not distance_mm > 0:
         return float("nan"), float("nan")
-    places = field_places_px(other.image_size_px).reshape(-1, 2)
-    rays = np.asarray(unproject_pixels(other.intrinsics.lens, places))
+    pixels = field_grid_px(other.image_size_px).reshape(-1, 2)
+    rays = np.asarray(unproject_pixels(other.intrinsics.lens, pixels))
     points = other.centre_world_mm + distance_mm * rays @ np.asarray(other.pose.rotation)
     images = np.asarray(project_points(one.pose, one.intrinsics.lens, points))
-    squared = np.sum((images - places) ** 2, axis=1)
+    squared = np.sum((images - pixels) ** 2, axis=1)
     is_imaged = np.isfinite(squared)
     if not (now.parameters and before.parameters):
         return float(np.sqrt(np.mean(squared[is_imaged]))), float("nan")
     variance = sum(projection_sigma(rig, name, distance_mm).sigma_px ** 2 for rig in (now, before))
-    known = is_imaged & (np.asarray(variance) > 0)
-    if not known.any():
+    has_sigma = is_imaged & (np.asarray(variance) > 0)
+    if not has_sigma.any():
         return float(np.sqrt(np.mean(squared[is_imaged]))), float("nan")
-    over_variance = squared[known] / (2 * np.asarray(variance)[known])
+    over_variance = squared[has_sigma] / (2 * np.asarray(variance)[has_sigma])
     return float(np.sqrt(np.mean(squared[is_imaged]))), float(np.sqrt(np.mean(over_variance)))
 
 
-def _apart(first: Camera, second: Camera) -> tuple[float, float]:
+def _displacement_and_rotation(first: Camera, second: Camera) -> tuple[float, float]:
     """Distance of two centres in mm, and angle between two rotations in degrees."""
     distance = float(np.linalg.norm(first.centre_world_mm - second.centre_world_mm))
     turn = np.asarray(first.pose.rotation) @ np.asarray(second.pose.rotation).T
@@ -148,7 +157,7 @@ def _apart(first: Camera, second: Camera) -> tuple[float, float]:
 
 
 def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
-    """Length of the change in units of its own sigma; NaN where the sigmas are not known."""
+    """Significance of the change of a camera's parameters; NaN if the sigmas are unknown."""
     keys = [f"{name}.{parameter}" for parameter in PARAMETER_NAMES]
     keys = [key for key in keys if key in now.parameters and key in before.parameters]
     if not keys:
@@ -164,7 +173,7 @@ def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
 
 
 def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
-    """The deviation of one normal number, two-sided, that is as improbable."""
+    """Two-sided deviation of a standard normal variable with the same tail probability."""
     tail = float(chi_square_tail(chi_square, freedom))
     # Beyond the smallest numbers the degrees of freedom hardly matter; no change is 0, not -0.
     return abs(float(normal_limit(tail / 2) if tail > _LEAST_TAIL else np.sqrt(chi_square)))
@@ -173,17 +182,17 @@ def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
 def _find_swaps(
     now: Rig, before: Rig, names: list[str], tuning: CalibTuning
 ) -> tuple[tuple[str, str], ...]:
-    """(name, other) for cameras that stand where another one stood, and not where they did."""
-    found = []
+    """Pairs (name, other) of cameras that stand at the earlier pose of another camera."""
+    swaps = []
     for name in names:
-        apart = {other: _gap(now[name], before[other]) for other in names}
-        nearest = min(apart, key=lambda other: apart[other])
-        if nearest != name and apart[name] > tuning.rig_check.swap_ratio * apart[nearest]:
-            found.append((name, nearest))
-    return tuple(found)
+        gaps_mm = {other: _gap(now[name], before[other]) for other in names}
+        nearest = min(gaps_mm, key=lambda other: gaps_mm[other])
+        if nearest != name and gaps_mm[name] > tuning.rig_check.swap_ratio * gaps_mm[nearest]:
+            swaps.append((name, nearest))
+    return tuple(swaps)
 
 
 def _gap(first: Camera, second: Camera) -> float:
-    """Change of a camera as one number: displacement plus turn at the camera's distance, mm."""
-    moved_mm, turned_deg = _apart(first, second)
+    """Change of a camera as one length, mm: displacement plus rotation at the camera's distance."""
+    moved_mm, turned_deg = _displacement_and_rotation(first, second)
     return moved_mm + float(np.radians(turned_deg)) * float(np.linalg.norm(second.centre_world_mm))

@@ -1,12 +1,12 @@
-"""Has a camera been knocked since the rig was calibrated? By scene pictures alone.
+"""Test by scene images alone whether a camera was knocked since the calibration.
 
-For each camera in turn the prior of the calibration is dropped, while the others keep theirs. The
-fall of the joint chi-square is the evidence that this camera moved; without motion it is
-distributed as chi-square with as many degrees of freedom as the camera has parameters.
+For each camera in turn its calibration prior is dropped, while the others keep theirs. The
+reduction of the joint chi-square is the test statistic. Without motion, it has a chi-square
+distribution with as many degrees of freedom as the camera has parameters.
 
-A large knock hides the scene from the matcher, and lines that were found despite it cannot tell.
-So where too little of the scene was found, or a motion shows, it is matched again with each camera
-freed.
+A large knock hides the scene from the matcher, and the few lines that are still matched do not show
+it. Therefore, if too little of the scene is matched or a motion is significant, the scene is
+matched again with each camera free.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,24 +29,24 @@ from trinoc.numerics.values import Value
 
 @runtime_checkable
 class CountedTracks(Protocol):
-    """Tracks that know how much of the pictures they explain, as the matcher's answer does."""
+    """Tracks with the share of the images that they explain, such as `Matches`."""
 
     @property
     def share_in_three_views(self) -> float:
-        """The share of a view's segments on sure tracks of three views, where it is least."""
+        """Share of segments on reliable tracks of three views, in the view where it is smallest."""
         ...
 
 
 class CameraMotion(Value):
-    """How far the scene's segments place one camera from where the sheet had placed it.
+    """Motion of one camera since the calibration, estimated from scene segments.
 
     Fields
     ------
-    name : of the camera.
-    sigmas : significance of the motion, as sigmas of a normal distribution (two-sided).
+    name : name of the camera.
+    sigmas : significance of the motion, as two-sided sigmas of a normal distribution.
     parameters : names, such as "pan_deg".
-    change : (p,) of the parameters, scene minus sheet, in degrees and mm.
-    sigma : (p,) of the change, both sides' errors together.
+    change : (p,) change of the parameters, scene minus calibration, in degrees and mm.
+    sigma : (p,) standard deviation of the change, with the errors of both.
     """
 
     name: str = eqx.field(static=True)
@@ -57,17 +57,18 @@ class CameraMotion(Value):
 
 
 class RigCheck(Value):
-    """Whether a rig still stands as it was calibrated.
+    """Result of the test whether a rig still stands as calibrated.
 
     Fields
     ------
-    motions : per camera, were it the only one that moved.
-    moved : names of the cameras to suspect, the most significant first; others follow where
-        freeing the first does not explain the scene.
-    refined : the rig with the suspect camera corrected by the segments; None where nothing
-        moved, or where more moved than segments can correct.
-    conclusive : whether the scene decides; where it does not, an empty `moved` proves nothing.
-    suspect_sigmas : significance from which on a motion was suspected.
+    motions : motion of each camera, on the assumption that no other camera moved.
+    moved : names of the suspected cameras, the most significant first. Several names if freeing the
+        first does not explain the scene.
+    refined : rig with the suspected camera corrected by the segments. None if nothing moved, or if
+        more moved than segments can correct.
+    conclusive : whether the scene is sufficient for a decision. If not, an empty `moved` proves
+        nothing.
+    suspect_sigmas : significance above which a motion is suspected.
     """
 
     motions: tuple[CameraMotion, ...]
@@ -77,18 +78,18 @@ class RigCheck(Value):
     suspect_sigmas: float = eqx.field(static=True, default=TUNING.rig_check.suspect_sigmas)
 
     def summary(self) -> str:
-        """One sentence of verdict, one line per camera, and how a suspected one has moved."""
+        """Verdict, significance for each camera, and the motion of a suspected camera, as text."""
         if not self.conclusive:
             return (
-                "This scene does not tell whether a camera moved: too few of its lines agree in "
-                "three views, or rigs that differ explain them about as well. A large knock hides "
-                "them from the matcher: match the pictures again while checking, show a scene of "
-                "more edges, or calibrate the rig again with the sheet."
+                "The scene is not sufficient to decide whether a camera moved: too few lines agree "
+                "in three views, or different rigs explain them about as well. Match the images "
+                "again while checking, show a scene with more edges, or calibrate the rig again "
+                "with the sheet."
             )
         if not self.moved:
-            verdict = "No camera has moved by more than the error bars allow."
+            verdict = "No camera has moved significantly."
         elif self.refined is not None:
-            verdict = f'Camera "{self.moved[0]}" has moved; the segments tell where it is now.'
+            verdict = f'Camera "{self.moved[0]}" has moved; its new pose comes from the segments.'
         else:
             verdict = (
                 "More than one camera has moved, which segments alone cannot correct: "
@@ -96,7 +97,7 @@ class RigCheck(Value):
             )
         rows = [verdict]
         for motion in self.motions:
-            rows.append(f"{motion.name}: {motion.sigmas:.1f} sigma if it alone moved")
+            rows.append(f"{motion.name}: {motion.sigmas:.1f} sigma if only this camera moved")
             if motion.sigmas >= self.suspect_sigmas:
                 rows += [
                     f"  {name:<12} {change:+10.4f} +- {sigma:.4f}"
@@ -114,22 +115,28 @@ def check_rig(
     match_again: Matcher | Sequence[Matcher] | None = None,
     tuning: CalibTuning = TUNING,
 ) -> RigCheck:
-    """Test by the segments of a scene whether each camera still stands where `rig` says.
+    """Test by the segments of a scene whether each camera still stands as calibrated.
 
-    `rig` needs the covariance of its calibration, since motion is measured against it. With
-    `match_again`, as `refine` takes it, a knock that hid most of the scene from the matcher is
-    found too: unless most of the scene is on sure tracks of three views that call for no
-    motion, it is matched again with each camera freed, and tested where that is most probable.
-    `tuning` holds every tuned constant of calibration; a benchmark or a study changes them.
-    Raises CalibrationError where the rig has no covariance or where fewer than three cameras
-    see the scene: two views of lines agree with any motion.
+    Parameters
+    ----------
+    rig : rig with the covariance of its calibration, against which motion is measured.
+    matches : matched tracks, such as `Matches`.
+    match_again : matchers as in `refine`. They detect also a knock that hid most of the scene from
+        the matcher: unless most of the scene is on reliable tracks of three views without a
+        significant motion, it is matched again with each camera free.
+    tuning : constants of calibration; a benchmark or a study changes them.
+
+    Raises
+    ------
+    CalibrationError : the rig has no covariance, or fewer than three cameras see the scene. Lines
+        in two views agree with any motion.
     """
     check_kind(rig, Rig, "rig", A_RIG)
     rig = rig_of_tracks(rig, matches)
     if not rig.parameters or len(rig) < 3:
         raise CalibrationError(
-            "Whether a camera moved can be told only for three or more cameras with the "
-            "covariance of their calibration: give the rig.json that `trinoc calibrate` wrote."
+            "The test for a moved camera needs three or more cameras and the covariance of "
+            "their calibration: give the rig.json that `trinoc calibrate` wrote."
         )
     best = None
     suspect_sigmas = tuning.rig_check.suspect_sigmas
@@ -152,13 +159,13 @@ def check_rig(
     if strongest.sigmas < suspect_sigmas:
         return RigCheck(motions, (), None, conclusive, suspect_sigmas)
     others = [other for other in rig.names if other != name]
-    noise, further = max(corrected.segment_sigma_factor, 1.0), {}
+    noise, significance = max(corrected.segment_sigma_factor, 1.0), {}
     for other in others:
-        both = _free_cameras(corrected, rig, matches, (name, other), tuning)
-        further[other] = _significance(corrected, both, noise)
-    also = tuple(other for other in others if further[other] >= suspect_sigmas)
-    if also or corrected.status is RefineStatus.NOT_CONVERGED:
-        return RigCheck(motions, (name, *also), None, suspect_sigmas=suspect_sigmas)
+        two_freed = _free_cameras(corrected, rig, matches, (name, other), tuning)
+        significance[other] = _significance(corrected, two_freed, noise)
+    other_suspects = tuple(other for other in others if significance[other] >= suspect_sigmas)
+    if other_suspects or corrected.status is RefineStatus.NOT_CONVERGED:
+        return RigCheck(motions, (name, *other_suspects), None, suspect_sigmas=suspect_sigmas)
     if not conclusive:
         return RigCheck(motions, (), None, conclusive, suspect_sigmas)
     return RigCheck(motions, (name,), corrected, suspect_sigmas=suspect_sigmas)
@@ -170,7 +177,7 @@ def _is_at_rest(
     freed: Mapping[str, RefineResult],
     tuning: CalibTuning,
 ) -> bool:
-    """Whether the rig as it stands explains most of the scene, and nothing calls for a motion."""
+    """True if the rig as calibrated explains most of the scene, and no motion is significant."""
     limits = tuning.rig_check
     return (
         isinstance(matches, CountedTracks)
@@ -198,9 +205,9 @@ def _motions(
     tuning: CalibTuning,
     best: RefineResult | None = None,
 ) -> tuple[tuple[CameraMotion, ...], dict[str, RefineResult]]:
-    """The motion of each camera were it the only one, and the rig with it freed.
+    """Motion of each camera if only it moved, and the rig refined with that camera free.
 
-    `best` is where the scene was matched best: one more start for each camera.
+    best : refinement with the best matching; gives each camera one more start.
     """
     at_rest = refine(rig, matches, tuning=tuning)
     freed = {name: _free_cameras(best, rig, matches, (name,), tuning) for name in rig.names}
@@ -218,12 +225,14 @@ def _free_cameras(
     names: tuple[str, ...],
     tuning: CalibTuning,
 ) -> RefineResult:
-    """The rig with cameras freed, from where it stood or from the rig of `best`, if cheaper."""
+    """Rig refined with some cameras free, from the calibrated rig and from that of `best`; the
+    cheaper.
+    """
     freed = refine(rig, matches, moved=names, tuning=tuning)
     if best is None:
         return freed
-    again = refine(rig, matches, moved=names, start=best.rig, tuning=tuning)
-    return min(freed, again, key=lambda result: result.chi_square[0])
+    restarted = refine(rig, matches, moved=names, start=best.rig, tuning=tuning)
+    return min(freed, restarted, key=lambda result: result.chi_square[0])
 
 
 def _motion(
@@ -231,23 +240,23 @@ def _motion(
 ) -> CameraMotion:
     rows = [i for i in _pose_rows(freed) if freed.parameters[i].rpartition(".")[0] == name]
     keys = [freed.parameters[i] for i in rows]
-    sheet = np.nan_to_num([rig.sigma(key) for key in keys])
+    calibration_sigma = np.nan_to_num([rig.sigma(key) for key in keys])
     change = freed.values[rows] - [rig.value(key) for key in keys]
     angles = np.array([key.endswith("_deg") for key in keys])
     change = np.where(angles, (change + 180) % 360 - 180, change)
-    variance = np.diag(freed.covariance)[rows] + sheet**2
-    own = tuple(key.removeprefix(name + ".") for key in keys)
+    variance = np.diag(freed.covariance)[rows] + calibration_sigma**2
+    parameters = tuple(key.removeprefix(name + ".") for key in keys)
     sigmas = _significance(at_rest, freed, noise)
-    return CameraMotion(name, sigmas, own, change, np.sqrt(variance))
+    return CameraMotion(name, sigmas, parameters, change, np.sqrt(variance))
 
 
-def _significance(held: RefineResult, freed: RefineResult, noise: float) -> float:
-    """Sigmas by which the scene prefers one more camera without its prior."""
-    gain = max(held.chi_square[0] - freed.chi_square[0], 0.0) / noise**2
+def _significance(fixed: RefineResult, freed: RefineResult, noise: float) -> float:
+    """Significance, in sigmas, of the chi-square reduction by one more camera without a prior."""
+    gain = max(fixed.chi_square[0] - freed.chi_square[0], 0.0) / noise**2
     return sigmas_of_chi_square(gain, len(_pose_rows(freed)) // len(freed.rig))
 
 
 def _pose_rows(result: RefineResult) -> list[int]:
-    """Rows of the parameters that a knock changes: a camera keeps its lens."""
-    own = [parameter.rpartition(".")[2] for parameter in result.parameters]
-    return [row for row, parameter in enumerate(own) if parameter not in AFFINE_PARAMETERS]
+    """Rows of the pose parameters; a knock does not change a lens."""
+    parameters = [parameter.rpartition(".")[2] for parameter in result.parameters]
+    return [row for row, parameter in enumerate(parameters) if parameter not in AFFINE_PARAMETERS]

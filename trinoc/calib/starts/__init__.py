@@ -1,8 +1,10 @@
-"""How a calibration problem begins: from what was detected to lenses, cameras and boards in place.
+"""Initial lenses, cameras and boards, from detections to a start of the calibration problem.
 
-`pictures` finds the board in the pictures of all shots; `crossed_lines` gives a camera's pose over
-the printed sheet; `camera_start` finds a first lens for each
-camera, and the board before it; `sightings` are these with every labelling of the board. `links`
-are poses between cameras, and boards, that shots agree on; `connected` chains them, by their
-motions where no two see the same; `placing` puts the boards of all shots among the cameras, or says
-why that is not possible."""
+- `pictures`: detection of the board in the images of all shots.
+- `crossed_lines`: pose of a camera over the printed sheet.
+- `camera_start`: first lens of each camera, and the board's pose in each of its images.
+- `sightings`: these poses with every labelling of the board.
+- `links`: relative poses of cameras, and of boards, on which shots agree.
+- `connected`: chains of links; motions connect cameras that never see the same board.
+- `placing`: poses of the boards of all shots among the cameras, or the reason why there are none.
+"""

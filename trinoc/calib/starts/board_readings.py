@@ -1,8 +1,8 @@
-"""Other readings of a board's layout that people mean: squares counted instead of inner corners;
-of a ChArUco board rows and columns exchanged, markers as OpenCV placed them before version 4.6, or
-white printed for black.
+"""Other readings of a board's layout, for common mistakes in stating it.
 
-They are tried where hardly any image shows the board as its layout has it.
+Squares are counted instead of inner corners. In a ChArUco board, rows and columns are exchanged,
+markers are placed as by OpenCV before version 4.6, or white is exchanged with black. Other readings
+are tried if hardly any image shows the board as stated.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,17 +24,17 @@ _SEARCHED = 12
 
 
 class BoardReading(NamedTuple):
-    """A board as its layout may have been meant, and a sentence that says so."""
+    """A board as its layout may have been meant, and a sentence on the difference."""
 
     target: AbstractTarget
     sentence: str
 
 
 def other_readings(target: AbstractTarget) -> list[BoardReading]:
-    """Readings of the layout beside the one that it states; none for most kinds of boards."""
+    """Other readings of a layout; empty for most kinds of boards."""
     readings = []
     if isinstance(target, Chessboard):
-        given = f"{target.rows} x {target.columns} inner corners"
+        stated = f"{target.rows} x {target.columns} inner corners"
         for difference, meaning in ((-1, "its squares were counted"), (1, "one row is missing")):
             rows, columns = target.rows + difference, target.columns + difference
             if min(rows, columns) < 3:
@@ -43,8 +43,8 @@ def other_readings(target: AbstractTarget) -> list[BoardReading]:
             readings.append(
                 BoardReading(
                     board,
-                    f"The layout states {given}, but the images show {rows} x {columns} "
-                    f"({meaning}): the board was read so. Mend the layout.",
+                    f"The layout states {stated}, but the images show {rows} x {columns} "
+                    f"({meaning}), which was used. Correct the layout.",
                 )
             )
     return readings
@@ -53,37 +53,38 @@ def other_readings(target: AbstractTarget) -> list[BoardReading]:
 def find_reading(
     target: AbstractTarget,
     images: Sequence[_Image],
-    found: Callable[[_Image, AbstractTarget], bool],
+    shows_board: Callable[[_Image, AbstractTarget], bool],
 ) -> BoardReading | None:
-    """The reading that at least half of some of the images show; None where no reading does.
+    """Reading that at least half of a sample of the images shows; None without one.
 
-    found : whether an image shows a board.
+    shows_board : function (image, board) that decides whether an image shows a board.
     """
     if not images:
         return None
-    chosen = np.unique(np.linspace(0, len(images) - 1, min(_TRIED, len(images))).astype(int))
+    sample = np.unique(np.linspace(0, len(images) - 1, min(_TRIED, len(images))).astype(int))
     for reading in other_readings(target):
-        hits = sum(found(images[k], reading.target) for k in chosen)
-        if hits >= max(1, _SHARE * len(chosen)):
+        hits = sum(shows_board(images[k], reading.target) for k in sample)
+        if hits >= max(1, _SHARE * len(sample)):
             return reading
     return None
 
 
 def find_charuco_reading(
     target: AbstractTarget,
-    which: int,
+    number: int,
     images: Sequence[_Image],
     load: Callable[[_Image], Any],
     tuning: CalibTuning,
 ) -> BoardReading | None:
-    """The reading of a ChArUco board, alone or in a set, that the first image with one shows.
+    """Reading of a ChArUco board, alone or in a set, from the first image that shows one.
 
-    Only readings of the same sheet count: not its mirror image, nor other markers.
+    Only readings of the same sheet are accepted: not its mirror image, nor other markers.
 
-    which : number of the board in the set. load : pixels of an image; None where there are none.
+    number : of the board in the set. load : function that returns the pixels of an image, or
+        None.
     """
     boards, names = list(list_boards(target)), board_names(target)
-    board = boards[which]
+    board = boards[number]
     if not isinstance(board, Charuco) or not images:
         return None
     for k in np.unique(np.linspace(0, len(images) - 1, min(_SEARCHED, len(images))).astype(int)):
@@ -91,17 +92,17 @@ def find_charuco_reading(
         reading = None if image is None else find_marker_reading(image, board, tuning)
         if reading is None or not reading.is_same_sheet:
             continue
-        boards[which] = reading.board
+        boards[number] = reading.board
         is_set = isinstance(target, BoardSet)
         changed = (
             BoardSet(dict(zip(names, boards, strict=True)), name=target.name)
             if is_set
             else reading.board
         )
-        what = f'"{names[which]}"' if is_set else "the ChArUco board"
+        board_name = f'"{names[number]}"' if is_set else "the ChArUco board"
         return BoardReading(
             changed,
-            f"The images show {what} with {' and '.join(reading.changes)}: it was read so. Correct "
-            "its layout.",
+            f"The images show {board_name} with {' and '.join(reading.changes)}, which was used. "
+            "Correct its layout.",
         )
     return None

@@ -1,10 +1,10 @@
-"""Cameras and boards brought into one frame each, in turns.
+"""Chains of cameras and boards: the relative poses of all cameras, and of all boards of a set.
 
-Cameras that see one board in a shot, or boards known to be fixed to each other, are connected; and
-boards that a camera sees in a shot, or cameras known to be fixed to each other. Each makes more of
-the other known. Where neither goes on, two cameras that see a board each still move together: what
-one camera sees of its board in a shot is T, what the other sees of the other board is U, and with
-the cameras fixed to each other by X and the boards by Y, U = X T Y in every shot.
+Two cameras are connected if they see one board in a shot, or two boards with a known relative pose.
+Two boards are connected if one camera sees both in a shot, or two cameras with a known relative
+pose. Each step makes more relative poses known. If neither continues, a motion of two cameras that
+see one board each may connect both. Let T and U be the poses of their boards in a shot. With fixed
+relative poses X of the cameras and Y of the boards, U = X T Y in every shot.
 Source: F. Dornaika and R. Horaud, "Simultaneous robot-world and hand-eye calibration", IEEE
 Transactions on Robotics and Automation 14(4), 1998; rotations as F. Park and B. Martin, "Robot
 sensor calibration: solving AX = XB on the Euclidean group", ibid. 10(5), 1994.
@@ -25,20 +25,20 @@ from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.geometry.pose import Pose
 
-# numerical: two motions about two axes.
+# numerical: shots for two motions about two axes.
 FEWEST_SHOTS = 3
-# numerical: subsets of shots, and their size, that are tried where all together do not agree.
+# numerical: number and size of subsets of shots that are tried if all shots together disagree.
 _TRIES, _SUBSET = 60, 4
 
 
 class ConnectedShots(NamedTuple):
-    """What is fixed to what.
+    """Connected cameras and boards.
 
     Fields
     ------
-    cameras : groups of cameras, each with cam_from_rig of its members.
-    boards : groups of boards, each with set_from_board of its members.
-    links : between cameras.
+    cameras : groups of connected cameras, each with cam_from_rig of its members.
+    boards : groups of connected boards, each with set_from_board of its members.
+    links : relative poses of pairs of cameras.
     """
 
     cameras: list[Poses]
@@ -52,7 +52,7 @@ def connect(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> ConnectedShots:
-    """All cameras and boards that the shots connect. `sightings` : of each camera."""
+    """Connect all cameras and boards that the shots allow. sightings : of each camera."""
     groups: list[Poses] = [{board: IN_PLACE} for board in boards]
     cameras_by_motion: Links = {}
     boards_by_motion: Links = {}
@@ -64,28 +64,33 @@ def connect(
         before = len(groups)
         board_links = _link_all_boards(sightings, cameras, boards, target, tuning)
         chained = chain_links({**boards_by_motion, **board_links}, boards)
-        groups = [{board: pose.inverse for board, pose in own.items()} for own in chained]
+        groups = [{board: pose.inverse for board, pose in chain.items()} for chain in chained]
         if len(groups) < before:
             continue
-        found = None
+        motion_links = None
         if len(cameras) > 1:
-            found = link_by_motion(_in_sets(sightings, groups), cameras, groups, target, tuning)
-        if found is None:
+            motion_links = link_by_motion(
+                _in_sets(sightings, groups), cameras, groups, target, tuning
+            )
+        if motion_links is None:
             return ConnectedShots(cameras, groups, links)
-        cameras_by_motion |= found[0]
-        boards_by_motion |= found[1]
+        cameras_by_motion |= motion_links[0]
+        boards_by_motion |= motion_links[1]
 
 
 def in_set(sighting: Sighting, groups: Sequence[Poses]) -> Sighting:
-    """The sighting with the place of its board among those that it is connected to."""
-    own = next(group for group in groups if sighting.board in group)
-    return sighting._replace(set_from_board=own[sighting.board])
+    """Sighting with the pose of its board in the group of connected boards."""
+    group = next(group for group in groups if sighting.board in group)
+    return sighting._replace(set_from_board=group[sighting.board])
 
 
 def _in_sets(
     sightings: Mapping[int, Sequence[Sighting]], groups: Sequence[Poses]
 ) -> dict[int, list[Sighting]]:
-    return {camera: [in_set(each, groups) for each in own] for camera, own in sightings.items()}
+    return {
+        camera: [in_set(sighting, groups) for sighting in camera_sightings]
+        for camera, camera_sightings in sightings.items()
+    }
 
 
 def _link_all_cameras(
@@ -96,15 +101,15 @@ def _link_all_cameras(
 ) -> Links:
     links: Links = {}
     for a, b in combinations(sightings, 2):
-        # For each shot, and each group of boards, a pair: of one board where there is one.
+        # For each shot, and each group of boards, a pair, preferably of one board.
         pairs: dict[tuple[int, int], tuple[Sighting, Sighting]] = {}
         for one in sightings[a]:
-            group = next(k for k, own in enumerate(groups) if one.board in own)
+            group = next(k for k, members in enumerate(groups) if one.board in members)
             for other in sightings[b]:
                 if other.shot != one.shot or other.board not in groups[group]:
                     continue
-                known = pairs.get((one.shot, group))
-                if known is None or (known[0].board != known[1].board and one.board == other.board):
+                pair = pairs.get((one.shot, group))
+                if pair is None or (pair[0].board != pair[1].board and one.board == other.board):
                     pairs[one.shot, group] = one, other
         if pairs:
             links[a, b] = link_cameras([pairs[key] for key in sorted(pairs)], target, tuning)
@@ -133,7 +138,7 @@ def _link_all_boards(
 
 
 class HandEye(NamedTuple):
-    """`second` = cameras @ `first` @ boards, for every shot's pair of poses."""
+    """Motions with `second` = cameras @ `first` @ boards, for the poses of every shot."""
 
     cameras: Pose
     boards: Pose
@@ -142,7 +147,7 @@ class HandEye(NamedTuple):
 def solve_hand_eye(
     first: Sequence[Pose], second: Sequence[Pose], tuning: CalibTuning
 ) -> HandEye | None:
-    """The motions that explain all pairs best; None where they leave something open."""
+    """Motions that explain all pairs of poses best; None if they are not determined."""
     if len(first) < FEWEST_SHOTS:
         return None
     pairs = list(combinations(range(len(first)), 2))
@@ -183,23 +188,32 @@ def link_by_motion(
 ) -> tuple[Links, Links] | None:
     """Two groups of cameras and two of boards that move as if both were fixed to each other.
 
-    sightings : of each camera. The links between both pairs of groups that most shots agree on.
+    sightings : of each camera. Returns the links of both pairs of groups on which most shots agree.
     """
     best: tuple[_Agreement, Links, Links] | None = None
-    for near, far in combinations(cameras, 2):
-        for front, back in permutations(boards, 2):
+    for first_cameras, second_cameras in combinations(cameras, 2):
+        for first_boards, second_boards in permutations(boards, 2):
             first, second = (
-                _largest_by_shot(sightings, *own) for own in ((near, front), (far, back))
+                _largest_by_shot(sightings, *groups)
+                for groups in ((first_cameras, first_boards), (second_cameras, second_boards))
             )
             pairs = [(first[shot], second[shot]) for shot in sorted(set(first) & set(second))]
-            found = _most_agreed(pairs, near, far, target, tuning)
-            if found is None or (best is not None and found.agreeing <= best[0].agreeing):
+            agreement = _most_agreed(pairs, first_cameras, second_cameras, target, tuning)
+            if agreement is None or (best is not None and agreement.agreeing <= best[0].agreeing):
                 continue
-            counts = len(pairs), found.agreeing
+            counts = len(pairs), agreement.agreeing
             best = (
-                found,
-                {(min(near), min(far)): Link(found.motions.cameras, *counts)},
-                {(min(front), min(back)): Link(found.motions.boards.inverse, *counts)},
+                agreement,
+                {
+                    (min(first_cameras), min(second_cameras)): Link(
+                        agreement.motions.cameras, *counts
+                    )
+                },
+                {
+                    (min(first_boards), min(second_boards)): Link(
+                        agreement.motions.boards.inverse, *counts
+                    )
+                },
             )
     return None if best is None else best[1:]
 
@@ -207,62 +221,68 @@ def link_by_motion(
 def _largest_by_shot(
     sightings: Mapping[int, Sequence[Sighting]], cameras: Poses, boards: Poses
 ) -> dict[int, Sighting]:
-    """The sighting with most places of each shot, of these cameras and boards."""
-    own = [each for camera in cameras for each in sightings[camera] if each.board in boards]
+    """Sighting with most points of each shot, of these cameras and boards."""
+    candidates = [
+        sighting for camera in cameras for sighting in sightings[camera] if sighting.board in boards
+    ]
     largest: dict[int, Sighting] = {}
-    for each in own:
-        known = largest.setdefault(each.shot, each)
-        if len(each.detections[0]) > len(known.detections[0]):
-            largest[each.shot] = each
+    for sighting in candidates:
+        present = largest.setdefault(sighting.shot, sighting)
+        if len(sighting.detections[0]) > len(present.detections[0]):
+            largest[sighting.shot] = sighting
     return largest
 
 
 class _Agreement(NamedTuple):
-    """Motions between two groups of cameras and of boards, and which pairs agree on them."""
+    """Motions between two groups of cameras and boards, and whether each pair of
+    sightings agrees.
+    """
 
     motions: HandEye
     agrees: Bool[np.ndarray, "s"]
 
     @property
     def agreeing(self) -> int:
-        """How many pairs agree."""
+        """Number of pairs that agree."""
         return int(self.agrees.sum())
 
 
 def _most_agreed(
     pairs: Sequence[tuple[Sighting, Sighting]],
-    near: Poses,
-    far: Poses,
+    first_cameras: Poses,
+    second_cameras: Poses,
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> _Agreement | None:
-    """What most pairs agree on: by all shots, by few of them, and by those that agreed."""
+    """Motions on which most pairs agree, from all shots, from subsets, and from those
+    that agreed.
+    """
     count = len(pairs)
-    first = [near[a.camera].inverse @ a.cam_from_set[0] for a, _ in pairs]
-    second = [far[b.camera].inverse @ b.cam_from_set[0] for _, b in pairs]
+    first = [first_cameras[a.camera].inverse @ a.cam_from_set[0] for a, _ in pairs]
+    second = [second_cameras[b.camera].inverse @ b.cam_from_set[0] for _, b in pairs]
 
     def by_rows(rows: np.ndarray) -> _Agreement | None:
-        found = solve_hand_eye([first[k] for k in rows], [second[k] for k in rows], tuning)
-        if found is None:
+        solution = solve_hand_eye([first[k] for k in rows], [second[k] for k in rows], tuning)
+        if solution is None:
             return None
         agrees = np.zeros(count, dtype=bool)
         for k, (_, other) in enumerate(pairs):
-            pose = far[other.camera] @ found.cameras @ first[k] @ found.boards
+            pose = second_cameras[other.camera] @ solution.cameras @ first[k] @ solution.boards
             agrees[k] = other.nearest(pose, target)[1] < other.agreement_px(tuning)
-        return _Agreement(found, agrees)
+        return _Agreement(solution, agrees)
 
-    random, tried = np.random.default_rng(0), [np.arange(count)]
+    random, subsets = np.random.default_rng(0), [np.arange(count)]
     if count > _SUBSET:
-        tried += [random.choice(count, _SUBSET, replace=False) for _ in range(_TRIES)]
+        subsets += [random.choice(count, _SUBSET, replace=False) for _ in range(_TRIES)]
     best: _Agreement | None = None
-    for rows in tried:
-        found = by_rows(rows)
-        if found is not None and (best is None or found.agreeing > best.agreeing):
-            best = found
+    for rows in subsets:
+        solution = by_rows(rows)
+        if solution is not None and (best is None or solution.agreeing > best.agreeing):
+            best = solution
         if best is not None and best.agreeing == count:
             return best
     if best is None or best.agreeing < FEWEST_SHOTS:
         return None
-    again = by_rows(np.flatnonzero(best.agrees))
-    best = again if again is not None and again.agreeing >= best.agreeing else best
+    refined = by_rows(np.flatnonzero(best.agrees))
+    best = refined if refined is not None and refined.agreeing >= best.agreeing else best
     return best if 2 * best.agreeing > count else None

@@ -5,22 +5,27 @@ from jaxtyping import Float
 
 from trinoc.geometry.pose import Pose
 
-# numerical: steps of 7.5 degrees, after which the parabola through the best three is good to a
-# degree or two.
+# numerical: steps of 7.5 degrees; the parabola through the best three is accurate to one or two
+# degrees.
 _ANGLES_RAD = np.arange(48) * (2 * np.pi / 48)
 
 
 def pose_of_crossed_lines(
     planes: Float[np.ndarray, "2 3"],
     slopes: Float[np.ndarray, "m 2"],
-    place_mm: Float[np.ndarray, "m 2"],
+    circle_mm: Float[np.ndarray, "m 2"],
 ) -> Pose | None:
-    """The pose of the crossed lines whose circles lie nearest to the observed ones.
+    """Pose of the crossed lines whose circles lie nearest to the observed ones.
 
-    planes : normals, in the camera's frame, of the planes of the lines along X and along Y.
-    slopes : x/z and y/z of the ray to each circle. place_mm : the circles' centres.
+    Parameters
+    ----------
+    planes : (2, 3) normals, in the camera's frame, of the planes through the lines along X and Y.
+    slopes : (m, 2) x/z and y/z of the ray to each circle.
+    circle_mm : (m, 2) circle centres on the sheet.
 
-    None where a line was not seen, or no such pose has the circles in front.
+    Returns
+    -------
+    The pose; None if a line was not detected, or no pose has all circles in front of the camera.
     """
     if not np.isfinite(planes).all():
         return None
@@ -32,15 +37,15 @@ def pose_of_crossed_lines(
         angles_rad: Float[np.ndarray, "a"],
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         axes = _axes(normal_x, normal_y, ray, angles_rad)
-        return axes, *_distance_and_misfit(axes, ray, slopes, place_mm)
+        return axes, *_distance_and_misfit(axes, ray, slopes, circle_mm)
 
     _, _, misfit = view_circle(_ANGLES_RAD)
     best = int(np.argmin(misfit))
     if not np.isfinite(misfit[best]):
         return None
-    before, at, after = misfit[(best + np.array([-1, 0, 1])) % len(_ANGLES_RAD)]
-    bend = before - 2 * at + after
-    shift = (before - after) / (2 * bend) if np.isfinite(bend) and bend > 0 else 0.0
+    previous, central, next_misfit = misfit[(best + np.array([-1, 0, 1])) % len(_ANGLES_RAD)]
+    bend = previous - 2 * central + next_misfit
+    shift = (previous - next_misfit) / (2 * bend) if np.isfinite(bend) and bend > 0 else 0.0
     (axes,), (distance_mm,), _ = view_circle(_ANGLES_RAD[best : best + 1] + shift * _ANGLES_RAD[1])
     return Pose(np.column_stack([axes, distance_mm * ray]))
 
@@ -51,8 +56,9 @@ def _axes(
     ray: Float[np.ndarray, "3"],
     angles_rad: Float[np.ndarray, "a"],
 ) -> Float[np.ndarray, "a 3 3"]:
-    """Rotations from the sheet to the camera, X turned by each angle out of the ray to the
-    crossing."""
+    """Rotations from the sheet to the camera, one for each angle between X and the ray to the
+    crossing.
+    """
     across = np.cross(normal_x, ray)
     axis_x = np.cos(angles_rad)[:, None] * ray + np.sin(angles_rad)[:, None] * across
     axis_y = _unit(np.cross(normal_y, axis_x))
@@ -65,11 +71,10 @@ def _distance_and_misfit(
     axes: Float[np.ndarray, "a 3 3"],
     ray: Float[np.ndarray, "3"],
     slopes: Float[np.ndarray, "m 2"],
-    place_mm: Float[np.ndarray, "m 2"],
+    circle_mm: Float[np.ndarray, "m 2"],
 ) -> tuple[Float[np.ndarray, "a"], Float[np.ndarray, "a"]]:
-    """Of each rotation the distance that fits best in the plane of the picture, and the sum of
-    squares it leaves; infinite where a circle lies behind."""
-    offset = place_mm @ np.swapaxes(axes[:, :, :2], 1, 2)
+    """Best distance of each rotation, and its sum of squares; infinite if a circle lies behind."""
+    offset = circle_mm @ np.swapaxes(axes[:, :, :2], 1, 2)
     slope = ray[:2] - slopes * ray[2]
     target = slopes * offset[..., 2:] - offset[..., :2]
     distance_mm = np.sum(slope * target, axis=(1, 2)) / np.sum(slope * slope)

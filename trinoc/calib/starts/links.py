@@ -1,7 +1,7 @@
-"""Poses between cameras, and between boards, that shots agree on, and shots that do not fit.
+"""Relative poses of cameras, and of boards, on which shots agree; and shots that disagree.
 
-Two cameras that saw one board stand to each other as their poses before it say; a pose that many
-shots agree on is believed. Cameras that never share a shot are chained over others.
+Each shot in which two cameras see one board gives a relative pose of both. A pose on which many
+shots agree is accepted. Cameras that never share a shot are chained through others.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -15,21 +15,21 @@ from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.geometry.pose import Pose
 
-# numerical: so many shots propose a relative pose, and so many judge it; it bounds the time.
-_PROPOSALS, _JUDGES = 8, 24
+# numerical: shots that propose a relative pose, and shots that test it; both bound the time.
+_PROPOSALS, _TESTS = 8, 24
 
 # cam_from_rig, or set_from_board, by index.
 Poses = dict[int, Pose]
 
 
 class Link(NamedTuple):
-    """How a second camera stands to a first one, or a second board.
+    """Relative pose of two cameras, or of two boards.
 
     Fields
     ------
     second_from_first : the pose.
-    shared : how many shots both saw, of those that judge.
-    agreeing : how many of these agree on the pose.
+    shared : number of tested shots that show both.
+    agreeing : number of these that agree on the pose.
     """
 
     second_from_first: Pose
@@ -38,7 +38,7 @@ class Link(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether more agree than chance makes: one shot has nobody to disagree with."""
+        """True if more shots agree than by chance; a single shot always agrees."""
         return self.agreeing >= min(2, self.shared) and 3 * self.agreeing >= self.shared
 
 
@@ -48,13 +48,13 @@ Links = dict[tuple[int, int], Link]
 def link_cameras(
     pairs: Sequence[tuple[Sighting, Sighting]], target: AbstractTarget, tuning: CalibTuning
 ) -> Link:
-    """The pose of the second camera that most pairs of sightings, taken in turn, agree on.
+    """Relative pose of two cameras on which most pairs of sightings agree.
 
-    Both of a pair are of one board, or of boards of which it is known how they are fixed.
+    The sightings of a pair are of one board, or of boards with a known relative pose.
     """
 
     def labellings(one: Sighting, other: Sighting) -> tuple[Pose, ...]:
-        """Those that count: where both are of one board, the other's adapt."""
+        """First labelling for two sightings of one board, since the other adapts; else all."""
         return one.cam_from_set[:1] if one.board == other.board else one.cam_from_set
 
     return _most_agreed(
@@ -69,13 +69,13 @@ def link_cameras(
 def link_boards(
     pairs: Sequence[tuple[Sighting, Sighting, Poses]], target: AbstractTarget, tuning: CalibTuning
 ) -> Link:
-    """How a second board is fixed to a first one, by what most pairs of sightings agree on.
+    """Relative pose of two boards on which most pairs of sightings agree.
 
-    pairs : of sightings of both in one shot, with cam_from_rig of cameras fixed to each other.
+    pairs : sightings of both in one shot, with cam_from_rig of cameras in one frame.
     """
 
     def before_second(one: Sighting, other: Sighting, poses: Poses) -> list[Pose]:
-        """Where the first board stands before the second's camera, in each labelling."""
+        """Pose of the first board in the second's camera, for each labelling."""
         step = poses[other.camera] @ poses[one.camera].inverse
         return [step @ pose for pose in one.cam_from_board]
 
@@ -96,36 +96,37 @@ def _most_agreed(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> Link:
-    """The step `between` two poses which, if it `apply`s, leaves most second sightings in place.
+    """Step between two poses which, applied to the first, agrees with most second sightings.
 
-    pairs : poses of the first, those of the second, and the second itself.
+    pairs : poses of the first, poses of the second, and the second sighting.
+    between, apply : functions that compute a step from two poses, and apply it.
     """
-    judges = [pairs[k] for k in _spread(len(pairs), _JUDGES)]
-    best, best_score = Link(IN_PLACE, len(judges), 0), (-1, 0.0)
+    tests = [pairs[k] for k in _spread(len(pairs), _TESTS)]
+    best, best_score = Link(IN_PLACE, len(tests), 0), (-1, 0.0)
     for k in _spread(len(pairs), _PROPOSALS):
         firsts, seconds, _ = pairs[k]
         for second, first in product(seconds, firsts):
             step = between(first, second)
-            misses = [
-                min(sighting.nearest(apply(step, own), target)[1] for own in starts)
+            errors = [
+                min(sighting.nearest(apply(step, start), target)[1] for start in starts)
                 / sighting.agreement_px(tuning)
-                for starts, _, sighting in judges
+                for starts, _, sighting in tests
             ]
-            agreeing = int(np.sum(np.array(misses) < 1.0))
-            score = (agreeing, -float(np.median(misses)))
+            agreeing = int(np.sum(np.array(errors) < 1.0))
+            score = (agreeing, -float(np.median(errors)))
             if score > best_score:
-                best, best_score = Link(step, len(judges), agreeing), score
+                best, best_score = Link(step, len(tests), agreeing), score
     return best
 
 
 def chain_links(links: Links, members: Iterable[int]) -> list[Poses]:
     """Groups of cameras (or boards) that links connect, each with member_from_first.
 
-    Links that more shots agree on come first (Prim's spanning tree).
+    Links with more agreeing shots come first (Prim's spanning tree).
     """
-    left, groups = list(members), []
-    while left:
-        poses = {left[0]: IN_PLACE}
+    remaining, groups = list(members), []
+    while remaining:
+        poses = {remaining[0]: IN_PLACE}
         while True:
             edges = [
                 (link.agreeing, inner, outer, step)
@@ -142,23 +143,23 @@ def chain_links(links: Links, members: Iterable[int]) -> list[Poses]:
             _, inner, outer, step = max(edges, key=lambda edge: edge[0])
             poses[outer] = step @ poses[inner]
         groups.append(poses)
-        left = [member for member in left if member not in poses]
+        remaining = [member for member in remaining if member not in poses]
     return groups
 
 
-class PlacedBoard(NamedTuple):
+class AgreedBoard(NamedTuple):
     """Sightings that agree on one pose of the board.
 
     Fields
     ------
     members : (sighting, its labelling) of each.
     rig_from_board : the pose.
-    stragglers : sightings of the same shot that saw the board elsewhere, and by how many px.
+    outliers : sightings of the same shot that disagree, with their error in px.
     """
 
     members: list[tuple[Sighting, int]]
     rig_from_board: Pose
-    stragglers: list[tuple[Sighting, float]]
+    outliers: list[tuple[Sighting, float]]
 
 
 def place_board(
@@ -166,31 +167,33 @@ def place_board(
     cam_from_rig: Mapping[int, Pose],
     target: AbstractTarget,
     tuning: CalibTuning,
-) -> PlacedBoard:
-    """The pose of the board that most sightings of a shot agree on."""
-    # A board alone stands as well turned as it looks the same; among others it does not.
-    several = len({sighting.board for sighting in sightings}) > 1
-    best: tuple[float, PlacedBoard] | None = None
+) -> AgreedBoard:
+    """Pose of the board on which most sightings of a shot agree."""
+    # A single board may be turned wherever it looks the same; a board of a set may not.
+    is_set = len({sighting.board for sighting in sightings}) > 1
+    best: tuple[float, AgreedBoard] | None = None
     for one in sightings:
-        for labelling, own in enumerate(one.cam_from_set if several else one.cam_from_set[:1]):
-            board = cam_from_rig[one.camera].inverse @ own
-            members, stragglers, total = [], [], 0.0
+        for labelling, cam_from_set in enumerate(
+            one.cam_from_set if is_set else one.cam_from_set[:1]
+        ):
+            board = cam_from_rig[one.camera].inverse @ cam_from_set
+            members, outliers, total = [], [], 0.0
             for other in sightings:
-                turn, miss = labelling, 0.0
+                turn, error_px = labelling, 0.0
                 if other is not one:
-                    turn, miss = other.nearest(cam_from_rig[other.camera] @ board, target)
+                    turn, error_px = other.nearest(cam_from_rig[other.camera] @ board, target)
                 agreement_px = other.agreement_px(tuning)
-                total += min(miss / agreement_px, 1.0)
-                if miss < agreement_px:
+                total += min(error_px / agreement_px, 1.0)
+                if error_px < agreement_px:
                     members.append((other, turn))
                 else:
-                    stragglers.append((other, miss))
+                    outliers.append((other, error_px))
             if best is None or total < best[0]:
-                best = total, PlacedBoard(members, board, stragglers)
+                best = total, AgreedBoard(members, board, outliers)
     assert best is not None
     return best[1]
 
 
-def _spread(count: int, most: int) -> list[int]:
-    """At most so many of the first `count` numbers, evenly."""
-    return sorted({int(k) for k in np.linspace(0, count - 1, min(count, most)).round()})
+def _spread(count: int, largest: int) -> list[int]:
+    """At most `largest` of the first `count` numbers, evenly spaced."""
+    return sorted({int(k) for k in np.linspace(0, count - 1, min(count, largest)).round()})

@@ -1,4 +1,4 @@
-"""The board found in all pictures of all cameras, shot by shot."""
+"""Detection of the board in all images of all cameras, shot by shot."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -18,28 +18,27 @@ from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import InputError, TrinocError, check_kind
 from trinoc.image.grey import grey_image
 
-# numerical: detectors of OpenCV and NumPy leave the interpreter free while they work.
+# numerical: detectors in OpenCV and NumPy release the interpreter lock.
 _THREADS = 4
-# numerical: where a larger share of the images shows no board, its layout may mean another one.
+# numerical: if a larger share of the images shows no board, its layout may be wrong.
 _FEW_FOUND = 0.8
 
-# A picture, what was found in one, something that delivers one, or nothing.
+# An image, its detection, a function that returns one of these, or None.
 Picture = Any
 Pictures = Sequence[Picture] | Mapping[str, Picture]
 
 
-class FoundBoards(NamedTuple):
-    """What was found, by camera and by the name of the shot.
+class BoardDetections(NamedTuple):
+    """Detections of the board, by camera and by name of the shot.
 
     Fields
     ------
     shots : names of all shots, in order.
     detections : for each camera, by shot.
-    failures : for (camera, shot) of every other picture, why nothing was found.
-    target : the board as the images show it, which may be another reading of its layout.
-    remarks : sentences on how the layout was read.
-    causes : for a camera, the picture that shows a board which is almost the stated one, and the
-        sentence on it.
+    failures : reason for each image (camera, shot) without a detection.
+    target : the board as the images show it, possibly another reading of its layout.
+    remarks : sentences on the reading of the layout.
+    causes : for a camera, a sentence on an image that shows a board which is nearly the stated one.
     """
 
     shots: tuple[str, ...]
@@ -56,27 +55,32 @@ def find_boards(
     progress: Callable[[int, int], None] | None = None,
     *,
     tuning: CalibTuning = TUNING,
-) -> FoundBoards:
-    """Detect the board in every picture, several at a time.
+) -> BoardDetections:
+    """Detect the board in every image, several at a time.
 
-    Pictures of equal names, or of equal places in lists, are of one shot; None leaves one out.
-    An image that cannot be read, has another size than most of its camera, or shows no board is
-    named in `failures`. Raises InputError where there is no image at all.
+    Images of equal names, or of equal positions in lists, belong to one shot; None omits one. An
+    image that cannot be read, has another size than most images of its camera, or shows no board is
+    named in `failures`. Raises InputError without any image.
     """
-    named = name_pictures(pictures)
-    if not named or not any(named.values()):
-        raise InputError("No picture was given: give each camera's pictures of the board.")
-    shots = _order_names([list(own) for own in named.values()])
-    jobs = [(camera, shot) for camera, own in named.items() for shot in shots if shot in own]
-    detections: dict[str, dict[str, Detection]] = {camera: {} for camera in named}
+    images_by_camera = name_pictures(pictures)
+    if not images_by_camera or not any(images_by_camera.values()):
+        raise InputError("No image was given: give each camera's images of the board.")
+    shots = _order_names([list(images_by_shot) for images_by_shot in images_by_camera.values()])
+    jobs = [
+        (camera, shot)
+        for camera, images_by_shot in images_by_camera.items()
+        for shot in shots
+        if shot in images_by_shot
+    ]
+    detections: dict[str, dict[str, Detection]] = {camera: {} for camera in images_by_camera}
     failures: dict[tuple[str, str], str] = {}
 
     def look(job: tuple[str, str], board: AbstractTarget) -> Detection | str:
         try:
-            given = deliver(named[job[0]][job[1]])
-            if isinstance(given, Detection):
-                return given
-            return detect_or_explain(given, board, None, tuning=tuning)
+            image = deliver(images_by_camera[job[0]][job[1]])
+            if isinstance(image, Detection):
+                return image
+            return detect_or_explain(image, board, None, tuning=tuning)
         except TrinocError as error:
             return str(error)
         except Exception as error:  # one image must not end a calibration
@@ -87,14 +91,14 @@ def find_boards(
 
     def look_at_all(board: AbstractTarget) -> None:
         with ThreadPoolExecutor(_THREADS) as pool:
-            answers = pool.map(lambda job: look(job, board), jobs)
-            for done, (job, answer) in enumerate(zip(jobs, answers, strict=True), 1):
-                if isinstance(answer, str):
-                    failures[job] = answer
+            results = pool.map(lambda job: look(job, board), jobs)
+            for count, (job, result) in enumerate(zip(jobs, results, strict=True), 1):
+                if isinstance(result, str):
+                    failures[job] = result
                 else:
-                    detections[job[0]][job[1]] = answer
+                    detections[job[0]][job[1]] = result
                 if progress is not None:
-                    progress(done, len(jobs))
+                    progress(count, len(jobs))
 
     look_at_all(target)
     remarks: tuple[str, ...] = ()
@@ -105,40 +109,42 @@ def find_boards(
         if reading is not None:
             target, remarks = reading.target, (reading.sentence,)
             failures.clear()
-            detections.update({camera: {} for camera in named})
+            detections.update({camera: {} for camera in images_by_camera})
             look_at_all(target)
 
     def load(job: tuple[str, str]) -> Any:
         try:
-            given = deliver(named[job[0]][job[1]])
-            return None if isinstance(given, Detection) else grey_image(np.asarray(given)).grey
+            image = deliver(images_by_camera[job[0]][job[1]])
+            return None if isinstance(image, Detection) else grey_image(np.asarray(image)).grey
         except Exception:  # `failures` names what cannot be read
             return None
 
-    for which in _unseen_boards(target, detections, len(failures) > _FEW_FOUND * len(jobs)):
-        reading = find_charuco_reading(target, which, list(failures), load, tuning)
+    for board in _unseen_boards(target, detections, len(failures) > _FEW_FOUND * len(jobs)):
+        reading = find_charuco_reading(target, board, list(failures), load, tuning)
         if reading is not None:
             target, remarks = reading.target, (*remarks, reading.sentence)
             failures.clear()
-            detections.update({camera: {} for camera in named})
+            detections.update({camera: {} for camera in images_by_camera})
             look_at_all(target)
     causes = _explain_failures(target, failures, load, tuning)
-    for camera, own in detections.items():
-        for shot, why in _list_other_sizes(own).items():
-            failures[camera, shot] = why
-            del own[shot]
-    return FoundBoards(tuple(shots), detections, failures, target, remarks, causes)
+    for camera, images_by_shot in detections.items():
+        for shot, reason in _list_other_sizes(images_by_shot).items():
+            failures[camera, shot] = reason
+            del images_by_shot[shot]
+    return BoardDetections(tuple(shots), detections, failures, target, remarks, causes)
 
 
 def _unseen_boards(
     target: AbstractTarget, detections: Mapping[str, Mapping[str, Detection]], few_found: bool
 ) -> list[int]:
-    """The boards of a set that no image shows; a board alone where few images show it."""
+    """Numbers of the boards of a set that no image shows; 0 for a single board in few images."""
     if not isinstance(target, BoardSet):
         return [0] if few_found else []
-    every = [each.circle_index for own in detections.values() for each in own.values()]
-    seen = set(target.board_of_point[np.concatenate(every)].tolist()) if every else set()
-    return [which for which in range(len(target.boards)) if which not in seen]
+    indices = [
+        detection.circle_index for shots in detections.values() for detection in shots.values()
+    ]
+    detected = set(target.board_of_point[np.concatenate(indices)].tolist()) if indices else set()
+    return [number for number in range(len(target.boards)) if number not in detected]
 
 
 def _explain_failures(
@@ -147,11 +153,14 @@ def _explain_failures(
     load: Callable[[tuple[str, str]], Any],
     tuning: CalibTuning,
 ) -> dict[str, str]:
-    """Name the board that failed images show in place of a stated one, and the first by camera."""
+    """Sentences on boards that failed images show instead of the stated one, for each camera.
+
+    The sentences also replace those of these images in `failures`.
+    """
     search, causes = ReadingSearch(target, tuning=tuning), {}
     for camera in {camera: None for camera, _ in failures}:
         shots = [shot for name, shot in failures if name == camera]
-        # All readings are tried in the first images: they are taken from the whole recording.
+        # All readings are tried in the first images, which are spread over the whole recording.
         spread = np.unique(np.linspace(0, len(shots) - 1, MOST_IMAGES).astype(int)).tolist()
         for k in [*spread, *sorted(set(range(len(shots))) - set(spread))]:
             if search.is_over(camera):
@@ -165,39 +174,40 @@ def _explain_failures(
 
 
 def name_pictures(pictures: Mapping[str, Pictures]) -> dict[str, dict[str, Picture]]:
-    """For each camera its pictures by the name of the shot, as they were given."""
+    """Images of each camera by the name of the shot."""
     return {camera: _name_pictures(camera, given) for camera, given in pictures.items()}
 
 
-def deliver(given: Picture) -> Any:
-    """An array or a detection, from what may be a function that delivers it."""
-    return given() if callable(given) else given
+def deliver(picture: Picture) -> Any:
+    """Image or detection, from itself or from a function that returns it."""
+    return picture() if callable(picture) else picture
 
 
-def _name_pictures(camera: str, given: Pictures) -> dict[str, Picture]:
-    if isinstance(given, Mapping):
-        pairs = list(given.items())
-    elif isinstance(given, np.ndarray) and given.ndim < 3:
+def _name_pictures(camera: str, pictures: Pictures) -> dict[str, Picture]:
+    if isinstance(pictures, Mapping):
+        pairs = list(pictures.items())
+    elif isinstance(pictures, np.ndarray) and pictures.ndim < 3:
         raise InputError(
-            f'Camera "{camera}" has one picture, not a list: put the pictures of its shots in one.'
+            f'Camera "{camera}" has one image instead of a list: give a list of the images of its '
+            "shots."
         )
     else:
-        what = f'set of pictures of "{camera}"'
-        check_kind(given, (Sequence, np.ndarray), what, "a list of pictures, or one by shot")
-        width = len(str(len(given)))
-        pairs = [(f"shot {k + 1:0{width}d}", item) for k, item in enumerate(given)]
+        kind = f'set of images of "{camera}"'
+        check_kind(pictures, (Sequence, np.ndarray), kind, "a list of images, or one by shot")
+        width = len(str(len(pictures)))
+        pairs = [(f"shot {k + 1:0{width}d}", item) for k, item in enumerate(pictures)]
     return {str(name): item for name, item in pairs if item is not None}
 
 
 def _order_names(lists: list[list[str]]) -> list[str]:
-    """All names: in the order of the lists where that is one order, else sorted."""
+    """All names, in the order of the longest list if it has all; else sorted."""
     longest = max(lists, key=len)
-    rest = sorted({name for own in lists for name in own} - set(longest))
+    rest = sorted({name for names in lists for name in names} - set(longest))
     return longest if not rest else sorted([*longest, *rest])
 
 
 def _list_other_sizes(detections: Mapping[str, Detection]) -> dict[str, str]:
-    """The reason to refuse each shot whose image has another size than most of its camera."""
+    """Reason to reject each shot whose image has another size than most images of its camera."""
     sizes = {shot: tuple(each.image_size_px) for shot, each in detections.items()}
     if not sizes:
         return {}

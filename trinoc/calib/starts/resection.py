@@ -1,6 +1,6 @@
-"""A camera to start from, by points of known places: its pose, or its lens, too.
+"""First camera from points with known coordinates: its pose, or pose and lens.
 
-Hartley and Zisserman call it resection, Multiple View Geometry, chapter 7.
+Source: "resection" in Hartley and Zisserman, Multiple View Geometry, chapter 7.
 """
 
 import cv2
@@ -17,92 +17,96 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 
 _LEFT_HANDED = (
-    "The points are seen behind the camera or mirrored: the frame of their places is left-handed, "
-    "or v is counted upward; turn one axis of the places round, or count v downward."
+    "The points appear behind the camera or mirrored: their frame is left-handed, or v is counted "
+    "upward; reverse one axis of the points, or count v downward."
 )
-# numerical: SQPnP minimizes no pixels, and so ends this near to the best pose.
+# numerical: SQPnP does not minimise pixel errors; its pose has this error.
 _SOLVER_PX = 1e-3
 
 
 def is_flat(points: Float[np.ndarray, "n 3"]) -> bool:
-    """Whether the points lie in one plane, or in less."""
+    """True if the points lie in one plane or on one line."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[2] < 1e-6 * spread[0])
 
 
 def find_pose(
     points: Float[np.ndarray, "n 3"],
-    seen: Float[np.ndarray, "n 2"],
+    pixels: Float[np.ndarray, "n 2"],
     lens: Intrinsics,
     *,
     tuning: CalibTuning = TUNING,
 ) -> Pose:
-    """Pose by SQPnP (Terzakis and Lourakis 2020), for points on a plane and off it.
+    """Pose by SQPnP (Terzakis and Lourakis 2020), for points on a plane or off it.
 
-    Raises CalibrationError for points without a pose before the camera, and for a left-handed
-    frame: one whose mirror image fits better than noise explains.
+    Raises CalibrationError if no pose has the points in front of the camera, or for a left-handed
+    frame, whose mirror image fits significantly better.
     """
-    pose = _solve_pose(points, seen, lens)
+    pose = _solve_pose(points, pixels, lens)
     if not is_flat(points):
         mirrored = points * [1.0, 1.0, -1.0]
-        mirrored_pose = _solve_pose(mirrored, seen, lens)
+        mirrored_pose = _solve_pose(mirrored, pixels, lens)
         if mirrored_pose is not None and (
             pose is None
-            or _fits_better((mirrored_pose, mirrored), (pose, points), seen, lens, tuning)
+            or _fits_better((mirrored_pose, mirrored), (pose, points), pixels, lens, tuning)
         ):
             raise CalibrationError(_LEFT_HANDED)
     if pose is None:
         raise CalibrationError(
-            f"No pose sees the {len(points)} points in front of the camera: check that places "
-            "and pixels belong together, and that the frame of the places is right-handed."
+            f"No pose has all {len(points)} points in front of the camera: check that points and "
+            "pixels belong together, and that the frame of the points is right-handed."
         )
     return pose
 
 
 def _solve_pose(
-    points: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 2"], lens: Intrinsics
+    points: Float[np.ndarray, "n 3"], pixels: Float[np.ndarray, "n 2"], lens: Intrinsics
 ) -> Pose | None:
-    """The pose by SQPnP; None where none sees the points in front of the camera."""
-    rays = np.asarray(jax.vmap(lens.normalised_from_pixel)(jnp.asarray(seen)))
+    """Pose by SQPnP; None if no pose has the points in front of the camera."""
+    rays = np.asarray(jax.vmap(lens.normalised_from_pixel)(jnp.asarray(pixels)))
     try:
-        good, turn, shift = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+        success, rotation, translation = cv2.solvePnP(
+            points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
+        )
     except cv2.error as error:  # of points that are all one
         raise CalibrationError(
-            f"The {len(points)} points do not spread enough to tell a pose: give points that "
-            "spread in depth and across the picture."
+            f"The {len(points)} points do not spread enough to determine a pose: give points that "
+            "spread in depth and across the image."
         ) from error
-    if not good:
+    if not success:
         return None
-    return Pose(np.concatenate([cv2.Rodrigues(turn)[0], shift.reshape(3, 1)], axis=1))
+    return Pose(np.concatenate([cv2.Rodrigues(rotation)[0], translation.reshape(3, 1)], axis=1))
 
 
 def _fits_better(
     first: tuple[Pose, np.ndarray],
     second: tuple[Pose, np.ndarray],
-    seen: Float[np.ndarray, "n 2"],
+    pixels: Float[np.ndarray, "n 2"],
     lens: Intrinsics,
     tuning: CalibTuning,
 ) -> bool:
-    """Whether the first pose and points fit better than chance explains, by their medians, which
-    outliers hardly change (F test of two variances)."""
+    """True if the first pose and points fit significantly better than the second (F test).
+
+    Medians of the residuals are compared, since outliers hardly change them.
+    """
     medians = []
     for pose, points in (first, second):
         project = jax.vmap(Camera(lens, pose).project)
-        residuals = np.linalg.norm(np.asarray(project(jnp.asarray(points))) - seen, axis=1)
+        residuals = np.linalg.norm(np.asarray(project(jnp.asarray(points))) - pixels, axis=1)
         medians.append(float(np.median(residuals)) + _SOLVER_PX)
-    freedom = 2 * len(seen) - 6
-    chance = special.fdtrc(freedom, freedom, (medians[1] / medians[0]) ** 2)
-    return bool(chance < tuning.answer.chance)
+    freedom = 2 * len(pixels) - 6
+    p_value = special.fdtrc(freedom, freedom, (medians[1] / medians[0]) ** 2)
+    return bool(p_value < tuning.answer.chance)
 
 
 def find_linear_camera(
-    points: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 2"], size_px: tuple[int, int]
+    points: Float[np.ndarray, "n 3"], pixels: Float[np.ndarray, "n 2"], size_px: tuple[int, int]
 ) -> Camera:
-    """The direct linear transform, both sides normalised."""
+    """Camera without skew by the direct linear transform, with both sides normalised."""
     middle, spread = points.mean(axis=0), points.std()
-    centre, width = seen.mean(axis=0), seen.std()
+    centre, width = pixels.mean(axis=0), pixels.std()
     unit = np.concatenate([(points - middle) / spread, np.ones((len(points), 1))], axis=1)
-    x, y = ((seen - centre) / width).T
+    x, y = ((pixels - centre) / width).T
     zero = np.zeros_like(unit)
     rows = np.concatenate(
         [
@@ -120,9 +124,9 @@ def find_linear_camera(
         raise CalibrationError(_LEFT_HANDED)
     # A real sensor has no skew.
     lens = camera.intrinsics
-    straight = Intrinsics(
+    unskewed = Intrinsics(
         focal_length_px=np.asarray(lens.focal_length_px),
         principal_point_px=np.asarray(lens.principal_point_px),
         image_size_px=size_px,
     )
-    return Camera(straight, camera.pose)
+    return Camera(unskewed, camera.pose)

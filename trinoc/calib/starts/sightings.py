@@ -1,4 +1,4 @@
-"""The board in one picture, with every labelling that the board's symmetry leaves open."""
+"""Pose of the board in one image, with every labelling that its symmetry allows."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -7,27 +7,27 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.detection.detection import Detection
-from trinoc.calib.starts.camera_start import miss_px
+from trinoc.calib.starts.camera_start import median_error_px
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 
-# numerical: where one board stands in the frame of all, which is its own.
+# numerical: pose of a single board in the frame of its set.
 IN_PLACE = Pose(np.eye(3, 4))
 
 
 class Sighting(NamedTuple):
-    """What one camera saw in one shot, and where the board then stood before it.
+    """Detection of the board in one image, and its pose in front of the camera.
 
     Fields
     ------
-    camera, shot : which; indices.
-    lens : the camera's first lens.
-    detections : the detection, in each labelling.
-    cam_from_board : for each labelling.
-    board : which of several boards it is.
-    set_from_board : where this one is fixed among them, as far as that is known.
+    camera, shot : indices.
+    lens : first lens of the camera.
+    detections : the detection with each labelling.
+    cam_from_board : pose for each labelling.
+    board : index of the board in a set.
+    set_from_board : pose of this board in its set, as far as known.
     """
 
     camera: int
@@ -40,20 +40,22 @@ class Sighting(NamedTuple):
 
     @property
     def cam_from_set(self) -> tuple[Pose, ...]:
-        """Where this board says that the set stands, for each labelling."""
+        """Pose of the set from this board, for each labelling."""
         return tuple(pose @ self.set_from_board.inverse for pose in self.cam_from_board)
 
     def agreement_px(self, tuning: CalibTuning) -> float:
-        """By how much the board may lie elsewhere and still be the same."""
+        """Largest error, px, at which the board still counts as at the same pose."""
         extent = float(np.ptp(self.detections[0].centres_px, axis=0).max())
         return max(tuning.starts.least_px, tuning.starts.elsewhere_share * extent)
 
     def nearest(self, cam_from_set: Pose, target: AbstractTarget) -> tuple[int, float]:
-        """The labelling that a given pose of the set fits best, and by how many pixels not."""
+        """Labelling that fits best to a given pose of the set, and its median error in px."""
         pose = cam_from_set @ self.set_from_board
-        misses = [miss_px(self.lens, pose, each, target) for each in self.detections]
-        best = int(np.argmin(misses))
-        return best, misses[best]
+        errors_px = [
+            median_error_px(self.lens, pose, detection, target) for detection in self.detections
+        ]
+        best = int(np.argmin(errors_px))
+        return best, errors_px[best]
 
 
 def label_sighting(
@@ -65,22 +67,24 @@ def label_sighting(
     target: AbstractTarget,
     board: int = 0,
 ) -> Sighting:
-    """All labellings of a detection, with the pose of the board in each."""
+    """All labellings of a detection, with the pose of the board for each."""
     detections = tuple(
         replace(detection, circle_index=index, ambiguity=None) for index in detection.labellings
     )
-    places = [target.centres_mm[each.circle_index] for each in detections]
-    poses = tuple(cam_from_board @ motion_in_plane(places[0], place) for place in places)
+    points_mm = [target.centres_mm[labelled.circle_index] for labelled in detections]
+    poses = tuple(
+        cam_from_board @ motion_in_plane(points_mm[0], labelled_mm) for labelled_mm in points_mm
+    )
     return Sighting(camera, shot, lens, detections, poses, board)
 
 
-def motion_in_plane(here_mm: Float[np.ndarray, "m 2"], there_mm: Float[np.ndarray, "m 2"]) -> Pose:
-    """The motion of the plane Z = 0 in itself that takes places `there_mm` to `here_mm`."""
-    here, there = here_mm - here_mm.mean(axis=0), there_mm - there_mm.mean(axis=0)
-    cross = there[:, 0] @ here[:, 1] - there[:, 1] @ here[:, 0]
-    angle = np.arctan2(cross, np.sum(there * here))
+def motion_in_plane(to_mm: Float[np.ndarray, "m 2"], from_mm: Float[np.ndarray, "m 2"]) -> Pose:
+    """Motion within the plane Z = 0 that maps the points `from_mm` to `to_mm`."""
+    to_centred, from_centred = to_mm - to_mm.mean(axis=0), from_mm - from_mm.mean(axis=0)
+    cross = from_centred[:, 0] @ to_centred[:, 1] - from_centred[:, 1] @ to_centred[:, 0]
+    angle = np.arctan2(cross, np.sum(from_centred * to_centred))
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     motion = np.eye(3, 4)
     motion[:2, :2] = turn
-    motion[:2, 3] = here_mm.mean(axis=0) - turn @ there_mm.mean(axis=0)
+    motion[:2, 3] = to_mm.mean(axis=0) - turn @ from_mm.mean(axis=0)
     return Pose(motion)

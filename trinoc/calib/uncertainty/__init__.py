@@ -1,1 +1,3 @@
-"""Errors of the sheet and the lens, and what cameras' errors do to epipolar lines and points."""
+"""Systematic errors of sheet and lens, and the effect of camera errors on epipolar lines and
+points.
+"""

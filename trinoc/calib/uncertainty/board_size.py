@@ -1,20 +1,20 @@
-"""The board's size: a scale that no image can show, apart from everything that images show."""
+"""Error of the board's size: a scale that no image shows, separated from all other errors."""
 
 import numpy as np
 from jaxtyping import Float
 
-# Names of a board's scales along X and along Y, behind the name of the board.
+# Suffixes of the parameters that are scales of a board along X and Y.
 _SCALES = ("scale_x", "scale_y")
 
 
 def covariance_of_size(
     parameters: tuple[str, ...], covariance: Float[np.ndarray, "p p"]
 ) -> Float[np.ndarray, "p p"]:
-    """Part of a joint covariance that the error of the board's size makes, (p, p).
+    """Part of a joint covariance that is caused by the error of the board's size, (p, p).
 
-    The size is the mean of all scales of the boards among `parameters`, such as "board.scale_x".
-    The part is that of a linear regression on it, so that the rest is the covariance for a board of
-    known size. Zero if no scale is uncertain.
+    The size is the mean of all board scales among `parameters`, such as "board.scale_x". The part
+    is that of a linear regression on the size, so that the rest is the covariance for a board of
+    known size. Zero if all scales are exact.
     """
     is_scale = np.array(
         [name.startswith("board.") and name.rpartition(".")[2] in _SCALES for name in parameters]

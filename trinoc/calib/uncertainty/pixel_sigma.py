@@ -1,7 +1,8 @@
-"""How well a rig knows where its cameras image a point: one statement, in two parts.
+"""Standard deviation of the pixel of a fixed point, in two parts: without and with the board's
+size.
 
-The error of the board's size is a scale that no image shows. It moves all lengths in mm alike, and
-is far larger than everything that images do show, so that one number for both says little.
+The error of the board's size is a scale that no image shows. It changes all lengths in mm equally
+and is far larger than all other errors. One number for both would hide the others.
 """
 
 from collections.abc import Mapping
@@ -16,14 +17,15 @@ from trinoc.geometry.rig import Rig
 
 
 class PixelSigma(NamedTuple):
-    """Standard deviation, per axis, of the pixel at which a camera images a point fixed in the
-    world, at the distance of the boards, over the images of all cameras.
+    """Standard deviation per axis of the pixel at which a camera images a point fixed in the world.
+
+    The points are at the distance of the boards, over the images of all cameras.
 
     Fields
     ------
-    median_px, worst_px : for a board whose size is exact: what the images leave uncertain.
-    size_px : the most that the error of the board's size adds in quadrature; 0 if the size is
-        exact.
+    median_px, worst_px : for a board of exact size.
+    size_px : largest contribution of the error of the board's size, added in quadrature; 0 for an
+        exact size.
     """
 
     median_px: float
@@ -32,10 +34,10 @@ class PixelSigma(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The two parts in words."""
+        """Sentence with both parts."""
         sentence = (
-            f"a pixel is known to {self.median_px:.2g} px (one sigma, median over the images at "
-            f"the distance of the boards; {self.worst_px:.2g} px at the worst place)"
+            f"a pixel has a sigma of {self.median_px:.2g} px (median over the images at the "
+            f"distance of the boards; {self.worst_px:.2g} px at the worst position)"
         )
         if self.size_px > 0.0:
             sentence += (
@@ -48,10 +50,9 @@ class PixelSigma(NamedTuple):
 def rig_of_known_size(
     rig: Rig, parameters: tuple[str, ...], covariance: Float[np.ndarray, "p p"]
 ) -> Rig:
-    """The rig with the covariance that it would have if the board's size were exact.
+    """Rig with the covariance for a board of exact size.
 
-    parameters, covariance : joint covariance of the cameras and the boards; see
-    `covariance_of_size`.
+    parameters, covariance : joint covariance of cameras and boards; see `covariance_of_size`.
     """
     return _with_covariance(
         rig, np.asarray(rig.covariance) - _size_part(rig, parameters, covariance)
@@ -64,15 +65,16 @@ def compute_pixel_sigma(
     covariance: Float[np.ndarray, "p p"],
     distances_mm: Mapping[str, float],
 ) -> PixelSigma | None:
-    """The statement of a rig; None for a rig without a covariance. Places at which a lens images no
-    ray do not count.
+    """Pixel sigma of a rig; None for a rig without a covariance.
 
-    distances_mm : of the boards from each camera.
+    Positions at which a lens images no ray are ignored.
+
+    distances_mm : distance of the boards from each camera.
     """
     if not rig.parameters:
         return None
-    by_size = _size_part(rig, parameters, covariance)
-    parts = (np.asarray(rig.covariance) - by_size, by_size)
+    size_covariance = _size_part(rig, parameters, covariance)
+    parts = (np.asarray(rig.covariance) - size_covariance, size_covariance)
     rest_px, size_px = (
         np.concatenate(
             [
@@ -92,7 +94,7 @@ def compute_pixel_sigma(
 def _size_part(
     rig: Rig, parameters: tuple[str, ...], covariance: Float[np.ndarray, "p p"]
 ) -> Float[np.ndarray, "k k"]:
-    """Part of the rig's own covariance that the error of the board's size makes."""
+    """Part of the rig's covariance that is caused by the error of the board's size."""
     rows = [parameters.index(name) for name in rig.parameters]
     return covariance_of_size(parameters, covariance)[np.ix_(rows, rows)]
 

@@ -1,8 +1,8 @@
-"""Errors that no repetition of a picture shows: of the sheet and of the lens.
+"""Systematic errors of sheet, lens and aim, which repeated images do not show.
 
-They move every camera that looks at the sheet in the same way, so that they join the cameras'
-parameters in one covariance, and they are larger than the noise: a tenth of a percent of print
-scale is half a millimetre of distance, a hundred times the bound of a good picture.
+They affect all cameras over the sheet in the same way, so that they correlate the cameras'
+parameters. They are larger than the noise: 0.1 % of print scale is half a millimetre of distance, a
+hundred times the noise limit of a good image.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,30 +17,29 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.lenses.registry import promote_lens
 
-# numerical: cameras of one program; it exists for so many, and for few larger numbers.
+# numerical: smallest number of cameras for which a program is compiled.
 CAMERAS_AT_ONCE = 3
 _Item = TypeVar("_Item")
 
 
 class Systematics(NamedTuple):
-    """What is known of the errors of sheet, lens and aim; zeros and None leave them out.
+    """Standard deviations of the errors of sheet, lens and aim; zeros and None mean exact.
 
-    Each is an unknown with this prior: where the pictures show it, it is fitted along; where they
-    do not, it is in the covariance. `Systematics()` takes everything as exact.
+    Each error is an unknown with this prior. It is estimated if the images show it, and its prior
+    is part of the covariance. `Systematics()` assumes that everything is exact.
 
     Fields
     ------
-    print_scale_sigma : of the print's scale along X and along Y, as shares (1e-3 is a tenth of
-        a percent). `trinoc.calib.printed_sheet` gets them from two measured bars.
-    flatness_mm : sigma of the height, at the circles farthest from the origin, of each of the
-        three ways in which a sheet bends: along X, along Y, and twisted.
-    lens_covariance : (k, k) of the first k of the lens's `parameter_names` (for an ideal lens those
-        of Brown-Conrady), as `trinoc intrinsics` writes it. One matrix is of one calibrated lens
-        that all cameras were given, whose error they share; a mapping holds one for each camera by
-        name, and those errors are independent.
-    print_size_sigma : of the whole print's size, along X and Y alike, as a share.
-    aim_sigma_mm : of the point of the sheet that the optical axis meets, along X and along Y, about
-        the origin; it counts where the pose model is "aimed".
+    print_scale_sigma : relative sigma of the print's scale along X and along Y (1e-3 is 0.1 %).
+        `trinoc.calib.printed_sheet` determines both scales from two measured bars.
+    flatness_mm : sigma of the height, at the circles farthest from the origin, of each of three
+        bends of the sheet: along X, along Y, and twisted.
+    lens_covariance : (k, k) covariance of the first k of the lens's `parameter_names` (for an ideal
+        lens those of Brown-Conrady), as `trinoc intrinsics` writes it. One matrix: all cameras have
+        the same calibrated lens and share its error. A mapping by camera: independent errors.
+    print_size_sigma : relative sigma of the size of the whole print, along X and Y together.
+    aim_sigma_mm : sigma of the point of the sheet that the optical axis meets, along X and Y, about
+        the origin. Used with the pose model "aimed".
     """
 
     print_scale_sigma: tuple[float, float] = (0.0, 0.0)
@@ -55,13 +54,16 @@ class Systematics(NamedTuple):
     ) -> "Systematics":
         """Typical errors of a print, of paper, of aiming by hand, and of a lens's data sheet.
 
-        The print is larger or smaller by .2 %, and longer along one side than along the other by
-        .28 %; paper lies flat to .3 mm; the optical axis meets the origin to 20 mm, which is no
-        more than that the camera looks at the sheet. A lens that is given in millimetres and
-        without distortion comes from a data sheet: see `data_sheet_covariance`. One given in
-        pixels comes from a calibration, and counts as exact unless its covariance is given.
+        The size of the print is wrong by 0.2 %, its aspect by 0.28 %; paper is flat to 0.3 mm; the
+        optical axis meets the origin to 20 mm, so that the camera just looks at the sheet. A lens
+        that is given in millimetres and without distortion comes from a data sheet
+        (`data_sheet_covariance`). A lens given in pixels comes from a calibration, and is exact
+        unless its covariance is given.
 
-        `tuning` holds every tuned constant of calibration; a benchmark or a study changes them.
+        Parameters
+        ----------
+        lenses : intrinsics of each camera.
+        tuning : constants of calibration; a benchmark or a study changes them.
         """
         assumed = tuning.uncertainty
         return cls(
@@ -80,23 +82,27 @@ class Systematics(NamedTuple):
     def lens_factors(
         self, lenses: Mapping[str, Intrinsics | None]
     ) -> dict[str, Float[np.ndarray, "_ _"]]:
-        """For each camera whose lens is uncertain, L (k, r) with L L^T its covariance.
+        """Factors L (k, r) of the lens covariance L L^T, for each camera whose lens is uncertain.
 
-        lenses : of all cameras; None for one that takes no part.
+        Parameters
+        ----------
+        lenses : intrinsics of all cameras; None for a camera that takes no part.
 
-        Raises InputError for a covariance of another shape or not finite, or one of a camera
-        that is not among `lenses`.
+        Raises
+        ------
+        InputError : a covariance of wrong shape or not finite, or of a camera that is not in
+            `lenses`.
         """
-        given = self.lens_covariance
-        if given is None:
+        covariance = self.lens_covariance
+        if covariance is None:
             return {}
-        if not isinstance(given, Mapping):
+        if not isinstance(covariance, Mapping):
             return {
-                name: _factor(_check_covariance(given, lens.lens, "of all cameras"))
+                name: _factor(_check_covariance(covariance, lens.lens, "of all cameras"))
                 for name, lens in lenses.items()
                 if lens is not None
             }
-        for name in given:
+        for name in covariance:
             if name not in lenses:
                 raise InputError(
                     f'`lens_covariance` names the camera "{name}", but the cameras are '
@@ -104,12 +110,12 @@ class Systematics(NamedTuple):
                 )
         return {
             name: _factor(_check_covariance(matrix, lens.lens, f'of camera "{name}"'))
-            for name, matrix in given.items()
+            for name, matrix in covariance.items()
             if (lens := lenses[name]) is not None
         }
 
     def check(self) -> None:
-        """Raises InputError for a sigma that is negative or not finite."""
+        """Raise InputError for a sigma that is negative or not finite."""
         sigmas = np.array([*self._of_sheet, self.aim_sigma_mm])
         if not (np.isfinite(sigmas) & (sigmas >= 0)).all():
             raise InputError(
@@ -117,8 +123,9 @@ class Systematics(NamedTuple):
             )
 
     def groups(self, cameras: Sequence[_Item]) -> list[Sequence[_Item]]:
-        """Cameras to be adjusted together: all where they share a lens or a sheet that is not
-        exact, else a few at a time."""
+        """Groups of cameras to adjust together: all if they share an uncertain lens or sheet, else
+        a few.
+        """
         if any(self._of_sheet) or self.lens_is_shared:
             return [cameras]
         return [cameras[k : k + CAMERAS_AT_ONCE] for k in range(0, len(cameras), CAMERAS_AT_ONCE)]
@@ -129,13 +136,13 @@ class Systematics(NamedTuple):
 
     @property
     def lens_is_shared(self) -> bool:
-        """Whether all cameras look through one lens, whose error they share."""
-        given = self.lens_covariance
-        return given is not None and not isinstance(given, Mapping)
+        """True if all cameras have one lens, whose error they share."""
+        covariance = self.lens_covariance
+        return covariance is not None and not isinstance(covariance, Mapping)
 
     @property
-    def words(self) -> tuple[str, ...]:
-        """The terms that are in, for people."""
+    def descriptions(self) -> tuple[str, ...]:
+        """Descriptions of the errors that are not exact."""
         terms = []
         if self.aim_sigma_mm:
             terms.append(f"the aim ({self.aim_sigma_mm:.3g} mm)")
@@ -147,21 +154,24 @@ class Systematics(NamedTuple):
         if self.flatness_mm:
             terms.append(f"flatness of the sheet ({self.flatness_mm:.3g} mm)")
         if self.lens_covariance is not None:
-            given = self.lens_covariance
-            of = f" of {list_names(given)}" if isinstance(given, Mapping) else ""
-            terms.append(f"the lens's own covariance{of}")
+            covariance = self.lens_covariance
+            cameras = f" of {list_names(covariance)}" if isinstance(covariance, Mapping) else ""
+            terms.append(f"the lens covariance{cameras}")
         return tuple(terms)
 
 
 def data_sheet_covariance(
     lens: Intrinsics, *, tuning: CalibTuning = TUNING
 ) -> Float[np.ndarray, "5 5"]:
-    """Covariance of fx, fy, cx, cy and k1 of a lens that only its data sheet describes.
+    """Covariance of fx, fy, cx, cy and k1 of a lens with only a data sheet.
 
-    The focal length is off by 1 %, and by .2 % more along v than along u; the principal point by
-    2 % of the picture's width; distortion moves the corners of the picture by one pixel.
+    The focal length is wrong by 1 % and its aspect by 0.2 %; the principal point by 2 % of the
+    image's width; distortion moves the corners of the image by one pixel.
 
-    `tuning` holds every tuned constant of calibration; a benchmark or a study changes them.
+    Parameters
+    ----------
+    lens : intrinsics from the data sheet.
+    tuning : constants of calibration; a benchmark or a study changes them.
     """
     (fu, fv), (width, height) = np.asarray(lens.focal_length_px), lens.image_size_px
     assumed, factor = tuning.uncertainty, np.zeros((5, 5))
@@ -184,19 +194,19 @@ def _check_covariance(
         )
     if not (np.isfinite(matrix).all() and (np.diag(matrix) >= 0).all()):
         raise InputError(
-            f"The lens covariance {whose} is no covariance of a lens that is determined: "
-            "take the pictures that `trinoc intrinsics` asks for."
+            f"The lens covariance {whose} has values that are not finite or a negative variance: "
+            "take the images that `trinoc intrinsics` asks for."
         )
     return matrix
 
 
 def _factor(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k r"]:
-    """One sigma along each direction in which the lens is uncertain."""
+    """Factor L of a covariance L L^T, with one column per uncertain direction, (k, r)."""
     sigma = np.sqrt(np.diag(covariance))
     free = np.flatnonzero(sigma > 0)
     correlation = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
     values, vectors = np.linalg.eigh(correlation)
-    kept = values > 1e-12 * values.max(initial=0.0)
-    factor = np.zeros((len(covariance), int(kept.sum())))
-    factor[free] = sigma[free, None] * vectors[:, kept] * np.sqrt(values[kept])
+    positive = values > 1e-12 * values.max(initial=0.0)
+    factor = np.zeros((len(covariance), int(positive.sum())))
+    factor[free] = sigma[free, None] * vectors[:, positive] * np.sqrt(values[positive])
     return factor

@@ -8,8 +8,9 @@ import pytest
 
 from tests.calib.adjustment.made_views import LENS_FACTOR, SHEET, made_views
 from trinoc.calib.adjustment.adjustment import Adjustment, adjust
-from trinoc.calib.adjustment.better_knowledge import advise_better_knowledge
+from trinoc.calib.adjustment.measurement_advice import advise_measurement
 from trinoc.calib.problem.sheet_problem import SheetPriors
+from trinoc.calib.sentences import measurement_advice
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
 
@@ -60,20 +61,20 @@ def test_what_is_promised_is_what_a_fit_that_knows_so_much_gives(
     what, known, lens, better, better_lens
 ) -> None:
     found = fitted(known, lens)
-    advice = advise_better_knowledge([found], known)
+    advice = advise_measurement([found], known)
     assert advice is not None
-    assert advice.what == what
+    assert advice.subject == what
     now, then = largest_sigmas(found), largest_sigmas(fitted(better, better_lens))
     np.testing.assert_allclose((advice.angle_now_deg, advice.distance_now_mm), now)
     np.testing.assert_allclose((advice.angle_then_deg, advice.distance_then_mm), then, rtol=0.02)
     for number in (advice.distance_then_mm, advice.distance_now_mm):
-        assert f"{number:.2g}" in advice.sentence
+        assert f"{number:.2g}" in measurement_advice(advice)
 
 
 def test_where_nothing_is_assumed_nothing_is_advised() -> None:
-    assert advise_better_knowledge([fitted(Systematics())], Systematics()) is None
+    assert advise_measurement([fitted(Systematics())], Systematics()) is None
 
 
 def test_bars_that_were_measured_are_not_measured_again() -> None:
     measured = Systematics(print_scale_sigma=(5e-4, 5e-4))
-    assert advise_better_knowledge([fitted(measured)], measured) is None
+    assert advise_measurement([fitted(measured)], measured) is None

@@ -1,0 +1,320 @@
+"""Residuals of board points: predicted minus observed pixels of one observation, for all fits."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from trinoc.calib.problem.sheet import AbstractSheet
+from trinoc.calib.problem.variables import (
+    POSE_SIZE,
+    Parametrization,
+    RigState,
+    head_columns,
+    step_motion,
+)
+from trinoc.calib.problem.views import ObservationTable
+from trinoc.geometry.image_of_circle import circle_centre_offset
+from trinoc.geometry.lenses.abstract_lens import AbstractLens
+from trinoc.geometry.lenses.splined import AbstractSplinedLens
+from trinoc.geometry.pose import Pose
+from trinoc.numerics.precision import ArrayLike
+from trinoc.numerics.robust_loss import AbstractRobustLoss
+
+
+class BoardProjection(eqx.Module):
+    """One camera and the board in front of it, at some state.
+
+    Fields
+    ------
+    lens : lens of the camera.
+    cam_from_rig, rig_from_board : poses of camera and board.
+    set_from_board : pose of the board in its set; None for a single board.
+    shape : (w,) parameters of the board's sheet.
+    """
+
+    lens: AbstractLens
+    cam_from_rig: Float[ArrayLike, "3 4"]
+    rig_from_board: Float[ArrayLike, "3 4"]
+    set_from_board: Float[ArrayLike, "3 4"] | None
+    shape: Float[ArrayLike, "w"]
+
+    def retract(
+        self, parametrization: Parametrization, step: Float[ArrayLike, "k"]
+    ) -> "BoardProjection":
+        """Camera and board after a step.
+
+        step : (k,) of the lens, the camera, the board in its set, the sheet, and the board in the
+            shot.
+        """
+        terms, unit = len(parametrization.sheet_model.names), parametrization.unit_mm
+        poses = [POSE_SIZE] * (2 if self.set_from_board is None else 3)
+        of_lens = step.shape[0] - sum(poses) - terms
+        sizes = [of_lens, *poses[:-1], terms, POSE_SIZE]
+        by_lens, by_camera, *by_set, by_sheet, by_board = jnp.split(step, np.cumsum(sizes)[:-1])
+        in_set = self.set_from_board
+        return BoardProjection(
+            self.lens.retract(by_lens),
+            step_motion(self.cam_from_rig, by_camera, unit, parametrization.pose_model),
+            step_motion(self.rig_from_board, by_board, unit),
+            None if in_set is None else step_motion(in_set, by_set[0], unit),
+            self.shape + parametrization.sheet_scale[:terms] * by_sheet,
+        )
+
+    def project(
+        self,
+        point_mm: Float[ArrayLike, "3"],
+        displacement_mm: Float[ArrayLike, "3"],
+        sheet: AbstractSheet,
+        board: ArrayLike | int,
+    ) -> Float[ArrayLike, "2"]:
+        """Pixel of a point of the drawing.
+
+        displacement_mm : of the point from its position on the sheet.
+        """
+        point = sheet.point(point_mm, self.shape, board) + sheet.size(self.shape) * displacement_mm
+        if self.set_from_board is not None:
+            point = Pose(self.set_from_board).transform(point)
+        point = Pose(self.rig_from_board).transform(point)
+        return self.lens.project_ray(Pose(self.cam_from_rig).transform(point))
+
+
+def board_projection(
+    state: RigState, parametrization: Parametrization, camera: Any, shot: Any, board: Any
+) -> BoardProjection:
+    """Camera and board of one observation. The indices may be traced."""
+    return BoardProjection(
+        jax.tree.map(lambda leaf: leaf[parametrization.lens_of_camera[camera]], state.lenses),
+        state.cam_from_rig[camera],
+        state.rig_from_board[shot],
+        state.set_from_board[board] if len(state.set_from_board) else None,
+        state.sheet.reshape(-1, len(parametrization.sheet_model.names))[board],
+    )
+
+
+def predict_points(
+    projection: BoardProjection,
+    parametrization: Parametrization,
+    board: ArrayLike | int,
+    point_mm: Float[ArrayLike, "n 3"],
+    displacement_mm: Float[ArrayLike, "n 3"],
+    radius_mm: Float[ArrayLike, "n"],
+    step: Float[ArrayLike, "k"] | None = None,
+) -> Float[Array, "n 2"]:
+    """Predicted pixels of board points, (n, 2), optionally after a step.
+
+    displacement_mm : of each point from its position on the sheet. radius_mm : of the circle, the
+        centre of whose image is predicted; 0 for a corner.
+
+    The centre of a circle's image is not the image of its centre. The offset between them is
+    constant during a step: it changes a thousand times less than the points.
+    """
+    stepped = projection if step is None else projection.retract(parametrization, step)
+    sheet = parametrization.sheet_model
+
+    def image(point: ArrayLike, displacement: ArrayLike) -> ArrayLike:
+        return stepped.project(point, displacement, sheet, board)
+
+    predicted = jnp.asarray(jax.vmap(image)(point_mm, displacement_mm))
+    if not parametrization.has_circles:
+        return predicted
+    fixed_projection, fixed_displacement_mm = jax.lax.stop_gradient((projection, displacement_mm))
+
+    def offset(point: Array, displacement: ArrayLike, radius: ArrayLike) -> ArrayLike:
+        def on_circle(xy_mm: ArrayLike) -> ArrayLike:
+            return fixed_projection.project(jnp.append(xy_mm, point[2]), displacement, sheet, board)
+
+        return circle_centre_offset(on_circle, point[:2], radius)
+
+    return predicted + jnp.asarray(
+        jax.vmap(offset)(jnp.asarray(point_mm), fixed_displacement_mm, radius_mm)
+    )
+
+
+def residuals_px(
+    state: RigState, parametrization: Parametrization, table: ObservationTable
+) -> Float[Array, "v n 2"]:
+    """Predicted minus observed pixels of all board points, (v, n, 2)."""
+    return jax.vmap(lambda view: _residuals(state, parametrization, view))(table)
+
+
+def whitened_residuals(
+    state: RigState, parametrization: Parametrization, table: ObservationTable
+) -> Float[Array, "v n 2"]:
+    """Residuals of all board points in units of their sigmas, (v, n, 2); zero for unused points."""
+
+    def of_view(view: ObservationTable) -> Array:
+        return _whiten(view.whitening, _residuals(state, parametrization, view)[..., None])[..., 0]
+
+    return jax.vmap(of_view)(table)
+
+
+class LinearisedObservation(eqx.Module):
+    """Whitened residuals of one observation and their derivatives at a state.
+
+    Fields
+    ------
+    columns : (k,) columns of the head with an effect: m that move all points of the image, then
+        those of the board points.
+    jacobian : (n, 2, m + 6) by the m columns and by the pose of the shot's board, free or not.
+    by_points : derivatives by board points: (n, 2, 3) by each point's own displacement for
+        independent errors, else (n, 2, k - m) by all.
+    point : (n,) index of each board point.
+    residual : (n, 2) predicted minus observed.
+    """
+
+    columns: Array
+    jacobian: Float[Array, "n 2 _m"]
+    by_points: Float[Array, "n 2 _p"]
+    point: Array
+    residual: Float[Array, "n 2"]
+
+    @property
+    def is_own(self) -> Float[Array, "n p"]:
+        """1 if a row belongs to the board point of a column, else 0."""
+        count = (len(self.columns) - self.jacobian.shape[-1] + POSE_SIZE) // 3
+        return (self.point[:, None] == jnp.arange(count)[None]).astype(self.jacobian.dtype)
+
+    @property
+    def by_all_points(self) -> Float[Array, "n 2 p"]:
+        """Derivatives by the displacements of all board points."""
+        is_own = self.is_own
+        if self.by_points.shape[-1] == 3 * is_own.shape[1]:
+            return self.by_points
+        products = is_own[:, None, :, None] * self.by_points[:, :, None, :]
+        return products.reshape(*self.by_points.shape[:2], -1)
+
+    def weigh(
+        self, parametrization: Parametrization, loss: AbstractRobustLoss
+    ) -> tuple[Float[Array, "k k"], Float[Array, "k"]]:
+        """J^T W J and J^T W r by the free steps of the head, then of the board.
+
+        W is the weight of each point by the loss.
+        """
+        board_free, first = (
+            jnp.full(POSE_SIZE, parametrization.boards_free),
+            self.jacobian.shape[-1] - POSE_SIZE,
+        )
+        head_free, points_free = jnp.split(jnp.asarray(parametrization.free)[self.columns], [first])
+        weight = loss.weight(jnp.sum(jnp.square(self.residual), axis=-1))[:, None, None]
+        jacobian = jnp.concatenate([head_free, board_free])[None, None] * self.jacobian
+        scaled = weight * jacobian
+        information = jnp.einsum("nik,nil->kl", scaled, jacobian)
+        gradient = jnp.einsum("nik,ni->k", scaled, self.residual)
+        if not len(points_free):
+            return information, gradient
+        is_own = self.is_own
+        if self.by_points.shape[-1] == len(points_free):
+            by_points = points_free[None, None] * self.by_points
+            across = jnp.einsum("nik,nij->kj", scaled, by_points)
+            inner = jnp.einsum("nij,nil->jl", weight * by_points, by_points)
+            point_gradient = jnp.einsum("nij,ni->j", weight * by_points, self.residual)
+        else:
+            # Each board point moves only its own image.
+            own_derivatives = (is_own @ points_free.reshape(-1, 3))[:, None] * self.by_points
+            products = jnp.einsum("nij,nil->njl", weight * own_derivatives, own_derivatives)
+            inner = jnp.einsum("np,njl,pq->pjql", is_own, products, jnp.eye(is_own.shape[1]))
+            inner = inner.reshape(len(points_free), -1)
+            across = jnp.einsum("nik,nij->nkj", scaled, own_derivatives)
+            across = jnp.einsum("np,nkj->kpj", is_own, across).reshape(-1, len(points_free))
+            point_gradient = jnp.einsum("nij,ni->nj", weight * own_derivatives, self.residual)
+            point_gradient = (is_own.T @ point_gradient).reshape(-1)
+        head, board = slice(None, first), slice(first, None)
+        information = jnp.block(
+            [
+                [information[head, head], across[head], information[head, board]],
+                [across[head].T, inner, across[board].T],
+                [information[board, head], across[board], information[board, board]],
+            ]
+        )
+        return information, jnp.concatenate([gradient[head], point_gradient, gradient[board]])
+
+
+def linearise(
+    state: RigState, parametrization: Parametrization, view: ObservationTable
+) -> LinearisedObservation:
+    """Linearise the residuals of one observation (a row of a table) by all steps that move its
+    points.
+    """
+    point_count, poses = len(state.shape), 3 if len(state.set_from_board) else 2
+    basis = jnp.asarray(parametrization.lens_basis)[parametrization.lens_of_camera[view.camera]]
+    others = poses * POSE_SIZE + len(parametrization.sheet_model.names)
+    # Control points of splined lenses are many, and pixels are linear in them.
+    linear = state.lenses.control_count if isinstance(state.lenses, AbstractSplinedLens) else 0
+    curved = basis.shape[1] - linear
+
+    def residual_after(step: Float[Array, "k"]) -> tuple[Array, Array]:
+        model_step = jnp.concatenate(
+            [basis[:, :curved] @ step[:curved], step[curved : curved + others]]
+        )
+        displacement_mm = parametrization.unit_mm * step[curved + others :] if point_count else None
+        residual = _residuals(state, parametrization, view, model_step, displacement_mm)
+        return residual, residual
+
+    zero = jnp.zeros(curved + others + (3 if point_count else 0), basis.dtype)
+    jacobian, residual = jax.jacfwd(residual_after, has_aux=True)(zero)
+    by_lens, by_rest, by_displacement = jnp.split(jacobian, [curved, curved + others], axis=-1)
+    if linear:
+        by_control = jnp.diagonal(basis)[None, None, curved:] * _by_control(
+            state, parametrization, view
+        )
+        by_lens = jnp.concatenate([by_lens, by_control], axis=-1)
+    columns_and_residual = jnp.concatenate([by_lens, by_rest, residual[..., None]], axis=-1)
+    standard = _whiten(view.whitening, columns_and_residual)
+    columns = head_columns(parametrization, view.camera, view.board)
+    linearised = LinearisedObservation(
+        columns, standard[..., :-1], by_displacement, jnp.asarray(view.point), standard[..., -1]
+    )
+    errors_are_joint = view.whitening.shape[-1] > 2
+    by_points = linearised.by_all_points if errors_are_joint else by_displacement
+    return eqx.tree_at(lambda n: n.by_points, linearised, _whiten(view.whitening, by_points))
+
+
+def _residuals(
+    state: RigState,
+    parametrization: Parametrization,
+    view: ObservationTable,
+    step: Float[ArrayLike, "k"] | None = None,
+    displacement_mm: Float[ArrayLike, "3"] | None = None,
+) -> Float[Array, "n 2"]:
+    """Predicted minus observed pixels, after a step and a displacement common to all points."""
+    # Pieces of lines, and all points of a board that is as drawn, have no displacement.
+    no_displacement = len(state.shape)
+    shape = jnp.concatenate([jnp.asarray(state.shape), jnp.zeros((1, 3), view.uv_px.dtype)])
+    displacements = shape[jnp.minimum(view.point, no_displacement)]
+    projection = board_projection(state, parametrization, view.camera, view.shot, view.board)
+    predicted = predict_points(
+        projection,
+        parametrization,
+        view.board,
+        view.point_mm,
+        displacements if displacement_mm is None else displacements + displacement_mm[None],
+        view.radius_mm,
+        step,
+    )
+    return predicted - view.uv_px
+
+
+def _whiten(whitening: Float[ArrayLike, "g k k"], columns: Float[ArrayLike, "n 2 c"]) -> Array:
+    """Columns (n, 2, c) in px in units of sigmas."""
+    grouped = columns.reshape(*whitening.shape[:2], columns.shape[-1])
+    # Unused points may lie where the lens has no image.
+    is_used = jnp.any(whitening != 0, axis=1)[..., None]
+    standard = jnp.einsum("gij,gjc->gic", whitening, jnp.where(is_used, grouped, 0.0))
+    return standard.reshape(columns.shape)
+
+
+def _by_control(
+    state: RigState, parametrization: Parametrization, view: ObservationTable
+) -> Float[Array, "n 2 k"]:
+    """Derivative of all points of an image by the control points of its splined lens."""
+    assert isinstance(state.lenses, AbstractSplinedLens)
+    cores = eqx.tree_at(lambda s: s.lenses, state, jax.vmap(lambda lens: lens.core)(state.lenses))
+    of_core_px = _residuals(cores, parametrization, view) + view.uv_px
+    lens = jax.tree.map(
+        lambda leaf: leaf[parametrization.lens_of_camera[view.camera]], state.lenses
+    )
+    return jax.vmap(lens.by_control)(of_core_px)
