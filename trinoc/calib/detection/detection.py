@@ -42,7 +42,7 @@ class Detection(Table):
 
     KIND: ClassVar[str] = "detection"
     IN_WORDS: ClassVar[str] = "a detection"
-    SIDES: ClassVar[Mapping[str, str]] = {"m": "places", "k": "labellings"}
+    SIDES: ClassVar[Mapping[str, str]] = {"m": "points", "k": "labellings"}
 
     circle_index: Annotated[Int[np.ndarray, "m"], Column(NOT_NEGATIVE)]
     centres_px: Annotated[Float[np.ndarray, "m 2"], Column(IN_PICTURE, parts=_POSITION)]
