@@ -48,13 +48,13 @@ def one_row():
 CASES = {
     "sheet edge-on": (
         edge_on,
-        "was found in the picture; see that it lies flat, uncovered, in focus",
+        "was found in the image; check that it is flat, uncovered, in focus",
     ),
     "a lens that folds": (
         folded,
         ", because the lens folds the picture 54 px from the principal point",
     ),
-    "all circles in one line": (one_row, "has too few circles off one line to be found"),
+    "all circles in one line": (one_row, "has too few circles, or all on one line"),
     "all points in one line": (
         lambda: by_points(np.stack([STEPS_MM, STEPS_MM, 0 * STEPS_MM], axis=1)),
         "do not spread enough to determine a pose: give points that spread in depth and across",
@@ -73,7 +73,7 @@ CASES = {
     ),
     "mirrored picture": (
         lambda: calibrated(upper=picture()[:, ::-1].copy()),
-        "mirrored; flip it left to right, or photograph the printed side.",
+        "mirrored; flip the image left to right, or photograph the printed side.",
     ),
 }
 

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from trinoc.calib.photometric.sheet_places import homography_of_pose
+from trinoc.calib.photometric.sheet_geometry import homography_of_pose
 from trinoc.geometry.pose import Pose
 from trinoc.io import module_sources
 from trinoc.io.module_sources import digest_sources
@@ -115,4 +115,4 @@ def test_a_program_brings_the_modules_of_its_function_and_its_arguments():
 def test_a_program_brings_the_module_that_keeps_a_function_of_another():
     forget_programs()
     asked = modules_of(lambda: homography_of_pose(Pose(np.eye(3, 4))))
-    assert "trinoc.calib.photometric.sheet_places" in asked[0]
+    assert "trinoc.calib.photometric.sheet_geometry" in asked[0]

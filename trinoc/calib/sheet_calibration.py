@@ -27,7 +27,7 @@ from trinoc.calib.detection.detection import Detection
 from trinoc.calib.detection.orientation import Orientation, resolve_orientation
 from trinoc.calib.detection.registry import detect_pattern
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding, Response, neutral_mosaic
-from trinoc.calib.photometric.scene import ShiftOfPlaces
+from trinoc.calib.photometric.scene import ImageShift
 from trinoc.calib.photometric.views import refine_views
 from trinoc.calib.problem.apparent_shift import apparent_shift
 from trinoc.calib.problem.sheet_problem import SheetCamera, SheetPriors
@@ -269,7 +269,7 @@ def fit_grey_levels(
     """
     images, poses, lenses = {}, {}, {}
     tuning = by_circles.problem.tuning
-    shifts: dict[str, ShiftOfPlaces] = {}
+    shifts: dict[str, ImageShift] = {}
     for view, camera in zip(by_circles.problem.views, by_circles.cameras, strict=True):
         if camera.image is None:
             continue

@@ -180,7 +180,7 @@ def test_boards_that_cannot_be_are_refused():
         ({"spacing": 2.0}, "gaps"),
         ({"border": 3}, "borders of 3"),
         ({"tag_mm": np.nan}, "a finite number"),
-        ({"tag_mm": 0.0}, "give a side"),
+        ({"tag_mm": 0.0}, "give a positive side"),
         ({"dictionary": "9x9"}, "unknown"),
     ):
         with pytest.raises(InputError, match=says):

@@ -89,7 +89,7 @@ def test_corners_are_off_by_what_they_claim(deliver, look):
     for seed in (1, 5):
         grey = deliver(light, np.random.default_rng(seed))
         found = fit_corners(search_image(grey), start, np.full(len(corners), RADIUS_PX), TUNING)
-        off = found.places_px - corners
+        off = found.corners_px - corners
         squares.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance_px2), off))
     assert 1 / QUARTER < np.sqrt(np.mean(squares) / 2) < QUARTER
 
@@ -119,6 +119,6 @@ def test_where_there_is_no_corner_the_start_is_kept_and_says_little():
     grey[:, :60] += np.random.default_rng(0).normal(0, 3, (60, 60))
     start = np.array([[20.3, 20.6], [40.2, 41.0], [0.5, 58.0], [75.1, 30.0]])
     found = fit_corners(search_image(grey), start, np.full(4, RADIUS_PX), TUNING)
-    assert np.linalg.norm(found.places_px - start, axis=1).max() < 0.5 * RADIUS_PX
+    assert np.linalg.norm(found.corners_px - start, axis=1).max() < 0.5 * RADIUS_PX
     assert np.isfinite(found.covariance_px2).all()
     assert np.sqrt(np.linalg.eigvalsh(found.covariance_px2)[:, 1]).min() > 0.5

@@ -243,7 +243,7 @@ def test_an_asymmetric_grid_has_one_labelling():
 def test_a_plain_grid_with_a_column_missing_is_refused():
     pattern = Pattern.circle_grid(rows=6, columns=6, pitch_mm=20, radius_mm=6)
     shown = Pattern.circle_grid(rows=6, columns=5, pitch_mm=20, radius_mm=6)
-    with pytest.raises(DetectionError, match="more than one place"):
+    with pytest.raises(DetectionError, match="more than one position"):
         detect_pattern(render_sheet(shown, CAMERA, noise_sigma=2.0), pattern)
 
 

@@ -69,7 +69,7 @@ def searches(monkeypatch):
 
         return search
 
-    for name in ("_find_markers", "list_figures"):
+    for name in ("_find_markers", "list_quadrangles"):
         monkeypatch.setattr(marker_readings, name, counted(getattr(marker_readings, name)))
     return calls
 

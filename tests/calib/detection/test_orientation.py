@@ -44,7 +44,7 @@ def detections(turns: tuple[int, int, int]) -> dict[str, Detection]:
 
 
 def test_nobody_chooses_unless_told_by_what() -> None:
-    with pytest.raises(CalibrationError, match="turned by 90 degrees") as raised:
+    with pytest.raises(CalibrationError, match="rotated by 90 degrees") as raised:
         calibrate_detections(detections((0, 0, 0)), SHEET, LENS, systematics=EXACT)
     assert set(raised.value.failures) == set(TABLE_1)
     mixed = detections((0, 0, 0)) | {
@@ -89,5 +89,5 @@ def test_an_earlier_rig_that_does_not_tell_is_no_answer() -> None:
         systematics=EXACT,
     )
     assert result.rig.names == ("left",)
-    assert "does not tell" in result.failures["upper"]
-    assert "no such camera" in result.failures["right"]
+    assert "does not decide" in result.failures["upper"]
+    assert "has no camera" in result.failures["right"]

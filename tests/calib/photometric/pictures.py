@@ -7,12 +7,12 @@ import numpy as np
 
 from simulation.camera_picture.render import render_sheet
 from tests.calib.simulated import LENS, TABLE_1, camera_of
-from trinoc.calib.photometric.equations import Group, Picture, PixelRows, pixel_rows
+from trinoc.calib.photometric.equations import Group, ImageData, PixelRows, pixel_rows
 from trinoc.calib.photometric.ink import SQUARES, Cross, InkDrawing
 from trinoc.calib.photometric.noise import Saturation
 from trinoc.calib.photometric.pixel_selection import pad_group, select_pixels
-from trinoc.calib.photometric.sheet_places import sheet_from_camera
-from trinoc.calib.photometric.unknowns import PictureState, ideal_state
+from trinoc.calib.photometric.sheet_geometry import sheet_from_camera
+from trinoc.calib.photometric.unknowns import ImageState, ideal_state
 from trinoc.calib.result.degrees import pose_of_values
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
@@ -30,15 +30,15 @@ def pose_of(values: tuple[float, ...]) -> Pose:
     return pose_of_values(np.array(values))
 
 
-def state_at(values: tuple[float, ...]) -> PictureState:
+def state_at(values: tuple[float, ...]) -> ImageState:
     """Of the camera that takes the pictures here."""
     return ideal_state(pose_of(values), SIGMA_PX, INK / PAPER - 1, np.array([PAPER]))
 
 
-def with_look(state: PictureState, **look: float) -> PictureState:
+def with_appearance(state: ImageState, **values_by_name: float) -> ImageState:
     values = np.array(state.values)
-    values[state.unknowns.places(*look)] = list(look.values())
-    return PictureState(state.pose, values, state.levels, state.unknowns)
+    values[state.unknowns.indices(*values_by_name)] = list(values_by_name.values())
+    return ImageState(state.pose, values, state.levels, state.unknowns)
 
 
 def image_of(pattern: Pattern, values: tuple[float, ...], supersampling: int = 16) -> np.ndarray:
@@ -63,16 +63,16 @@ def pixels_of(
 
 
 def picture_of(
-    near_circles: Group, near_lines: Group, *, state: PictureState, top: float = np.inf
-) -> Picture:
+    near_circles: Group, near_lines: Group, *, state: ImageState, top: float = np.inf
+) -> ImageData:
     prior = state.unknowns.prior(TUNING.photometric, local=False)
     saturation = Saturation(np.array(top), np.array(TUNING.photometric.cut_off_levels))
-    return Picture(near_circles, near_lines, CROSS, np.array(255.0), saturation, prior)
+    return ImageData(near_circles, near_lines, CROSS, np.array(255.0), saturation, prior)
 
 
 @partial(jax.jit, static_argnames=("drawing", "near_line"))
 def rows_of(
-    state: PictureState,
+    state: ImageState,
     group: Group,
     homography: np.ndarray | None = None,
     *,

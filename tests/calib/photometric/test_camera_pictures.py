@@ -35,7 +35,7 @@ def test_errors_scatter_as_the_covariance_says(word: str) -> None:
         noise = np.random.default_rng(seed).normal(0.0, 2.0, exact.shape)
         result = refined(np.rint(camera(exact + noise)).astype(np.float32), START)
         assert result is not None
-        assert any(word in said for said in result.found)
+        assert any(word in said for said in result.effects)
         squared.append(mahalanobis(result))
     assert abs(np.mean(squared) - 4) < 3.5 * np.sqrt(2 * 4 / trials)
 
@@ -52,7 +52,7 @@ def test_a_known_response_is_not_fitted() -> None:
     )
     assert told is not None
     assert fitted is not None
-    assert told.found == ()
+    assert told.effects == ()
     assert mahalanobis(told) < 20.0
     # What is known costs no information.
     assert np.trace(told.information) > np.trace(fitted.information)
@@ -64,7 +64,7 @@ def test_a_clean_picture_takes_the_simple_model() -> None:
         noise = np.random.default_rng(seed).normal(0.0, 2.0, exact.shape)
         result = refined(np.rint(exact + noise).astype(np.float32), START)
         assert result is not None
-        assert result.found == ()
+        assert result.effects == ()
         assert result.noise == pytest.approx(2.0, rel=0.06)
 
 

@@ -6,24 +6,24 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from tests.calib.photometric.pictures import RIGHT, image_of, state_at, with_look
+from tests.calib.photometric.pictures import RIGHT, image_of, state_at, with_appearance
 from tests.calib.simulated import LENS, reference_sheet
 from trinoc.calib.photometric import fit
 from trinoc.calib.photometric.covariance import (
+    elimination_matrix,
     pose_covariance,
     pose_information,
-    share_of_rest,
 )
 from trinoc.calib.photometric.encoding import AS_DELIVERED
-from trinoc.calib.photometric.fit_state import PictureFitState
-from trinoc.calib.photometric.gate import gate_by_sigma, without_common
+from trinoc.calib.photometric.fit_state import ImageFitState
+from trinoc.calib.photometric.gate import gate_by_sigma, remove_correlated_neighbourhoods
 from trinoc.calib.photometric.noise import is_clear
 from trinoc.calib.photometric.pixel_selection import SelectedPixels
-from trinoc.calib.photometric.scene import PixelScene, blocks_of_pixels, scene_of_picture
+from trinoc.calib.photometric.scene import PixelScene, blocks_of_pixels, build_scene
 from trinoc.calib.photometric.unknowns import (
     LOCAL_TERMS,
-    PictureState,
-    delivered_state,
+    ImageState,
+    full_state,
 )
 from trinoc.calib.problem.solver import ArrowEquations
 from trinoc.calib.tuning.every_group import TUNING
@@ -31,10 +31,10 @@ from trinoc.geometry.pose import PoseModel
 from trinoc.numerics.block_arrow import BlockArrow
 from trinoc.numerics.precision import ArrayLike
 
-STATE = with_look(state_at(RIGHT), spread_mm=0.01)
+STATE = with_appearance(state_at(RIGHT), spread_mm=0.01)
 FREE = np.ones(4 + STATE.unknowns.size, dtype=bool)
 SIGMA = 2.0
-RATIO = STATE.unknowns.places("ratio")[0]
+RATIO = STATE.unknowns.indices("ratio")[0]
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def scene() -> PixelScene:
     picture = image_of(reference_sheet(), RIGHT)
     picture = picture + np.random.default_rng(0).normal(0.0, SIGMA, picture.shape)
     pose, model = state_at(RIGHT).pose, PoseModel.AIMED
-    posed = scene_of_picture(
+    posed = build_scene(
         picture, reference_sheet(), LENS.lens, pose, model, None, AS_DELIVERED, TUNING.photometric
     )
     assert posed is not None
@@ -55,34 +55,34 @@ def with_prior(
     """With what is said of the ratio of ink to paper beforehand."""
 
     class WithPrior(PixelScene):
-        def picture(self, unknowns, weight, sigma):
-            picture = super().picture(unknowns, weight, sigma)
-            mean, precision = np.array(picture.prior.mean), np.array(picture.prior.weight)
+        def image_data(self, unknowns, weight, sigma):
+            data = super().image_data(unknowns, weight, sigma)
+            mean, precision = np.array(data.prior.mean), np.array(data.prior.weight)
             mean[RATIO], precision[RATIO] = middle, width**-2
-            return picture._replace(prior=picture.prior._replace(mean=mean, weight=precision))
+            return data._replace(prior=data.prior._replace(mean=mean, weight=precision))
 
     return WithPrior(*scene)
 
 
-def at(scene: PixelScene, state: PictureState, kept: bool = True) -> PictureFitState:
-    return looked_at(scene, fit._start(scene, state, FREE), kept=kept)
+def at(scene: PixelScene, state: ImageState, inliers: bool = True) -> ImageFitState:
+    return looked_at(scene, fit._evaluate(scene, state, FREE), inliers=inliers)
 
 
-def looked_at(scene: PixelScene, point: PictureFitState, kept: bool = True) -> PictureFitState:
-    everything, sigma = np.full(len(scene.grey), kept), np.full(len(scene.grey), SIGMA)
-    return fit._look(scene, point.with_pixels(sigma=sigma, kept=everything))
+def looked_at(scene: PixelScene, point: ImageFitState, inliers: bool = True) -> ImageFitState:
+    everything, sigma = np.full(len(scene.grey), inliers), np.full(len(scene.grey), SIGMA)
+    return fit._with_equations(scene, point.with_pixels(sigma=sigma, inliers=everything))
 
 
-def cost(scene: PixelScene, point: PictureFitState) -> float:
+def cost(scene: PixelScene, point: ImageFitState) -> float:
     """Chi-square by the predicted levels, and of the priors."""
-    prior = scene.picture(point.state.unknowns, point.sigma, point.sigma).prior
+    prior = scene.image_data(point.state.unknowns, point.sigma, point.sigma).prior
     priors = np.sum(prior.weight * (point.state.values - prior.mean) ** 2)
     return float(np.sum(((point.level - scene.grey) / SIGMA) ** 2) + priors)
 
 
-def after(state: PictureState, step: np.ndarray) -> PictureState:
+def after(state: ImageState, step: np.ndarray) -> ImageState:
     moved = state.move(step, state.levels, PoseModel.AIMED)
-    return PictureState(moved.pose, np.asarray(moved.values), state.levels, state.unknowns)
+    return ImageState(moved.pose, np.asarray(moved.values), state.levels, state.unknowns)
 
 
 def test_the_gradient_is_half_the_cost_s_and_the_matrix_half_its_curvature(
@@ -108,7 +108,7 @@ def test_the_gradient_is_half_the_cost_s_and_the_matrix_half_its_curvature(
 
 def test_priors_alone_are_a_quadratic(scene: PixelScene) -> None:
     scene = with_prior(scene, -0.5, 0.1)
-    alone = at(scene, STATE, kept=False)
+    alone = at(scene, STATE, inliers=False)
     matrix, gradient, _ = alone.normal_equations()
     off = float(STATE["ratio"]) + 0.5
     expected = np.zeros(len(FREE))
@@ -141,7 +141,7 @@ def test_covariance_is_that_of_draws_of_noise_that_neighbours_share(scene: Pixel
     def drawn() -> np.ndarray:
         noise = gaussian_filter(random.normal(size=shape), kernel_px, mode="wrap")
         scale = SIGMA * 2 * kernel_px * np.sqrt(np.pi)
-        return scale * noise[scene.chosen.places]
+        return scale * noise[scene.chosen.image_index]
 
     rows = exact.rows(scene).astype(float)
     rows = np.concatenate([np.asarray(exact.prediction.by_motion).T @ rows[:9], rows[9:]]) / SIGMA
@@ -172,16 +172,16 @@ def test_covariance_of_independent_noise_is_the_inverse_of_the_information(
 
 def test_derivatives_are_those_of_levels_that_saturation_cuts(scene: PixelScene) -> None:
     """By the light of the paper, where half of the paper is above what the camera can tell."""
-    state = delivered_state(STATE, TUNING.photometric)
+    state = full_state(STATE, TUNING.photometric)
     cut = scene._replace(top=float(state.light[0]))
     light = state.unknowns.light[0]
     free = np.ones(4 + state.unknowns.size, dtype=bool)
 
-    def seen(change: float) -> PictureFitState:
+    def seen(change: float) -> ImageFitState:
         values = np.array(state.values)
         values[light] += change
-        there = PictureState(state.pose, values, state.levels, state.unknowns)
-        return looked_at(cut, fit._start(cut, there, free))
+        there = ImageState(state.pose, values, state.levels, state.unknowns)
+        return looked_at(cut, fit._evaluate(cut, there, free))
 
     up, down = (seen(sign * 0.5).residual(cut)[0] for sign in (1, -1))
     claimed = seen(0.0).rows(cut)[9 + light]
@@ -193,7 +193,7 @@ def test_the_information_of_a_pose_is_what_is_left_when_the_rest_is_free() -> No
     rows, free = np.random.default_rng(1).normal(size=(20, 9)), np.ones(9, dtype=bool)
     free[7] = False
     matrix = rows.T @ rows
-    information = pose_information(matrix, share_of_rest(matrix, free, 4))
+    information = pose_information(matrix, elimination_matrix(matrix, free, 4))
     covariance = np.linalg.inv(matrix[np.ix_(free, free)])[:4, :4]
     np.testing.assert_allclose(np.linalg.inv(information), covariance, rtol=1e-9)
 
@@ -212,11 +212,16 @@ def whole_field(side: int) -> SelectedPixels:
 def test_neighbours_whose_residuals_have_a_mean_go_and_white_noise_stays() -> None:
     chosen, noise = whole_field(60), np.random.default_rng(2).normal(size=3600)
     everything = np.ones(3600, dtype=bool)
-    assert without_common(chosen, noise, everything, TUNING.photometric).mean() > 0.99
+    assert (
+        remove_correlated_neighbourhoods(chosen, noise, everything, TUNING.photometric).mean()
+        > 0.99
+    )
     shadow = (chosen.column < 20) & (chosen.row < 20)
-    kept = without_common(chosen, noise + 3.0 * shadow, everything, TUNING.photometric)
-    assert kept[shadow].mean() < 0.3
-    assert kept[chosen.column > 40].all()
+    inliers = remove_correlated_neighbourhoods(
+        chosen, noise + 3.0 * shadow, everything, TUNING.photometric
+    )
+    assert inliers[shadow].mean() < 0.3
+    assert inliers[chosen.column > 40].all()
 
 
 def test_crowds_of_outliers_go_with_their_whole_neighbourhood() -> None:
@@ -224,28 +229,28 @@ def test_crowds_of_outliers_go_with_their_whole_neighbourhood() -> None:
     thumb = (chosen.column < 20) & (chosen.row < 20)
     # Every second pixel under a thumb happens to have the right grey level.
     residual[thumb & ((chosen.column + chosen.row) % 2 == 0)] = 50.0
-    kept = gate_by_sigma(chosen, residual, np.ones(3600), TUNING.photometric)
+    inliers = gate_by_sigma(chosen, residual, np.ones(3600), TUNING.photometric)
     inside = (chosen.column < 15) & (chosen.row < 15)
-    assert not kept[inside].any()
-    assert kept[chosen.column > 40].all()
+    assert not inliers[inside].any()
+    assert inliers[chosen.column > 40].all()
 
 
 @pytest.mark.parametrize("level", range(LOCAL_TERMS))
 def test_levels_of_a_block_have_their_slope_and_their_prior(scene: PixelScene, level: int) -> None:
-    state, pose = delivered_state(STATE, TUNING.photometric), STATE.pose
+    state, pose = full_state(STATE, TUNING.photometric), STATE.pose
     blocks = blocks_of_pixels(scene.chosen, pose, LENS.lens, reference_sheet())
     blocks = blocks._replace(count=blocks.count + 1)  # the last one has no pixels
     wider = tuple(2 * width for width in TUNING.photometric.local_widths)
     tuning = dataclasses.replace(TUNING.photometric, local_widths=wider)
-    scene = scene._replace(blocks=blocks, local=True, tuning=tuning)
+    scene = scene._replace(blocks=blocks, has_local_light=True, tuning=tuning)
     free = np.ones(4 + state.unknowns.size, dtype=bool)
     sizes, block = 0.1 * np.asarray(wider), blocks.count // 2
 
-    def with_level(change: float) -> PictureFitState:
+    def with_level(change: float) -> ImageFitState:
         levels = np.zeros((LOCAL_TERMS, blocks.count))
         levels[level, block] = (1 + change) * sizes[level]
-        there = PictureState(pose, np.asarray(state.values), levels, state.unknowns)
-        return looked_at(scene, fit._start(scene, there, free))
+        there = ImageState(pose, np.asarray(state.values), levels, state.unknowns)
+        return looked_at(scene, fit._evaluate(scene, there, free))
 
     up, here, down = (with_level(change).equations for change in (0.1, 0.0, -0.1))
     assert up is not None

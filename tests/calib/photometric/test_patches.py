@@ -8,7 +8,7 @@ import scipy.sparse
 
 from tests.calib.photometric.pictures import RIGHT, state_at
 from trinoc.calib.photometric.equations import PixelRows, Prediction
-from trinoc.calib.photometric.fit_state import PictureFitState
+from trinoc.calib.photometric.fit_state import ImageFitState
 from trinoc.calib.photometric.patches import (
     _displacements,
     _number_patches,
@@ -18,8 +18,8 @@ from trinoc.calib.photometric.patches import (
 from trinoc.calib.photometric.scene import Blocks, PixelScene
 from trinoc.calib.photometric.unknowns import (
     LOCAL_TERMS,
-    PictureState,
-    delivered_state,
+    ImageState,
+    full_state,
 )
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import PoseModel
@@ -86,21 +86,21 @@ def test_light_of_a_block_moves_its_own_pixels_as_its_slope_says() -> None:
     np.testing.assert_allclose(by_levels @ step.T.ravel(), np.sum(by_local * own, axis=0))
 
 
-def lit_scene(local: bool) -> tuple[PixelScene, PictureFitState]:
+def lit_scene(local: bool) -> tuple[PixelScene, ImageFitState]:
     """Fifteen pixels of three blocks, three of which are cut, and any derivatives."""
     random = np.random.default_rng(4)
-    state = delivered_state(state_at(RIGHT), TUNING.photometric)
+    state = full_state(state_at(RIGHT), TUNING.photometric)
     levels = random.normal(size=(LOCAL_TERMS, 3)) if local else np.zeros((LOCAL_TERMS, 0))
-    state = PictureState(state.pose, state.values, levels, state.unknowns)
+    state = ImageState(state.pose, state.values, levels, state.unknowns)
     basis = np.column_stack([np.ones(15), random.normal(size=(15, 2))])
     nothing: Any = None
     rows = [PixelRows(nothing, nothing, random.normal(size=(1, 2, count))) for count in (10, 5)]
-    point = PictureFitState(
+    point = ImageFitState(
         state,
         np.ones(4 + state.unknowns.size, dtype=bool),
         Prediction(rows[0], rows[1], nothing),
         *(np.ones(15), np.ones(15)),
-        kept=np.arange(15) > 2,
+        inliers=np.arange(15) > 2,
     )
     blocks = Blocks(np.arange(15) % 3, basis, 3)
     scene = PixelScene(
@@ -110,7 +110,7 @@ def lit_scene(local: bool) -> tuple[PixelScene, PictureFitState]:
         np.inf,
         TUNING.photometric,
         blocks=blocks,
-        local=local,
+        has_local_light=local,
     )
     return scene, point
 

@@ -11,12 +11,12 @@ from tests.calib.photometric.pictures import (
     pose_of,
     rows_of,
     state_at,
-    with_look,
+    with_appearance,
 )
 from tests.calib.simulated import LENS, reference_sheet
 from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
-from trinoc.calib.photometric.sheet_places import sheet_from_camera
-from trinoc.calib.photometric.unknowns import PictureState, delivered_state
+from trinoc.calib.photometric.sheet_geometry import sheet_from_camera
+from trinoc.calib.photometric.unknowns import ImageState, full_state
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.pose import PoseModel
@@ -66,9 +66,9 @@ def test_model_is_the_picture(rings: str, style: str) -> None:
 
 
 STATES = {
-    "ideal": with_look(state_at(RIGHT), spread_mm=0.02),
-    "delivered": with_look(
-        delivered_state(state_at(RIGHT), TUNING.photometric),
+    "ideal": with_appearance(state_at(RIGHT), spread_mm=0.02),
+    "delivered": with_appearance(
+        full_state(state_at(RIGHT), TUNING.photometric),
         kurtosis=0.1,
         along_u=0.1,
         diagonal=-0.05,
@@ -102,7 +102,7 @@ def test_derivatives_are_those_of_differences(kind: str, near_line: bool) -> Non
 
     def level(turn: np.ndarray, change: np.ndarray) -> np.ndarray:
         values = np.asarray(state.values) + change
-        moved = PictureState(state.pose, values, state.levels, state.unknowns)
+        moved = ImageState(state.pose, values, state.levels, state.unknowns)
         return np.asarray(rows_of(moved, group, homography + turn, **still).level)
 
     rows = np.asarray(rows_of(state, group, homography, **still).rows)
@@ -112,7 +112,7 @@ def test_derivatives_are_those_of_differences(kind: str, near_line: bool) -> Non
             step = 1e-5 * max(abs(homography.flat[k]), 1e-2)
             turn.flat[k] = step
         else:
-            step = 1e-5 if k - 9 < len(state.unknowns.look) else 1e-2
+            step = 1e-5 if k - 9 < len(state.unknowns.appearance) else 1e-2
             change[k - 9] = step
         exact = (level(turn, change) - level(-turn, -change)) / (2 * step)
         # Directions and curvatures are held, and of the response the light in the middle: a few
@@ -128,9 +128,9 @@ def test_an_ideal_camera_is_the_delivered_one_with_unknowns_held(near_line: bool
     pattern, ideal = reference_sheet(), STATES["ideal"]
     group, _ = pixels_of(np.zeros(LENS.image_size_px[::-1]), pattern, near_line=near_line)
     still = {"drawing": drawing_of(pattern), "near_line": near_line}
-    general = delivered_state(ideal, TUNING.photometric)
+    general = full_state(ideal, TUNING.photometric)
     one, other = (rows_of(state, group, **still) for state in (ideal, general))
-    same = [*range(9), *(9 + k for k in general.unknowns.of_ideal_camera)]
+    same = [*range(9), *(9 + k for k in general.unknowns.ideal_camera_indices)]
     np.testing.assert_allclose(other.level, one.level, atol=1e-6)
     np.testing.assert_allclose(np.asarray(other.rows)[same], one.rows, rtol=1e-4, atol=1e-3)
 

@@ -11,7 +11,7 @@ from simulation.camera_picture.shapes import Cells
 from tests.calib.photometric.pictures import INK, PAPER
 from tests.calib.photometric.test_squares import Bare
 from trinoc.calib.photometric.image_fit import refine_image
-from trinoc.calib.photometric.sheet_places import lens_rays, places_and_slopes
+from trinoc.calib.photometric.sheet_geometry import lens_rays, sheet_points_and_slopes
 from trinoc.calib.photometric.square_pixels import square_pixels
 from trinoc.calib.targets.checkers import Charuco, Chessboard
 from trinoc.calib.targets.squares import square_sheet
@@ -101,7 +101,7 @@ def _squared(picture, board, lens, where) -> float:
     fit = refine_image(picture, square_sheet(board), lens, true, PoseModel.RIGID)
     assert fit is not None
     assert fit.converged
-    assert not fit.found
+    assert not fit.effects
     unit = np.linalg.norm(where[:, 3])
     turn = np.asarray(fit.state.pose.rotation) @ where[:, :3].T
     vector = 0.5 * np.array(
@@ -121,7 +121,7 @@ def test_every_edge_in_reach_is_looked_at_once_and_fine_cells_are_not():
         ink = seen.squares.ink.reshape(-1, 3, 3)
         assert (ink.min(axis=(1, 2)) < ink.max(axis=(1, 2))).all()
         # The cell in the middle of the window, or beside it, is the one under the pixel.
-        point, _ = places_and_slopes(seen.column, seen.row, Pose(pose_of), PERSPECTIVE)
+        point, _ = sheet_points_and_slopes(seen.column, seen.row, Pose(pose_of), PERSPECTIVE)
         row = (point[1][:, None] > seen.squares.y_mm).sum(axis=1)
         column = (point[0][:, None] > seen.squares.x_mm).sum(axis=1)
         own = sheet.ink[

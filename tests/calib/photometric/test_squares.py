@@ -19,7 +19,7 @@ from tests.calib.photometric.pictures import (
     pose_of,
     rows_of,
     state_at,
-    with_look,
+    with_appearance,
 )
 from tests.calib.simulated import LENS, camera_of
 from trinoc.calib.photometric.scene import first_guess
@@ -81,7 +81,7 @@ def model(picture, board):
     group, count = pixels_of(picture, sheet)
 
     def seen(spread_mm):
-        state = with_look(state_at(RIGHT), spread_mm=spread_mm)
+        state = with_appearance(state_at(RIGHT), spread_mm=spread_mm)
         rows = rows_of(state, group, drawing=drawing_of(sheet))
         return (np.asarray(rows.level) - group.pixels.grey)[:count], np.asarray(rows.rows)[
             :, :count
@@ -100,7 +100,7 @@ def test_the_model_is_the_picture(model):
 def test_ink_spreads_as_its_derivative_says(model):
     step = 0.01
     (above, _), (below, _) = model(step), model(-step)
-    slope, spread = (above - below) / (2 * step), 9 + IDEAL.places("spread_mm")[0]
+    slope, spread = (above - below) / (2 * step), 9 + IDEAL.indices("spread_mm")[0]
     np.testing.assert_allclose(model(0.0)[1][spread], slope, atol=0.02 * np.ptp(slope))
     # Ink that spreads makes the board darker.
     assert above.mean() < below.mean()

@@ -1,4 +1,4 @@
-"""The search for a sheet: blobs to lattices, lattices to labelled and measured circles."""
+"""Detection of sheets: blobs to lattices, lattices to labelled and measured circles."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -29,11 +29,13 @@ from trinoc.errors import DetectionError
 
 
 class Sheet(NamedTuple):
-    """The sheet in one picture.
+    """Sheet located in one image.
 
-    index : (k, m) pattern index of each circle, one row for each labelling left open.
-    ellipses : (m,) the circles.
-    mapping : sheet in mm to picture.
+    Fields
+    ------
+    index : (k, m) pattern index of each circle, one row per possible labelling.
+    ellipses : (m,) ellipses fitted to the circles.
+    mapping : mapping from the sheet, mm, to the image, px.
     """
 
     index: Int[np.ndarray, "k m"]
@@ -44,74 +46,76 @@ class Sheet(NamedTuple):
 def detect_circles(
     image: Shaped[np.ndarray, "..."], pattern: Pattern, tuning: CalibTuning
 ) -> Detection:
-    """The circles and crossed lines of a sheet in one picture: see `detect_pattern`."""
-    picture = search_image(image)
+    """Detect the circles and crossed lines of a sheet in one image: see `detect_pattern`."""
+    search_input = search_image(image)
     symmetry = pattern_symmetry(pattern, tuning)
-    refusals: list[tuple[int, DetectionError]] = []
+    failures: list[tuple[int, DetectionError]] = []
     # Dark circles on light paper, then light ones on dark.
-    negative = picture._replace(grey=picture.grey.max() - picture.grey)
-    for positive in (picture, negative):
+    negative = search_input._replace(grey=search_input.grey.max() - search_input.grey)
+    for positive in (search_input, negative):
         for blobs in _find_blobs_by_scale(positive, tuning):
-            sheets = _find_sheets(positive, blobs, symmetry, refusals, tuning)
+            sheets = _find_sheets(positive, blobs, symmetry, failures, tuning)
             if len(sheets) > 1:
                 raise DetectionError(
-                    f"The picture shows the sheet {pattern.name!r} more than once; leave one in"
-                    " view."
+                    f"The image shows the sheet {pattern.name!r} more than once; show only one."
                 )
             if sheets:
                 return _as_detection(positive, sheets[0], pattern, tuning)
-    if refusals:
-        # The largest lattice is likeliest to be the sheet, so its refusal says most.
-        raise max(refusals, key=lambda refusal: refusal[0])[1]
-    raise _nothing_found(pattern)
+    if failures:
+        # The largest lattice is most probably the sheet: report its failure.
+        raise max(failures, key=lambda failure: failure[0])[1]
+    raise _no_sheet_error(pattern)
 
 
-def _nothing_found(pattern: Pattern) -> DetectionError:
+def _no_sheet_error(pattern: Pattern) -> DetectionError:
     return DetectionError(
-        f"No sheet of the pattern {pattern.name!r} was found in the picture; see that it lies"
-        " flat, uncovered, in focus, and large enough."
+        f"No sheet of the pattern {pattern.name!r} was found in the image; check that it is flat,"
+        " uncovered, in focus, and large enough."
     )
 
 
 def circle_candidates(image: Shaped[np.ndarray, "..."], *, tuning: CalibTuning = TUNING) -> Blobs:
-    """Dark regions of a picture that could be circles, whatever the pattern.
+    """Dark regions of an image that could be circles of any pattern.
 
-    image : as of `detect_pattern`, which searches at other scales too where these are no sheet.
+    Parameters
+    ----------
+    image : as for `detect_pattern`, which also searches at other scales.
+    tuning : tuned constants of calibration.
     """
     return next(_find_blobs_by_scale(search_image(image), tuning))
 
 
-def _find_blobs_by_scale(picture: SearchImage, tuning: CalibTuning) -> Iterator[Blobs]:
-    # Circles are measured in the whole picture, whatever its size.
-    factor = max(1, round(max(picture.size_px) / tuning.detection.search_side_px))
-    grey, noise = shrink_image(picture, factor)
-    *scales, of_doubled = (BlobScale(*each) for each in tuning.detection.blob_scales)
+def _find_blobs_by_scale(image: SearchImage, tuning: CalibTuning) -> Iterator[Blobs]:
+    # Only the search uses a reduced image: circles are measured in the full image.
+    factor = max(1, round(max(image.size_px) / tuning.detection.search_side_px))
+    grey, noise = shrink_image(image, factor)
+    *scales, enlarged_scale = (BlobScale(*scale) for scale in tuning.detection.blob_scales)
     for scale in scales:
         yield find_blobs(grey, noise, scale, tuning).rescale(factor)
-    doubled = cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    yield find_blobs(doubled, noise, of_doubled, tuning).rescale(0.5 * factor)
+    enlarged = cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    yield find_blobs(enlarged, noise, enlarged_scale, tuning).rescale(0.5 * factor)
 
 
 def _find_sheets(
-    picture: SearchImage,
+    image: SearchImage,
     blobs: Blobs,
     symmetry: PatternSymmetry,
-    refusals: list[tuple[int, DetectionError]],
+    failures: list[tuple[int, DetectionError]],
     tuning: CalibTuning,
 ) -> list[Sheet]:
-    """All sheets among the blobs; what was refused is added to `refusals`."""
+    """All sheets among the blobs; appends (number of blobs, error) of failures to `failures`."""
     pattern, sheets = symmetry.pattern, list[Sheet]()
     for lattice in find_lattices(blobs, symmetry, tuning):
         try:
-            sheet = _read_sheet(picture, blobs, lattice, symmetry, tuning)
+            sheet = _read_sheet(image, blobs, lattice, symmetry, tuning)
         except MirroredError:
             raise
-        except DetectionError as refusal:
-            refusals.append((len(lattice), refusal))
+        except DetectionError as failure:
+            failures.append((len(lattice), failure))
             continue
-        same = [known for known in sheets if _shows_same_sheet(known, sheet, pattern)]
-        apart = [known for known in sheets if not _shows_same_sheet(known, sheet, pattern)]
-        sheets = [*apart, max([*same, sheet], key=lambda each: len(each.index[0]))]
+        same = [other for other in sheets if _shows_same_sheet(other, sheet, pattern)]
+        different = [other for other in sheets if not _shows_same_sheet(other, sheet, pattern)]
+        sheets = [*different, max([*same, sheet], key=lambda candidate: len(candidate.index[0]))]
     return sheets
 
 
@@ -122,25 +126,25 @@ def _read_sheet(
     symmetry: PatternSymmetry,
     tuning: CalibTuning,
 ) -> Sheet:
-    """Label a lattice and measure all circles of the pattern that the picture shows.
+    """Label a lattice and measure all visible circles of the pattern.
 
     Raises
     ------
-    DetectionError : see `label_circles`; or too few circles of the lattice are circles when looked
-        at closely.
+    DetectionError : the lattice cannot be labelled (see `label_circles`), or too few of its blobs
+        are fitted well by circles.
     """
     pattern, cell = symmetry.pattern, lattice.cell.astype(float)
     centres = blobs.centres_px[lattice.blob]
     unit_radius = np.full(len(lattice), 1.0 / symmetry.pitch_radii)
     mapping = fit_plane_mapping(cell, centres, tuning=tuning)
     _, shape = mapping.ellipses(cell, unit_radius)
-    found_area = np.sqrt(np.linalg.det(blobs.shape_px2[lattice.blob]))
-    swelling = quick_median(found_area / np.sqrt(np.linalg.det(shape)))
+    blob_area = np.sqrt(np.linalg.det(blobs.shape_px2[lattice.blob]))
+    swelling = quick_median(blob_area / np.sqrt(np.linalg.det(shape)))
     coarse = fit_coarsely(image, centres, shape * swelling, symmetry.hole_ratio, tuning)
     good = are_plausible(coarse, centres, shape, image.noise_sigma)
     fewest = tuning.detection.fewest_places
     if np.sum(good) < fewest:
-        raise _nothing_found(pattern)
+        raise _no_sheet_error(pattern)
     coarse, cell = coarse.take(good), lattice.cell[good]
     index = label_circles(cell, _ring_evidence(coarse, symmetry, tuning), symmetry, tuning)
     on_pattern = index >= 0
@@ -151,11 +155,11 @@ def _read_sheet(
         count = f"Only {len(index)}" if len(index) else "None of the"
         raise DetectionError(
             f"{count} circles of the pattern {pattern.name!r} can be measured; show at least"
-            f" {fewest} of them whole, at rest and in focus."
+            f" {fewest} complete circles, without motion and in focus."
         )
     labellings = symmetry.symmetries[:, index]
-    right = [rightward_share(ellipses.centres_px, pattern.centres_mm[each]) for each in labellings]
-    labellings = labellings[np.argsort(-np.array(right), kind="stable")]
+    rightward = [rightward_share(ellipses.centres_px, pattern.centres_mm[k]) for k in labellings]
+    labellings = labellings[np.argsort(-np.array(rightward), kind="stable")]
     first = labellings[0]
     if not np.array_equal(first, index):
         centres_mm, radius_mm = pattern.centres_mm[first], pattern.radius_mm[first]
@@ -166,7 +170,7 @@ def _read_sheet(
 def _ring_evidence(
     fitted: Ellipses, symmetry: PatternSymmetry, tuning: CalibTuning
 ) -> Float[np.ndarray, "n"]:
-    """Log odds of ring against disc; nothing where the pattern has no rings."""
+    """Log odds that each circle is a ring and not a disc; 0 for a pattern without rings."""
     if symmetry.hole_ratio == 0.0:
         return np.zeros(len(fitted.hole))
     hole = np.clip(fitted.hole, -0.3, 1.3)
@@ -174,23 +178,29 @@ def _ring_evidence(
 
 
 def _shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:
-    """Whether two lattices in a picture are of one sheet, split by a shadow or a hand, say."""
+    """True if two lattices of an image are parts of one sheet, for example split by a shadow."""
     if len(second.index[0]) > len(first.index[0]):
-        # A few circles do not tell where all the others lie, so the larger reading predicts.
+        # The larger part predicts the smaller one: few circles extrapolate poorly.
         first, second = second, first
     index = second.index[0]
     centre, shape = first.mapping.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
-    off = second.ellipses.centres_px - centre
-    miss2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(shape), off)
-    return bool(np.nanmedian(miss2) < 1.0)
+    deviation = second.ellipses.centres_px - centre
+    squared_radii = np.einsum("ni,nij,nj->n", deviation, np.linalg.inv(shape), deviation)
+    return bool(np.nanmedian(squared_radii) < 1.0)
 
 
 def _as_detection(
-    picture: SearchImage, sheet: Sheet, pattern: Pattern, tuning: CalibTuning
+    image: SearchImage, sheet: Sheet, pattern: Pattern, tuning: CalibTuning
 ) -> Detection:
-    circles, size_px = sheet.ellipses, picture.size_px
+    circles, size_px = sheet.ellipses, image.size_px
     lines = fit_cross_lines(
-        picture, pattern, sheet.mapping, float(quick_median(circles.blur_px)), tuning
+        image, pattern, sheet.mapping, float(quick_median(circles.blur_px)), tuning
     )
-    found = circles.centres_px, circles.covariance_px2, size_px, circles.shape_px2
-    return build_detection(sheet.index, *found, lines)
+    return build_detection(
+        sheet.index,
+        circles.centres_px,
+        circles.covariance_px2,
+        size_px,
+        circles.shape_px2,
+        lines,
+    )

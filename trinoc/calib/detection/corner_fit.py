@@ -1,13 +1,14 @@
-"""Corners between four squares, fitted to the grey levels around them.
+"""Subpixel fit of chessboard corners to the grey levels around them.
 
-Two edges cross at a corner. Without a response and in even light, blur makes of dark and light, -1
-and 1, at x the mean of the product of both sides' signs, with normal errors along either normal:
+Two edges with unit normals n1 and n2 cross at the corner c. Gaussian blur of the ink (-1 dark, 1
+light) gives the profile
 
-    P = E[sign(z1 + e1) sign(z2 + e2)],    z = n.(x - c) / blur,    E[e1 e2] = n1.n2,
+    P(x) = E[sign(z1 + e1) sign(z2 + e2)],    z = n.(x - c) / blur,    E[e1 e2] = n1.n2,
 
-and the picture is (m + d P + q P^2)(1 + g.x): q is a response's bend, g the slope of the light.
-All but that slope is symmetric about the corner, so that what the model has not of blur and
-response (sharpening, saturation) does not move it.
+with standard normal e1 and e2. The model of the image is (m + d P + q P^2)(1 + g.x): mean level m,
+contrast d, curvature q of the camera's response, slope g of the light. All terms except g are
+symmetric about the corner. Errors of the model of blur and response (sharpening, saturation) are
+symmetric as well and do not move the corner.
 """
 
 from typing import NamedTuple
@@ -22,31 +23,35 @@ from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton
 
 # numerical: parameters of a corner, in the order of the Jacobian's columns.
-_PLACE, _ANGLES, _LOG_BLUR, _MEAN, _CONTRAST, _BEND, _SLOPE = (
+_CORNER, _ANGLES, _LOG_BLUR, _MEAN, _CONTRAST, _BEND, _SLOPE = (
     slice(0, 2), slice(2, 4), 4, 5, 6, 7, slice(8, 10)
 )  # fmt: skip
-_PARAMETERS, _ODD = 10, (0, 1, 8, 9)  # numerical: as above; those that change sign in the corner
-# numerical: steps, of which the last changes nothing; where blur starts and how far it is free, in
-# its logarithm; the longest steps.
+# numerical: number of parameters, and those whose derivative is odd about the corner.
+_PARAMETERS, _ODD = 10, (0, 1, 8, 9)
+# numerical: number of steps, after which the fit has converged; initial value and prior standard
+# deviation of the logarithm of the blur in px; largest step of each parameter.
 _STEPS, _START, _WIDTH = 5, -0.3, 1.0
 _LARGEST_STEP = np.array([1.0, 1.0, 0.2, 0.2, 0.4, *[np.inf] * 5])  # numerical: as above
 _DENSITY = np.float32(1.0 / np.sqrt(2.0 * np.pi))  # numerical: of the normal distribution at 0
 
 
 class FittedCorners(NamedTuple):
-    """Places (n, 2) in px, and their covariances (n, 2, 2)."""
+    """Corner positions (n, 2) in px, and their covariances (n, 2, 2)."""
 
-    places_px: Float[np.ndarray, "n 2"]
+    corners_px: Float[np.ndarray, "n 2"]
     covariance_px2: Float[np.ndarray, "n 2 2"]
 
 
 class _Windows(NamedTuple):
-    """Square windows about the pixels nearest to the corners, row by row.
+    """Square windows around the pixels nearest to the corners; k pixels each, row by row.
 
     Fields
     ------
-    side : in pixels. origin_px : (n, 2) the middle pixels. x, y : (k,) from these.
-    grey : (n, k). used : (n, k) what is in the picture, and in reach of the corner.
+    side : side of a window in pixels.
+    origin_px : (n, 2) centre pixel of each window.
+    x, y : (k,) column and row of each pixel relative to the centre pixel.
+    grey : (n, k) grey levels.
+    used : (n, k) mask of the pixels inside the image and within the radius of the corner.
     """
 
     side: int
@@ -58,7 +63,7 @@ class _Windows(NamedTuple):
 
     @property
     def pixels(self) -> WindowPixels:
-        """Where they lie."""
+        """Pixel positions from the first pixel of each window, for `sandwich_covariance`."""
         row, column = np.indices((self.side, self.side)).reshape(2, 1, -1)
         shape = self.used.shape
         return WindowPixels(
@@ -72,14 +77,24 @@ def fit_corners(
     radius_px: Float[np.ndarray, "n"],
     tuning: CalibTuning,
 ) -> FittedCorners:
-    """Each corner by the grey levels within a radius of it.
+    """Fit each corner to the grey levels within a radius around it.
 
-    Where the picture shows no corner, the start is kept, to within the radius.
+    Parameters
+    ----------
+    image : grey image with its noise.
+    start_px : (n, 2) approximate positions.
+    radius_px : (n,) radius of the region around each corner.
+    tuning : tuned constants of calibration.
+
+    Returns
+    -------
+    Positions and covariances. If a fit fails, the result is the start position with a standard
+    deviation of `radius_px`.
     """
     windows = _cut_windows(image, start_px, radius_px)
     noise = max(image.noise_sigma, 1e-3 * float(np.ptp(windows.grey)), 1e-9)
 
-    # Of the pixels' kind, so that they multiply the derivatives without a conversion.
+    # 32 bit like the pixels, which avoids a conversion of the derivatives.
     weight = windows.used.astype(np.float32)
     residual = jacobian = np.zeros(0, np.float32)
 
@@ -88,11 +103,13 @@ def fit_corners(
         model, by_parameter = _predict(windows, state)
         residual = (model - windows.grey) / noise
         jacobian = np.divide(by_parameter, noise, order="C")
-        known = np.zeros((len(state), _PARAMETERS))
-        known[:, _LOG_BLUR] = state[:, _LOG_BLUR] - _START
-        precision = np.zeros_like(known)
+        prior_deviation = np.zeros((len(state), _PARAMETERS))
+        prior_deviation[:, _LOG_BLUR] = state[:, _LOG_BLUR] - _START
+        precision = np.zeros_like(prior_deviation)
         precision[:, _LOG_BLUR] = 1 / _WIDTH**2
-        return Residuals(residual[..., None], jacobian[:, :, None], weight, known, precision)
+        return Residuals(
+            residual[..., None], jacobian[:, :, None], weight, prior_deviation, precision
+        )
 
     state, equations = gauss_newton(
         residuals,
@@ -101,23 +118,23 @@ def fit_corners(
         steps=_STEPS,
         largest_step=_LARGEST_STEP,
     )
-    places_px = windows.origin_px + state[:, _PLACE]
-    shown = np.linalg.norm(places_px - start_px, axis=1) < 0.5 * radius_px
-    independent = equations.covariance()
-    shown &= np.isfinite(independent).all(axis=(1, 2))
-    independent[~shown] = np.eye(_PARAMETERS)
-    # The last residuals are those of the final state.
+    corners_px = windows.origin_px + state[:, _CORNER]
+    succeeded = np.linalg.norm(corners_px - start_px, axis=1) < 0.5 * radius_px
+    white_covariance = equations.covariance()
+    succeeded &= np.isfinite(white_covariance).all(axis=(1, 2))
+    white_covariance[~succeeded] = np.eye(_PARAMETERS)
+    # `residual` and `jacobian` belong to the final state.
     covariance_px2 = sandwich_covariance(
         windows.pixels,
-        state[:, _PLACE] + windows.side // 2,
+        state[:, _CORNER] + windows.side // 2,
         residual,
         jacobian,
-        independent,
+        white_covariance,
         _ODD,
         tuning,
     )
-    covariance_px2[~shown] = radius_px[~shown, None, None] ** 2 * np.eye(2)
-    return FittedCorners(np.where(shown[:, None], places_px, start_px), covariance_px2)
+    covariance_px2[~succeeded] = radius_px[~succeeded, None, None] ** 2 * np.eye(2)
+    return FittedCorners(np.where(succeeded[:, None], corners_px, start_px), covariance_px2)
 
 
 def _cut_windows(
@@ -130,24 +147,29 @@ def _cut_windows(
     column, row = (origin.astype(int).T[:, :, None] + np.stack([x, y])[:, None]).astype(int)
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     grey = image.grey[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
-    aside = np.stack([column, row], axis=-1) - centres_px[:, None]
-    used = inside & (np.sum(aside**2, axis=-1) <= radius_px[:, None] ** 2)
-    of_32 = np.float32
+    relative = np.stack([column, row], axis=-1) - centres_px[:, None]
+    used = inside & (np.sum(relative**2, axis=-1) <= radius_px[:, None] ** 2)
+    dtype = np.float32
     return _Windows(
-        2 * half + 1, origin, x.astype(of_32), y.astype(of_32), grey.astype(of_32), used
+        2 * half + 1, origin, x.astype(dtype), y.astype(dtype), grey.astype(dtype), used
     )
 
 
 def _start_corners(
     windows: _Windows, start_px: Float[np.ndarray, "n 2"], radius_px: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n p"]:
-    """By a saddle of second degree: its level directions are the edges."""
+    """Initial parameters of each corner from a quadratic saddle fitted to the grey levels.
+
+    The edges lie along the directions of zero curvature of the saddle.
+    """
     state = np.zeros((len(start_px), _PARAMETERS))
-    state[:, _PLACE], state[:, _LOG_BLUR] = start_px - windows.origin_px, _START
-    u, v = (at - _column(of) for at, of in zip((windows.x, windows.y), state[:, _PLACE].T))
-    near = windows.used * np.exp(-2.0 * (u * u + v * v) / _column(radius_px) ** 2)
+    state[:, _CORNER], state[:, _LOG_BLUR] = start_px - windows.origin_px, _START
+    u, v = (
+        axis - _column(corner) for axis, corner in zip((windows.x, windows.y), state[:, _CORNER].T)
+    )
+    weight = windows.used * np.exp(-2.0 * (u * u + v * v) / _column(radius_px) ** 2)
     terms = np.stack([np.ones_like(u), u, v, 0.5 * u * u, u * v, 0.5 * v * v], axis=-1)
-    weighted = (near[..., None] * terms).mT
+    weighted = (weight[..., None] * terms).mT
     saddle = np.linalg.solve(
         (weighted @ terms).astype(float) + 1e-6 * np.eye(6),
         (weighted @ windows.grey[..., None]).astype(float),
@@ -156,14 +178,14 @@ def _start_corners(
     values, vectors = np.linalg.eigh(curvature)
     root = np.sqrt(np.maximum(values * [-1, 1], 1e-9 * np.abs(values).max(axis=1, keepdims=True)))
     for k, sign in enumerate((1, -1)):
-        # Along e the saddle is level; its normal is (-e_v, e_u).
+        # The saddle is level along e; the normal of e is (-e_v, e_u).
         e = root[:, 1, None] * vectors[:, :, 0] + sign * root[:, 0, None] * vectors[:, :, 1]
         state[:, 2 + k] = np.arctan2(e[:, 0], -e[:, 1])
     state[:, _CONTRAST] = 1.0
     product = _predict(windows, state)[0] * windows.used
     count = windows.used.sum(axis=1)
     state[:, _MEAN] = (windows.grey * windows.used).sum(axis=1) / count
-    # A line through grey levels over products.
+    # Regression of the grey levels on the profile.
     spread = product - windows.used * _column(product.sum(axis=1) / count)
     state[:, _CONTRAST] = (spread * windows.grey).sum(axis=1) / np.maximum(
         (spread**2).sum(axis=1), 1e-9
@@ -174,16 +196,18 @@ def _start_corners(
 def _predict(
     windows: _Windows, state: Float[np.ndarray, "n p"]
 ) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k p"]]:
-    """The grey levels, and their derivatives, in 32 bit.
+    """Predicted grey levels, and their derivatives by the parameters, in 32 bit.
 
-    The derivatives by one parameter are contiguous in memory, for time.
+    The derivatives by one parameter are contiguous in memory, for speed.
     """
-    u, v = (at - _column(of) for at, of in zip((windows.x, windows.y), state[:, _PLACE].T))
+    u, v = (
+        axis - _column(corner) for axis, corner in zip((windows.x, windows.y), state[:, _CORNER].T)
+    )
     inverse_blur = _column(np.exp(-state[:, _LOG_BLUR]))
     cosine, sine = (f(state[:, _ANGLES]).astype(np.float32).T[..., None] for f in (np.cos, np.sin))
-    z = _turn(cosine, u, sine, v)
+    z = _rotate(cosine, u, sine, v)
     z *= inverse_blur
-    along = _turn(cosine, v, -sine, u)
+    along = _rotate(cosine, v, -sine, u)
     along *= inverse_blur
     side = normal_cdf(z)
     side *= 2
@@ -192,7 +216,7 @@ def _predict(
     density *= z
     np.exp(density, out=density)
     density *= 2 * _DENSITY
-    # Of the correlation of both errors, the terms of first and second degree.
+    # Terms of first and second degree in the correlation n1.n2 of both errors.
     shared = cosine[0] * cosine[1] + sine[0] * sine[1]
     both = shared * density[0]
     both *= density[1]
@@ -220,8 +244,8 @@ def _predict(
     by_product *= light
     by_z *= by_product
     jacobian = np.empty((len(state), _PARAMETERS, u.shape[1]), np.float32)
-    np.multiply(_turn(cosine[0], by_z[0], cosine[1], by_z[1]), -inverse_blur, out=jacobian[:, 0])
-    np.multiply(_turn(sine[0], by_z[0], sine[1], by_z[1]), -inverse_blur, out=jacobian[:, 1])
+    np.multiply(_rotate(cosine[0], by_z[0], cosine[1], by_z[1]), -inverse_blur, out=jacobian[:, 0])
+    np.multiply(_rotate(sine[0], by_z[0], sine[1], by_z[1]), -inverse_blur, out=jacobian[:, 1])
     np.multiply(by_z, along, out=np.moveaxis(jacobian[:, _ANGLES], 1, 0))
     by_z *= z
     np.negative(by_z[0] + by_z[1], out=jacobian[:, _LOG_BLUR])
@@ -235,13 +259,13 @@ def _predict(
     return level, jacobian.mT
 
 
-def _turn(
+def _rotate(
     cosine: Float[np.ndarray, "*a 1"],
     u: Float[np.ndarray, "n k"],
     sine: Float[np.ndarray, "*a 1"],
     v: Float[np.ndarray, "n k"],
 ) -> Float[np.ndarray, "*a k"]:
-    """cosine u + sine v."""
+    """Return cosine u + sine v."""
     total = cosine * u
     total += sine * v
     return total

@@ -1,5 +1,4 @@
-"""Corners of boards: grey levels as OpenCV's detectors take them, and the places and covariances
-of corners between four squares."""
+"""Steps shared by the detectors of chessboards and markers: 8-bit levels, refined corners."""
 
 import cv2
 import numpy as np
@@ -18,41 +17,51 @@ def refine_corners(
     room_px: Float[np.ndarray, "n"],
     tuning: CalibTuning,
 ) -> FittedCorners:
-    """Corners as all that is around them shows them, from some px off.
+    """Refine corner positions that are accurate to some px.
 
-    They are fitted from where gradients point past them (W. Forstner and E. Gulch, "A fast operator
-    for detection and precise location of distinct points, corners and centres of circular
-    features", 1987; `cv2.cornerSubPix`), which alone is three times less exact.
+    The first step intersects the gradients' normals (`cv2.cornerSubPix`). The second fits the grey
+    levels (`fit_corners`), which is three times as accurate.
 
-    grey : the picture by `levels_of_8_bit`. room_px : beside each corner to the next thing.
+    Parameters
+    ----------
+    image : grey image with its noise.
+    grey : the same image by `levels_of_8_bit`.
+    start_px : (n, 2) approximate positions.
+    room_px : (n,) distance from each corner to the nearest other feature.
+    tuning : tuned constants of calibration.
+
+    References
+    ----------
+    W. Forstner and E. Gulch, "A fast operator for detection and precise location of distinct
+    points, corners and centres of circular features", 1987.
     """
     share, limits = tuning.detection.refined_share, tuning.detection.refined_half_px
     half_px = np.clip(share * room_px, *limits)
     half = int(np.median(half_px))
-    places = cv2.cornerSubPix(
+    corners_px = cv2.cornerSubPix(
         grey,
         start_px.astype(np.float32).reshape(-1, 1, 2),
         (half, half),
         (-1, -1),
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3),
     )
-    fitted = fit_corners(image, places.reshape(-1, 2).astype(np.float64), half_px + 0.5, tuning)
+    fitted = fit_corners(image, corners_px.reshape(-1, 2).astype(np.float64), half_px + 0.5, tuning)
     floor_px2 = tuning.detection.corner_floor_px**2 * np.eye(2)
     return fitted._replace(covariance_px2=fitted.covariance_px2 + floor_px2)
 
 
 def distances_to_next(corners_px: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m"]:
-    """From each corner to the nearest other one."""
+    """Distance from each corner to the nearest other one."""
     return np.asarray(point_tree(corners_px).query(corners_px, 2)[0])[:, 1]
 
 
 def levels_of_8_bit(grey: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-    """Grey levels between the darkest and the lightest as OpenCV's detectors take them."""
+    """Convert grey levels to 8 bit for OpenCV; other ranges than 0 to 255 are stretched to it."""
     low, high = float(grey.min()), float(grey.max())
     if low >= 0.0 and 127.0 < high <= 255.0:
         low, high = 0.0, 255.0
     levels = grey
     if (low, high) != (0.0, 255.0):
         levels = (grey - low) * (255.0 / max(high - low, 1e-9))
-    # To the nearest level, and to 255 beyond: none is negative.
+    # Rounds to the nearest level and clips at 255; no level is negative.
     return cv2.convertScaleAbs(levels)

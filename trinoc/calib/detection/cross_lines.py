@@ -1,4 +1,8 @@
-"""The two crossed lines: found where the circles say they are, and taken off the circles' edges."""
+"""Last step of the detection of a sheet: the two crossed lines.
+
+The circles predict the position of the lines. This file also removes the blur of a line from the
+edges of neighbouring circles.
+"""
 
 import cv2
 import numpy as np
@@ -16,11 +20,11 @@ from trinoc.calib.detection.search_image import SearchImage
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.tuning.every_group import CalibTuning
 
-# numerical: size of a sample.
+# numerical: number of cross sections per line.
 _STATIONS = 96
-# numerical: of an iteration that converges.
+# numerical: iterations; the fit has converged after these.
 _REWEIGHTINGS = 3
-# numerical: a line's dark is below .2 % of its own so many blurs beside it.
+# numerical: at this distance from a line, in blurs, its darkening is below .2 %.
 _REACH_BLURS = 3.0
 
 
@@ -31,10 +35,22 @@ def fit_cross_lines(
     blur_px: float,
     tuning: CalibTuning,
 ) -> Float[np.ndarray, "2 3"]:
-    """Images of the lines along X and along Y, unit normals; NaN where not seen.
+    """Measure the images of the lines along X and along Y.
 
-    Each line's grey profile is taken across its predicted place at many stations, away from
-    the circles and the other line; the weighted mean of the dark there is the line's middle.
+    Grey profiles are sampled across the predicted line at many stations, away from the circles and
+    the other line. The centroid of the darkness of a profile is a point of the line.
+
+    Parameters
+    ----------
+    image : grey image with its noise.
+    pattern : the sheet.
+    mapping : mapping from the sheet, mm, to the image, px.
+    blur_px : sigma of the image's blur.
+    tuning : tuned constants of calibration.
+
+    Returns
+    -------
+    (2, 3) homogeneous lines with unit normals; NaN for a line that is not visible.
     """
     lines = np.full((2, 3), np.nan)
     if pattern.line_width_mm == 0.0:
@@ -47,18 +63,19 @@ def fit_cross_lines(
 
 
 def _stations_mm(pattern: Pattern, axis: int) -> Float[np.ndarray, "n 2"]:
+    """Points of a line, in the sheet's frame, away from the circles and the other line."""
     half = pattern.line_half_length_mm[axis]
     along = np.linspace(-half, half, _STATIONS + 2)[1:-1]
     stations = np.zeros((_STATIONS, 2))
     stations[:, axis] = along
     margin_mm = pattern.line_gap_mm + pattern.line_width_mm
     reach_mm = pattern.radius_mm + margin_mm
-    # Of the circles only those that the line passes matter.
-    beside = np.abs(pattern.centres_mm[:, 1 - axis]) < reach_mm
+    # Only circles near the line matter.
+    is_near = np.abs(pattern.centres_mm[:, 1 - axis]) < reach_mm
     free = np.abs(along) > 3 * pattern.line_width_mm
-    if np.any(beside):
-        clear = np.linalg.norm(stations[:, None] - pattern.centres_mm[beside], axis=2)
-        free &= np.all(clear > reach_mm[beside], axis=1)
+    if np.any(is_near):
+        distance = np.linalg.norm(stations[:, None] - pattern.centres_mm[is_near], axis=2)
+        free &= np.all(distance > reach_mm[is_near], axis=1)
     return stations[free]
 
 
@@ -73,19 +90,20 @@ def _fit_line(
 ) -> Float[np.ndarray, "3"]:
     side = np.zeros(2)
     side[1 - axis] = 0.5 * pattern.line_width_mm
-    place = mapping.apply(stations_mm)
-    half_width_px = np.linalg.norm(mapping.apply(stations_mm + side) - place, axis=1)
-    along = np.gradient(place, axis=0)
+    stations = mapping.apply(stations_mm)
+    half_width_px = np.linalg.norm(mapping.apply(stations_mm + side) - stations, axis=1)
+    along = np.gradient(stations, axis=0)
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     reach = quick_median(half_width_px) + 2.5 * max(blur_px, 0.5) + 1.0
-    inside = np.all((place > reach + 1) & (place < np.array(image.size_px) - reach - 2), axis=1)
-    place, normal = place[inside], normal[inside]
-    if len(place) < tuning.detection.fewest_stations:
+    inside = (stations > reach + 1) & (stations < np.array(image.size_px) - reach - 2)
+    inside = np.all(inside, axis=1)
+    stations, normal = stations[inside], normal[inside]
+    if len(stations) < tuning.detection.fewest_stations:
         return np.full(3, np.nan)
     steps = np.linspace(-2 * reach, 2 * reach, 2 * int(np.ceil(4 * reach)) + 1)
-    at = (place[:, None] + steps[None, :, None] * normal[:, None]).astype(np.float32)
-    profile = cv2.remap(image.grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+    samples = (stations[:, None] + steps[None, :, None] * normal[:, None]).astype(np.float32)
+    profile = cv2.remap(image.grey, samples[..., 0], samples[..., 1], cv2.INTER_LINEAR)
     core = np.abs(steps) <= reach
     paper = 0.5 * (
         quick_median(profile[:, steps < -reach]) + quick_median(profile[:, steps > reach])
@@ -93,16 +111,16 @@ def _fit_line(
     dark = (paper[:, None] - profile) * core
     mass = dark.sum(axis=1)
     mean_noise = max(image.noise_sigma, 1e-6) * np.sqrt(core.sum())
-    seen = mass > max(4.0 * mean_noise, 0.35 * float(quick_median(mass)))
-    if np.sum(seen) < max(tuning.detection.fewest_stations, 0.3 * len(mass)):
+    is_visible = mass > max(4.0 * mean_noise, 0.35 * float(quick_median(mass)))
+    if np.sum(is_visible) < max(tuning.detection.fewest_stations, 0.3 * len(mass)):
         return np.full(3, np.nan)
-    offset = (dark[seen] @ steps) / mass[seen]
-    points = place[seen] + offset[:, None] * normal[seen]
+    offset = (dark[is_visible] @ steps) / mass[is_visible]
+    points = stations[is_visible] + offset[:, None] * normal[is_visible]
     return _robust_line(points)
 
 
 def _robust_line(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3"]:
-    """Total least squares with Cauchy weights; NaN when the points do not agree on a line."""
+    """Line through points, with unit normal, by total least squares with Cauchy weights."""
     weight = np.ones(len(points))
     line = np.full(3, np.nan)
     for _ in range(_REWEIGHTINGS):
@@ -120,12 +138,12 @@ def _robust_line(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3"]:
 def are_clear_of_lines(
     pattern: Pattern, index: Int[np.ndarray, "n"], tuning: CalibTuning
 ) -> Bool[np.ndarray, "n"]:
-    """Whether no line darkens the paper beside each circle, where its grey is read."""
+    """Mask of the circles whose surrounding paper, from which its grey is read, meets no line."""
     centre_mm = np.abs(pattern.centres_mm[index])
     reach_mm = tuning.detection.outer_radii * pattern.radius_mm[index, None]
-    beside = centre_mm[:, ::-1] < reach_mm + 0.5 * pattern.line_width_mm
-    along = centre_mm < reach_mm + np.array(pattern.line_half_length_mm)
-    return ~np.any(beside & along, axis=1) | (pattern.line_width_mm == 0.0)
+    is_near = centre_mm[:, ::-1] < reach_mm + 0.5 * pattern.line_width_mm
+    is_within_ends = centre_mm < reach_mm + np.array(pattern.line_half_length_mm)
+    return ~np.any(is_near & is_within_ends, axis=1) | (pattern.line_width_mm == 0.0)
 
 
 def subtract_line_blur(
@@ -136,16 +154,24 @@ def subtract_line_blur(
     mapping: PlaneMapping,
     outer: Float[np.ndarray, "n"],
 ) -> EllipsePixels:
-    """`pixels` without the dark that the blur of a line throws on the edge of a circle beside it.
+    """Remove the darkening by the blur of a neighbouring line from the pixels of circles.
 
-    outer : how many radii of each ellipse the pixels reach out. Lines that meet a circle are
-        left to the fit, which takes their pixels for outliers.
+    Lines that meet a circle are not removed: the fit excludes their pixels as outliers.
+
+    Parameters
+    ----------
+    pixels : pixels around the circles.
+    fitted : (n,) current ellipses of the circles.
+    index : (n,) pattern index of each circle.
+    pattern : the sheet.
+    mapping : mapping from the sheet, mm, to the image, px.
+    outer : (n,) outer limit of the pixels, in radii of each ellipse.
     """
     if pattern.line_width_mm == 0.0:
         return pixels
     grey = pixels.grey
     centre_mm = pattern.centres_mm[index]
-    met_mm = pattern.radius_mm[index] + pattern.line_gap_mm + pattern.line_width_mm
+    contact_mm = pattern.radius_mm[index] + pattern.line_gap_mm + pattern.line_width_mm
     inverse_blur = column_32(1.0 / fitted.blur_px)
     for axis in (0, 1):
         foot_mm = np.zeros_like(centre_mm)
@@ -157,11 +183,11 @@ def subtract_line_blur(
         normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
         normal /= np.maximum(np.sqrt(np.sum(normal**2, axis=1, keepdims=True)), 1e-12)
         half_width = np.abs(np.sum((mapping.apply(foot_mm + across_mm) - foot) * normal, axis=1))
-        apart = np.abs(np.sum((fitted.centres_px - foot) * normal, axis=1))
+        distance_px = np.abs(np.sum((fitted.centres_px - foot) * normal, axis=1))
         extent = outer * np.sqrt(np.einsum("ni,nij,nj->n", normal, fitted.shape_px2, normal))
         shaded = (
-            (apart - extent < half_width + _REACH_BLURS * fitted.blur_px)
-            & (np.abs(centre_mm[:, 1 - axis]) > met_mm)
+            (distance_px - extent < half_width + _REACH_BLURS * fitted.blur_px)
+            & (np.abs(centre_mm[:, 1 - axis]) > contact_mm)
             & (np.abs(centre_mm[:, axis]) < pattern.line_half_length_mm[axis])
         )
         if not np.any(shaded):
@@ -169,8 +195,8 @@ def subtract_line_blur(
         local = foot - pixels.origin_px
         distance = column_32(normal[:, 0]) * (pixels.x - column_32(local[:, 0]))
         distance += column_32(normal[:, 1]) * (pixels.y - column_32(local[:, 1]))
-        wide = column_32(half_width)
-        coverage = normal_cdf((distance + wide) * inverse_blur)
-        coverage -= normal_cdf((distance - wide) * inverse_blur)
+        half_width_32 = column_32(half_width)
+        coverage = normal_cdf((distance + half_width_32) * inverse_blur)
+        coverage -= normal_cdf((distance - half_width_32) * inverse_blur)
         grey = grey + column_32(np.where(shaded, fitted.paper * fitted.ink, 0.0)) * coverage
     return pixels._replace(grey=grey)

@@ -1,4 +1,4 @@
-"""What was found of a board in one picture."""
+"""`Detection`: the labelled points of a board in one image, which every detector returns."""
 
 from collections.abc import Mapping
 from typing import Annotated, ClassVar
@@ -18,34 +18,35 @@ from trinoc.numerics.tables import (
     Table,
 )
 
-_PLACE = ("u_px", "v_px")
+_POSITION = ("u_px", "v_px")
 
 
 class Detection(Table):
-    """Labelled places of a board in one picture, in pixels of the picture.
+    """Labelled points (circles or corners) of a board detected in one image.
 
     Fields
     ------
-    circle_index : (m,) index into the board's places of each circle or corner found.
-    centres_px : (m, 2) the corner, or the centre of the ellipse fitted to the circle's outer edge.
-    covariance_px2 : (m, 2, 2) of the centres.
-    shape_px2 : (m, 2, 2) S of the ellipse (x - c)^T S^-1 (x - c) = 1; NaN of corners.
-    lines_px : (2, 3) the images of the sheet's lines along X and along Y, unit normal; NaN where
-        not seen.
-    image_size_px : (width, height) of the picture.
-    ambiguity : (k, m) the other labellings, in the order of `circle_index`, that the board's
-        own symmetry leaves open (a plain grid of discs looks the same turned); None when
-        `circle_index` is the only one.
-    remarks : sentences without a full stop on places that were found and left out.
+    circle_index : (m,) index of each detected circle or corner among the board's points.
+    centres_px : (m, 2) position of the corner, or centre of the ellipse fitted to the outer edge of
+        the circle.
+    covariance_px2 : (m, 2, 2) covariance of `centres_px`.
+    shape_px2 : (m, 2, 2) shape matrix S of the ellipse (x - c)^T S^-1 (x - c) = 1; NaN for corners.
+    lines_px : (2, 3) homogeneous images of the sheet's lines along X and Y, with unit normals; NaN
+        if not visible.
+    image_size_px : (width, height) of the image.
+    ambiguity : (k, m) other labellings that the symmetry of the board allows, in the order of
+        `circle_index`. For example, a plain grid of discs looks the same after a half turn. None if
+        `circle_index` is unique.
+    remarks : sentences without a full stop about detected points that were excluded.
     """
 
     KIND: ClassVar[str] = "detection"
     IN_WORDS: ClassVar[str] = "a detection"
-    SIDES: ClassVar[Mapping[str, str]] = {"m": "places", "k": "labellings"}
+    SIDES: ClassVar[Mapping[str, str]] = {"m": "points", "k": "labellings"}
 
     circle_index: Annotated[Int[np.ndarray, "m"], Column(NOT_NEGATIVE)]
-    centres_px: Annotated[Float[np.ndarray, "m 2"], Column(IN_PICTURE, parts=_PLACE)]
-    covariance_px2: Annotated[Float[np.ndarray, "m 2 2"], Column(COVARIANCE, parts=_PLACE)]
+    centres_px: Annotated[Float[np.ndarray, "m 2"], Column(IN_PICTURE, parts=_POSITION)]
+    covariance_px2: Annotated[Float[np.ndarray, "m 2 2"], Column(COVARIANCE, parts=_POSITION)]
     shape_px2: Float[np.ndarray, "m 2 2"]
     lines_px: Float[np.ndarray, "2 3"]
     image_size_px: Annotated[tuple[int, int], Column(PICTURE_SIZE)] = eqx.field(static=True)
@@ -53,13 +54,13 @@ class Detection(Table):
     remarks: tuple[str, ...] = eqx.field(static=True, default=())
 
     def with_larger_sigmas(self, factor: float) -> "Detection":
-        """The same circles, their centres' standard deviations `factor` times as large."""
+        """Copy with the standard deviations of the positions multiplied by `factor`."""
         covariance_px2 = factor**2 * self.covariance_px2
         return eqx.tree_at(lambda detection: detection.covariance_px2, self, covariance_px2)
 
     @property
     def labellings(self) -> Int[np.ndarray, "l m"]:
-        """All that are left open, `circle_index` first."""
+        """All possible labellings, `circle_index` first."""
         first = self.circle_index[None]
         return first if self.ambiguity is None else np.concatenate([first, self.ambiguity])
 
@@ -73,7 +74,10 @@ def build_detection(
     lines_px: Float[np.ndarray, "2 3"] | None = None,
     remarks: tuple[str, ...] = (),
 ) -> Detection:
-    """A detection whose first labelling is the one to use; of corners unless shapes are given."""
+    """Make a detection from all possible labellings, of which the first is used.
+
+    Without `shape_px2` the points are corners. For the other arguments see `Detection`.
+    """
     return Detection(
         circle_index=labellings[0],
         centres_px=centres_px,
@@ -89,7 +93,10 @@ def build_detection(
 def rightward_share(
     centres_px: Float[np.ndarray, "m 2"], on_board_mm: Float[np.ndarray, "m 2"]
 ) -> float:
-    """The share of X's direction in the picture that points to the right."""
+    """Cosine of the angle between the board's X axis in the image and the direction to the right.
+
+    on_board_mm : (m, 2) positions of the same points on the board.
+    """
     affine, *_ = np.linalg.lstsq(
         on_board_mm - on_board_mm.mean(axis=0), centres_px - centres_px.mean(axis=0), rcond=None
     )
@@ -97,14 +104,17 @@ def rightward_share(
 
 
 def split_by_board(detection: Detection, target: AbstractTarget) -> dict[int, Detection]:
-    """What was found of each board, by its number; a place keeps its index in the whole set."""
+    """Split a detection of a set of boards into one detection per visible board.
+
+    The keys are indices of the boards. Points keep their indices in the whole set.
+    """
     if not isinstance(target, BoardSet):
         return {0: detection}
     board_of = target.board_of_point[detection.circle_index]
-    return {int(k): _select_places(detection, board_of == k) for k in np.unique(board_of)}
+    return {int(k): _select_points(detection, board_of == k) for k in np.unique(board_of)}
 
 
-def _select_places(detection: Detection, mask: np.ndarray) -> Detection:
+def _select_points(detection: Detection, mask: np.ndarray) -> Detection:
     labellings = detection.labellings[:, mask]
     _, first = np.unique(labellings, axis=0, return_index=True)
     return build_detection(

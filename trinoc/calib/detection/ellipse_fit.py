@@ -1,10 +1,10 @@
-"""Ellipses fitted to the grey levels of the pixels round them.
+"""Fit of ellipses to the grey levels around them.
 
-A circle's picture is light times (1 - ink x coverage), and the coverage across its edge is the
-normal distribution function of the distance to the ellipse over the blur. Fitting that to all
-pixels near the edge takes everything they say about the centre: no threshold, no sampled
-profile. The model is symmetric about the centre, so what it leaves out (the edge's curvature,
-the lens's true spread) does not move the centre.
+The model of a circle's image is light (1 - ink coverage). Across the edge, the coverage is
+Phi(d / blur), with d the distance to the ellipse and Phi the normal distribution function. The fit
+uses all pixels near the edge, without a threshold or sampled profiles. The model is symmetric
+about the centre. Its simplifications (curvature of the edge, shape of the lens's blur) are
+symmetric as well and do not move the centre.
 """
 
 from typing import NamedTuple
@@ -26,29 +26,31 @@ from trinoc.calib.tuning.every_group import CalibTuning
 # numerical: parameters of one circle, in the order of the Jacobian's columns.
 _CENTRE, _SHAPE, _BLUR, _PAPER, _INK = slice(0, 2), slice(2, 5), 5, 6, 7
 _ALWAYS = 8  # numerical: as above
-# numerical: the hole follows if it is free, the light's slope comes last if it is.
+# numerical: next the hole if it is estimated; last the slope of the light if it is estimated.
 _HOLE, _SLOPE = 8, slice(-2, None)
-# numerical: limits of a step. A pixel alone blurs by .29.
+# numerical: limits of the blur. Integration over a pixel alone has sigma .29.
 _SMALLEST_BLUR_PX, _LARGEST_BLUR_PX = 0.25, 12.0
-# numerical: a pixel is the mean over a square of side 1, which blurs by itself.
+# numerical: variance of the blur by integration over a square pixel, px^2.
 _PIXEL_VARIANCE = 1.0 / 12.0
 _DENSITY = np.float32(1.0 / np.sqrt(2.0 * np.pi))  # numerical: of the normal distribution at 0
 
 
 class Ellipses(NamedTuple):
-    """State and outcome of the fit.
+    """Fitted ellipses: parameters and quality of the fit.
 
-    centres_px : (n, 2).
-    shape_px2 : (n, 2, 2) S of (x - c)^T S^-1 (x - c) = 1.
-    blur_px : (n,) sigma of the edge.
-    paper : (n,) grey of the paper at the centre.
-    ink : (n,) share of the light that ink takes away.
-    hole : (n,) 1 for a ring, 0 for a disc, as fitted.
-    hole_sigma : (n,).
+    Fields
+    ------
+    centres_px : (n, 2) centres.
+    shape_px2 : (n, 2, 2) shape matrices S of (x - c)^T S^-1 (x - c) = 1.
+    blur_px : (n,) sigma of the edge's blur.
+    paper : (n,) grey level of the paper, extrapolated to the centre.
+    ink : (n,) share of the light that the ink absorbs.
+    hole : (n,) estimated visibility of the hole: 1 for a ring, 0 for a disc.
+    hole_sigma : (n,) standard deviation of `hole`.
     slope : (n, 2) relative change of the light per pixel along x and y.
-    covariance_px2 : (n, 2, 2) of the centres.
-    residual_sigma : (n,) rms residual of the pixels kept.
-    kept : (n,) share of the pixels that the model explains.
+    covariance_px2 : (n, 2, 2) covariance of the centres.
+    residual_sigma : (n,) rms residual of the inlier pixels, grey levels.
+    inlier_share : (n,) share of the pixels that are inliers.
     """
 
     centres_px: Float[np.ndarray, "n 2"]
@@ -61,18 +63,18 @@ class Ellipses(NamedTuple):
     slope: Float[np.ndarray, "n 2"]
     covariance_px2: Float[np.ndarray, "n 2 2"]
     residual_sigma: Float[np.ndarray, "n"]
-    kept: Float[np.ndarray, "n"]
+    inlier_share: Float[np.ndarray, "n"]
 
     def take(self, index: np.ndarray) -> "Ellipses":
-        """The ellipses of an index or a mask."""
+        """Select ellipses by an index or a mask."""
         return Ellipses(*(field[index] for field in self))
 
     def concatenate(self, other: "Ellipses") -> "Ellipses":
-        """These ellipses, then the others."""
+        """Join two sets of ellipses, these first."""
         return Ellipses(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
     def rescale(self, factor: int) -> "Ellipses":
-        """Ellipses of a picture reduced by `factor`, in pixels of the picture itself."""
+        """Convert ellipses of an image reduced by `factor` to pixels of the full image."""
         blur2 = factor**2 * np.maximum(self.blur_px**2 - _PIXEL_VARIANCE, 0.0) + _PIXEL_VARIANCE
         return self._replace(
             centres_px=self.centres_px * factor + 0.5 * (factor - 1),
@@ -89,12 +91,12 @@ def start_ellipses(
     shape_px2: Float[np.ndarray, "n 2 2"],
     *,
     hole_ratio: float,
-    taken_share: float,
+    sampled_share: float,
 ) -> Ellipses:
-    """Grey levels, blur and holes read off the pixels of given ellipses.
+    """Initial grey levels, blur and holes for ellipses with approximate centres and shapes.
 
-    hole_ratio : inner over outer radius of rings; 0 for a sheet without any.
-    taken_share : the share of the pixels round the ellipses that `pixels` holds.
+    hole_ratio : inner over outer radius of rings; 0 for a sheet without rings.
+    sampled_share : share of the pixels around the ellipses that `pixels` contains.
     """
     count = len(centres_px)
     y1, y2 = _to_circle_frame(pixels, centres_px, inverse_square_root(shape_px2))
@@ -103,17 +105,17 @@ def start_ellipses(
     dark = _masked_mean(pixels.grey, pixels.used & (radius > 0.62) & (radius < 0.82))
     contrast = np.where(np.abs(paper - dark) > 1e-6, paper - dark, 1e-6)
     coverage = (paper[:, None] - pixels.grey) / contrast[:, None]
-    # Between 16 and 84 % the edge is two blurs wide.
+    # The edge is two blurs wide between coverages of 16 and 84 %.
     on_edge = pixels.used & (np.abs(coverage - 0.5) < 0.34) & (radius > 0.78) & (radius < 1.3)
-    # The area of a unit-wide seam along the edge is its length; only a share is looked at.
+    # The number of pixels on the edge is its length times its width times the sampled share.
     trace = shape_px2[:, 0, 0] + shape_px2[:, 1, 1]
     length = np.pi * np.sqrt(0.5 * trace + np.sqrt(np.linalg.det(shape_px2)))
-    blur = float(quick_median(on_edge.sum(axis=1) / (2 * length * taken_share)))
+    blur = float(quick_median(on_edge.sum(axis=1) / (2 * length * sampled_share)))
     zero = np.zeros(count)
     hole = zero
     if hole_ratio > 0:
-        amid = pixels.used & (radius < 0.8 * hole_ratio)
-        hole = np.clip(1.0 - _masked_mean(coverage, amid), 0.0, 1.0) * np.any(amid, axis=1)
+        in_hole = pixels.used & (radius < 0.8 * hole_ratio)
+        hole = np.clip(1.0 - _masked_mean(coverage, in_hole), 0.0, 1.0) * np.any(in_hole, axis=1)
     return Ellipses(
         centres_px=centres_px,
         shape_px2=shape_px2,
@@ -125,7 +127,7 @@ def start_ellipses(
         slope=np.zeros((count, 2)),
         covariance_px2=np.zeros((count, 2, 2)),
         residual_sigma=zero,
-        kept=zero,
+        inlier_share=zero,
     )
 
 
@@ -139,13 +141,23 @@ def refine_ellipses(
     outlier_shares: tuple[float, ...],
     tuning: CalibTuning,
 ) -> Ellipses:
-    """Gauss-Newton steps, one for each of `outlier_shares`, then the covariance.
+    """Refine ellipses by Gauss-Newton steps, one per entry of `outlier_shares`.
 
-    hole_ratio : inner over outer radius of rings; 0 leaves holes out.
-    slope_sigma : (n,) how far the slope of the light may be from that of `start`, whose holes are
-        kept; None fits the holes and keeps the slope.
-    outlier_shares : pixels whose residual exceeds this share of the contrast, 4.5 sigma of the
-        noise, and what is usual in the picture, are left out of the step.
+    Parameters
+    ----------
+    pixels : pixels around the ellipses.
+    start : (n,) initial ellipses.
+    hole_ratio : inner over outer radius of rings; 0 excludes holes from the model.
+    slope_sigma : (n,) prior standard deviation of the slope of the light about that of `start`;
+        holes are then fixed. With None, holes are estimated and the slope is fixed.
+    noise_sigma : standard deviation of the image noise, grey levels.
+    outlier_shares : limit of the residuals in each step, as a share of the contrast. The limit also
+        grows with the noise (4.5 sigma) and with the typical misfit of the image.
+    tuning : tuned constants of calibration.
+
+    Returns
+    -------
+    Ellipses with covariances for independent noise.
     """
     free_slope = slope_sigma is not None
     free_hole = hole_ratio > 0 and not free_slope
@@ -153,19 +165,19 @@ def refine_ellipses(
     for share in outlier_shares:
         frame = inverse_square_root(state.shape_px2)
         jacobian, residual = _linearise(pixels, state, frame, hole_ratio, free_hole, free_slope)
-        kept = _keep_pixels(pixels, residual, state, share, noise_sigma, tuning)
-        weighted = jacobian * kept[:, None, :]
+        inliers = _select_inliers(pixels, residual, state, share, noise_sigma, tuning)
+        weighted = jacobian * inliers[:, None, :]
         normal = (weighted @ np.swapaxes(jacobian, 1, 2)).astype(float)
         right = (weighted @ residual[:, :, None])[:, :, 0].astype(float)
-        variance = _masked_mean(residual**2, kept) + 1e-12
+        variance = _masked_mean(residual**2, inliers) + 1e-12
         _add_priors(normal, right, state, start, variance, slope_sigma, tuning)
         change = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
         change = np.where(np.isfinite(change), change, 0.0)
         state = _step_ellipses(state, frame, change, free_hole, free_slope)
-    # Near the end the model is straight enough to carry the residual to the last step.
+    # Near convergence a linear update of the residual is sufficient for the last step.
     residual = residual - (change.astype(np.float32)[:, None, :] @ jacobian)[:, 0]
-    kept = _keep_pixels(pixels, residual, state, outlier_shares[-1], noise_sigma, tuning)
-    return _with_covariance(state, normal, pixels, residual, kept, noise_sigma, free_hole)
+    inliers = _select_inliers(pixels, residual, state, outlier_shares[-1], noise_sigma, tuning)
+    return _with_covariance(state, normal, pixels, residual, inliers, noise_sigma, free_hole)
 
 
 def _linearise(
@@ -176,16 +188,16 @@ def _linearise(
     free_hole: bool,
     free_slope: bool,
 ) -> tuple[Float[np.ndarray, "n k p"], Float[np.ndarray, "n p"]]:
-    """Jacobian of the model, and observed minus predicted grey, in 32 bit."""
+    """Jacobian of the model, and residuals (observed minus predicted grey level), in 32 bit."""
     y1, y2 = _to_circle_frame(pixels, state.centres_px, frame)
     radius = np.sqrt(y1 * y1 + y2 * y2)
     np.maximum(radius, np.float32(0.05), out=radius)
     w11, w12, w22 = (_column(frame[:, i, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
-    # Gradient of the radius in pixels, and the distance to the ellipse it makes.
+    # Gradient of the relative radius per pixel, and from it the distance to the ellipse.
     inverse_radius = 1.0 / radius
     gx = (w11 * y1 + w12 * y2) * inverse_radius
     gy = (w12 * y1 + w22 * y2) * inverse_radius
-    # At the very centre there is no gradient, and no edge that would need one.
+    # The gradient vanishes at the centre, far from the edge.
     inverse_gradient = 1.0 / np.sqrt(np.maximum(gx * gx + gy * gy, np.float32(1e-6)))
     distance = (radius - 1.0) * inverse_gradient
     inverse_blur = _column(1.0 / state.blur_px)
@@ -214,7 +226,7 @@ def _linearise(
             np.multiply(inked, inner, out=jacobian[:, _HOLE])
         coverage -= _column(state.hole) * inner
     model = light - inked * coverage
-    # Where all is black there is no paper, and the fit comes to nothing.
+    # In a black region the level of the paper is 0, and the fit fails.
     with np.errstate(divide="ignore", invalid="ignore"):
         np.multiply(model, _column(1.0 / state.paper), out=jacobian[:, _PAPER])
     np.multiply(light, -coverage, out=jacobian[:, _INK])
@@ -224,7 +236,7 @@ def _linearise(
     return jacobian, pixels.grey - model
 
 
-def _keep_pixels(
+def _select_inliers(
     pixels: EllipsePixels,
     residual: Float[np.ndarray, "n p"],
     state: Ellipses,
@@ -232,14 +244,14 @@ def _keep_pixels(
     noise_sigma: float,
     tuning: CalibTuning,
 ) -> Bool[np.ndarray, "n p"]:
-    """Pixels whose residual is no larger than noise and the sheet's usual misfit explain."""
+    """Mask of the pixels whose residuals noise and the typical misfit of the image can explain."""
     contrast = np.abs(state.paper * state.ink) + 1e-12
     relative = np.abs(residual) * _column(1.0 / contrast)
-    near = pixels.used & (relative < tuning.detection.largest_misfit)
-    # Sharpening in the camera and the like leave residuals no single circle is to blame for.
-    usual = float(quick_median(np.sqrt(_masked_mean(relative**2, near))))
+    is_moderate = pixels.used & (relative < tuning.detection.largest_misfit)
+    # Sharpening in the camera causes residuals at all circles.
+    typical = float(quick_median(np.sqrt(_masked_mean(relative**2, is_moderate))))
     noise = 4.5 * noise_sigma / contrast
-    return pixels.used & (relative < _column(np.sqrt(noise**2 + max(share, 3.5 * usual) ** 2)))
+    return pixels.used & (relative < _column(np.sqrt(noise**2 + max(share, 3.5 * typical) ** 2)))
 
 
 def _add_priors(
@@ -251,7 +263,10 @@ def _add_priors(
     slope_sigma: Float[np.ndarray, "n"] | None,
     tuning: CalibTuning,
 ) -> None:
-    """Draw each blur to the sheet's and each slope to the start's; keep the equations regular."""
+    """Add priors to the normal equations, in place.
+
+    Priors: each blur equals the median blur, each slope that of `start`, and a small ridge.
+    """
     diagonal = np.einsum("nkk->nk", normal)
     diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
     common = quick_median(state.blur_px)
@@ -271,11 +286,11 @@ def _step_ellipses(
     free_hole: bool,
     free_slope: bool,
 ) -> Ellipses:
-    """The ellipses after a step that is kept from leaving what a circle can be."""
+    """Ellipses after one step, clipped to shapes that the image of a circle can have."""
     limit = 0.5 * smallest_axis(state.shape_px2)[:, None]
     move = np.clip(change[:, _CENTRE], -limit, limit)
-    bend = np.clip(change[:, _SHAPE], -0.4, 0.4)
-    stretch = np.eye(2) + bend[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    strain = np.clip(change[:, _SHAPE], -0.4, 0.4)
+    stretch = np.eye(2) + strain[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     determinant = np.linalg.det(stretch)
     stretch = np.where((determinant > 0.1)[:, None, None], stretch, np.eye(2))
     precision = frame @ stretch @ frame
@@ -299,12 +314,13 @@ def _with_covariance(
     normal: Float[np.ndarray, "n k k"],
     pixels: EllipsePixels,
     residual: Float[np.ndarray, "n p"],
-    kept: Bool[np.ndarray, "n p"],
+    inliers: Bool[np.ndarray, "n p"],
     noise_sigma: float,
     free_hole: bool,
 ) -> Ellipses:
-    variance = _masked_mean(residual**2, kept)
-    # Pixels that agree by luck do not make a circle surer than the picture's noise allows.
+    """Fitted ellipses with covariance, residual sigma and share of inliers."""
+    variance = _masked_mean(residual**2, inliers)
+    # By chance, residuals can be smaller than the noise: it is the lower limit.
     covariance = np.linalg.inv(normal) * np.maximum(variance, noise_sigma**2)[:, None, None]
     hole_sigma = state.hole_sigma
     if free_hole:
@@ -313,7 +329,7 @@ def _with_covariance(
         covariance_px2=covariance[:, _CENTRE, _CENTRE],
         hole_sigma=hole_sigma,
         residual_sigma=np.sqrt(variance),
-        kept=kept.sum(axis=1) / np.maximum(pixels.used.sum(axis=1), 1),
+        inlier_share=inliers.sum(axis=1) / np.maximum(pixels.used.sum(axis=1), 1),
     )
 
 
@@ -328,25 +344,33 @@ def with_window_noise(
     outlier_share: float,
     tuning: CalibTuning,
 ) -> Ellipses:
-    """The ellipses with the covariance that the noise of their own pixels gives their centres.
+    """Replace the covariances of the centres by those for correlated noise of the pixels.
 
-    pixels : round the ellipses. start, slope_sigma : what was known of the light's slope. The rest
-        is as `refine_ellipses` has it.
+    Parameters
+    ----------
+    fitted : (n,) ellipses at the end of the fit.
+    pixels : pixels around them.
+    start, slope_sigma : prior of the slope of the light, as in `refine_ellipses`.
+    hole_ratio, noise_sigma, outlier_share, tuning : as in `refine_ellipses`.
+
+    References
+    ----------
+    See `trinoc.calib.detection.window_noise`.
     """
     frame = inverse_square_root(fitted.shape_px2)
     jacobian, residual = _linearise(pixels, fitted, frame, hole_ratio, False, True)
-    kept = _keep_pixels(pixels, residual, fitted, outlier_share, noise_sigma, tuning)
-    normal = ((jacobian * kept[:, None]) @ np.swapaxes(jacobian, 1, 2)).astype(float)
-    variance = _masked_mean(residual**2, kept) + 1e-12
+    inliers = _select_inliers(pixels, residual, fitted, outlier_share, noise_sigma, tuning)
+    normal = ((jacobian * inliers[:, None]) @ np.swapaxes(jacobian, 1, 2)).astype(float)
+    variance = _masked_mean(residual**2, inliers) + 1e-12
     _add_priors(normal, np.zeros(normal.shape[:2]), fitted, start, variance, slope_sigma, tuning)
     inverse = np.linalg.inv(normal)
-    half = int(max(np.abs(each[pixels.used]).max(initial=0) for each in (pixels.x, pixels.y)))
+    half = int(max(np.abs(axis[pixels.used]).max(initial=0) for axis in (pixels.x, pixels.y)))
     column, row = (
-        np.where(pixels.used, each, 0).astype(int) + half for each in (pixels.x, pixels.y)
+        np.where(pixels.used, axis, 0).astype(int) + half for axis in (pixels.x, pixels.y)
     )
     rows = np.swapaxes(jacobian, 1, 2)
     covariance = sandwich_covariance(
-        WindowPixels(2 * half + 1, column, row, kept),
+        WindowPixels(2 * half + 1, column, row, inliers),
         fitted.centres_px - pixels.origin_px + half,
         residual,
         rows,
@@ -354,7 +378,7 @@ def with_window_noise(
         range(2),
         tuning,
     )
-    # What was known of the slope is off by its sigma.
+    # The prior of the slope has an error of its own.
     by_slope = inverse[:, _CENTRE, _SLOPE] * (variance / (slope_sigma + 1e-6))[:, None, None]
     return fitted._replace(covariance_px2=covariance + by_slope @ by_slope.mT)
 
@@ -362,7 +386,7 @@ def with_window_noise(
 def _to_circle_frame(
     pixels: EllipsePixels, centres_px: Float[np.ndarray, "n 2"], frame: Float[np.ndarray, "n 2 2"]
 ) -> tuple[Float[np.ndarray, "n p"], Float[np.ndarray, "n p"]]:
-    """Pixels in the frame in which the ellipse is the unit circle."""
+    """Coordinates of the pixels in the frame in which each ellipse is the unit circle."""
     local = centres_px - pixels.origin_px
     dx, dy = pixels.x - _column(local[:, 0]), pixels.y - _column(local[:, 1])
     w11, w12, w22 = (_column(frame[:, i, j]) for i, j in ((0, 0), (0, 1), (1, 1)))

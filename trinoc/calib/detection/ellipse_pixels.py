@@ -1,4 +1,4 @@
-"""The pixels round a set of ellipses, packed into rows with a mask, and arithmetic on such rows."""
+"""Pixels around many ellipses as padded rows with a mask, and fast 32-bit arithmetic on them."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import ndtr
 
-# numerical: nodes of the normal distribution function, between which it is taken as straight.
+# numerical: nodes of a table of the normal distribution function, for linear interpolation.
 _REACH, _STEPS_PER_UNIT = 5.0, 256
 # numerical: as above.
 _NODES = np.arange(-_REACH * _STEPS_PER_UNIT, _REACH * _STEPS_PER_UNIT + 2) / _STEPS_PER_UNIT
@@ -15,12 +15,14 @@ _STEP = np.diff(_VALUE, append=_VALUE[-1:])  # numerical: as above
 
 
 class EllipsePixels(NamedTuple):
-    """Pixels of each circle, p at most; padded entries have `used` False.
+    """Pixels around n circles, at most p each.
 
-    origin_px : (n, 2) integer pixel that x and y count from.
-    x, y : (n, p) columns and rows from it.
-    grey : (n, p).
-    used : (n, p).
+    Fields
+    ------
+    origin_px : (n, 2) integer reference pixel of each circle.
+    x, y : (n, p) column and row of each pixel relative to `origin_px`.
+    grey : (n, p) grey levels.
+    used : (n, p) False for padding.
     """
 
     origin_px: Float[np.ndarray, "n 2"]
@@ -30,7 +32,7 @@ class EllipsePixels(NamedTuple):
     used: Bool[np.ndarray, "n p"]
 
 
-def pixels_round(
+def pixels_around(
     grey: Float[np.ndarray, "h w"],
     centres_px: Float[np.ndarray, "n 2"],
     shape_px2: Float[np.ndarray, "n 2 2"],
@@ -39,10 +41,9 @@ def pixels_round(
     *,
     step: int = 1,
 ) -> EllipsePixels:
-    """Pixels between `inner` and `outer` radii of each ellipse, of every `step`-th
-    row and column.
+    """Pixels between `inner` and `outer` radii of each ellipse, inside the image.
 
-    The picture's border cuts what lies outside.
+    step : use only every `step`-th row and column.
     """
     height, width = grey.shape
     origin = np.rint(centres_px)
@@ -70,26 +71,26 @@ def pixels_round(
     row_number, column_number = np.divmod(within, len(step_x))
     count = np.bincount(circle, minlength=len(origin))
     first = np.cumsum(count) - count
-    place = np.arange(len(flat)) - first[circle]
-    most = max(int(count.max(initial=0)), 1)
-    slot = circle * most + place
+    rank = np.arange(len(flat)) - first[circle]
+    row_length = max(int(count.max(initial=0)), 1)
+    slot = circle * row_length + rank
 
     def pack(values: np.ndarray) -> Float[np.ndarray, "n p"]:
-        rows = np.zeros(len(origin) * most, dtype=np.float32)
+        rows = np.zeros(len(origin) * row_length, dtype=np.float32)
         rows[slot] = values
-        return rows.reshape(len(origin), most)
+        return rows.reshape(len(origin), row_length)
 
     return EllipsePixels(
         origin_px=origin,
         x=pack(step_x[column_number]),
         y=pack(step_y[row_number]),
         grey=pack(grey[row[circle, row_number], column[circle, column_number]]),
-        used=np.arange(most) < count[:, None],
+        used=np.arange(row_length) < count[:, None],
     )
 
 
 def inverse_square_root(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2 2"]:
-    """Symmetric S^(-1/2), which maps the ellipse to the unit circle."""
+    """Symmetric S^(-1/2) of each shape matrix; it maps the ellipse to the unit circle."""
     a, b, c = shape[:, 0, 0], shape[:, 0, 1], shape[:, 1, 1]
     root = np.sqrt(a * c - b * b)
     # By Cayley and Hamilton, S^(1/2) = (S + root I) / sqrt(trace + 2 root); its inverse has the
@@ -99,14 +100,14 @@ def inverse_square_root(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, 
 
 
 def smallest_axis(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
-    """The smaller semi-axis."""
+    """Smaller semi-axis of each ellipse, from its shape matrix."""
     a, b, c = shape[:, 0, 0], shape[:, 0, 1], shape[:, 1, 1]
     smallest = 0.5 * (a + c) - np.sqrt(0.25 * (a - c) ** 2 + b * b)
     return np.sqrt(np.maximum(smallest, 1e-12))
 
 
 def normal_cdf(z: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Phi(z) in 32 bit by linear steps of a table, exact to 2e-7."""
+    """Normal distribution function Phi(z) in 32 bit, by linear interpolation, accurate to 2e-7."""
     position = np.clip(z, -_REACH, _REACH)
     position += np.float32(_REACH)
     position *= np.float32(_STEPS_PER_UNIT)
@@ -118,10 +119,10 @@ def normal_cdf(z: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
 
 
 def quick_median(values: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "..."]:
-    """Upper median along the last axis, without NumPy's checks, which cost more than to sort."""
+    """Upper median along the last axis; faster than `np.median`, whose checks cost more."""
     return np.sort(values, axis=-1)[..., values.shape[-1] // 2]
 
 
 def column_32(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 1"]:
-    """One number for each row of pixels, in their 32 bit."""
+    """Column vector in 32 bit, to combine one number per circle with rows of pixels."""
     return values.astype(np.float32)[:, None]

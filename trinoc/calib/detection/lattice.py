@@ -1,8 +1,8 @@
-"""Blobs that lie as the lattice of the sheet does: cells of four, grown by a homography.
+"""Search for lattices among the blobs: cells of four blobs, extended with a homography.
 
-A circle's image, a small ellipse, is the affine image of the sheet round it up to a rotation.
-In units of a blob's own ellipse its neighbours therefore lie a known distance away, however
-the sheet is tilted.
+The ellipse of a circle gives the local affine map from sheet to image, up to a rotation. In the
+frame in which a blob is the unit circle, its neighbours therefore have known distances, for every
+tilt of the sheet.
 """
 
 from collections.abc import Iterator
@@ -18,18 +18,19 @@ from trinoc.calib.detection.labels import PatternSymmetry
 from trinoc.calib.detection.plane_mapping import fit_plane_mapping
 from trinoc.calib.tuning.every_group import CalibTuning
 
-# numerical: a lattice grows by a cell to each side in a round, and ends when it does no more.
+# numerical: largest number of rounds; a lattice grows by one or two cells to each side in each.
 _ROUNDS = 30
-# numerical: bounds a search: more than the eight about a circle.
-_MOST_BESIDE = 12
+# numerical: limits a search: more than the eight neighbours of a circle.
+_MOST_NEIGHBOURS = 12
 
 
 class Lattice(NamedTuple):
-    """Blobs with lattice coordinates that are right up to a turn and a shift.
+    """Blobs with lattice coordinates that are unique up to a rotation and a shift.
 
-    blob : (m,) index of the blobs.
-    cell : (m, 2) lattice coordinates; unless the picture is mirrored they turn as the
-        pattern's do.
+    Fields
+    ------
+    blob : (m,) indices of the blobs.
+    cell : (m, 2) lattice coordinates, with the pattern's handedness unless the image is mirrored.
     """
 
     blob: Int[np.ndarray, "m"]
@@ -42,13 +43,13 @@ class Lattice(NamedTuple):
 def find_lattices(
     blobs: Blobs, symmetry: PatternSymmetry, tuning: CalibTuning
 ) -> Iterator[Lattice]:
-    """Lattices of a few blobs at least, each blob used once, as they are found."""
-    # Cells of a lattice along each axis, at most.
+    """Yield lattices of at least `tuning.detection.fewest_places` blobs; each blob is used once."""
+    # Largest number of cells of a lattice along each axis.
     span = int(np.ptp(symmetry.pattern.lattice, axis=0).max()) + 3
     relation = _Neighbours.of(blobs, symmetry, tuning)
     free = np.ones(len(blobs), dtype=bool)
     tried = np.zeros(len(blobs), dtype=bool)
-    # Blobs amid the sheet have a neighbour on every side: start there.
+    # Start with blobs inside the sheet, which have a neighbour on every side.
     for start in np.argsort(-relation.degree, kind="stable"):
         if not free[start] or tried[start] or relation.degree[start] < 2:
             continue
@@ -62,9 +63,19 @@ def find_lattices(
 
 
 class _Neighbours(NamedTuple):
-    """Pairs of blobs that may be neighbours, and where each lies in the other's frame."""
+    """Possible neighbours among n blobs.
 
-    near: np.ndarray
+    Fields
+    ------
+    is_neighbour : (n, n) mask of the pairs with plausible distance and areas.
+    offset : (n, n, 2) position of the second blob in the frame of the first one, in which the first
+        is the unit circle.
+    degree : (n,) number of possible neighbours.
+    expected : (2,) distances of neighbours along both lattice axes, in radii.
+    cosine : cosine of the angle between the lattice axes on the sheet.
+    """
+
+    is_neighbour: np.ndarray
     offset: Float[np.ndarray, "n n 2"]
     degree: Int[np.ndarray, "n"]
     expected: Float[np.ndarray, "2"]
@@ -82,20 +93,21 @@ class _Neighbours(NamedTuple):
         area = np.sqrt(np.linalg.det(blobs.shape_px2))
         ratio = area[:, None] / area[None]
         largest, factor = tuning.detection.largest_area_ratio, tuning.detection.distance_factor
-        near = (ratio < largest) & (ratio > 1 / largest)
-        near &= (mean > step.min() / factor) & (mean < step.max() * factor)
+        is_neighbour = (ratio < largest) & (ratio > 1 / largest)
+        is_neighbour &= (mean > step.min() / factor) & (mean < step.max() * factor)
         cosine = float(steps[:, 0] @ steps[:, 1] / np.prod(step))
-        return cls(near, offset, near.sum(axis=1), step, cosine)
+        return cls(is_neighbour, offset, is_neighbour.sum(axis=1), step, cosine)
 
     def cells_at(self, start: int, free: np.ndarray) -> Iterator[Lattice]:
-        """Four blobs round one cell of the lattice with `start` as a corner."""
-        beside = np.flatnonzero(self.near[start] & free)
-        # The nearest first: where the stated radius is off, diagonals could pass for rows.
-        offset = self.offset[start, beside]
-        beside = beside[np.argsort(offset[:, 0] ** 2 + offset[:, 1] ** 2)[:_MOST_BESIDE]]
+        """Yield cells of the lattice: four blobs with `start` as a corner."""
+        neighbours = np.flatnonzero(self.is_neighbour[start] & free)
+        # The nearest first: with a wrong radius of the pattern, diagonals could pass as rows.
+        offset = self.offset[start, neighbours]
+        nearest = np.argsort(offset[:, 0] ** 2 + offset[:, 1] ** 2)[:_MOST_NEIGHBOURS]
+        neighbours = neighbours[nearest]
         tries = 0
-        for first in beside.tolist():
-            for second in beside.tolist():
+        for first in neighbours.tolist():
+            for second in neighbours.tolist():
                 if first == second or not self._spans_cell(start, first, second):
                     continue
                 opposite = self._opposite(start, first, second, free)
@@ -111,7 +123,7 @@ class _Neighbours(NamedTuple):
     def _spans_cell(self, start: int, first: int, second: int) -> bool:
         a, b = self.offset[start, first], self.offset[start, second]
         length_a, length_b = np.hypot(*a), np.hypot(*b)
-        # Rows run downward in a picture, so X to Y turns clockwise: the cross product is < 0.
+        # Rows of an image run downward: X to Y turns clockwise, and the cross product is < 0.
         if a[0] * b[1] - a[1] * b[0] >= 0:
             return False
         stretch = (length_a / self.expected[0]) / (length_b / self.expected[1])
@@ -120,13 +132,13 @@ class _Neighbours(NamedTuple):
         return bool(abs((a @ b) / (length_a * length_b) - self.cosine) < 0.45)
 
     def _opposite(self, start: int, first: int, second: int, free: np.ndarray) -> int | None:
-        """The blob that closes the parallelogram, if one does."""
+        """Blob at the fourth corner of the parallelogram; None without one."""
         target = self.offset[start, first] + self.offset[start, second]
-        miss = np.linalg.norm(self.offset[start] - target, axis=1)
-        miss[~(free & self.near[first] & self.near[second])] = np.inf
-        miss[start] = np.inf
-        nearest = int(np.argmin(miss))
-        return nearest if miss[nearest] < 0.45 * np.hypot(*target) else None
+        distance = np.linalg.norm(self.offset[start] - target, axis=1)
+        distance[~(free & self.is_neighbour[first] & self.is_neighbour[second])] = np.inf
+        distance[start] = np.inf
+        nearest = int(np.argmin(distance))
+        return nearest if distance[nearest] < 0.45 * np.hypot(*target) else None
 
 
 def _grow(
@@ -137,7 +149,7 @@ def _grow(
     span: int,
     tuning: CalibTuning,
 ) -> Lattice:
-    """Add the blobs that lie where the lattice predicts them, refit, and look further."""
+    """Extend a cell: add blobs at predicted positions, refit, and repeat until nothing is added."""
     inverse_shape = np.linalg.inv(blobs.shape_px2)
     a11, a12, a22 = (inverse_shape[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
     log_area = 0.5 * np.log(np.linalg.det(blobs.shape_px2))
@@ -147,20 +159,21 @@ def _grow(
         mapping = fit_plane_mapping(
             lattice.cell.astype(float), blobs.centres_px[lattice.blob], tuning=tuning
         )
-        cells = _cells_round(lattice.cell, span, reach=1 if len(lattice) < 8 else 2)
+        cells = _cells_around(lattice.cell, span, reach=1 if len(lattice) < 8 else 2)
         cells = np.concatenate([lattice.cell, cells])
-        place = mapping.apply(cells.astype(float))
-        cells, place = cells[np.isfinite(place[:, 0])], place[np.isfinite(place[:, 0])]
+        predicted = mapping.apply(cells.astype(float))
+        is_finite = np.isfinite(predicted[:, 0])
+        cells, predicted = cells[is_finite], predicted[is_finite]
         log_enlargement = mapping.log_enlargement(cells.astype(float))
-        dx = blobs.centres_px[None, :, 0] - place[:, None, 0]
-        dy = blobs.centres_px[None, :, 1] - place[:, None, 1]
-        miss = (a11 * dx + 2.0 * a12 * dy) * dx + a22 * dy * dy
+        dx = blobs.centres_px[None, :, 0] - predicted[:, None, 0]
+        dy = blobs.centres_px[None, :, 1] - predicted[:, None, 1]
+        distance2 = (a11 * dx + 2.0 * a12 * dy) * dx + a22 * dy * dy
         wrong_size = np.abs(log_area[None] - (log_enlargement + log_circle)[:, None])
-        miss[(wrong_size > np.log(tuning.detection.area_factor)) | ~free[None]] = np.inf
-        nearest = np.argmin(miss, axis=1)
-        best_cell = np.argmin(miss, axis=0)
+        distance2[(wrong_size > np.log(tuning.detection.area_factor)) | ~free[None]] = np.inf
+        nearest = np.argmin(distance2, axis=1)
+        best_cell = np.argmin(distance2, axis=0)
         index = np.arange(len(cells))
-        good = (miss[index, nearest] < tuning.detection.miss_radii**2) & (
+        good = (distance2[index, nearest] < tuning.detection.miss_radii**2) & (
             best_cell[nearest] == index
         )
         grown = Lattice(nearest[good], cells[good])
@@ -173,19 +186,20 @@ def _grow(
     return lattice
 
 
-def _cells_round(cell: Int[np.ndarray, "m 2"], span: int, reach: int) -> Int[np.ndarray, "k 2"]:
-    """Cells within `reach` of the known ones, no row or column getting longer than `span`."""
+def _cells_around(cell: Int[np.ndarray, "m 2"], span: int, reach: int) -> Int[np.ndarray, "k 2"]:
+    """Unoccupied cells within `reach` of `cell`; rows and columns stay within the length `span`."""
     low, high = cell.min(axis=0), cell.max(axis=0)
     shape = high - low + 1 + 2 * reach
-    known = np.zeros(shape, dtype=np.uint8)
-    known[tuple((cell - low + reach).T)] = 1
-    close = cv2.dilate(known, np.ones((2 * reach + 1,) * 2, dtype=np.uint8))
-    found = np.argwhere(close > known) - reach + low
-    fits = np.all((found >= high - span + 1) & (found <= low + span - 1), axis=1)
-    return found[fits]
+    occupied = np.zeros(shape, dtype=np.uint8)
+    occupied[tuple((cell - low + reach).T)] = 1
+    dilated = cv2.dilate(occupied, np.ones((2 * reach + 1,) * 2, dtype=np.uint8))
+    border = np.argwhere(dilated > occupied) - reach + low
+    fits = np.all((border >= high - span + 1) & (border <= low + span - 1), axis=1)
+    return border[fits]
 
 
 def _is_flat(cell: Int[np.ndarray, "m 2"]) -> bool:
+    """True if all cells lie on one line."""
     relative = cell - cell.mean(axis=0)
     spread = relative.T @ relative
     return bool(np.linalg.det(spread) < 0.2)

@@ -1,10 +1,10 @@
-"""Boards with markers that are almost the stated one: which other layout an image shows.
+"""Diagnosis of a wrong layout: the board with markers that an image shows instead.
 
-Markers identify themselves, so that an image without the stated board may still tell which board it
-shows. The likeliest slips are tried in order: the other pattern of OpenCV's versions, rows and
-columns exchanged, white printed for black, the image of a mirror, two of these together, another
-first marker, another dictionary. A layout is named only where markers lie as in it and its corners
-are then found.
+Markers have numbers. An image without the stated board can therefore show which board it contains.
+The most likely mistakes are tried in this order: layout of the other OpenCV version, rows and
+columns exchanged, inverted print, mirrored print, two of these together, another first marker,
+another dictionary. A layout is reported only if its markers are in place and its corners are
+detected.
 """
 
 from collections import Counter
@@ -24,12 +24,12 @@ from trinoc.calib.detection.marker_boards import (
     count_beside_neighbours,
     detect_april_grid,
     detect_charuco,
-    list_figures,
+    list_quadrangles,
     read_tags,
     tags_in_place,
 )
 from trinoc.calib.detection.search_image import search_image
-from trinoc.calib.detection.usable_places import keep_usable
+from trinoc.calib.detection.usable_points import keep_usable
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import list_boards
@@ -42,29 +42,29 @@ from trinoc.calib.targets.markers import (
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import DetectionError
 
-# numerical: markers that must lie as in another layout, or all of a smaller board.
+# numerical: fewest markers in place in another layout; a smaller board needs all of its markers.
 _FEWEST_IN_PLACE = 4
-# numerical: quadrangles that are read by every dictionary before all are, for time.
-_MOST_FIGURES = 60
-# numerical: images of a camera in which all readings are tried: the board may be absent in some.
+# numerical: number of quadrangles read with every dictionary first, to save time.
+_MOST_QUADRANGLES = 60
+# numerical: images per camera in which all layouts are tried; in some the board may be absent.
 MOST_IMAGES = 4
 
 _MarkerBoard = Charuco | AprilGrid
-# Corners of each marker by number, from its own top left clockwise.
+# Corners of each marker by its number, from its top left clockwise.
 _Markers = Mapping[int, Float[np.ndarray, "4 2"]]
 
 
 class MarkerReading(NamedTuple):
-    """The board that an image shows in place of the stated one.
+    """Board that an image shows instead of the stated one.
 
     Fields
     ------
-    board : its layout.
-    changes : how it differs from the stated layout, such as "legacy=yes".
-    count : number of its markers that the image shows where this layout has them.
-    is_in_mirror : whether the image shows it as in a mirror, or the stated board is a mirrored one
-        and the image shows the plain print.
-    is_same_sheet : whether it may be the stated sheet, described wrongly: its markers are the same.
+    board : layout of the visible board.
+    changes : differences from the stated layout, such as "legacy=yes".
+    count : number of visible markers that agree with this layout.
+    is_in_mirror : True if the visible board is the mirror image of the stated one.
+    is_same_sheet : True if the markers are those of the stated board, so that the layout may be a
+        wrong description of the same sheet.
     """
 
     board: _MarkerBoard
@@ -75,31 +75,38 @@ class MarkerReading(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What the image shows, and what to do."""
+        """Message on the visible board and the remedy."""
         things = "tags" if isinstance(self.board, AprilGrid) else "markers"
         what = f"{self.count} {things} of {self.board.dictionary} are visible"
-        named = f"the board {self.board.name!r} fits with {' and '.join(self.changes)}"
+        fit = f"the board {self.board.name!r} fits with {' and '.join(self.changes)}"
         if not self.is_in_mirror:
-            return f"{what}; {named}: correct its layout."
+            return f"{what}; {fit}: correct its layout."
         what += " as in a mirror"
         if isinstance(self.board, AprilGrid):
             return (
-                f"{what}: see how the driver of the camera delivers its pictures, or print the "
+                f"{what}: check whether the camera's driver mirrors its images, or print the "
                 f"board {self.board.name!r} again."
             )
         if not self.board.mirrored:
-            return f"{what} of the stated board; {named}: correct its layout."
+            return f"{what} of the stated board; {fit}: correct its layout."
         return (
-            f"{what}; {named}: state this for a mirrored print, such as the back of a two-sided "
-            "board, which is a second board of a set; otherwise see how the driver of the camera "
-            "delivers its pictures."
+            f"{what}; {fit}: state this for a mirrored print, such as the back of a two-sided "
+            "board, which is a second board of a set; otherwise check whether the camera's driver "
+            "mirrors its images."
         )
 
 
 class ReadingSearch:
-    """Other readings of the boards of a target, in the images of a recording.
+    """Search for wrongly stated layouts in the images of a recording.
 
-    All readings are tried in few images of each camera; those that fit one are then tried alone.
+    All layouts are tried in a few images of each camera. Later images are tested only with the
+    layouts that fitted an earlier one.
+
+    Parameters
+    ----------
+    target : the stated board or set of boards.
+    most_images : number of images per camera in which all layouts are tried.
+    tuning : tuned constants of calibration.
     """
 
     def __init__(
@@ -116,12 +123,12 @@ class ReadingSearch:
         self._tuning = tuning
 
     def is_over(self, camera: str) -> bool:
-        """Whether no more images of a camera will be explained."""
+        """True if `find` returns None for all further images of a camera."""
         is_exhausted = self._images[camera] >= self._most_images
         return not self._boards or (is_exhausted and not self._readings)
 
     def find(self, image: Shaped[np.ndarray, "..."], camera: str = "") -> MarkerReading | None:
-        """The board that an image shows in place of a stated one; None if none is known."""
+        """Board that an image shows instead of a stated one; None without one."""
         for reading in self._readings:
             count = _count_markers(image, reading, self._tuning)
             if count:
@@ -140,9 +147,9 @@ class ReadingSearch:
 def find_marker_reading(
     image: Shaped[np.ndarray, "..."], board: _MarkerBoard, tuning: CalibTuning
 ) -> MarkerReading | None:
-    """The layout that an image shows in place of `board`, which was not found in it; None if none.
+    """Layout that an image shows instead of `board`, which was not detected; None without one.
 
-    Markers are searched in the image some ten times.
+    Searches the image for markers about ten times.
     """
     grey = levels_of_8_bit(search_image(image).grey)
     readings = (
@@ -156,27 +163,27 @@ def find_marker_reading(
 def _count_markers(
     image: Shaped[np.ndarray, "..."], reading: MarkerReading, tuning: CalibTuning
 ) -> int:
-    """How many markers of a board an image shows in place; 0 where they are too few to tell."""
+    """Number of markers of a layout that are in place in an image; 0 if they are too few."""
     grey, board = levels_of_8_bit(search_image(image).grey), reading.board
     dictionary = opencv_dictionary(board.dictionary)
     if isinstance(board, Charuco):
         return _count_in_place(_find_markers(grey, board, dictionary), board, tuning)
     plain = as_plain_print(grey, inverted=False, mirrored=reading.is_in_mirror)
-    figures = list_figures(plain, dictionary, board.border, tuning)
-    return _count_in_place(read_tags(figures, dictionary, board.border, tuning), board, tuning)
+    quadrangles = list_quadrangles(plain, dictionary, board.border, tuning)
+    return _count_in_place(read_tags(quadrangles, dictionary, board.border, tuning), board, tuning)
 
 
 def _shows_corners(
     image: Shaped[np.ndarray, "..."], reading: MarkerReading, tuning: CalibTuning
 ) -> bool:
-    """Whether the corners of this board are found in an image."""
+    """True if the corners of the board are detected in an image."""
     board, image = reading.board, np.asarray(image)
     try:
         if isinstance(board, Charuco):
             keep_usable(detect_charuco(image, board, tuning), board, tuning)
         else:
-            seen = np.ascontiguousarray(image[:, ::-1]) if reading.is_in_mirror else image
-            keep_usable(detect_april_grid(seen, board, tuning), board, tuning)
+            upright = np.ascontiguousarray(image[:, ::-1]) if reading.is_in_mirror else image
+            keep_usable(detect_april_grid(upright, board, tuning), board, tuning)
     except DetectionError:
         return False
     return True
@@ -185,28 +192,28 @@ def _shows_corners(
 def _read_charuco(
     grey: UInt8[np.ndarray, "h w"], stated: Charuco, tuning: CalibTuning
 ) -> Iterator[MarkerReading]:
-    """Other layouts in which markers are in place, the likeliest first."""
+    """Yield other layouts in which markers are in place, the most likely first."""
     dictionary, stated_markers = opencv_dictionary(stated.dictionary), {}
-    for looks in ((), ("inverted",), ("mirrored",), ("inverted", "mirrored")):
-        looking = replace(stated, **{look: not getattr(stated, look) for look in looks})
-        markers = _find_markers(grey, looking, dictionary)
-        changes, board, count = _best_layout(markers, looking, tuning, most_changes=2 - len(looks))
-        if not looks:
+    for prints in ((), ("inverted",), ("mirrored",), ("inverted", "mirrored")):
+        variant = replace(stated, **{field: not getattr(stated, field) for field in prints})
+        markers = _find_markers(grey, variant, dictionary)
+        changes, board, count = _best_layout(markers, variant, tuning, most_changes=2 - len(prints))
+        if not prints:
             stated_markers = markers
             for other in _read_other_first(markers, stated, tuning):
                 if other.count > count:
                     yield other
                     count = 0
             if count and not changes:
-                # The stated layout is right, and too little of the board is visible.
+                # The stated layout is right, but too little of the board is visible.
                 return
         if count:
             yield MarkerReading(
                 board,
-                (*(_describe(board, look) for look in looks), *changes),
+                (*(_describe(board, field) for field in prints), *changes),
                 count,
-                is_in_mirror="mirrored" in looks,
-                is_same_sheet="mirrored" not in looks,
+                is_in_mirror="mirrored" in prints,
+                is_same_sheet="mirrored" not in prints,
             )
     if len(stated_markers) >= _FEWEST_IN_PLACE:
         return
@@ -219,10 +226,10 @@ def _read_charuco(
 def _read_april_grid(
     grey: UInt8[np.ndarray, "h w"], stated: AprilGrid, tuning: CalibTuning
 ) -> Iterator[MarkerReading]:
-    """Other layouts in which tags are in place, the likeliest first."""
+    """Yield other layouts in which tags are in place, the most likely first."""
     dictionary = opencv_dictionary(stated.dictionary)
-    figures = list_figures(grey, dictionary, stated.border, tuning)
-    tags = read_tags(figures, dictionary, stated.border, tuning)
+    quadrangles = list_quadrangles(grey, dictionary, stated.border, tuning)
+    tags = read_tags(quadrangles, dictionary, stated.border, tuning)
     stated_count, others = _count_in_place(tags, stated, tuning), []
     exchanged = replace(stated, rows=stated.columns, columns=stated.rows)
     if count := _count_in_place(tags, exchanged, tuning):
@@ -232,12 +239,12 @@ def _read_april_grid(
     if stated_count:
         return
     flipped = as_plain_print(grey, inverted=False, mirrored=True)
-    in_mirror = read_tags(
-        list_figures(flipped, dictionary, stated.border, tuning), dictionary, stated.border, tuning
-    )
-    if count := _count_in_place(in_mirror, stated, tuning):
+    flipped_quadrangles = list_quadrangles(flipped, dictionary, stated.border, tuning)
+    flipped_tags = read_tags(flipped_quadrangles, dictionary, stated.border, tuning)
+    if count := _count_in_place(flipped_tags, stated, tuning):
         yield MarkerReading(stated, (), count, is_in_mirror=True)
-    largest = sorted(figures, key=lambda figure: figure.side_px)[-_MOST_FIGURES:]
+    by_size = sorted(quadrangles, key=lambda quadrangle: quadrangle.side_px)
+    largest = by_size[-_MOST_QUADRANGLES:]
     fewest = min(_FEWEST_IN_PLACE, len(stated.numbers))
     for border in (stated.border, 3 - stated.border):
         other = replace(stated, border=border)
@@ -245,7 +252,7 @@ def _read_april_grid(
             dictionary = opencv_dictionary(name)
             if len(read_tags(largest, dictionary, border, tuning)) < fewest:
                 continue
-            tags = read_tags(figures, dictionary, border, tuning)
+            tags = read_tags(quadrangles, dictionary, border, tuning)
             if border != stated.border and name == stated.dictionary:
                 if count := _count_in_place(tags, other, tuning):
                     yield MarkerReading(other, (f"border={border}",), count)
@@ -260,14 +267,17 @@ def _read_april_grid(
 def _read_other_dictionary(
     markers: _Markers, stated: _MarkerBoard, name: str, tuning: CalibTuning
 ) -> Iterator[MarkerReading]:
-    """The board with markers of another dictionary, and if need be of other numbers."""
+    """Yield the board with another dictionary, and with other marker numbers if necessary.
+
+    name : a dictionary of the markers' family, large enough for all of them.
+    """
     changes, board, count = (), stated, _count_in_place(markers, stated, tuning)
     if isinstance(stated, Charuco):
         changes, board, count = _best_layout(markers, stated, tuning, most_changes=1)
-    held = smallest_dictionary(name, stated.numbers[-1], like=stated.dictionary)
-    if count and held is not None and held != stated.dictionary:
-        board = replace(board, dictionary=held)
-        yield MarkerReading(board, (f"dictionary={held}", *changes), count)
+    smallest = smallest_dictionary(name, stated.numbers[-1], like=stated.dictionary)
+    if count and smallest is not None and smallest != stated.dictionary:
+        board = replace(board, dictionary=smallest)
+        yield MarkerReading(board, (f"dictionary={smallest}", *changes), count)
     if not count:
         yield from _read_other_first(markers, stated, tuning, name)
 
@@ -275,14 +285,14 @@ def _read_other_dictionary(
 def _read_other_first(
     markers: _Markers, stated: _MarkerBoard, tuning: CalibTuning, name: str | None = None
 ) -> Iterator[MarkerReading]:
-    """The board with the first marker with which most of these are in place, if it is only one.
+    """Yield the board with another first marker, if one number fits more markers than all others.
 
-    name : of the dictionary, or of a larger one of its family; the stated one unless given.
+    name : dictionary of the markers, or a larger one of its family; the stated one if None.
     """
     if len(markers) < _FEWEST_IN_PLACE:
         return
     size, numbers = len(stated.numbers), np.array(list(markers))
-    # Not all markers need belong to the board: one of another sheet must not narrow the search.
+    # Some markers may belong to another sheet: they must not restrict the search.
     firsts = [
         first
         for first in range(max(int(numbers.min()) - size + 1, 0), int(numbers.max()) + 1)
@@ -298,12 +308,12 @@ def _read_other_first(
         return
     first = firsts[counts.index(best)]
     like = stated.dictionary
-    held = smallest_dictionary(name or like, first + size - 1, like=like)
-    if held is None or (name is None and held != like):
+    smallest = smallest_dictionary(name or like, first + size - 1, like=like)
+    if smallest is None or (name is None and smallest != like):
         return
-    other = [] if held == like else [f"dictionary={held}"]
-    board = replace(stated, dictionary=held, first=first)
-    yield MarkerReading(board, (*other, f"first={first}"), best)
+    changes = [] if smallest == like else [f"dictionary={smallest}"]
+    board = replace(stated, dictionary=smallest, first=first)
+    yield MarkerReading(board, (*changes, f"first={first}"), best)
 
 
 def _renumber(markers: _Markers, step: int) -> _Markers:
@@ -313,9 +323,9 @@ def _renumber(markers: _Markers, step: int) -> _Markers:
 def _best_layout(
     markers: _Markers, board: Charuco, tuning: CalibTuning, *, most_changes: int
 ) -> tuple[tuple[str, ...], Charuco, int]:
-    """(changes, board, markers in place) of the layout in which most markers are in place.
+    """Layout with the most markers in place: (changes, board, number of markers in place).
 
-    A layout with fewer changes is preferred.
+    Tries the other value of `legacy` and exchanged rows and columns. Fewer changes are preferred.
     """
     changes, layout, count = (), board, _count_in_place(markers, board, tuning)
     for number in range(1, most_changes + 1):
@@ -328,7 +338,7 @@ def _best_layout(
             other_count = _count_in_place(markers, other, tuning)
             if other_count > count:
                 layout, count = other, other_count
-                changes = tuple(_describe(other, each) for each in changed)
+                changes = tuple(_describe(other, change) for change in changed)
     return changes, layout, count
 
 
@@ -341,16 +351,16 @@ def _describe(board: _MarkerBoard, changed: str) -> str:
 def _find_markers(
     grey: UInt8[np.ndarray, "h w"], board: Charuco, dictionary: cv2.aruco.Dictionary
 ) -> dict[int, Float[np.ndarray, "4 2"]]:
-    """Markers in the picture in which the board looks as its plain print does."""
+    """Detect markers in the image converted by `as_plain_print`."""
     plain = as_plain_print(grey, inverted=board.inverted, mirrored=board.mirrored)
     corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(plain)
     return corners_by_number(corners, numbers)
 
 
 def _count_in_place(markers: _Markers, board: _MarkerBoard, tuning: CalibTuning) -> int:
-    """How many markers lie as in a board; 0 where they are too few to tell.
+    """Number of markers that agree with a layout; 0 if they are too few.
 
-    Markers of a ChArUco board are those of `_find_markers`, which finds the plain print.
+    Markers of a ChArUco board must come from `_find_markers`.
     """
     if isinstance(board, AprilGrid):
         count = len(tags_in_place(markers, board, tuning)[0])

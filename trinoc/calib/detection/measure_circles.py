@@ -1,4 +1,4 @@
-"""Every circle of a labelled sheet measured, those that the search missed included."""
+"""Precise measurement of all circles of a labelled sheet, including those missed by the search."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,7 +12,7 @@ from trinoc.calib.detection.ellipse_fit import (
 )
 from trinoc.calib.detection.ellipse_pixels import (
     EllipsePixels,
-    pixels_round,
+    pixels_around,
     quick_median,
     smallest_axis,
 )
@@ -22,13 +22,13 @@ from trinoc.calib.detection.quality_gate import are_plausible, are_undisturbed, 
 from trinoc.calib.detection.search_image import SearchImage, shrink_image
 from trinoc.calib.tuning.every_group import CalibTuning
 
-# numerical: tolerance and steps of an iteration that converges.
-_SETTLED_BLUR, _MOST_REPEATS = 0.25, 4
-# numerical: of an iteration that converges.
+# numerical: relative change of the blur below which a circle has converged, and iterations.
+_BLUR_TOLERANCE, _MOST_REPEATS = 0.25, 4
+# numerical: iterations; the fit has converged after these.
 _LIGHT_REWEIGHTINGS = 3
-# numerical: as `refine_ellipses` has it, of fits that end.
+# numerical: `outlier_shares` of `refine_ellipses` near convergence.
 _OUTLIER_SHARE = 0.08
-# numerical: a circle and the four beside it.
+# numerical: a circle and its four neighbours.
 _NEIGHBOURS = 5
 
 
@@ -39,15 +39,23 @@ def fit_coarsely(
     hole_ratio: float,
     tuning: CalibTuning,
 ) -> Ellipses:
-    """Ellipses fitted to whole circles, holes included, on a part of their pixels."""
+    """Fit ellipses coarsely to a sample of each circle's pixels; also estimate their holes.
+
+    Parameters
+    ----------
+    image : grey image with its noise.
+    centres_px, shape_px2 : (n, 2), (n, 2, 2) approximate ellipses.
+    hole_ratio : inner over outer radius of rings; 0 for a sheet without rings.
+    tuning : tuned constants of calibration.
+    """
     count, outer = len(centres_px), tuning.detection.outer_radii
     area = np.pi * outer**2 * np.sqrt(quick_median(np.linalg.det(shape_px2)))
     step = max(1, int(np.sqrt(area / tuning.detection.coarse_pixels)))
-    # Every n-th pixel of a large circle would miss its edge: a reduced picture does not.
+    # Large circles are sampled in a reduced image: single pixels far apart would miss the edge.
     factor = max(1, step // 2)
     small, step = shrink_image(image, factor), step // factor
     centres_px, shape_px2 = (centres_px + 0.5) / factor - 0.5, shape_px2 / factor**2
-    pixels = pixels_round(
+    pixels = pixels_around(
         small.grey,
         centres_px,
         shape_px2,
@@ -58,7 +66,7 @@ def fit_coarsely(
     return refine_ellipses(
         pixels,
         start_ellipses(
-            pixels, centres_px, shape_px2, hole_ratio=hole_ratio, taken_share=1.0 / step**2
+            pixels, centres_px, shape_px2, hole_ratio=hole_ratio, sampled_share=1.0 / step**2
         ),
         hole_ratio=hole_ratio,
         slope_sigma=None,
@@ -75,29 +83,42 @@ def measure_circles(
     symmetry: PatternSymmetry,
     tuning: CalibTuning,
 ) -> tuple[Ellipses, Int[np.ndarray, "k"], PlaneMapping]:
-    """Look for the circles that the blobs missed, then measure all together."""
+    """Locate the circles that the blob search missed, then measure all circles together.
+
+    Parameters
+    ----------
+    image : grey image with its noise.
+    coarse : (m,) coarse ellipses of the labelled circles.
+    index : (m,) pattern index of each of them.
+    symmetry : the pattern with its lattice.
+    tuning : tuned constants of calibration.
+
+    Returns
+    -------
+    (k,) accepted ellipses, (k,) their pattern indices, and the mapping from the sheet to the image.
+    """
     pattern = symmetry.pattern
     mapping = fit_plane_mapping(
         pattern.centres_mm[index], coarse.centres_px, pattern.radius_mm[index], tuning=tuning
     )
     missing = np.setdiff1d(np.arange(len(pattern)), index)
     centre, shape = mapping.ellipses(pattern.centres_mm[missing], pattern.radius_mm[missing])
-    seen = _are_inside(centre, shape, image.size_px)
-    missing, centre, shape = missing[seen], centre[seen], shape[seen]
+    inside = _are_inside(centre, shape, image.size_px)
+    missing, centre, shape = missing[inside], centre[inside], shape[inside]
     if len(missing):
         extra = fit_coarsely(image, centre, shape, symmetry.hole_ratio, tuning)
-        like = are_plausible(extra, centre, shape, image.noise_sigma)
-        like &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
+        good = are_plausible(extra, centre, shape, image.noise_sigma)
+        good &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
         contrast = (extra.paper * extra.ink) / quick_median(coarse.paper * coarse.ink)
-        like &= (contrast > 0.35) & (contrast < 3.0)
-        coarse = coarse.concatenate(extra.take(like))
-        index = np.concatenate([index, missing[like]])
+        good &= (contrast > 0.35) & (contrast < 3.0)
+        coarse = coarse.concatenate(extra.take(good))
+        index = np.concatenate([index, missing[good]])
     fine = _fit_finely(image, coarse, index, symmetry, mapping, tuning)
     centre, shape = mapping.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
     good = are_plausible(fine, centre, shape, image.noise_sigma)
     good &= are_undisturbed(fine, image.noise_sigma)
-    where_expected, mapping = select_agreeing(fine, index, pattern, tuning)
-    good &= where_expected
+    is_in_place, mapping = select_agreeing(fine, index, pattern, tuning)
+    good &= is_in_place
     return fine.take(good), index[good], mapping
 
 
@@ -106,12 +127,13 @@ def _are_inside(
     shape_px2: Float[np.ndarray, "n 2 2"],
     size_px: tuple[int, int],
 ) -> np.ndarray:
+    """Mask of the ellipses that lie completely inside the image."""
     half = 1.1 * np.sqrt(np.maximum(shape_px2[:, [0, 1], [0, 1]], 0.0))
     low, high = centre_px - half, centre_px + half
-    real = np.all(np.isfinite(centre_px), axis=1)
-    real &= np.linalg.det(np.where(real[:, None, None], shape_px2, 0.0)) > 1.0
-    real &= shape_px2[:, 0, 0] > 0
-    return real & np.all((low > 0) & (high < np.array(size_px) - 1), axis=1)
+    is_valid = np.all(np.isfinite(centre_px), axis=1)
+    is_valid &= np.linalg.det(np.where(is_valid[:, None, None], shape_px2, 0.0)) > 1.0
+    is_valid &= shape_px2[:, 0, 0] > 0
+    return is_valid & np.all((low > 0) & (high < np.array(size_px) - 1), axis=1)
 
 
 def _fit_finely(
@@ -122,8 +144,10 @@ def _fit_finely(
     mapping: PlaneMapping,
     tuning: CalibTuning,
 ) -> Ellipses:
-    """Fits with all pixels of a band round the outer edge, again for those circles that moved too
-    far for one step to be the last."""
+    """Fit ellipses to all pixels of a band around the outer edge.
+
+    One Gauss-Newton step suffices for most circles. Circles that move too far are fitted again.
+    """
     pattern = symmetry.pattern
     clear = are_clear_of_lines(pattern, index, tuning)
     slope, slope_sigma = light_slope(coarse.centres_px, coarse.paper, clear, tuning)
@@ -133,7 +157,7 @@ def _fit_finely(
         band = (2.6 * start.blur_px + 0.7) / smallest_axis(start.shape_px2)
         outer = np.clip(1.0 + band, 1.1, tuning.detection.outer_radii)
         inner = np.clip(1.0 - band, halfway, 0.9)
-        pixels = pixels_round(image.grey, start.centres_px, start.shape_px2, inner, outer)
+        pixels = pixels_around(image.grey, start.centres_px, start.shape_px2, inner, outer)
         return subtract_line_blur(pixels, start, index[rows], pattern, mapping, outer)
 
     def fit(start: Ellipses, rows: np.ndarray) -> Ellipses:
@@ -147,18 +171,17 @@ def _fit_finely(
             tuning=tuning,
         )
 
-    before = coarse._replace(hole=pattern.is_ring[index].astype(float), slope=slope)
-    moving = np.arange(len(index))
-    fine = fit(before, moving)
+    start = coarse._replace(hole=pattern.is_ring[index].astype(float), slope=slope)
+    active = np.arange(len(index))
+    fine = fit(start, active)
     for _ in range(_MOST_REPEATS):
-        now = fine.take(moving)
-        moving = moving[_has_moved(before, now)]
-        if not len(moving):
+        active = active[_has_moved(start, fine.take(active))]
+        if not len(active):
             break
-        # What is known of the light stays what it was, not what the last fit made of it.
-        before = fine.take(moving)._replace(slope=slope[moving])
-        for field, new in zip(fine, fit(before, moving), strict=True):
-            field[moving] = new
+        # The prior of the slope stays that of all circles, not the last estimate.
+        start = fine.take(active)._replace(slope=slope[active])
+        for field, refitted in zip(fine, fit(start, active), strict=True):
+            field[active] = refitted
     return with_window_noise(
         fine,
         cut_pixels(fine, np.arange(len(index))),
@@ -171,17 +194,17 @@ def _fit_finely(
     )
 
 
-def _has_moved(before: Ellipses, now: Ellipses) -> np.ndarray:
-    """Whether the step was so long that what it left exceeds the circle's own sigma.
+def _has_moved(before: Ellipses, after: Ellipses) -> np.ndarray:
+    """Mask of the circles whose remaining error after a step exceeds their sigma.
 
-    A step of length s over an edge of blur b leaves about s^2 / b.
+    A step of length s over an edge of blur b leaves an error of about s^2 / b.
     """
-    centre = np.abs(now.centres_px - before.centres_px).max(axis=1)
-    axes = [np.sqrt(each.shape_px2[:, [0, 1], [0, 1]]) for each in (before, now)]
-    blur = np.abs(now.blur_px / before.blur_px - 1.0)
+    centre = np.abs(after.centres_px - before.centres_px).max(axis=1)
+    axes = [np.sqrt(ellipses.shape_px2[:, [0, 1], [0, 1]]) for ellipses in (before, after)]
+    blur = np.abs(after.blur_px / before.blur_px - 1.0)
     edge = np.maximum(centre, np.abs(axes[1] - axes[0]).max(axis=1))
-    own = np.sqrt(np.trace(now.covariance_px2, axis1=1, axis2=2))
-    return (edge**2 > now.blur_px * own) | (blur > _SETTLED_BLUR)
+    sigma_px = np.sqrt(np.trace(after.covariance_px2, axis1=1, axis2=2))
+    return (edge**2 > after.blur_px * sigma_px) | (blur > _BLUR_TOLERANCE)
 
 
 def light_slope(
@@ -190,18 +213,27 @@ def light_slope(
     clear: Bool[np.ndarray, "n"],
     tuning: CalibTuning,
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """Relative change of the paper's grey per pixel at each circle, and how sure it is.
+    """Estimate the slope of the light at each circle from the paper's grey around all circles.
 
-    clear : circles whose paper is no darker than light makes it. Of others, as far as there are
-        enough of these, the grey is not believed.
+    A quadratic surface through the grey levels around all circles is more precise than the pixels
+    of one circle, and it does not correlate with the centre. Near a shadow the levels deviate from
+    the surface: the sigma of the slope is their deviation over one pitch.
 
-    A quadratic through the greys round all circles says more of the slope across one circle
-    than its own pixels do, and costs its centre nothing. Where the greys do not lie on that
-    surface, near a shadow, the slope is as unsure as they are over one pitch.
+    Parameters
+    ----------
+    centres_px : (n, 2) centres of the circles.
+    paper : (n,) grey level of the paper around each circle.
+    clear : (n,) mask of the circles whose paper is not darkened by a crossed line. The others are
+        used only if there are too few of these.
+    tuning : tuned constants of calibration.
+
+    Returns
+    -------
+    (n, 2) relative change of the light per pixel, and (n,) its standard deviation.
     """
     count, fewest = len(paper), tuning.detection.fewest_places
     if count < fewest:
-        # Nothing is claimed of as few circles.
+        # Too few circles for an estimate.
         return np.zeros((count, 2)), np.zeros(count)
     if clear.sum() < fewest:
         clear = np.ones(count, dtype=bool)
@@ -211,25 +243,25 @@ def light_slope(
     one, zero = np.ones(count), np.zeros(count)
     terms = [one, x, y]
     terms_x, terms_y = [zero, one, zero], [zero, zero, one]
-    # Twice the unknowns of a plane, twice the circles.
+    # A quadratic has twice the unknowns of a plane and needs twice the circles.
     if clear.sum() >= 2 * fewest:
         terms += [x * x, x * y, y * y]
         terms_x += [2 * x, y, zero]
         terms_y += [zero, x, 2 * y]
     basis = np.stack(terms, axis=1)
-    seen, rows = paper[clear], basis[clear]
-    weight = np.ones(len(seen))
+    levels, rows = paper[clear], basis[clear]
+    weight = np.ones(len(levels))
     for _ in range(_LIGHT_REWEIGHTINGS):
-        surface, *_ = np.linalg.lstsq(rows * weight[:, None], seen * weight, rcond=None)
-        miss = np.abs(seen - rows @ surface)
-        scale = 3.0 * quick_median(miss) + 1e-9 * np.abs(seen).max() + 1e-30
-        weight = 1.0 / (1.0 + (miss / scale) ** 2)
+        surface, *_ = np.linalg.lstsq(rows * weight[:, None], levels * weight, rcond=None)
+        deviation = np.abs(levels - rows @ surface)
+        scale = 3.0 * quick_median(deviation) + 1e-9 * np.abs(levels).max() + 1e-30
+        weight = 1.0 / (1.0 + (deviation / scale) ** 2)
     light = basis @ surface
     light = np.where(np.abs(light) > 1e-9, light, 1e-9)
     slope = np.stack([np.stack(terms_x, 1) @ surface, np.stack(terms_y, 1) @ surface], axis=1)
     distance = np.linalg.norm(centres_px[:, None] - centres_px[clear][None], axis=2)
     nearest = np.argsort(distance, axis=1)[:, :_NEIGHBOURS]
-    between = np.sort(distance[clear], axis=1)[:, 1]
-    relative_miss = miss / light[clear]
-    unsure = np.sqrt(np.mean(relative_miss[nearest] ** 2, axis=1)) / quick_median(between)
-    return slope / extent / light[:, None], unsure
+    spacing = np.sort(distance[clear], axis=1)[:, 1]
+    relative = deviation / light[clear]
+    slope_sigma = np.sqrt(np.mean(relative[nearest] ** 2, axis=1)) / quick_median(spacing)
+    return slope / extent / light[:, None], slope_sigma

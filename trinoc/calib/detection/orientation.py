@@ -1,8 +1,8 @@
-"""Which way round a sheet lies that looks the same when it is turned.
+"""Orientation of a rotationally symmetric sheet.
 
-A plain grid of discs can be labelled in two ways, a square one in four. Each is a right answer
-about one picture, with the world's X and Y turned; but the cameras of a rig must agree, and no
-picture says how. So nobody chooses unless the user says by what.
+A plain grid of discs has two possible labellings, a square grid four. Each is valid for one image:
+they differ by a rotation of the world's X and Y axes. The cameras of a rig need the same labelling,
+which the images do not determine. The user must therefore state it.
 """
 
 from collections.abc import Mapping
@@ -32,15 +32,28 @@ def resolve_orientation(
     *,
     tuning: CalibTuning = TUNING,
 ) -> tuple[dict[str, Detection], dict[str, str]]:
-    """Every detection with one labelling, and a sentence for each that leaves it open.
+    """Choose one labelling for each detection.
 
-    orientation : None leaves it open; "upright" takes the labelling in which X points to the
-        right in the picture, as nearly as it can; an earlier rig, for each camera that it
-        holds, the labelling that lies nearest to where that camera saw the sheet.
+    Parameters
+    ----------
+    detections : detections by the name of the camera.
+    pattern : the sheet.
+    orientation : rule of the choice. "upright": the labelling whose X axis points most to the right
+        in the image. An earlier rig: the labelling that fits the pose of the same camera best.
+        None: no choice.
+    tuning : tuned constants of calibration.
+
+    Returns
+    -------
+    Detections by camera, and a message for each camera whose labelling remains ambiguous.
+
+    Raises
+    ------
+    InputError : `orientation` has another value.
     """
     if not (orientation is None or isinstance(orientation, Rig) or orientation == "upright"):
         raise InputError(
-            f'orientation is {orientation!r}, but must be "upright", an earlier Rig, or None.'
+            f'orientation is {orientation!r}: give "upright", an earlier Rig, or None.'
         )
     resolved, failures = dict(detections), {}
     for name, detection in detections.items():
@@ -59,36 +72,36 @@ def _choose_labelling(
     name: str,
     tuning: CalibTuning,
 ) -> Int[np.ndarray, "m"] | str:
-    """The labelling to take, or why none can be."""
+    """Chosen labelling, or a message if the labelling is ambiguous."""
     if detection.ambiguity is None or orientation == "upright":
         return detection.circle_index
     choices = detection.labellings
     turn = 360 // len(choices)
-    sheet = f"the sheet {pattern.name!r} looks the same turned by {turn} degrees"
+    sheet = f"the sheet {pattern.name!r} looks the same when rotated by {turn} degrees"
     if orientation is None:
         return (
-            f'{sheet}: say which way round it lies with orientation="upright" (X points right in '
-            "every picture) or with an earlier rig, or print a sheet with rings."
+            f'{sheet}: state its orientation with orientation="upright" (X points right in '
+            "every image) or with an earlier rig, or print a sheet with rings."
         )
     if name not in orientation.names:
-        return f"{sheet}, and the earlier rig has no such camera that would tell."
-    misses = [_miss_px(orientation[name], detection, pattern, index) for index in choices]
-    order = np.argsort(misses)
-    if not misses[order[0]] * tuning.detection.orientation_ratio < misses[order[1]]:
+        return f"{sheet}, and the earlier rig has no camera {name!r}: give a rig with this camera."
+    errors_px = [_error_px(orientation[name], detection, pattern, index) for index in choices]
+    order = np.argsort(errors_px)
+    if not errors_px[order[0]] * tuning.detection.orientation_ratio < errors_px[order[1]]:
         return (
-            f"{sheet}, and the earlier rig does not tell which: its camera misses the best two "
-            f"by {misses[order[0]]:.0f} and {misses[order[1]]:.0f} px."
+            f"{sheet}, and the earlier rig does not decide: the best two orientations have errors "
+            f"of {errors_px[order[0]]:.0f} and {errors_px[order[1]]:.0f} px: give a newer rig."
         )
     return choices[order[0]]
 
 
-def _miss_px(
+def _error_px(
     camera: Camera, detection: Detection, pattern: Pattern, index: Int[np.ndarray, "m"]
 ) -> float:
-    """Median distance of the circles from where the camera would see them."""
+    """Median distance of the circles from their predicted positions, for one labelling."""
     predicted = _centres_px(camera, pattern.centres_mm[index], pattern.radius_mm[index])
-    off = np.linalg.norm(np.asarray(predicted) - detection.centres_px, axis=1)
-    return float(np.median(np.where(np.isfinite(off), off, np.inf)))
+    error_px = np.linalg.norm(np.asarray(predicted) - detection.centres_px, axis=1)
+    return float(np.median(np.where(np.isfinite(error_px), error_px, np.inf)))
 
 
 @kept_jit
@@ -101,10 +114,10 @@ def _centres_px(
 def _with_labelling(
     detection: Detection, pattern: Pattern, index: Int[np.ndarray, "m"]
 ) -> Detection:
-    """The detection with one labelling; after a quarter turn the crossed lines change places."""
+    """Detection with one labelling. A quarter turn exchanges the crossed lines."""
     first, second = (
-        pattern.centres_mm[each] - pattern.centres_mm[each].mean(axis=0)
-        for each in (detection.circle_index, index)
+        pattern.centres_mm[labelling] - pattern.centres_mm[labelling].mean(axis=0)
+        for labelling in (detection.circle_index, index)
     )
     turned = abs(np.sum(first * second)) < abs(np.sum(first * second[:, ::-1] * [1.0, -1.0]))
     return build_detection(

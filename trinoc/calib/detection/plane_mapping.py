@@ -1,5 +1,8 @@
-"""Plane to plane: the homography through point pairs, what it does to small circles, and the
-smooth bend that a lens adds once points allow it."""
+"""Mapping of the sheet to the image: homography, plus a cubic for lens distortion.
+
+The cubic is used if there are enough points. The images of circles are ellipses from the
+homography.
+"""
 
 from typing import NamedTuple
 
@@ -10,11 +13,13 @@ from trinoc.calib.tuning.every_group import CalibTuning
 
 
 class PlaneMapping(NamedTuple):
-    """Map of the plane to the picture.
+    """Mapping from a plane to the image, px.
 
-    homography : (3, 3).
-    bend_px : (10, 2) coefficients of a cubic added to it; zeros without.
-    middle, extent : the cubic's unit square.
+    Fields
+    ------
+    homography : (3, 3) projective part of the mapping.
+    bend_px : (10, 2) coefficients of the cubic that is added to it; zeros without.
+    middle, extent : centre and side of the square that normalises the arguments of the cubic.
     """
 
     homography: Float[np.ndarray, "3 3"]
@@ -23,17 +28,17 @@ class PlaneMapping(NamedTuple):
     extent: float
 
     def bend(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """What the lens adds to the homography, in pixels."""
+        """Displacement by the cubic, which models lens distortion, px."""
         if not self.bend_px.any():
             return np.zeros_like(points)
         return _cubic_terms((points - self.middle) / self.extent) @ self.bend_px
 
     def apply(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Pictures of points; NaN beyond the horizon."""
+        """Images of points of the plane, px; NaN beyond the horizon."""
         return apply_homography(self.homography, points) + self.bend(points)
 
     def log_enlargement(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
-        """Log of the area in pixels of a unit area of the plane."""
+        """Logarithm of the image area, px^2, of a unit area of the plane at each point."""
         depth = points @ self.homography[2, :2] + self.homography[2, 2]
         area = np.abs(np.linalg.det(self.homography) / depth**3)
         return np.log(np.maximum(area, 1e-12))
@@ -41,28 +46,32 @@ class PlaneMapping(NamedTuple):
     def ellipses(
         self, centres: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, "n"]
     ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
-        """Centres and shapes of the pictures of circles."""
+        """Centres and shape matrices of the images of circles."""
         ellipse_centre, shape = images_of_circles(self.homography, centres, radius)
         return ellipse_centre + self.bend(centres), shape
 
 
 def fit_plane_mapping(
     points: Float[np.ndarray, "n 2"],
-    places_px: Float[np.ndarray, "n 2"],
+    image_px: Float[np.ndarray, "n 2"],
     radius: Float[np.ndarray, "n"] | None = None,
     *,
     tuning: CalibTuning,
 ) -> PlaneMapping:
-    """The warp through point pairs.
+    """Fit the mapping to pairs of points.
 
-    radius : of the circles whose ellipse centres `places_px` are; without it the places are
-        taken as pictures of the points.
+    Parameters
+    ----------
+    points : (n, 2) points of the plane.
+    image_px : (n, 2) their images. With `radius`, centres of the ellipses of circles about them.
+    radius : (n,) radii of these circles in the plane.
+    tuning : tuned constants of calibration.
     """
-    target = places_px
+    target = image_px
     homography = fit_homography(points, target)
     if radius is not None:
         ellipse_centre, _ = images_of_circles(homography, points, radius)
-        target = places_px - (ellipse_centre - apply_homography(homography, points))
+        target = image_px - (ellipse_centre - apply_homography(homography, points))
         homography = fit_homography(points, target)
     low, high = points.min(axis=0), points.max(axis=0)
     middle, extent = 0.5 * (low + high), max(float(np.max(high - low)), 1e-9)
@@ -77,6 +86,7 @@ def fit_plane_mapping(
 
 
 def _cubic_terms(unit: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 10"]:
+    """Monomials of x and y up to degree 3."""
     (x, y), one = unit.T, np.ones(len(unit))
     xx, xy, yy = x * x, x * y, y * y
     return np.stack([one, x, y, xx, xy, yy, x * xx, x * xy, x * yy, y * yy], axis=1)
@@ -85,7 +95,12 @@ def _cubic_terms(unit: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 10"]:
 def fit_homography(
     source: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "3 3"]:
-    """Direct linear transform, both sides normalised (Hartley and Zisserman, algorithm 4.2)."""
+    """Fit a homography by the normalised direct linear transform.
+
+    References
+    ----------
+    R. Hartley and A. Zisserman, "Multiple View Geometry in Computer Vision", algorithm 4.2.
+    """
     to_unit_source, unit_source = _normalise(source)
     to_unit_target, unit_target = _normalise(target)
     count = len(source)
@@ -117,7 +132,7 @@ def _normalise(
 def apply_homography(
     homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Images of points; NaN for those at or beyond the plane's horizon."""
+    """Images of points; NaN at or beyond the horizon of the plane."""
     homogeneous = points @ homography[:, :2].T + homography[:, 2]
     depth = np.where(homogeneous[:, 2] > 1e-9, homogeneous[:, 2], np.nan)
     return homogeneous[:, :2] / depth[:, None]
@@ -128,15 +143,15 @@ def images_of_circles(
     centres: Float[np.ndarray, "n 2"],
     radius: Float[np.ndarray, "n"],
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
-    """Centre and shape S of the ellipses that circles become (from their dual conics).
+    """Centres and shape matrices S of the images of circles, from their dual conics.
 
-    A circle that reaches the horizon has a shape that is not positive definite.
+    The shape matrix of a circle that reaches the horizon is not positive definite.
     """
     homogeneous = np.concatenate([centres, np.ones((len(centres), 1))], axis=1)
     dual = homogeneous[:, :, None] * homogeneous[:, None, :]
     dual = dual - radius[:, None, None] ** 2 * np.diag([1.0, 1.0, 0.0])
     image = homography @ dual @ homography.T
-    # Zero where the circle touches the camera's own plane; such circles are no ellipses.
+    # Zero if the circle touches the plane through the camera centre: its image is no ellipse.
     scale = np.where(np.abs(image[:, 2:, 2:]) > 1e-12, image[:, 2:, 2:], 1e-12)
     image = image / scale
     centre = image[:, :2, 2]

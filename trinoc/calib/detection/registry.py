@@ -1,4 +1,4 @@
-"""The detector that belongs to each kind of board."""
+"""Entry points of the detection: the detector of each kind of board, and of sets of boards."""
 
 from collections.abc import Callable
 from itertools import product
@@ -11,7 +11,7 @@ from trinoc.calib.detection.circles import detect_circles
 from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.detection.marker_boards import detect_april_grid, detect_charuco
 from trinoc.calib.detection.marker_readings import ReadingSearch
-from trinoc.calib.detection.usable_places import keep_usable
+from trinoc.calib.detection.usable_points import keep_usable
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import BoardSet, first_point_indices
@@ -32,17 +32,24 @@ DETECTORS: dict[type[AbstractTarget], Callable[..., Detection]] = {
 def detect_target(
     image: Shaped[np.ndarray, "..."], target: AbstractTarget, *, tuning: CalibTuning = TUNING
 ) -> Detection:
-    """The labelled places of a board, or of a set of boards, in one picture, with covariances.
+    """Detect the labelled points of a board or of a set of boards in one image.
 
-    image : (height, width) or (height, width, channels), 8 or 16 bit or real numbers.
-    tuning : all tuned constants; `tuning.detection` has those of the search.
+    Parameters
+    ----------
+    image : (height, width) or (height, width, channels), 8 or 16 bit or floating point.
+    target : a board or a set of boards.
+    tuning : tuned constants of calibration; `tuning.detection` has those of the search.
+
+    Returns
+    -------
+    Labelled points with covariances, px.
 
     Raises
     ------
-    InputError : `image` is no picture, or nothing detects such a target.
-    DetectionError : the board is not seen, or not in a way that can be trusted: rows that are of
-        two moments place it between them, pixels of several colours beside it. Where the picture
-        shows a board with markers that is almost this one, the sentence says which.
+    InputError : `image` is no image, or no detector is registered for the target.
+    DetectionError : the board is not detected, or the image is unusable: interlaced rows of two
+        moments, or a raw colour mosaic. If the image shows a board with markers that is similar to
+        this one, the message describes it.
     """
     return detect_or_explain(image, target, ReadingSearch(target, tuning=tuning), tuning=tuning)
 
@@ -55,9 +62,13 @@ def detect_or_explain(
     *,
     tuning: CalibTuning = TUNING,
 ) -> Detection:
-    """`detect_target` with a search for other readings of the board that other images share.
+    """Detect like `detect_target`, with a search for wrong layouts shared by several images.
 
-    search : None for no search. camera : whose image it is.
+    Parameters
+    ----------
+    image, target, tuning : see `detect_target`.
+    search : search for the layout that the image shows instead; None for no search.
+    camera : name of the camera.
     """
     mixed = describe_mixed_pixels(grey_image(np.asarray(image)))
     if mixed is not None:
@@ -81,7 +92,7 @@ def _detect(
             f"Nothing detects a {type(target).__name__}: give a Pattern, a Chessboard, a Charuco, "
             "an AprilGrid or a BoardSet."
         )
-    # Numbers that overflow are found below, whatever they came from.
+    # Overflows are detected by `keep_usable`.
     with np.errstate(all="ignore"):
         return keep_usable(DETECTORS[type(target)](image, target, tuning), target, tuning)
 
@@ -89,18 +100,23 @@ def _detect(
 def detect_pattern(
     image: Shaped[np.ndarray, "..."], pattern: Pattern, *, tuning: CalibTuning = TUNING
 ) -> Detection:
-    """`detect_target` of a sheet of circles.
+    """Detect the circles and crossed lines of a sheet in one image.
 
-    Circles may be missing, covered, or cut by the border as long as the rings seen tell where
-    the sheet lies. A pattern whose own symmetry leaves more than one labelling open (a plain
-    grid of discs) is labelled as if X pointed right, as nearly as it can; the other choices
-    stand in `Detection.ambiguity`.
+    Circles may be missing, covered or cut by the border, if the visible rings determine the
+    labelling. A symmetric pattern (a plain grid of discs) has several labellings. The first is the
+    one whose X axis points most to the right; `Detection.ambiguity` has the others.
+
+    Parameters
+    ----------
+    image : (height, width) or (height, width, channels), 8 or 16 bit or floating point.
+    pattern : the sheet.
+    tuning : tuned constants of calibration.
 
     Raises
     ------
-    InputError : `image` is no picture, or `pattern` has no plane lattice.
-    DetectionError : no sheet is seen, or two, or a mirrored one, or another pattern, or too
-        little of it to tell where it lies.
+    InputError : `image` is no image, or `pattern` has no plane lattice.
+    DetectionError : the image shows no sheet, two, a mirrored one, another pattern, or too little
+        of the sheet.
     """
     return detect_target(image, pattern, tuning=tuning)
 
@@ -108,10 +124,13 @@ def detect_pattern(
 def _detect_board_set(
     image: Shaped[np.ndarray, "..."], boards: BoardSet, tuning: CalibTuning
 ) -> Detection:
-    """The places of all boards of a set that the picture shows.
+    """Detect the points of all visible boards of a set.
 
-    Lines are left out: of several boards they would not say whose they are. Raises DetectionError
-    where no board is found.
+    Lines are omitted, because `Detection.lines_px` cannot state to which board they belong.
+
+    Raises
+    ------
+    DetectionError : no board is detected.
     """
     parts, labels, failures = [], [], []
     for first, board in zip(first_point_indices(boards), boards.boards, strict=True):
@@ -124,10 +143,10 @@ def _detect_board_set(
         labels.append(first + part.labellings)
     if not parts:
         raise DetectionError(
-            f"None of the boards {', '.join(boards.names)} was found; of the first: {failures[0]}"
+            f"None of the boards {', '.join(boards.names)} was found; for the first: {failures[0]}"
         )
     return build_detection(
-        np.stack([np.concatenate(each) for each in product(*labels)]),
+        np.stack([np.concatenate(labelling) for labelling in product(*labels)]),
         np.concatenate([part.centres_px for part in parts]),
         np.concatenate([part.covariance_px2 for part in parts]),
         parts[0].image_size_px,

@@ -1,22 +1,26 @@
-"""Covariance of positions that were fitted to windows of an image, from the residuals of the fits.
+"""Covariance of positions fitted to image windows, for correlated noise of varying strength.
 
-Image noise varies over a window, and neighbouring pixels share it: cameras remove noise,
-interpolate a colour mosaic, compress. The covariance therefore allows for both, as in T. G. Conley,
-"GMM estimation with cross sectional dependence", Journal of Econometrics 92 (1999). With r_i the
-residual of pixel i and a_i the change of the position by it, the position has the variance
+Image noise varies over a window, and neighbouring pixels have correlated noise: cameras filter
+noise, interpolate a colour mosaic and compress. The covariance is therefore estimated from the
+residuals. With r_i the residual of pixel i and a_i the derivative of the position by its grey
+level, it is
 
     S = sum over pixels i, j of k(j - i) r_i r_j a_i a_j^T,
 
 where the kernel k is 1 for neighbours and 0 beyond a few pixels. A fit follows part of the noise,
-so that S is too small. For independent noise of variance 1 its expectation E is known exactly. One
-window holds too few pixels for a reliable S: the ratio S / E is therefore averaged over all windows
-of the image, and multiplies the covariance that independent noise of variance 1 would give. Nothing
-is iterated, so nothing can diverge.
+so that S is too small. For independent noise of variance 1, the expectation E of S is known
+exactly. One window has too few pixels for a reliable S. The mean of S / E over all windows of the
+image multiplies the covariance for independent noise of variance 1. The computation is direct,
+without iterations that could diverge.
 
-The fitted shapes are symmetric about their position, and so is what the model lacks of blur,
-response and saturation: this moves nothing. The noise is therefore estimated from the half of the
-residuals that changes sign in the position, (r(x) - r(-x)) / sqrt(2), which has the noise's
-variance.
+The fitted shapes are symmetric about their position. Errors of the model of blur, response and
+saturation are symmetric as well and do not move the position. The noise is therefore estimated from
+the odd part of the residuals about the position, (r(x) - r(-x)) / sqrt(2), whose variance is that
+of the noise.
+
+References
+----------
+T. G. Conley, "GMM estimation with cross sectional dependence", Journal of Econometrics 92, 1999.
 """
 
 from collections.abc import Sequence
@@ -28,24 +32,24 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from trinoc.calib.tuning.every_group import CalibTuning
 
-# numerical: pixels of a pair that counts are at most so far apart in rows or columns.
+# numerical: largest distance of correlated pixels in rows and in columns.
 _REACH = 2
-# numerical: a window whose fit follows more of the noise than all but this share does not count.
+# numerical: smallest share of the noise that a fit must not follow; other windows are excluded.
 _LEAST_FREE = 0.1
-# numerical: in the mean, a window's ratio counts up to so many times the median; a window beyond
-# that has a larger covariance of its own.
+# numerical: limit of a window's ratio in the mean, over the median. The covariance of a window
+# beyond it is enlarged individually.
 _LARGEST_RATIO = 4.0
-_EMPTY = cv2.BORDER_CONSTANT  # nothing lies beyond a window
+_EMPTY = cv2.BORDER_CONSTANT  # zeros beyond the image
 
 
 class WindowPixels(NamedTuple):
-    """Pixels of n windows, at most k each.
+    """Pixels of n square windows, at most k each.
 
     Fields
     ------
-    side : side of the square windows, px.
-    column, row : (n, k) position of each pixel from the window's first.
-    used : (n, k) which of the k pixels exist.
+    side : side of the windows, px.
+    column, row : (n, k) position of each pixel relative to the first pixel of the window.
+    used : (n, k) mask of the valid entries.
     """
 
     side: int
@@ -54,7 +58,7 @@ class WindowPixels(NamedTuple):
     used: Bool[np.ndarray, "n k"]
 
     def lay_out(self, values: Shaped[np.ndarray, "n k *p"]) -> Shaped[np.ndarray, "n side side *p"]:
-        """Values of pixels as images of the windows, 0 where no pixel is used."""
+        """Arrange values of pixels as images of the windows, with 0 for unused pixels."""
         tiles = np.zeros((len(values), self.side, self.side, *values.shape[2:]), values.dtype)
         window, pixel = np.nonzero(self.used)
         tiles[window, self.row[window, pixel], self.column[window, pixel]] = values[window, pixel]
@@ -63,17 +67,19 @@ class WindowPixels(NamedTuple):
     def opposite(
         self, positions: Float[np.ndarray, "n 2"]
     ) -> tuple[Int[np.ndarray, "n k"], Bool[np.ndarray, "n k"]]:
-        """For each pixel the one across its window's position, and whether it is used.
+        """Index of the pixel opposite to each pixel, mirrored at a position of the window.
 
-        positions : column and row from the window's first pixel; rounded to half a pixel.
+        positions : (n, 2) column and row from the window's first pixel; rounded to half a pixel.
+
+        Returns the indices, and the mask of the pixels for which both exist.
         """
         count = self.used.shape[1]
         number = self.lay_out(np.broadcast_to(np.arange(1, count + 1), self.used.shape))
-        twice = np.rint(2.0 * positions).astype(int)
-        column, row = twice[:, :1] - self.column, twice[:, 1:] - self.row
+        doubled = np.rint(2.0 * positions).astype(int)
+        column, row = doubled[:, :1] - self.column, doubled[:, 1:] - self.row
         inside = (column >= 0) & (column < self.side) & (row >= 0) & (row < self.side)
         window = np.arange(len(self.used))[:, None]
-        column, row = (np.clip(each, 0, self.side - 1) for each in (column, row))
+        column, row = (np.clip(axis, 0, self.side - 1) for axis in (column, row))
         index = number[window, row, column] - 1
         return np.maximum(index, 0), self.used & inside & (index >= 0)
 
@@ -87,15 +93,22 @@ def sandwich_covariance(
     odd: Sequence[int],
     tuning: CalibTuning,
 ) -> Float[np.ndarray, "n 2 2"]:
-    """Covariance of the position of each window, px^2 for residuals in grey levels.
+    """Covariance of the fitted position in each window, px^2.
 
     Parameters
     ----------
-    pixels : the windows.
+    pixels : pixels of the windows.
     positions : (n, 2) fitted column and row, from the window's first pixel.
-    residual, jacobian : (n, k), (n, k, p) at the end of the fit.
-    covariance : (n, p, p) of the parameters for independent noise of variance 1; positive definite.
-    odd : parameters whose derivatives change sign in the position; the position's own two first.
+    residual, jacobian : (n, k), (n, k, p) residuals and their derivatives at the end of the fit.
+    covariance : (n, p, p) positive definite covariance of the parameters for independent noise of
+        variance 1.
+    odd : indices of the parameters whose derivatives are odd about the position. The first two are
+        the position.
+    tuning : tuned constants of calibration.
+
+    Returns
+    -------
+    (n, 2, 2) covariances.
     """
     odd = list(odd)
     across, has_opposite = pixels.opposite(positions)
@@ -106,8 +119,8 @@ def sandwich_covariance(
     opposed = (residual - _take(residual, across)) * np.float32(np.sqrt(0.5))
     moves = np.empty((*opposed.shape, 1 + len(odd), 2), np.float32)
     np.multiply(opposed[..., None], by_pixel, out=moves[:, :, 0])
-    # The part of the jacobian that changes sign, in standard deviations of its parameters: of such
-    # noise the fit follows twice the square of each column.
+    # Odd part of the Jacobian, in standard deviations of its parameters. The fit removes twice the
+    # square of each column from the odd noise.
     root = np.linalg.cholesky(covariance[:, odd][:, :, odd]).astype(np.float32)
     followed = 0.5 * (jacobian[..., odd] - _take(jacobian[..., odd], across)) @ root
     np.multiply(followed[..., None], by_pixel[:, :, None], out=moves[:, :, 1:])
@@ -115,26 +128,29 @@ def sandwich_covariance(
     lost_squares, lost = 2.0 * np.sum(by_column, axis=0)
     influence = np.sum(by_pixel**2, axis=2, dtype=float)
     total = influence.sum(axis=1)
-    # A pixel and the one across it have the same noise but for the sign.
-    apart = 2.0 * (pixels.column - positions[:, :1]), 2.0 * (pixels.row - positions[:, 1:])
-    twins = np.sum(influence * _weight(apart[0]) * _weight(apart[1]), axis=1)
-    expected, expected_squares = total + twins - lost, total - lost_squares
-    counts = (total > 0) & (np.minimum(expected, expected_squares) > _LEAST_FREE * total)
-    if not counts.any():
+    # The odd noise of a pixel and of the opposite one are equal except for the sign.
+    separation = 2.0 * (pixels.column - positions[:, :1]), 2.0 * (pixels.row - positions[:, 1:])
+    pairs = np.sum(influence * _weight(separation[0]) * _weight(separation[1]), axis=1)
+    expected, expected_squares = total + pairs - lost, total - lost_squares
+    is_valid = (total > 0) & (np.minimum(expected, expected_squares) > _LEAST_FREE * total)
+    if not is_valid.any():
         return white
-    ratio = np.divide(observed, expected, out=np.zeros_like(total), where=counts)
-    # Correlations make the sum of one window negative by chance, that of all windows seldom.
-    least = tuning.photometric.least_spread * _mean(squares[counts] / expected_squares[counts])
-    scale = max(_mean(ratio[counts]), least, 1e-300)
+    ratio = np.divide(observed, expected, out=np.zeros_like(total), where=is_valid)
+    # By chance the sum of one window can be negative, that of all windows only rarely.
+    mean_square = _mean(squares[is_valid] / expected_squares[is_valid])
+    smallest = tuning.photometric.least_spread * mean_square
+    scale = max(_mean(ratio[is_valid]), smallest, 1e-300)
     return white * np.maximum(scale, ratio / _LARGEST_RATIO)[:, None, None]
 
 
 def _sum_pairs(
     pixels: WindowPixels, moves: Float[np.ndarray, "n k m 2"]
 ) -> Float[np.ndarray, "m s n"]:
-    """Sum of squares, and sum of products over pairs of near pixels, of m values of each pixel.
+    """Sums over each window: of squares, and of products over pairs of neighbouring pixels.
 
-    moves : m changes of the position of each of n windows by each pixel.
+    moves : (n, k, m, 2) m changes of the position of each window, caused by each of its k pixels.
+
+    Returns (m, 2, n): the sum of squares, and the sum of products.
     """
     count, sets = len(moves), moves.shape[2]
     # All windows are filtered as one image, with empty rows between them.
@@ -143,19 +159,22 @@ def _sum_pairs(
     tiles[:] = np.moveaxis(pixels.lay_out(moves), 3, 0)
     kernel = _weight(np.arange(-_REACH, _REACH + 1.0)).astype(np.float32)
     column = padded.reshape(-1, pixels.side, 2)
-    near = cv2.sepFilter2D(column, -1, kernel, kernel, borderType=_EMPTY).reshape(padded.shape)
-    products = tiles**2, tiles * near[:, :, : pixels.side]
-    return np.stack([np.sum(each, axis=(2, 3, 4), dtype=float) for each in products], axis=1)
+    filtered = cv2.sepFilter2D(column, -1, kernel, kernel, borderType=_EMPTY)
+    neighbours = filtered.reshape(padded.shape)[:, :, : pixels.side]
+    products = tiles**2, tiles * neighbours
+    return np.stack([np.sum(product, axis=(2, 3, 4), dtype=float) for product in products], axis=1)
 
 
 def _weight(distance_px: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Weight of a pair of pixels by its distance in rows or columns: 1 for neighbours, then falling
-    linearly to 0."""
+    """Weight of a pair of pixels by its distance along rows or columns.
+
+    The weight is 1 up to a distance of about one pixel and falls linearly to 0.
+    """
     return np.clip(2.0 - 2.0 * np.abs(distance_px) / (_REACH + 1), 0.0, 1.0)
 
 
 def _mean(ratio: Float[np.ndarray, "n"]) -> float:
-    """Mean over windows, of which none counts with more than a few times the median."""
+    """Mean over windows, each clipped at a multiple of the median."""
     limit = _LARGEST_RATIO * max(float(np.median(ratio)), 0.0)
     return float(np.mean(np.clip(ratio, -limit, limit)))
 
@@ -163,5 +182,5 @@ def _mean(ratio: Float[np.ndarray, "n"]) -> float:
 def _take(
     values: Shaped[np.ndarray, "n k *p"], index: Int[np.ndarray, "n k"]
 ) -> Shaped[np.ndarray, "n k *p"]:
-    """Values of one pixel of the same window for each pixel."""
+    """Select for each pixel the values of another pixel of the same window."""
     return values[np.arange(len(values))[:, None], index]

@@ -1,10 +1,12 @@
-"""The sheet's image as a differentiable model, fitted to the pixels near ink edges.
+"""Fit of a differentiable model of the sheet's image to the grey levels near ink edges.
 
-unknowns; sheet_places -> edges, ink -> grey_level (one pixel) -> noise, equations (all of them) ->
-descent (the compiled programs). square_pixels, pixel_selection, encoding -> scene (what a fit holds
-fixed) -> fit_state -> gate, evidence -> fit -> covariance, patches -> image_fit (one picture) ->
-views (all of them).
+Files in their order of use:
+unknowns; sheet_geometry -> edges, ink -> grey_level (model of one pixel) -> noise, equations (all
+pixels) -> descent (compiled programs). square_pixels, pixel_selection, encoding -> scene (constants
+of a fit) -> fit_state -> gate, evidence -> fit -> covariance, patches -> image_fit (one image) ->
+views (all images), sentences (messages).
 
-An ideal camera is the delivered one with unknowns left out (`unknowns.IDEAL`); where its residuals
-refute it, they are freed. What is known of a camera's response stands in `encoding`, its curve in
-`grey_level.grey_level` alone."""
+The ideal camera model (`unknowns.IDEAL`) has a subset of the unknowns of the full camera model
+(`unknowns.FULL`). If its residuals refute it, further unknowns are estimated. `encoding` has the
+known properties of the images, `grey_level.grey_level` the response curve.
+"""

@@ -1,27 +1,37 @@
-"""The two compiled programs of the fit of a picture: its equations again, and steps."""
+"""The two compiled programs of the fit of an image: steps of the fit, and reweighting."""
 
 from jaxtyping import Float, Int
 
-from trinoc.calib.photometric.equations import PictureProblem, weigh_picture
-from trinoc.calib.photometric.unknowns import PictureState
+from trinoc.calib.photometric.equations import ImageProblem, weigh_image
+from trinoc.calib.photometric.unknowns import ImageState
 from trinoc.calib.problem.solver import ArrowEquations, Solution, descend
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 
 
-def fit_picture(
-    problem: PictureProblem,
-    state: PictureState,
+def fit_image(
+    problem: ImageProblem,
+    state: ImageState,
     start: ArrowEquations,
     first_damping: Float[ArrayLike, ""],
     most_steps: Int[ArrayLike, ""],
     atol: Float[ArrayLike, ""],
-) -> Solution[PictureState]:
-    """Return the state after steps from one whose equations of all unknowns are known."""
+) -> Solution[ImageState]:
+    """Take steps of the fit.
+
+    Parameters
+    ----------
+    problem : the image with its weights and priors.
+    state : initial state.
+    start : equations of all unknowns at `state`.
+    first_damping : initial damping.
+    most_steps : largest number of steps.
+    atol : the fit ends if the next step promises a smaller gain of chi-square.
+    """
     return descend(
-        problem, state, first_damping, problem.hold(start), atol=atol, most_steps=most_steps
+        problem, state, first_damping, problem.remove_fixed(start), atol=atol, most_steps=most_steps
     )
 
 
-run_fit = kept_jit(fit_picture)
-weigh = kept_jit(weigh_picture)
+run_fit = kept_jit(fit_image)
+weigh = kept_jit(weigh_image)

@@ -1,10 +1,10 @@
-"""The share of a blurred pixel that lies on the inked side of one edge.
+"""Coverage of a blurred pixel by one edge of ink: the share of its light from the inked side.
 
-An edge is F(X, Y) = 0 on the sheet, in mm, with ink where F < 0. Its image is a curve; what
-counts is the distance of the pixel from the nearest point of that curve, its foot, and the
-curvature there. Under a Gaussian of variance s^2 = blur^2 + 1/12 (the last is the pixel's
-box) the coverage of a half plane is the normal distribution function; curvature adds a shift
-and a widening, the box a small kurtosis.
+An edge is the curve F(X, Y) = 0 on the sheet, in mm, with ink where F < 0. The foot of a pixel is
+the nearest point of the edge's image. The coverage depends on the distance d to the foot and on the
+curvature there. For a straight edge and Gaussian blur it is Phi(-d / s), with s^2 = blur^2 + 1/12
+(the integration over the pixel). Curvature adds a shift and a widening, the square pixel a small
+kurtosis.
 """
 
 from typing import NamedTuple
@@ -13,30 +13,30 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from trinoc.calib.photometric.sheet_places import Ray, SheetPoint, sheet_point
+from trinoc.calib.photometric.sheet_geometry import Ray, SheetPoint, sheet_point
 from trinoc.numerics.precision import ArrayLike
 
-# Of one pixel or of many.
+# A number for one pixel or for many.
 Scalar = Float[ArrayLike, "*n"]
 
-# numerical: beyond so many sigmas the coverage is 0 or 1, and its series mean nothing.
+# numerical: distance in sigmas beyond which the coverage is 0 or 1 and its series is not valid.
 _REACH = 6.0
-_LEAST_VARIANCE = 0.01  # numerical: a guard of a division
-_LINE_KURTOSIS = -1.2  # numerical: excess kurtosis of a line of even light
-# numerical: guards that are met only far from an edge, where the expansions about it break down.
+_LEAST_VARIANCE = 0.01  # numerical: guard of a division
+_LINE_KURTOSIS = -1.2  # numerical: excess kurtosis of a uniform distribution on a line
+# numerical: guards that act only far from an edge, where the expansions are not valid.
 _NEAREST_TO_CENTRE, _LEAST_ROOT, _SURE_SHARE = 0.25, 0.1, 0.95
 
 
 class Edge(NamedTuple):
-    """How an edge looks from a pixel; held fixed when the model is linearised.
+    """Geometry of an edge relative to a pixel; constant in the linearised model.
 
     Fields
     ------
-    distance : of the pixel from the edge's image, positive outside the ink, px.
-    gradient : g, length of the gradient of F with respect to the pixel at the foot, mm per px.
-    normal_u, normal_v : N, its direction.
-    normal_x, normal_y : n, the gradient of F on the sheet, of unit length.
-    curvature : of the edge's image at the foot, positive where the ink bulges out, per px.
+    distance : distance of the pixel from the edge's image, positive outside the ink, px.
+    gradient : g, length of the gradient of F by the pixel coordinates at the foot, mm per px.
+    normal_u, normal_v : N, direction of this gradient in the image.
+    normal_x, normal_y : n, unit gradient of F on the sheet.
+    curvature : curvature of the edge's image at the foot, positive for convex ink, per px.
     curvature_change : second derivative of the curvature along the edge, per px^3.
     unit : 1 (see `SheetPoint`).
     """
@@ -55,13 +55,20 @@ class Edge(NamedTuple):
 def straight_edge(
     point: SheetPoint, normal_x: Scalar, normal_y: Scalar, offset_mm: Float[ArrayLike, "*#n"]
 ) -> Edge:
-    """An edge F = n . (X, Y) - offset, for a unit normal n."""
+    """Geometry of a straight edge, F = n . (X, Y) - offset.
+
+    Parameters
+    ----------
+    point : point of the sheet under each pixel.
+    normal_x, normal_y : unit normal n, pointing away from the ink.
+    offset_mm : distance of the edge from the origin along n.
+    """
     value = normal_x * point.point_mm[0] + normal_y * point.point_mm[1] - offset_mm
     gradient, normal_u, normal_v = _gradient(point, normal_x, normal_y)
     slope_n, slope_t = _rotate_components(
         point.depth_slope[0], point.depth_slope[1], normal_u, normal_v
     )
-    # The image is a straight line but for the lens: its distance, to third order.
+    # Distance to third order. Without distortion the image is a straight line.
     lens = _lens_bend(point, normal_x, normal_y, normal_u, normal_v, gradient)
     along_n, across = lens.along_n - 2 * slope_n, lens.across - slope_t
     first = value / gradient
@@ -90,10 +97,16 @@ def circular_edge(
     centre_mm: Float[ArrayLike, "2 *n"],
     radius_mm: Scalar,
 ) -> Edge:
-    """An edge F = |(X, Y) - centre| - radius.
+    """Geometry of a circular edge, F = |(X, Y) - centre| - radius.
 
-    The foot comes from the second-order expansion of F at the pixel; the edge is then looked
-    at from there, because a steep ellipse bends much between a pixel and its foot.
+    The foot follows from the expansion of F to second order at the pixel. The geometry is then
+    evaluated at the foot, because the curvature of an oblique circle's image varies strongly.
+
+    Parameters
+    ----------
+    sheet_from_camera : homography from rays in the camera frame to the sheet.
+    ray, point : ray of each pixel, and its point on the sheet.
+    centre_mm, radius_mm : the circle.
     """
     normal_x, normal_y, centre_distance = _from_centre(point, centre_mm)
     gradient, normal_u, normal_v = _gradient(point, normal_x, normal_y)
@@ -117,18 +130,20 @@ def circular_edge(
     lens = _lens_bend(foot, normal_x, normal_y, normal_u, normal_v, gradient)
     change = curvature * tangent_t * tangent_t / (radius_mm * radius_mm) * (3 + ratio)
     curvature = curvature + lens.along_t
-    outward, aside = _rotate_components(-shift_u, -shift_v, normal_u, normal_v)
+    outward, sideways = _rotate_components(-shift_u, -shift_v, normal_u, normal_v)
     rest = (centre_distance - radius_mm) / gradient
-    rounding = 0.5 * curvature * aside * aside / jnp.maximum(1 + curvature * outward, 0.5)
-    # F grows by no more than the largest stretch of the picture: inside a steep ellipse,
-    # where the foot may lie on either side, this keeps the distance from vanishing.
+    rounding = 0.5 * curvature * sideways * sideways / jnp.maximum(1 + curvature * outward, 0.5)
+    # The largest stretch of the mapping bounds the slope of F. Inside an oblique ellipse, where the
+    # foot may lie on either side, this keeps the distance from vanishing.
     (a00, a01), (a10, a11) = point.by_pixel
     squares, area = a00 * a00 + a01 * a01 + a10 * a10 + a11 * a11, a00 * a11 - a01 * a10
     flat = jnp.sqrt(jnp.maximum(squares * squares - 4 * area * area, 0.0))
     stretch = jnp.sqrt(0.5 * (squares + flat))
-    least = _SURE_SHARE * jnp.abs(value) / stretch
+    lower_bound = _SURE_SHARE * jnp.abs(value) / stretch
     distance = outward + rest + rounding
-    distance = jnp.where(value < 0, jnp.minimum(distance, -least), jnp.maximum(distance, least))
+    distance = jnp.where(
+        value < 0, jnp.minimum(distance, -lower_bound), jnp.maximum(distance, lower_bound)
+    )
     return Edge(
         distance,
         gradient,
@@ -143,10 +158,10 @@ def circular_edge(
 
 
 class Kernel(NamedTuple):
-    """What blurs a picture, the pixel's box included; a Gaussian with one field alone.
+    """Blur kernel of an image, including the integration over a pixel.
 
-    See `unknowns` for the fields. None is the value of an ideal camera, which the compiler leaves
-    out.
+    With `sigma_px` alone it is a Gaussian. See `unknowns` for the fields. None means the value of
+    the ideal camera; the compiler omits such terms.
     """
 
     sigma_px: Scalar
@@ -159,7 +174,14 @@ class Kernel(NamedTuple):
 
 
 class EdgeCoverage(NamedTuple):
-    """Coverage by one edge, with what its product with another edge needs."""
+    """Coverage of a pixel by one edge, with intermediate results for `coverage_of_both`.
+
+    Fields
+    ------
+    share : share of the pixel with ink.
+    score, density : argument of the normal distribution function, and its density there.
+    normal_u, normal_v : direction of the edge's normal in the image.
+    """
 
     share: Scalar
     score: Scalar
@@ -169,21 +191,21 @@ class EdgeCoverage(NamedTuple):
 
 
 def coverage(edge: Edge, shift_mm: Scalar, kernel: Kernel) -> EdgeCoverage:
-    """Share of the pixel with ink, where F has grown by `shift_mm`.
+    """Coverage of a pixel by an edge whose F has increased by `shift_mm`.
 
-    A Gaussian whose width depends on the edge's direction, with cumulants beyond the second as in
-    Edgeworth's series: flat-topped as a defocus disc or a moved picture.
+    The kernel is a Gaussian whose width depends on the direction of the edge. Higher cumulants
+    enter as in Edgeworth's series; they describe the flat top of defocus and of motion blur.
     """
-    variance, aside = _variances(edge, kernel)
+    variance, along_variance = _variances(edge, kernel)
     kurtosis = _kurtosis_term(edge, kernel, variance)
     if kernel.sixth is not None:
-        # Divisions by one, for the derivatives' sake: see `SheetPoint.unit`.
-        numbers = shift_mm, variance, aside, kurtosis
-        shift_mm, variance, aside, kurtosis = (number / edge.unit for number in numbers)
+        # Divisions by one keep the compiler from recomputing values: see `SheetPoint.unit`.
+        numbers = shift_mm, variance, along_variance, kurtosis
+        shift_mm, variance, along_variance, kurtosis = (number / edge.unit for number in numbers)
     sigma = jnp.sqrt(variance)
     reach = _REACH * sigma
     distance = jnp.clip(edge.distance + shift_mm / edge.gradient, -reach, reach)
-    half = jnp.clip(0.5 * edge.curvature * aside / sigma, -0.5, 0.5)
+    half = jnp.clip(0.5 * edge.curvature * along_variance / sigma, -0.5, 0.5)
     shift = half + 3 * half**3 + edge.curvature_change * sigma**3 / 8
     score = -(distance / sigma + shift) / jnp.sqrt(1 + 2 * half * half)
     density = jnp.exp(-0.5 * score * score) * 0.3989422804014327
@@ -198,7 +220,7 @@ def coverage(edge: Edge, shift_mm: Scalar, kernel: Kernel) -> EdgeCoverage:
 
 
 def _variances(edge: Edge, kernel: Kernel) -> tuple[Scalar, Scalar]:
-    """Of the kernel along the edge's normal, and along the edge."""
+    """Variances of the kernel along the edge's normal and along the edge, px^2."""
     middle = kernel.sigma_px * kernel.sigma_px
     if kernel.along_u is None or kernel.diagonal is None or kernel.along_axes is None:
         return middle, middle
@@ -211,14 +233,14 @@ def _variances(edge: Edge, kernel: Kernel) -> tuple[Scalar, Scalar]:
 
 
 def _kurtosis_term(edge: Edge, kernel: Kernel, variance: Scalar) -> Scalar:
-    """Excess kurtosis along the normal over 24, that of the pixel's box included."""
+    """Excess kurtosis of the kernel along the normal, divided by 24, with that of the pixel."""
     box = (edge.normal_u**4 + edge.normal_v**4) / (2880 * variance * variance)
     if kernel.along_u is None or kernel.diagonal is None:
         return -box
     assert kernel.line is not None
     assert kernel.kurtosis is not None
     even, odd = _double_angle(edge)
-    # A motion's variance along the normal, |m| (1 + cos 2 angle).
+    # Variance of a straight motion along the normal, |m| (1 + cos 2 angle).
     amount = jnp.sqrt(kernel.along_u**2 + kernel.diagonal**2 + 1e-12)
     moved = amount + kernel.along_u * even + kernel.diagonal * odd
     of_line = _LINE_KURTOSIS * kernel.line * moved * moved / (variance * variance)
@@ -231,25 +253,25 @@ def _double_angle(edge: Edge) -> tuple[Scalar, Scalar]:
     return even, 2 * edge.normal_u * edge.normal_v
 
 
-def common(first: EdgeCoverage, second: EdgeCoverage) -> Scalar:
+def coverage_of_both(first: EdgeCoverage, second: EdgeCoverage) -> Scalar:
     """Share of the pixel on the inked side of both edges.
 
-    The two distances are normal variables correlated by the angle of the edges; the bivariate
-    normal distribution function as its tetrachoric series, within the bounds that any two
-    events keep: nearly parallel edges reach them, where the series fails.
+    The distances from both edges are normal variables, correlated by the angle of the edges. The
+    bivariate normal distribution function is evaluated by its tetrachoric series. The result is
+    clipped to the Frechet bounds, because the series fails for nearly parallel edges.
     """
     rho = first.normal_u * second.normal_u + first.normal_v * second.normal_v
     p, q = first.score, second.score
     series = rho * (1 + rho * (p * q / 2 + rho * (p * p - 1) * (q * q - 1) / 6))
     both = first.share * second.share + first.density * second.density * series
-    least = jnp.maximum(first.share + second.share - 1, 0.0)
-    return jnp.clip(both, least, jnp.minimum(first.share, second.share))
+    lower_bound = jnp.maximum(first.share + second.share - 1, 0.0)
+    return jnp.clip(both, lower_bound, jnp.minimum(first.share, second.share))
 
 
 def _from_centre(
     point: SheetPoint, centre_mm: Float[ArrayLike, "2 *n"]
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Direction and distance of a point of the sheet from a circle's centre."""
+    """Unit vector from a circle's centre to a point of the sheet, and their distance, mm."""
     dx, dy = point.point_mm[0] - centre_mm[0], point.point_mm[1] - centre_mm[1]
     distance = jnp.sqrt(dx * dx + dy * dy + 1e-12)
     return dx / distance, dy / distance, distance
@@ -258,7 +280,7 @@ def _from_centre(
 def _gradient(
     point: SheetPoint, normal_x: Scalar, normal_y: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Length and direction, in the picture, of the gradient of F."""
+    """Length and direction, in the image, of the gradient of F."""
     (a00, a01), (a10, a11) = point.by_pixel
     u, v = normal_x * a00 + normal_y * a10, normal_x * a01 + normal_y * a11
     length = jnp.sqrt(u * u + v * v)
@@ -268,14 +290,14 @@ def _gradient(
 def _tangent(
     point: SheetPoint, normal_x: Scalar, normal_y: Scalar, normal_u: Scalar, normal_v: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Motion along the edge on the sheet for a motion along N and along T in the picture."""
+    """Displacement along the edge on the sheet, mm, per px along N and along T in the image."""
     (a00, a01), (a10, a11) = point.by_pixel
     u, v = -normal_y * a00 + normal_x * a10, -normal_y * a01 + normal_x * a11
     return _rotate_components(u, v, normal_u, normal_v)
 
 
 class _LensBend(NamedTuple):
-    """Second derivatives of F that the lens adds, over g: along N, along N and T, along T."""
+    """Second derivatives of F due to lens distortion, over g: along N, mixed, and along T."""
 
     along_n: Scalar
     across: Scalar
@@ -307,5 +329,5 @@ def _lens_bend(
 def _rotate_components(
     u: Scalar, v: Scalar, normal_u: Scalar, normal_v: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Components of (u, v) along N and along T, N turned by a quarter."""
+    """Components of (u, v) along N and along T, which is N rotated by 90 degrees."""
     return u * normal_u + v * normal_v, v * normal_u - u * normal_v

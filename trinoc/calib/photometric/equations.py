@@ -1,10 +1,10 @@
-"""Normal equations of a picture's unknowns: a head of pose and look, and the light of each block.
+"""Normal equations of one image: a head (pose and appearance), and blocks (local light).
 
-A picture is predicted first (`predict_picture`), then weighed (`weigh_picture`): another noise, or
-pixels that are cut, need no new prediction. Pixels are handled in chunks that stay in the cache, in
-the precision of their arrays (single is enough, and twice as fast), sums in that of the homography.
-The number of chunks is data: one compiled program serves any number of pixels up to the length of
-the padded arrays.
+`predict_image` computes grey levels and derivatives, `weigh_image` the weighted sums. Other noise
+or excluded pixels need no new prediction. Pixels are processed in chunks that fit the cache, in the
+precision of their arrays (single precision suffices and is twice as fast). Sums have the precision
+of the homography. The number of chunks is data: one compiled program serves any number of pixels up
+to the length of the padded arrays.
 """
 
 from collections.abc import Callable
@@ -19,11 +19,11 @@ from jaxtyping import Float, Int
 from trinoc.calib.photometric.grey_level import Pixels, predict_levels
 from trinoc.calib.photometric.ink import Cross, InkDrawing
 from trinoc.calib.photometric.noise import Saturation, clipped_moments
-from trinoc.calib.photometric.sheet_places import sheet_from_camera
+from trinoc.calib.photometric.sheet_geometry import sheet_from_camera
 from trinoc.calib.photometric.unknowns import (
     LOCAL_TERMS,
-    PicturePrior,
-    PictureState,
+    ImagePrior,
+    ImageState,
     step_unit_mm,
 )
 from trinoc.calib.problem.solver import AbstractArrowProblem, ArrowEquations
@@ -32,24 +32,24 @@ from trinoc.numerics.block_arrow import BlockArrow
 from trinoc.numerics.precision import ArrayLike, array_namespace
 from trinoc.numerics.robust_loss import GemanMcClure
 
-CHUNK = 512  # numerical: a block size
+CHUNK = 512  # numerical: number of pixels in a chunk
 
 
 class LocalPixels(NamedTuple):
-    """The block that each pixel belongs to, and (1, x, y) about its middle in half pitches."""
+    """Block of each pixel, and (1, x, y) relative to the centre of the block, in half pitches."""
 
     block: Int[ArrayLike, "n"]
     basis: Float[ArrayLike, "n 3"]
 
 
 class Group(NamedTuple):
-    """Pixels that share a model: those near circles only, or those near a line too.
+    """Pixels with the same model: those near circles only, or those near a line.
 
     Fields
     ------
-    pixels : padded to whole chunks.
-    chunks : how many of them take part.
-    local : where light is local, else None.
+    pixels : the pixels, padded to complete chunks.
+    chunks : number of chunks that are used.
+    local : block of each pixel if blocks have their own light, else None.
     """
 
     pixels: Pixels
@@ -57,16 +57,16 @@ class Group(NamedTuple):
     local: LocalPixels | None = None
 
 
-class Picture(NamedTuple):
-    """What one picture of the sheet shows, and what is known besides.
+class ImageData(NamedTuple):
+    """Data of one image for the compiled programs: pixels, constants and priors.
 
     Fields
     ------
-    near_circles, near_lines : pixels.
-    cross : of the sheet.
+    near_circles, near_lines : the two groups of pixels.
+    cross : the crossed lines of the sheet.
     white : grey level of a full signal.
-    saturation : where saturation cuts.
-    prior : of each unknown beside the pose.
+    saturation : saturation level.
+    prior : prior of the unknowns other than the pose.
     """
 
     near_circles: Group
@@ -74,17 +74,20 @@ class Picture(NamedTuple):
     cross: Cross
     white: Float[ArrayLike, ""]
     saturation: Saturation
-    prior: PicturePrior
+    prior: ImagePrior
 
 
 class PixelRows(NamedTuple):
-    """Predicted pixels before saturation; of a group, chunk after chunk, padding included.
+    """Predicted grey levels before saturation, and their derivatives.
+
+    For a group of pixels, the leading axis counts the chunks, padding included.
 
     Fields
     ------
-    level : (n,) grey level.
-    rows : (9 + k, n) its derivatives by the homography and by the unknowns beside the pose.
-    by_local : (2, n) by the light's and the veil's level of the pixel's block; none without.
+    level : (n,) grey levels.
+    rows : (9 + k, n) derivatives by the homography and by the unknowns other than the pose.
+    by_local : (2, n) derivatives by the light and the veil of the pixel's block; (0, n) without
+        local light.
     """
 
     level: Float[ArrayLike, "*c n"]
@@ -93,87 +96,89 @@ class PixelRows(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """Predicted pixels of both groups, and (9, p) derivative of the homography by the pose."""
+    """Predicted pixels of both groups, and the derivative (9, p) of the homography by the pose."""
 
     near_circles: PixelRows
     near_lines: PixelRows
     by_motion: Float[ArrayLike, "9 p"]
 
 
-class PictureProblem(AbstractArrowProblem[PictureState]):
-    """One picture as a problem whose head is (pose, values), with the levels of a block as a block.
+class ImageProblem(AbstractArrowProblem[ImageState]):
+    """Least-squares problem of one image. The head is (pose, values); each block has local levels.
 
     Fields
     ------
-    picture : pixels with their noise, and priors.
-    loss : what a residual can cost, in sigmas squared; infinite for plain least squares.
-    free : (k,) 1 for each unknown of the head that is estimated, else 0.
-    stride : the first of so many parts of each group's chunks take part.
-    drawing, model : the sheet, and what a step may change of the pose.
+    image : pixels with their noise, and priors.
+    loss : robust loss, which saturates at a squared residual in sigmas; infinite for least squares.
+    free : (k,) 1 for each estimated unknown of the head, else 0.
+    stride : only the first 1/stride of each group's chunks is used.
+    drawing : properties of the sheet.
+    model : parameters of the pose that a step may change.
     """
 
-    picture: Picture
+    image: ImageData
     loss: GemanMcClure
     free: Float[ArrayLike, "k"]
     stride: Int[ArrayLike, ""]
     drawing: InkDrawing = eqx.field(static=True)
     model: PoseModel = eqx.field(static=True)
 
-    def equations(self, state: PictureState) -> ArrowEquations:
-        """Equations of the free unknowns; their details are those of all, with the prediction."""
-        everything = predict_picture(self, state)
-        return self.hold(everything)._replace(details=everything)
+    def equations(self, state: ImageState) -> ArrowEquations:
+        """Equations of the estimated unknowns.
 
-    def hold(self, equations: ArrowEquations) -> ArrowEquations:
-        """The equations without the unknowns that are fixed."""
+        Their `details` are the equations of all unknowns, whose `details` are the prediction.
+        """
+        all_equations = predict_image(self, state)
+        return self.remove_fixed(all_equations)._replace(details=all_equations)
+
+    def remove_fixed(self, equations: ArrowEquations) -> ArrowEquations:
+        """Set the rows and columns of fixed unknowns to zero."""
         arrow, (of_head, of_blocks), free = equations.information, equations.gradient, self.free
         head = arrow.head * free[:, None] * free[None]
         arrow = BlockArrow(head, arrow.coupling * free[None, :, None], arrow.blocks)
         return ArrowEquations(equations.cost, arrow, (of_head * free, of_blocks))
 
     def retract(
-        self, state: PictureState, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "b 6"]
-    ) -> PictureState:
-        """The state after a step, within the bounds of its unknowns."""
+        self, state: ImageState, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "b 6"]
+    ) -> ImageState:
+        """State after a step, clipped to the bounds of the unknowns."""
         return state.move(head, state.levels + blocks.T, self.model)
 
 
-def predict_picture(problem: PictureProblem, state: PictureState) -> ArrowEquations:
-    """Equations of all unknowns at a state; their details are the prediction."""
+def predict_image(problem: ImageProblem, state: ImageState) -> ArrowEquations:
+    """Equations of all unknowns at a state; their `details` are the prediction."""
     homography, by_motion = homography_and_slope(state, problem.model)
     sums, rows = [], []
-    for group, near_line in _groups(problem.picture):
+    for group, near_line in _groups(problem.image):
 
         def predict(part: Group, near_line: bool = near_line) -> PixelRows:
-            picture, drawing = problem.picture, problem.drawing
-            return pixel_rows(homography, state, part, picture, drawing, near_line)
+            image, drawing = problem.image, problem.drawing
+            return pixel_rows(homography, state, part, image, drawing, near_line)
 
-        one, predicted = _sum_pixels(problem, state, group, predict)
-        sums.append(one)
+        group_sums, predicted = _sum_pixels(problem, state, group, predict)
+        sums.append(group_sums)
         rows.append(predicted)
     prediction = Prediction(rows[0], rows[1], by_motion)
     return _equations(problem, state, sums, by_motion)._replace(details=prediction)
 
 
-def weigh_picture(
-    problem: PictureProblem, state: PictureState, prediction: Prediction
-) -> ArrowEquations:
-    """Equations of all unknowns at a state whose pixels are predicted already."""
+def weigh_image(problem: ImageProblem, state: ImageState, prediction: Prediction) -> ArrowEquations:
+    """Equations of all unknowns at a state, from an existing prediction."""
     predicted = prediction.near_circles, prediction.near_lines
     sums = [
         _sum_pixels(problem, state, group, rows)[0]
-        for (group, _), rows in zip(_groups(problem.picture), predicted, strict=True)
+        for (group, _), rows in zip(_groups(problem.image), predicted, strict=True)
     ]
     return _equations(problem, state, sums, prediction.by_motion)
 
 
-def _groups(picture: Picture) -> tuple[tuple[Group, bool], tuple[Group, bool]]:
-    """Both groups, and whether they are near lines."""
-    return (picture.near_circles, False), (picture.near_lines, True)
+def _groups(image: ImageData) -> tuple[tuple[Group, bool], tuple[Group, bool]]:
+    """Both groups of pixels, each with a flag: True for pixels near lines."""
+    return (image.near_circles, False), (image.near_lines, True)
 
 
 class _Sums(NamedTuple):
-    """Sums over pixels: of w J^T J with J = (rows, residual), that of each block, and the cost."""
+    """Sums over pixels: w J^T J with J = (rows, residual), the same by blocks, and the cost."""
 
     products: Float[ArrayLike, "k k"]
     of_blocks: Float[ArrayLike, "b 6 l"]
@@ -181,33 +186,36 @@ class _Sums(NamedTuple):
 
 
 def _sum_pixels(
-    problem: PictureProblem,
-    state: PictureState,
+    problem: ImageProblem,
+    state: ImageState,
     group: Group,
     rows: PixelRows | Callable[[Group], PixelRows],
 ) -> tuple[_Sums, PixelRows]:
-    """Sums over a group's pixels, and their rows, which are given or predicted."""
+    """Sums over the pixels of a group, and their predictions.
+
+    rows : existing predictions, or a function that computes them for a chunk.
+    """
     dtype, single = state.values.dtype, group.pixels.grey.dtype
     count, size = len(group.pixels.grey) // CHUNK, 9 + state.unknowns.size
     chunks = -(-group.chunks // problem.stride)
-    # Polynomials hardly differ from local levels: single precision loses the difference.
+    # Polynomials and local levels are nearly collinear: single precision is not sufficient.
     precise = dtype if state.levels.size else single
     loss = jax.tree.map(lambda leaf: leaf.astype(single), problem.loss)
-    saturation = jax.tree.map(lambda leaf: leaf.astype(single), problem.picture.saturation)
+    saturation = jax.tree.map(lambda leaf: leaf.astype(single), problem.image.saturation)
 
-    def add(part: Group, one: PixelRows, sums: _Sums) -> _Sums:
-        level, slope = one.level, jnp.ones_like(one.level)
+    def add(part: Group, predicted: PixelRows, sums: _Sums) -> _Sums:
+        level, slope = predicted.level, jnp.ones_like(predicted.level)
         if not state.unknowns.is_ideal:
-            cut = clipped_moments(level, part.pixels.sigma, saturation)
-            level, slope = cut.mean, cut.slope
+            clipped = clipped_moments(level, part.pixels.sigma, saturation)
+            level, slope = clipped.mean, clipped.slope
         residual, weight = level - part.pixels.grey, part.pixels.weight
         squared = (weight * residual) ** 2
-        # The square root of the weight: rows and residual then share one product.
+        # With the square root of the weight, one product serves rows and residual.
         root = weight * loss.root_weight(squared)
-        weighted = jnp.concatenate([one.rows * (slope * root)[None], (residual * root)[None]])
+        weighted = jnp.concatenate([predicted.rows * (slope * root)[None], (residual * root)[None]])
         weighted, of_blocks = weighted.astype(precise), sums.of_blocks
         if part.local is not None:
-            local = local_rows(one.by_local, part.local.basis) * (slope * root)[None]
+            local = local_rows(predicted.by_local, part.local.basis) * (slope * root)[None]
             local = local.astype(precise)
             products = jnp.einsum("in,jn->nij", local, jnp.concatenate([local, weighted]))
             of_blocks = jnp.asarray(of_blocks).at[part.local.block].add(products)
@@ -228,15 +236,15 @@ def _sum_pixels(
     if isinstance(rows, PixelRows):
 
         def look_up(k: Int[ArrayLike, ""], sums: _Sums) -> _Sums:
-            return add(part_of(k), jax.tree.map(lambda whole: whole[k], rows), sums)
+            return add(part_of(k), jax.tree.map(lambda leaf: leaf[k], rows), sums)
 
         return jax.lax.fori_loop(0, chunks, look_up, start), rows
 
     def predict(k: Int[ArrayLike, ""], carry: tuple[_Sums, PixelRows]) -> tuple[_Sums, PixelRows]:
         part = part_of(k)
-        one = rows(part)
-        stored = jax.tree.map(lambda whole, piece: whole.at[k].set(piece), carry[1], one)
-        return add(part, one, carry[0]), stored
+        predicted = rows(part)
+        stored = jax.tree.map(lambda leaf, piece: leaf.at[k].set(piece), carry[1], predicted)
+        return add(part, predicted, carry[0]), stored
 
     stored = PixelRows(
         level=jnp.zeros((count, CHUNK), single),
@@ -247,18 +255,21 @@ def _sum_pixels(
 
 
 def _equations(
-    problem: PictureProblem,
-    state: PictureState,
+    problem: ImageProblem,
+    state: ImageState,
     sums: list[_Sums],
     by_motion: Float[ArrayLike, "9 p"],
 ) -> ArrowEquations:
-    """Sums of both groups by steps of (pose, values) and of the levels, priors included."""
+    """Equations for steps of (pose, values) and of the local levels, with priors.
+
+    sums : sums of both groups, by the homography instead of the pose.
+    """
     # From (homography, values, residual) to (pose, values, residual).
-    kept = jnp.eye(state.unknowns.size + 1, dtype=by_motion.dtype)
-    chain = jax.scipy.linalg.block_diag(by_motion, kept)
+    identity = jnp.eye(state.unknowns.size + 1, dtype=by_motion.dtype)
+    chain = jax.scipy.linalg.block_diag(by_motion, identity)
     products = chain.T @ (sums[0].products + sums[1].products) @ chain
     pose = jnp.zeros(problem.model.size)
-    prior = problem.picture.prior
+    prior = problem.image.prior
     mean, weight = (jnp.concatenate([pose, part]) for part in (prior.mean, prior.weight))
     offset = jnp.concatenate([pose, state.values]) - mean
     of_blocks = sums[0].of_blocks + sums[1].of_blocks
@@ -275,9 +286,9 @@ def _equations(
 
 
 def homography_and_slope(
-    state: PictureState, model: PoseModel
+    state: ImageState, model: PoseModel
 ) -> tuple[Float[ArrayLike, "3 3"], Float[ArrayLike, "9 p"]]:
-    """The homography to the sheet and its derivative by a step of the pose."""
+    """Homography from the camera to the sheet, and its derivative by a step of the pose."""
     pose = state.pose
 
     def after(motion: Float[ArrayLike, "p"]) -> Float[ArrayLike, "9"]:
@@ -291,54 +302,60 @@ def homography_and_slope(
 def local_rows(
     by_local: Float[ArrayLike, "2 n"], basis: Float[ArrayLike, "n 3"]
 ) -> Float[ArrayLike, "6 n"]:
-    """Derivatives of each pixel's grey level by the levels of its block."""
+    """Derivatives of each pixel's grey level by the six local levels of its block."""
     return (by_local[:, None] * basis.T[None]).reshape(LOCAL_TERMS, -1)
 
 
 def pixel_rows(
     homography: Float[ArrayLike, "3 3"],
-    state: PictureState,
+    state: ImageState,
     group: Group,
-    picture: Picture,
+    image: ImageData,
     drawing: InkDrawing,
     near_line: bool,
 ) -> PixelRows:
-    """Grey levels before saturation and their derivatives, in the precision of the pixels."""
+    """Predicted grey levels before saturation and their derivatives, in the pixels' precision.
+
+    near_line : True for pixels near a line, whose model has lines and circles.
+    """
     pixels, unknowns = group.pixels, state.unknowns
     single = pixels.grey.dtype
-    shared = homography, state, picture.cross, picture.white
+    shared = homography, state, image.cross, image.white
     plane, rounded, cross, white = jax.tree.map(lambda leaf: jnp.asarray(leaf, single), shared)
-    terms = light_terms(pixels.place.T, max(unknowns.light_terms, unknowns.veil_terms))
-    of_light, of_veil = terms[: unknowns.light_terms], terms[: unknowns.veil_terms]
-    polynomial, veil = rounded.light @ of_light, rounded.veil @ of_veil
+    terms = light_terms(pixels.position.T, max(unknowns.light_terms, unknowns.veil_terms))
+    light_basis, veil_basis = terms[: unknowns.light_terms], terms[: unknowns.veil_terms]
+    polynomial, veil = rounded.light @ light_basis, rounded.veil @ veil_basis
     light, factor = polynomial, jnp.ones_like(polynomial)
     if group.local is not None:
         levels, basis = rounded.levels[:, group.local.block], group.local.basis.T
         factor = 1 + jnp.sum(levels[:3] * basis, axis=0)
         light, veil = polynomial * factor, veil + jnp.sum(levels[3:] * basis, axis=0)
-    seen = predict_levels(plane, rounded, light, veil, pixels, cross, white, drawing, near_line)
+    predicted = predict_levels(
+        plane, rounded, light, veil, pixels, cross, white, drawing, near_line
+    )
     rows = jnp.concatenate(
         [
-            jnp.stack([*seen.by_homography, *seen.by_look]),
-            (seen.by_light * factor)[None] * of_light,
-            seen.by_veil[None] * of_veil,
+            jnp.stack([*predicted.by_homography, *predicted.by_appearance]),
+            (predicted.by_light * factor)[None] * light_basis,
+            predicted.by_veil[None] * veil_basis,
         ]
     )
-    by_local = jnp.stack([seen.by_light * polynomial, seen.by_veil])[: 2 if group.local else 0]
-    # What homography and look lose in the pixels' precision, all pixels lose alike, so that in a
-    # large picture it outweighs their noise.
-    exact = jnp.concatenate([homography.reshape(9), state.values[: len(unknowns.look)]])
-    lost = (exact - exact.astype(single).astype(exact.dtype)).astype(single)
+    by_local = jnp.stack([predicted.by_light * polynomial, predicted.by_veil])
+    by_local = by_local[: 2 if group.local else 0]
+    # Rounding of the homography and the appearance to the pixels' precision affects all pixels
+    # alike. In a large image this error exceeds the noise: correct it to first order.
+    exact = jnp.concatenate([homography.reshape(9), state.values[: len(unknowns.appearance)]])
+    rounding = (exact - exact.astype(single).astype(exact.dtype)).astype(single)
     # Divisions by one: see `SheetPoint.unit`.
     rows, by_local = rows / pixels.unit[None], by_local / pixels.unit[None]
-    level = seen.level + lost @ rows[: len(lost)]
+    level = predicted.level + rounding @ rows[: len(rounding)]
     return PixelRows(level, rows, by_local)
 
 
-def light_terms(place: Float[ArrayLike, "2 n"], count: int) -> Float[ArrayLike, "m n"]:
-    """The first terms of a polynomial in (x, y), lower degrees first."""
-    x, y = place
-    math = array_namespace(place)
+def light_terms(position: Float[ArrayLike, "2 n"], count: int) -> Float[ArrayLike, "m n"]:
+    """First `count` monomials of a polynomial in (x, y), lower degrees first."""
+    x, y = position
+    math = array_namespace(position)
     degree, terms = [math.ones_like(x)], [math.ones_like(x)]
     while len(terms) < count:
         degree = [*(term * x for term in degree), degree[-1] * y]

@@ -1,4 +1,4 @@
-"""The state of the fit of one picture, from its first look at the pixels to its last."""
+"""Intermediate state of the fit of one image."""
 
 import dataclasses
 
@@ -9,70 +9,73 @@ from jaxtyping import Bool, Float
 from trinoc.calib.photometric.equations import Prediction
 from trinoc.calib.photometric.noise import clipped_moments, is_clear
 from trinoc.calib.photometric.scene import PixelScene
-from trinoc.calib.photometric.unknowns import PictureState
+from trinoc.calib.photometric.unknowns import ImageState
 from trinoc.calib.problem.solver import ArrowEquations
 
 
-class PictureFitState(eqx.Module):
-    """Unknowns of one picture, its predicted pixels, and the noise that weighs them.
+class ImageFitState(eqx.Module):
+    """Unknowns of one image, its predicted pixels, and their noise.
 
     Fields
     ------
-    state : value of every unknown.
-    free : (p + k,) which of (pose, values) are estimated.
-    prediction : pixels and their derivatives at the state.
+    state : values of all unknowns.
+    free : (p + k,) mask of the estimated unknowns among (pose, values).
+    prediction : predicted pixels and derivatives at `state`.
     level : (n,) predicted grey levels before saturation.
-    sigma : (n,) noise of each pixel before saturation.
-    kept : (n,) pixels that show the sheet.
-    equations : of all unknowns by these pixels, as plain least squares; None until they are
+    sigma : (n,) standard deviation of the noise of each pixel before saturation.
+    inliers : (n,) mask of the pixels that show the sheet.
+    equations : least-squares equations of all unknowns from the inliers; None until they are
         needed.
-    promised : gain of chi-square that the next step promises.
+    promised : predicted gain of chi-square by the next step.
     """
 
-    state: PictureState
+    state: ImageState
     free: Bool[np.ndarray, "k"]
     prediction: Prediction
     level: Float[np.ndarray, "n"]
     sigma: Float[np.ndarray, "n"]
-    kept: Bool[np.ndarray, "n"]
+    inliers: Bool[np.ndarray, "n"]
     equations: ArrowEquations | None = None
     promised: float = np.inf
 
     def with_pixels(
-        self, *, sigma: Float[np.ndarray, "n"], kept: Bool[np.ndarray, "n"] | None = None
-    ) -> "PictureFitState":
-        """The same unknowns with another noise, and other pixels if they are given."""
-        kept = self.kept if kept is None else kept
-        return dataclasses.replace(self, sigma=sigma, kept=kept, equations=None, promised=np.inf)
+        self, *, sigma: Float[np.ndarray, "n"], inliers: Bool[np.ndarray, "n"] | None = None
+    ) -> "ImageFitState":
+        """Copy with another noise, and with other inliers if given."""
+        inliers = self.inliers if inliers is None else inliers
+        return dataclasses.replace(
+            self, sigma=sigma, inliers=inliers, equations=None, promised=np.inf
+        )
 
-    def with_free(self, free: Bool[np.ndarray, "k"]) -> "PictureFitState":
-        """The same with other unknowns that are estimated."""
+    def with_free(self, free: Bool[np.ndarray, "k"]) -> "ImageFitState":
+        """Copy with another mask of estimated unknowns."""
         return dataclasses.replace(self, free=free, promised=np.inf)
 
     def residual(self, scene: PixelScene) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Predicted minus observed grey levels after saturation, and their standard deviation."""
         if np.isinf(scene.top):
             return self.level - scene.grey, self.sigma
-        cut = clipped_moments(self.level, self.sigma, scene.saturation)
-        return np.asarray(cut.mean) - scene.grey, np.asarray(cut.sigma)
+        clipped = clipped_moments(self.level, self.sigma, scene.saturation)
+        return np.asarray(clipped.mean) - scene.grey, np.asarray(clipped.sigma)
 
     def is_clear(self, scene: PixelScene) -> Bool[np.ndarray, "n"]:
-        """Kept pixels whose noise saturation leaves as it is."""
+        """Mask of the inliers whose noise is not changed by saturation."""
         clear_sigmas = scene.tuning.clear_sigmas
-        return self.kept & is_clear(self.level, self.sigma, scene.top, clear_sigmas)
+        return self.inliers & is_clear(self.level, self.sigma, scene.top, clear_sigmas)
 
     def rows(self, scene: PixelScene) -> Float[np.ndarray, "k n"]:
-        """Derivatives of every pixel after saturation by the homography and by the values."""
+        """Derivatives (k, n) of all pixels after saturation by the homography and by the values."""
         rows = scene.join((self.prediction.near_circles.rows, self.prediction.near_lines.rows))
         return rows * self._slope(scene)
 
     def rows_by_local(self, scene: PixelScene) -> Float[np.ndarray, "2 n"]:
-        """Derivatives of every pixel after saturation by the light's and the veil's local level."""
+        """Derivatives (2, n) of all pixels after saturation by local light and local veil."""
         near_circles, near_lines = self.prediction.near_circles, self.prediction.near_lines
         rows = scene.join((near_circles.by_local, near_lines.by_local))
         return rows * self._slope(scene)
 
     def _slope(self, scene: PixelScene) -> Float[np.ndarray, "n"] | np.float32:
+        """Derivative of the mean level after saturation by the level before it."""
         if self.state.unknowns.is_ideal or np.isinf(scene.top):
             return np.float32(1.0)
         return np.asarray(
@@ -82,8 +85,13 @@ class PictureFitState(eqx.Module):
     def normal_equations(
         self,
     ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k"], Float[np.ndarray, "b 6 k"]]:
-        """(matrix, gradient) of pose and values, all local levels eliminated, and how these follow
-        a step."""
+        """Normal equations of (pose, values) after elimination of all local levels.
+
+        Returns
+        -------
+        Matrix (k, k), gradient (k,), and derivative (b, 6, k) of the optimal local levels by the
+        unknowns.
+        """
         assert self.equations is not None
         arrow, (of_head, of_blocks) = self.equations.information, self.equations.gradient
         coupling = np.swapaxes(np.asarray(arrow.coupling), 1, 2)

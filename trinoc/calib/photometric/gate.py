@@ -1,4 +1,4 @@
-"""Pixels that show something else than the sheet: cut where they lie together, and counted."""
+"""Exclusion of pixels that show something else than the sheet."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from trinoc.numerics.tails import MAD_TO_SIGMA
 
 
 def robust_sigma(residual: Float[np.ndarray, "n"], bound: float) -> float:
-    """Standard deviation of grey levels by their median, over residuals below `bound`."""
+    """Robust standard deviation of residuals by the median of those below `bound`, grey levels."""
     size = np.abs(residual)
     size = size[size < bound]
     return float(MAD_TO_SIGMA * np.median(size)) if len(size) else float("inf")
@@ -22,54 +22,63 @@ def gate_by_sigma(
     sigma: Float[np.ndarray, "n"],
     tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """The pixels that stay where each has a noise of its own.
+    """Mask of the inliers, from residuals and noise.
 
-    Whole neighbourhoods go, whatever the signs of their pixels' residuals.
+    Single large residuals are excluded, and neighbourhoods with a large share of outliers.
+
+    Parameters
+    ----------
+    chosen : the pixels.
+    residual, sigma : (n,) residuals and their standard deviations.
+    tuning : constants of the fit.
     """
     size = np.abs(residual) / sigma
     outlier, lone = size > tuning.outlier_sigmas, size > tuning.lone_sigmas
-    return _apart_from_crowds(chosen, outlier, ~lone, tuning)
+    return _remove_outlier_neighbourhoods(chosen, outlier, ~lone, tuning)
 
 
-def without_common(
+def remove_correlated_neighbourhoods(
     chosen: SelectedPixels,
     standard: Float[np.ndarray, "n"],
-    kept: Bool[np.ndarray, "n"],
+    inliers: Bool[np.ndarray, "n"],
     tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """The kept pixels, less neighbourhoods whose residuals, in sigmas, have a mean."""
-    total, count = _sum_neighbourhoods(chosen, tuning.neighbourhood_px, standard * kept, kept)
-    return kept & (total**2 <= tuning.largest_common * np.maximum(count, 1))
+    """Remove neighbourhoods whose mean residual is significant.
+
+    standard : (n,) residuals in standard deviations.
+    """
+    total, count = _sum_neighbourhoods(chosen, tuning.neighbourhood_px, standard * inliers, inliers)
+    return inliers & (total**2 <= tuning.largest_common * np.maximum(count, 1))
 
 
-def _apart_from_crowds(
+def _remove_outlier_neighbourhoods(
     chosen: SelectedPixels,
     wrong: Bool[np.ndarray, "n"],
-    kept: Bool[np.ndarray, "n"],
+    inliers: Bool[np.ndarray, "n"],
     tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """`kept`, less whole neighbourhoods of wrong pixels."""
+    """Remove from `inliers` neighbourhoods with a large share of `wrong` pixels."""
     if not wrong.any():
-        return kept
+        return inliers
     outliers, pixels = _sum_neighbourhoods(
         chosen, tuning.neighbourhood_px, wrong, np.ones(len(wrong))
     )
-    return kept & (outliers <= tuning.outlier_share * pixels)
+    return inliers & (outliers <= tuning.outlier_share * pixels)
 
 
 def _sum_neighbourhoods(
     chosen: SelectedPixels, side_px: int, *fields: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"]
 ) -> Float[np.ndarray, "fields n"]:
-    """Sums of each field over the neighbourhood of each pixel."""
-    left, top = chosen.column.min(), chosen.row.min()
-    shape = (chosen.row.max() - top + 1, chosen.column.max() - left + 1)
-    place = (chosen.row - top, chosen.column - left)
+    """Sum of each field over the square neighbourhood of each pixel."""
+    first_column, first_row = chosen.column.min(), chosen.row.min()
+    shape = (chosen.row.max() - first_row + 1, chosen.column.max() - first_column + 1)
+    index = (chosen.row - first_row, chosen.column - first_column)
     sums = []
     for field in fields:
-        picture = np.zeros(shape, np.float32)
-        picture[place] = field
-        blurred = cv2.boxFilter(
-            picture, -1, (side_px, side_px), normalize=False, borderType=cv2.BORDER_CONSTANT
+        image = np.zeros(shape, np.float32)
+        image[index] = field
+        filtered = cv2.boxFilter(
+            image, -1, (side_px, side_px), normalize=False, borderType=cv2.BORDER_CONSTANT
         )
-        sums.append(blurred[place])
+        sums.append(filtered[index])
     return np.stack(sums)

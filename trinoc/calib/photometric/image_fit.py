@@ -1,28 +1,29 @@
-"""From a pose that the circles gave to the one that explains the picture itself."""
+"""Fit of one image: from the pose by circles to the pose by grey levels."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.photometric import sentences
 from trinoc.calib.photometric.covariance import PoseCovariance, pose_covariance, spread_of_values
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
 from trinoc.calib.photometric.evidence import find_refuted_part
 from trinoc.calib.photometric.fit import (
-    fit_delivered_camera,
+    fit_full_camera,
     fit_ideal_camera,
     refit_ideal_camera,
 )
-from trinoc.calib.photometric.fit_state import PictureFitState
+from trinoc.calib.photometric.fit_state import ImageFitState
 from trinoc.calib.photometric.noise import inflation, noise_by_level
 from trinoc.calib.photometric.patches import patch_points
 from trinoc.calib.photometric.scene import (
+    ImageShift,
     PixelScene,
-    ShiftOfPlaces,
     blocks_of_pixels,
-    scene_of_picture,
+    build_scene,
 )
-from trinoc.calib.photometric.unknowns import PictureState
+from trinoc.calib.photometric.unknowns import ImageState
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
@@ -30,38 +31,36 @@ from trinoc.calib.tuning.every_group import TUNING
 from trinoc.calib.tuning.photometric import PhotometricTuning
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
-from trinoc.image.response import PowerResponse
 
-# numerical: tolerance of the fit of an ideal camera: the gain of chi-square that the step promises
-# which would come next, the square of its length in standard deviations.
+# numerical: tolerance of the fit of an ideal camera: predicted gain of chi-square by the next step,
+# the square of its length in standard deviations.
 _CONVERGED_GAIN = 0.3**2
-# numerical: for words only: said from so many standard deviations on, and from these amounts on.
+# numerical: messages only: an effect is reported above these significances and amounts.
 _SIGMAS, _LEAST_BEND, _LEAST_LOBE, _LEAST_MOTION_PX = 4.0, 0.03, 0.03, 0.5
-# numerical: for words only.
+# numerical: messages only, as above.
 _LEAST_INFLATION, _SATURATED_SHARE = 1.2, 0.01
 
 
 class ImageRefinement(NamedTuple):
-    """The fit of one picture, before anybody has judged it.
+    """Result of the fit to the grey levels of one image, not yet validated.
 
     Fields
     ------
-    state : where it ended.
-    information : (p, p) of a step of the pose, lengths in units of its distance, after the other
-        unknowns have taken their share, for noise as neighbours share it.
+    state : values of the unknowns.
+    information : (p, p) inverse covariance of a step of the pose, lengths in units of its distance.
+        The other unknowns are eliminated, and correlated noise is included.
     noise : standard deviation of a pixel at the grey level between paper and ink.
-    noise_floor : the same of the picture's flat parts; `noise` itself of a delivered picture,
-        whose noise depends on the grey level.
-    pixels : number of pixels that stayed.
-    pixels_cut : number of pixels near an edge that show something else than the sheet.
-    converged : whether the last step was small against its own standard deviation.
-    points : where the picture shows each circle and each piece of the crossed lines.
-    found : what the picture shows of its camera and its light, in words; nothing where an ideal
-        camera explains it.
-    overshoot : amplitude of the sharpening that the profiles of edges show; 0 where none is sure.
+    noise_floor : the same in flat parts of the image; equal to `noise` for the full camera model.
+    pixels : number of inlier pixels.
+    pixels_cut : number of outlier pixels near edges.
+    converged : True if the last step was small compared with its standard deviation.
+    points : image positions of each circle and each piece of the crossed lines.
+    effects : short descriptions of the camera's processing and of the light; empty for an ideal
+        camera.
+    overshoot : amplitude of the sharpening at edges; 0 if it is not significant.
     """
 
-    state: PictureState
+    state: ImageState
     information: Float[np.ndarray, "p p"]
     noise: float
     noise_floor: float
@@ -69,7 +68,7 @@ class ImageRefinement(NamedTuple):
     pixels_cut: int
     converged: bool
     points: SheetPoints
-    found: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()
     overshoot: float = 0.0
 
 
@@ -80,81 +79,97 @@ def refine_image(
     start: Pose,
     model: PoseModel,
     *,
-    shift: ShiftOfPlaces | None = None,
+    shift: ImageShift | None = None,
     encoding: Encoding = AS_DELIVERED,
     tuning: PhotometricTuning = TUNING.photometric,
 ) -> ImageRefinement | None:
-    """Fit the sheet's model to the pixels near its edges; None where none can be seen.
+    """Fit the model of the sheet to the pixels near its edges.
 
-    An ideal camera comes first; where its residuals refute it, its unknowns are freed.
+    The ideal camera is fitted first. If its residuals refute it, further unknowns are estimated.
 
-    shift : how far aside of where the lens and a flat sheet would have them, in px, the picture
-        shows places of the sheet.
-    encoding : how grey levels stand for light; where it is said, the camera is not ideal.
+    Parameters
+    ----------
+    image : grey levels.
+    pattern : the sheet, or the raster of a board of squares.
+    lens : the fixed lens.
+    start : initial pose.
+    model : parameters of the pose that are estimated.
+    shift : known displacement of the image of points of the sheet, px, caused by a bent sheet or by
+        errors of the lens; None for none.
+    encoding : known response and mosaic. A known nonlinear response excludes the ideal camera.
     tuning : constants of the fit.
+
+    Returns
+    -------
+    Result of the fit; None if too few edges are visible.
     """
-    posed = scene_of_picture(image, pattern, lens, start, model, shift, encoding, tuning)
-    ideal = None if posed is None else fit_ideal_camera(*posed)
-    if posed is None or ideal is None:
+    initial = build_scene(image, pattern, lens, start, model, shift, encoding, tuning)
+    ideal = None if initial is None else fit_ideal_camera(*initial)
+    if initial is None or ideal is None:
         return None
-    scene, (robust, point) = posed[0], ideal
+    scene, (robust, fit_state) = initial[0], ideal
 
     def refinement(
         scene: PixelScene,
-        point: PictureFitState,
+        fit_state: ImageFitState,
         covariance: PoseCovariance,
-        found: tuple[str, ...],
+        effects: tuple[str, ...],
     ) -> ImageRefinement:
-        points = patch_points(lens, pattern, scene, point, covariance.inflation)
+        points = patch_points(lens, pattern, scene, fit_state, covariance.inflation)
         if shift is not None:
             points = points._replace(uv_px=points.uv_px + shift(points.point_mm))
-        noise = _noise_in_the_middle(point) * float(np.sqrt(covariance.chi_square))
+        noise = _noise_at_half_level(fit_state) * float(np.sqrt(covariance.chi_square))
         return ImageRefinement(
-            point.state,
+            fit_state.state,
             _inverse(covariance.matrix),
             noise,
-            scene.noise_floor if point.state.unknowns.is_ideal else noise,
-            int(point.kept.sum()),
-            int(np.sum(~point.kept)),
-            not point.state.unknowns.is_ideal or point.promised < _CONVERGED_GAIN,
+            scene.noise_floor if fit_state.state.unknowns.is_ideal else noise,
+            int(fit_state.inliers.sum()),
+            int(np.sum(~fit_state.inliers)),
+            not fit_state.state.unknowns.is_ideal or fit_state.promised < _CONVERGED_GAIN,
             points,
-            found,
-            _overshoot(scene, point),
+            effects,
+            _overshoot(scene, fit_state),
         )
 
-    residual = point.level - scene.grey
-    is_said = encoding.bayer is not None or bool(encoding.bend)
-    refuted = "model" if is_said else find_refuted_part(scene, point)
+    residual = fit_state.level - scene.grey
+    is_not_ideal = encoding.bayer is not None or bool(encoding.bend)
+    refuted = "model" if is_not_ideal else find_refuted_part(scene, fit_state)
     if refuted == "noise":
-        sigma = noise_by_level(point.level, residual, point.kept, point.level, tuning.fewest_pixels)
-        point = refit_ideal_camera(scene, point.with_pixels(sigma=sigma))
+        sigma = noise_by_level(
+            fit_state.level, residual, fit_state.inliers, fit_state.level, tuning.fewest_pixels
+        )
+        fit_state = refit_ideal_camera(scene, fit_state.with_pixels(sigma=sigma))
     if refuted == "model":
         blocks = blocks_of_pixels(scene.chosen, start, lens, pattern)
-        wider = scene._replace(blocks=blocks)
-        fitted = fit_delivered_camera(wider, robust.state, start)
+        fitted = fit_full_camera(scene._replace(blocks=blocks), robust.state, start)
         if fitted is not None:
-            wider, delivered = fitted
-            covariance = pose_covariance(wider, delivered, correlated=True)
+            full_scene, full_fit = fitted
+            covariance = pose_covariance(full_scene, full_fit, correlated=True)
             if np.isfinite(covariance.matrix).all():
-                found = describe_processing(wider, delivered, covariance)
-                return refinement(wider, delivered, covariance, found)
-    return refinement(scene, point, pose_covariance(scene, point, correlated=False), ())
+                effects = describe_processing(full_scene, full_fit, covariance)
+                return refinement(full_scene, full_fit, covariance, effects)
+    return refinement(scene, fit_state, pose_covariance(scene, fit_state, correlated=False), ())
 
 
-def _overshoot(scene: PixelScene, point: PictureFitState) -> float:
-    """The lobe beside edges that sharpening makes, where it is surely there; else 0."""
-    look = point.state.unknowns.look
-    if "lobe" not in look:
+def _overshoot(scene: PixelScene, fit_state: ImageFitState) -> float:
+    """Amplitude of the sharpening if it is significant; else 0."""
+    names = fit_state.state.unknowns.appearance
+    if "lobe" not in names:
         return 0.0
-    row = look.index("lobe")
-    value, sigma = float(point.state.values[row]), float(spread_of_values(scene, point)[row])
+    row = names.index("lobe")
+    value, sigma = (
+        float(fit_state.state.values[row]),
+        float(spread_of_values(scene, fit_state)[row]),
+    )
     return value if value > _SIGMAS * sigma > 0 else 0.0
 
 
-def _noise_in_the_middle(point: PictureFitState) -> float:
-    half = float(point.state.light[0] * (1 + 0.5 * point.state["ratio"]))
-    near = np.argsort(np.abs(point.level - half))[: max(len(point.level) // 50, 1)]
-    return float(np.median(point.sigma[near]))
+def _noise_at_half_level(fit_state: ImageFitState) -> float:
+    """Median noise of the pixels nearest to the level between paper and ink."""
+    half = float(fit_state.state.light[0] * (1 + 0.5 * fit_state.state["ratio"]))
+    nearest = np.argsort(np.abs(fit_state.level - half))[: max(len(fit_state.level) // 50, 1)]
+    return float(np.median(fit_state.sigma[nearest]))
 
 
 def _inverse(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
@@ -164,44 +179,47 @@ def _inverse(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
 
 
 def describe_processing(
-    scene: PixelScene, point: PictureFitState, covariance: PoseCovariance
+    scene: PixelScene, fit_state: ImageFitState, covariance: PoseCovariance
 ) -> tuple[str, ...]:
-    """Sentences' halves such as "sharpened" or "saturated paper", the surest only."""
-    look = point.state.unknowns.look
-    value = dict(zip(look, map(float, point.state.values), strict=False))
-    sigma = dict(zip(look, map(float, spread_of_values(scene, point)), strict=False))
-    sure = {name for name in look if 0 < _SIGMAS * sigma[name] < abs(value[name])}
-    said, bend = [], value["bend"]
+    """Short descriptions of significant effects, such as "uneven light" or "saturated paper"."""
+    names = fit_state.state.unknowns.appearance
+    value = dict(zip(names, map(float, fit_state.state.values), strict=False))
+    sigma = dict(zip(names, map(float, spread_of_values(scene, fit_state)), strict=False))
+    significant = {name for name in names if 0 < _SIGMAS * sigma[name] < abs(value[name])}
+    effects, bend = [], value["bend"]
     if scene.bend is None and abs(bend) > max(_SIGMAS * sigma["bend"], _LEAST_BEND):
-        spread = f"({bend:.2f} +- {sigma['bend']:.2f}, 0 linear, 1 sRGB)"
-        curve = f"{PowerResponse(bend).description} {spread}"
-        said.append(f"response {curve}")
-    if "contrast" in sure:
-        said.append("response with an s-curve")
-    if "lobe" in sure and value["lobe"] > _LEAST_LOBE:
-        said.append(f"sharpened ({value['lobe']:.2f})")
-    elif "lobe" in sure and value["lobe"] < -_LEAST_LOBE:
-        said.append("blur with wide tails")
-    if "kurtosis" in sure and value["kurtosis"] < 0:
-        said.append("blur with a flat top")
+        effects.append(sentences.response_of(bend, sigma["bend"]))
+    if "contrast" in significant:
+        effects.append(sentences.S_CURVE)
+    if "lobe" in significant and value["lobe"] > _LEAST_LOBE:
+        effects.append(sentences.sharpened(value["lobe"]))
+    elif "lobe" in significant and value["lobe"] < -_LEAST_LOBE:
+        effects.append(sentences.WIDE_TAILS)
+    if "kurtosis" in significant and value["kurtosis"] < 0:
+        effects.append(sentences.FLAT_TOP)
     along, across = value["along_u"], value["diagonal"]
-    said += _motion(along, across, max(sigma["along_u"], sigma["diagonal"]))
+    effects += _motion(along, across, max(sigma["along_u"], sigma["diagonal"]))
     if np.mean(scene.grey >= scene.top - 0.5) > _SATURATED_SHARE:
-        said.append("saturated paper")
-    if scene.local:
-        said.append("uneven light")
+        effects.append(sentences.SATURATED)
+    if scene.has_local_light:
+        effects.append(sentences.UNEVEN_LIGHT)
     if covariance.correlation is not None:
-        shared = inflation(covariance.correlation)
-        if shared > _LEAST_INFLATION:
-            said.append(f"noise that neighbours share ({shared:.1f} times the variance)")
-    return tuple(said)
+        factor = inflation(covariance.correlation)
+        if factor > _LEAST_INFLATION:
+            effects.append(sentences.correlated_noise(factor))
+    return tuple(effects)
 
 
 def _motion(along: float, across: float, sigma: float) -> list[str]:
+    """Description of a motion blur, if it is significant.
+
+    along, across : (variance along u - along v) / 2, and covariance of u and v, px^2.
+    sigma : their standard deviation.
+    """
     amount = float(np.hypot(along, across))
-    # A line of even light has length^2 / 12 of variance, half of it in the anisotropy.
+    # A uniform distribution on a line has the variance length^2 / 12; half of it is anisotropy.
     length = float(np.sqrt(24 * amount))
     if amount < _SIGMAS * sigma or length < _LEAST_MOTION_PX or amount == 0:
         return []
     angle = float(np.degrees(np.arctan2(across, along)) / 2) % 180
-    return [f"moved by {length:.1f} px at {angle:.0f} degrees"]
+    return [sentences.moved(length, angle)]

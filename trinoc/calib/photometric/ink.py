@@ -1,8 +1,8 @@
-"""The share of a blurred pixel that is ink: circles, rings, and the crossed lines, or squares.
+"""Share of ink in a blurred pixel: circles, rings, crossed lines, or squares.
 
-The part of the model that is differentiated takes a small displacement of the pixel's point
-on the sheet: the edges' directions and curvatures stay as they are, which changes a row of
-the Jacobian by a percent and the answer not at all.
+The differentiable part of the model takes a small displacement of the pixel's point on the sheet.
+Directions and curvatures of the edges stay constant. This changes the Jacobian by a percent and the
+result not at all.
 """
 
 from collections.abc import Callable
@@ -18,32 +18,32 @@ from trinoc.calib.photometric.edges import (
     EdgeCoverage,
     Kernel,
     circular_edge,
-    common,
     coverage,
+    coverage_of_both,
     straight_edge,
 )
-from trinoc.calib.photometric.sheet_places import Ray, SheetPoint
+from trinoc.calib.photometric.sheet_geometry import Ray, SheetPoint
 from trinoc.numerics.precision import ArrayLike
 
-# Of one pixel or of many, along the last axis.
+# A number for one pixel, or for many along the last axis.
 Scalar = Float[ArrayLike, "*n"]
 # (displacement on the sheet X, Y in mm, ink spread in mm, kernel) -> share of ink.
 InkShare = Callable[[Scalar, Scalar, Scalar, Kernel], Scalar]
 _Edges = TypeVar("_Edges", Edge, EdgeCoverage)
-# numerical: the order of a sheet's edges: both lines' sides, their ends, the disc, then the gap at
-# which lines stop; last of all the hole of a ring.
+# numerical: order of the edges: sides of both lines, their ends, the disc, the gap at which lines
+# stop, and last the hole of a ring.
 _SIDES, _ENDS, _OUTER, _GAP = slice(4), slice(4, 6), 6, 7
-# The line style of boards of squares, which have no lines.
+# Value of `InkDrawing.line_style` for boards of squares, which have no lines.
 SQUARES = "squares"
 
 
 class InkDrawing(NamedTuple):
-    """What the compiler must know of the sheet: it makes the model as simple as the sheet is.
+    """Properties of the sheet that are static in compiled programs, to simplify the model.
 
     Fields
     ------
-    line_style : of the pattern; SQUARES for a board of squares.
-    has_rings : whether some circle is a ring.
+    line_style : line style of the pattern; SQUARES for a board of squares.
+    has_rings : True if any circle is a ring.
     """
 
     line_style: str
@@ -55,9 +55,9 @@ class Circle(NamedTuple):
 
     Fields
     ------
-    centre_mm : (2,)
-    radius_mm, inner_radius_mm : of the ink; the second is 0 for a full disc.
-    present : 1, or 0 for a pixel that is near no circle.
+    centre_mm : (2,) centre on the sheet.
+    radius_mm, inner_radius_mm : outer and inner radius of the ink; the latter is 0 for a disc.
+    present : 1, or 0 for a pixel that is not near a circle.
     """
 
     centre_mm: Float[ArrayLike, "2 *n"]
@@ -67,7 +67,7 @@ class Circle(NamedTuple):
 
 
 class Cross(NamedTuple):
-    """The crossed lines, in mm: half their width, their reach, and their gap at a circle."""
+    """The crossed lines: half their width, half their lengths, and their gap at a circle, mm."""
 
     half_width_mm: Float[ArrayLike, ""]
     half_length_mm: Float[ArrayLike, "2"]
@@ -75,12 +75,13 @@ class Cross(NamedTuple):
 
 
 class Squares(NamedTuple):
-    """The ink about a pixel.
+    """Ink around a pixel of a board of squares: 3 x 3 cells between two lines along each axis.
 
     Fields
     ------
-    x_mm, y_mm : (2,) rising, of the lines; one that carries no edge lies anywhere.
-    ink : (9,) 1 for each inked cell between them, the lowest row first.
+    x_mm, y_mm : (2,) increasing positions of the lines; that of a line without an edge is
+        arbitrary.
+    ink : (9,) 1 for each inked cell, lowest row first.
     """
 
     x_mm: Float[ArrayLike, "2 *n"]
@@ -89,32 +90,32 @@ class Squares(NamedTuple):
 
 
 class PixelView(NamedTuple):
-    """A pixel on the sheet, from which edges can be looked at."""
+    """A pixel with its ray and its point on the sheet, for the geometry of edges."""
 
     sheet_from_camera: Float[ArrayLike, "3 3"]
     ray: Ray
     point: SheetPoint
 
     def circle(self, circle: Circle, radius_mm: Scalar) -> Edge:
-        """The edge of given radius about a circle's centre."""
+        """Edge of a circle with another radius about the same centre."""
         return circular_edge(
             self.sheet_from_camera, self.ray, self.point, circle.centre_mm, radius_mm
         )
 
 
 def nearest_ink(
-    view: PixelView, figure: Circle | Squares, cross: Cross, drawing: InkDrawing, near_line: bool
+    view: PixelView, local_ink: Circle | Squares, cross: Cross, drawing: InkDrawing, near_line: bool
 ) -> InkShare:
-    """Ink of what is nearest to a pixel."""
-    if isinstance(figure, Squares):
-        return partial(ink_of_squares, view.point, figure)
+    """Function that returns the share of ink in a pixel, by the kind of its nearest ink."""
+    if isinstance(local_ink, Squares):
+        return partial(ink_of_squares, view.point, local_ink)
     if near_line:
-        return ink_of_sheet(view, figure, cross, drawing)
-    return ink_of_circle(view, figure, drawing)
+        return ink_of_sheet(view, local_ink, cross, drawing)
+    return ink_of_circle(view, local_ink, drawing)
 
 
 def ink_of_circle(view: PixelView, circle: Circle, drawing: InkDrawing) -> InkShare:
-    """Ink of a disc or ring; a hole lies wholly inside its disc, so shares subtract."""
+    """Share of ink near a disc or ring: that of the disc minus that of the hole."""
     outer = view.circle(circle, circle.radius_mm)
     hole, has_hole = _hole(view, circle, drawing)
 
@@ -128,13 +129,13 @@ def ink_of_circle(view: PixelView, circle: Circle, drawing: InkDrawing) -> InkSh
 
 
 def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDrawing) -> InkShare:
-    """Ink of the crossed lines and the nearest circle, by how lines and circles meet.
+    """Share of ink near the crossed lines and the nearest circle.
 
-    What lies on both of two edges is added and taken away: an end of a line, the crossing of both
-    lines, and what of them lies on a disc. All edges are looked at together.
+    Shares are combined by inclusion and exclusion: ends of lines, the crossing of both lines, and
+    the part of the lines on a disc. All edges are evaluated together.
     """
     hole, has_hole = _hole(view, circle, drawing)
-    # Lines end at a gap about the circle, or at the circle.
+    # Lines end at the circle or at a gap around it.
     discs = [view.circle(circle, circle.radius_mm)]
     if drawing.line_style == "stop":
         discs.append(view.circle(circle, circle.radius_mm + cross.gap_mm))
@@ -144,7 +145,7 @@ def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDraw
     edges = jax.tree.map(
         lambda straight, *curved: jnp.concatenate([straight, jnp.stack(curved)]), lines, *discs
     )
-    # With the spread of ink discs and lines grow, and gap and hole shrink.
+    # Spread of ink enlarges discs and lines and reduces gaps and holes.
     grows = [1.0] * 7 + [-1.0] * (len(discs) - 1)
 
     def share(dx: Scalar, dy: Scalar, spread: Scalar, kernel: Kernel) -> Scalar:
@@ -156,7 +157,7 @@ def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDraw
         sides, ends = _by_line(covered), _take(covered, _ENDS)
         outer, last = _take(covered, _OUTER), _take(covered, -1)
         crossing = _crossing(sides)
-        short = jnp.sum(jax.vmap(jax.vmap(common, (0, None)))(sides, ends), axis=1)
+        short = jnp.sum(jax.vmap(jax.vmap(coverage_of_both, (0, None)))(sides, ends), axis=1)
         black = jnp.sum(short - ends.share, axis=0) - crossing
         circles = circle.present * outer.share
         if hole is not None:
@@ -166,7 +167,7 @@ def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDraw
             return circles + black - circle.present * _lines_on_disc(sides, crossing, limit)
         black = black - circle.present * _lines_on_disc(sides, crossing, outer)
         if drawing.line_style == "white":
-            # Ink spreads into a white line from both sides.
+            # The ink of the circle spreads into a white line from both sides.
             sides = _by_line(jax.vmap(cover)(_take(edges, _SIDES), -signs[_SIDES]))
             crossing = _crossing(sides)
             black = black - circle.present * _lines_on_disc(sides, crossing, outer)
@@ -178,7 +179,7 @@ def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDraw
 
 
 def _edges_of_lines(point: SheetPoint, cross: Cross) -> Edge:
-    """Both sides of the line along X, both of the line along Y, and the nearer end of each."""
+    """Six edges: both sides of the line along X, of the line along Y, and the nearer ends."""
     x, y = point.point_mm[0], point.point_mm[1]
     one, zero = jnp.ones_like(x), jnp.zeros_like(x)
     side_x, side_y = jnp.where(x < 0, -one, one), jnp.where(y < 0, -one, one)
@@ -193,7 +194,7 @@ def _shift(edge: Edge, dx: Scalar, dy: Scalar) -> Scalar:
 
 
 def _by_line(covered: EdgeCoverage) -> EdgeCoverage:
-    """Two sides of two lines."""
+    """Coverages by the sides, indexed by (line, side)."""
     return jax.tree.map(lambda leaf: leaf[_SIDES].reshape(2, 2, *leaf.shape[1:]), covered)
 
 
@@ -202,22 +203,22 @@ def _take(edges: _Edges, which: int | slice) -> _Edges:
 
 
 def _crossing(sides: EdgeCoverage) -> Scalar:
-    """What lies in both lines."""
+    """Share of the pixel inside both lines."""
     along_x, along_y = _take(sides, 0), _take(sides, 1)
-    both = jax.vmap(jax.vmap(common, (0, None)), (None, 0))(along_x, along_y)
-    # In this order, differences are of numbers that are hardly larger: rounding stays small.
-    of_sides = jnp.sum(jnp.sum(both, axis=1) - along_y.share, axis=0)
-    return of_sides - (jnp.sum(along_x.share, axis=0) - 1)
+    both = jax.vmap(jax.vmap(coverage_of_both, (0, None)), (None, 0))(along_x, along_y)
+    # This order of the sums keeps rounding errors small.
+    side_sum = jnp.sum(jnp.sum(both, axis=1) - along_y.share, axis=0)
+    return side_sum - (jnp.sum(along_x.share, axis=0) - 1)
 
 
 def _lines_on_disc(sides: EdgeCoverage, crossing: Scalar, disc: EdgeCoverage) -> Scalar:
-    """What of the lines lies on a disc."""
-    both = jnp.sum(jax.vmap(jax.vmap(common, (0, None)), (0, None))(sides, disc), axis=1)
+    """Share of the pixel inside a line and inside a disc."""
+    both = jnp.sum(jax.vmap(jax.vmap(coverage_of_both, (0, None)), (0, None))(sides, disc), axis=1)
     return jnp.sum(both - disc.share[None], axis=0) - crossing * disc.share
 
 
 def _hole(view: PixelView, circle: Circle, drawing: InkDrawing) -> tuple[Edge | None, Scalar]:
-    """The edge of a ring's hole and 1, or some edge and 0 for a full disc."""
+    """Edge of a ring's hole and factor 1, or an arbitrary edge and factor 0 for a disc."""
     if not drawing.has_rings:
         return None, jnp.zeros_like(circle.present)
     is_ring = circle.inner_radius_mm > 0
@@ -234,24 +235,33 @@ def ink_of_squares(
     spread_mm: Scalar,
     kernel: Kernel,
 ) -> Scalar:
-    """The share of ink where the pixel's point is displaced by (dx, dy) and ink spreads."""
+    """Share of ink in a pixel of a board of squares.
+
+    Parameters
+    ----------
+    point : point of the board under the pixel.
+    squares : ink around the pixel.
+    dx, dy : displacement of the point, mm.
+    spread_mm : spread of the ink beyond its edges.
+    kernel : blur kernel.
+    """
     one, zero = jnp.ones_like(dx), jnp.zeros_like(dx)
     normal_x, normal_y = jnp.stack([one, one, zero, zero]), jnp.stack([zero, zero, one, one])
     offset_mm = jnp.concatenate([squares.x_mm, squares.y_mm])
     edges = jax.vmap(straight_edge, (None, 0, 0, 0))(point, normal_x, normal_y, offset_mm)
-    ways = jnp.stack([-spread_mm, spread_mm])
+    spreads = jnp.stack([-spread_mm, spread_mm])
 
-    def cover_both_ways(edge: Edge) -> EdgeCoverage:
+    def cover_with_both_spreads(edge: Edge) -> EdgeCoverage:
         shift = _shift(edge, dx, dy)
-        return jax.vmap(lambda way: coverage(edge, shift + way, kernel))(ways)
+        return jax.vmap(lambda spread: coverage(edge, shift + spread, kernel))(spreads)
 
-    covered = jax.vmap(cover_both_ways)(edges)
+    covered = jax.vmap(cover_with_both_spreads)(edges)
     ink = squares.ink.reshape(3, 3, *dx.shape)
-    # Far up and far right there is the last cell; steps along the last row and the last column.
+    # Start with the upper right cell; add the steps along the top row and the right column.
     steps = jnp.concatenate([ink[2, :2] - ink[2, 1:], ink[:2, 2] - ink[1:, 2]])
     share = ink[2, 2] + jnp.sum(steps * jax.vmap(_grown)(covered, steps).share, axis=0)
-    of_row = jax.vmap(_crossing_of_squares, (0, None, 0, 0, 0, 0))
-    crossings = jax.vmap(of_row, (None, 0, 0, 0, 0, 0))(
+    crossings_of_row = jax.vmap(_crossing_of_squares, (0, None, 0, 0, 0, 0))
+    crossings = jax.vmap(crossings_of_row, (None, 0, 0, 0, 0, 0))(
         _take(covered, slice(2)),
         _take(covered, slice(2, 4)),
         *(ink[row : row + 2, column : column + 2] for row in range(2) for column in range(2)),
@@ -260,8 +270,11 @@ def ink_of_squares(
 
 
 def _grown(sides: EdgeCoverage, ink_before: Scalar) -> EdgeCoverage:
-    """What lies before an edge that has its ink before it (1) or behind it (-1), ink having spread
-    to behind it (the first of `sides`) and to before it."""
+    """Coverage of the side before an edge, after the spread of ink.
+
+    sides : coverages for ink before the edge, and for ink behind it.
+    ink_before : positive if the ink is before the edge.
+    """
     return jax.tree.map(lambda leaf: jnp.where(ink_before > 0, leaf[0], leaf[1]), sides)
 
 
@@ -273,17 +286,18 @@ def _crossing_of_squares(
     upper_left: Scalar,
     upper_right: Scalar,
 ) -> Scalar:
-    """What a crossing of two lines adds to the steps above it and on its right.
+    """Correction of the share of ink at a crossing of two grid lines.
 
-    The edges of the line along Y, below and above, make a quadrant each; where only one of them is
-    there, or both alike, the line along X has one way to spread.
+    `ink_of_squares` first assumes that the edges above each crossing and to its right continue
+    below and to the left. This correction restores the quadrants of the crossing. In a
+    checkerboard crossing, the edge along X spreads in opposite directions on both sides.
     """
     lower, upper = lower_left - lower_right, upper_left - upper_right
     before, after = lower_left - upper_left, lower_right - upper_right
     is_checker = lower * upper < 0
-    aside = before + after
-    first = jnp.where(is_checker, jnp.ones_like(aside), aside)
-    second = jnp.where(is_checker, -jnp.ones_like(aside), aside)
-    under = common(_grown(left_of, lower), _grown(below, first))
-    over = common(_grown(left_of, upper), _grown(below, second))
+    total = before + after
+    first = jnp.where(is_checker, jnp.ones_like(total), total)
+    second = jnp.where(is_checker, -jnp.ones_like(total), total)
+    under = coverage_of_both(_grown(left_of, lower), _grown(below, first))
+    over = coverage_of_both(_grown(left_of, upper), _grown(below, second))
     return lower * under - upper * over

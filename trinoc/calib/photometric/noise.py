@@ -1,4 +1,4 @@
-"""The noise of a picture: cut off by saturation, by grey level, and as neighbours share it."""
+"""Noise of an image: clipping by saturation, dependence on the grey level, correlation."""
 
 from typing import NamedTuple
 
@@ -10,10 +10,10 @@ from scipy.special import ndtr
 from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
 from trinoc.numerics.tails import MAD_TO_SIGMA
 
-# numerical: so many sigmas below, saturation does nothing.
+# numerical: distance below saturation, in sigmas, at which clipping is negligible.
 _FAR_BELOW = 8.0
-_BINS = 8  # numerical: nodes of a function of the grey level
-# numerical: rounding to whole levels leaves as much, and a fit must not trust fewer.
+_BINS = 8  # numerical: number of nodes of the noise as a function of the grey level
+# numerical: noise by rounding to whole levels, the smallest noise that a fit assumes.
 LEAST_SIGMA = 0.3
 
 
@@ -48,9 +48,11 @@ class ClippedMoments(NamedTuple):
 def clipped_moments(
     level: Float[ArrayLike, "n"], sigma: Float[ArrayLike, "n"], saturation: Saturation
 ) -> ClippedMoments:
-    """Moments of a level with noise after clipping.
+    """Mean and standard deviation of a noisy level after clipping.
 
-    Works on NumPy and on JAX arrays alike, in their own precision: everything is about `top`.
+    Accepts NumPy and JAX arrays and keeps their precision; computes relative to `top`.
+
+    level, sigma : (n,) mean and standard deviation before clipping.
     """
     math, top = array_namespace(level, sigma), saturation.top
     normal = ndtr if math is np else jax.scipy.special.ndtr
@@ -59,11 +61,11 @@ def clipped_moments(
     gap = z * below + density
     clipped_variance = saturation.clipped_sigma**2
     variance = sigma * sigma * math.maximum((z * z + 1) * below + z * density - gap * gap, 0.0)
-    sure = z >= _FAR_BELOW
+    is_unclipped = z >= _FAR_BELOW
     return ClippedMoments(
-        math.where(sure, level, top - sigma * gap),
-        math.where(sure, math.ones_like(level), below),
-        math.where(sure, sigma, math.sqrt(variance + (1 - below) * clipped_variance)),
+        math.where(is_unclipped, level, top - sigma * gap),
+        math.where(is_unclipped, math.ones_like(level), below),
+        math.where(is_unclipped, sigma, math.sqrt(variance + (1 - below) * clipped_variance)),
     )
 
 
@@ -81,7 +83,7 @@ def saturation_level(grey: Float[np.ndarray, "n"], piled_share: float) -> float:
 
 
 def white_level(image: Float[np.ndarray, "h w"]) -> float:
-    """Grey level of a full signal: of the fewest bits that hold the picture, 8 at least."""
+    """Grey level of a full signal, for the fewest bits (at least 8) that contain all levels."""
     return float(2 ** max(int(np.ceil(np.log2(float(image.max()) + 1))), 8) - 1)
 
 
@@ -89,17 +91,22 @@ def noise_by_level(
     level: Float[np.ndarray, "n"],
     residual: Float[np.ndarray, "n"],
     used: Bool[np.ndarray, "n"],
-    at: Float[np.ndarray, "m"],
+    query_levels: Float[np.ndarray, "m"],
     fewest: int,
     *,
     robust: bool = False,
 ) -> Float[np.ndarray, "m"]:
-    """Standard deviation of the noise at grey levels, linear in between in variance.
+    """Standard deviation of the noise as a function of the grey level.
 
-    level, residual : predicted grey levels and residuals, from the `used` pixels.
-    at : grey levels for which the noise is returned.
-    fewest : number of pixels that a variance needs.
-    robust : estimate by medians, because outliers are still among the pixels.
+    The variance is estimated in bins of the grey level and interpolated linearly.
+
+    Parameters
+    ----------
+    level, residual : (n,) predicted grey levels, and residuals.
+    used : (n,) mask of the pixels that are used.
+    query_levels : (m,) grey levels at which the noise is returned.
+    fewest : fewest pixels for a variance.
+    robust : True to use medians, if the pixels still contain outliers.
     """
     levels, residuals = level[used], residual[used]
     if len(levels) < fewest:
@@ -117,11 +124,11 @@ def noise_by_level(
     else:
         variance = (np.bincount(bins, residuals**2, minlength=_BINS) / np.maximum(count, 1))[enough]
     middles = 0.5 * (edges[1:] + edges[:-1])[enough]
-    return np.maximum(np.sqrt(np.interp(at, middles, variance)), LEAST_SIGMA)
+    return np.maximum(np.sqrt(np.interp(query_levels, middles, variance)), LEAST_SIGMA)
 
 
-class OnGrid:
-    """Index from pixel positions to selected pixels, for neighbours up to `reach_px` away."""
+class PixelGrid:
+    """Lookup of neighbours among selected pixels, at offsets up to `reach_px`."""
 
     def __init__(
         self, column: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"], reach_px: int
@@ -133,34 +140,39 @@ class OnGrid:
         self._index[self._position] = np.arange(len(row), dtype=np.int32)
 
     def neighbours(self, down: int, right: int) -> Int[np.ndarray, "n"]:
-        """Index of the pixel at this offset from each, up to `reach_px`; -1 if not selected."""
+        """Index of the pixel at an offset from each pixel; -1 if it is not selected."""
         row, column = self._position
         return self._index[row + down, column + right]
 
     def pairs(self, down: int, right: int) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Indices of the pixels that have a neighbour at this offset, and of the neighbours."""
-        there = self.neighbours(down, right)
-        here = np.flatnonzero(there >= 0)
-        return here, there[here]
+        """Indices of the pixels with a selected neighbour at an offset, and of these neighbours."""
+        neighbour = self.neighbours(down, right)
+        pixel = np.flatnonzero(neighbour >= 0)
+        return pixel, neighbour[pixel]
 
 
 def autocorrelation(
-    grid: OnGrid,
+    grid: PixelGrid,
     residual: Float[np.ndarray, "n"],
-    kept: Bool[np.ndarray, "n"],
+    inliers: Bool[np.ndarray, "n"],
     significant_sigmas: float,
 ) -> Float[np.ndarray, "l l"]:
-    """Correlation of residuals by the offset of their pixels, lag 0 in the middle.
+    """Correlation of residuals by the offset of the pixels; lag 0 is in the centre.
 
-    Insignificant correlations are set to 0: their sum over all lags would be noise.
+    Insignificant correlations are set to 0, because the sum of all lags would be dominated by
+    their noise.
+
+    residual, inliers : (n,) residuals and mask of the pixels that are used.
     """
-    standing, reach = residual * kept, grid.reach_px
+    used_residual, reach = residual * inliers, grid.reach_px
     sums, counts = np.zeros((2, 2 * reach + 1, 2 * reach + 1))
     for down, right in _half_of_the_lags(reach):
-        here, there = grid.pairs(down, right)
-        for at in ((down, right), (-down, -right)):
-            sums[reach + at[0], reach + at[1]] = standing[here] @ standing[there]
-            counts[reach + at[0], reach + at[1]] = np.count_nonzero(kept[here] & kept[there])
+        pixel, neighbour = grid.pairs(down, right)
+        product = used_residual[pixel] @ used_residual[neighbour]
+        count = np.count_nonzero(inliers[pixel] & inliers[neighbour])
+        for sign in (1, -1):
+            sums[reach + sign * down, reach + sign * right] = product
+            counts[reach + sign * down, reach + sign * right] = count
     counts = np.maximum(counts, 1.0)
     variance = max(sums[reach, reach] / counts[reach, reach], 1e-12)
     correlation = sums / counts / variance
@@ -170,26 +182,28 @@ def autocorrelation(
 
 
 def inflation(correlation: Float[np.ndarray, "l l"]) -> float:
-    """Variance of a mean of neighbours over that of a mean of uncorrelated pixels."""
+    """Variance of a mean of neighbouring pixels over that for uncorrelated pixels."""
     return max(float(correlation.sum()), 1.0)
 
 
 def sum_correlated(
-    grid: OnGrid, rows: Float[np.ndarray, "p n"], correlation: Float[np.ndarray, "l l"]
+    grid: PixelGrid, rows: Float[np.ndarray, "p n"], correlation: Float[np.ndarray, "l l"]
 ) -> Float[np.ndarray, "p p"]:
-    """Sum over all pairs of pixels of row_i correlation_ij row_j^T.
+    """Sum of row_i correlation_ij row_j^T over all pairs of pixels.
 
-    The middle of a sandwich covariance, for rows over the noise's standard deviation.
+    This is the middle of a sandwich covariance.
+
+    rows : (p, n) derivatives of the pixels divided by the standard deviation of the noise.
     """
     spread, reach = np.zeros_like(rows), grid.reach_px
     for down, right in (np.argwhere(correlation) - reach).tolist():
-        here, there = grid.pairs(down, right)
-        spread[:, here] += correlation[reach + down, reach + right] * rows[:, there]
+        pixel, neighbour = grid.pairs(down, right)
+        spread[:, pixel] += correlation[reach + down, reach + right] * rows[:, neighbour]
     total = rows @ spread.T
     return 0.5 * (total + total.T)
 
 
 def _half_of_the_lags(reach_px: int) -> list[tuple[int, int]]:
-    """(down, right) of lag 0, and of one of each two opposite lags."""
+    """Offsets (down, right) of lag 0 and of one of each two opposite lags."""
     offsets = range(-reach_px, reach_px + 1)
     return [(down, right) for down in offsets for right in offsets if (down, right) >= (0, 0)]

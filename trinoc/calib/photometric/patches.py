@@ -1,8 +1,8 @@
-"""Where the picture shows each circle and each piece of the crossed lines.
+"""Image positions of patches of the sheet: circles and pieces of the crossed lines.
 
-At the end of the fit a patch of the sheet may still be displaced in the picture, because paper
-bends or the lens is another than was said. The grey levels tell by how much, all patches sharing
-one appearance: normal equations in the displacements, from which the appearance is eliminated.
+After the fit, patches may still be displaced in the image, because the paper is bent or the lens
+differs from the given one. Their displacements are estimated from the grey levels. All patches
+share one appearance, which is eliminated from the normal equations.
 """
 
 from typing import NamedTuple
@@ -14,10 +14,10 @@ import scipy.sparse
 from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.equations import local_rows
-from trinoc.calib.photometric.fit_state import PictureFitState
+from trinoc.calib.photometric.fit_state import ImageFitState
 from trinoc.calib.photometric.scene import PixelScene
-from trinoc.calib.photometric.sheet_places import homography_of_pose
-from trinoc.calib.photometric.unknowns import LOCAL_TERMS, PicturePrior
+from trinoc.calib.photometric.sheet_geometry import homography_of_pose
+from trinoc.calib.photometric.unknowns import LOCAL_TERMS, ImagePrior
 from trinoc.calib.problem.views import LINE_PIECES, SheetPoints
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
@@ -25,22 +25,25 @@ from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 
-# numerical: a guard: a direction that a patch shows with less than this share of the information of
-# its best one, as a line along itself, is not known; nor is a patch with less than this share of
-# the best patch's, as a single pixel in a lamp's glare.
+# numerical: a displacement is not determined along a direction with less than this share of the
+# information of the patch's best direction, such as along a line. A patch with less than this share
+# of the best patch's information is not used.
 _LEAST_SHARE = 1e-3
 # numerical: no patches.
-_NOTHING = SheetPoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0)))
+_NO_POINTS = SheetPoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0)))
 
 
 class _SharedUnknowns(NamedTuple):
-    """What patches share: look, light and veil; where light is local, also its levels.
+    """Derivatives and priors of the unknowns that all patches share.
+
+    These are appearance, light and veil, and the local levels if blocks have their own light.
 
     Fields
     ------
-    rows : (n, q) derivatives of all pixels by what all patches share.
-    by_levels : (n, l) by the levels of every block, most of them zero; no columns without.
-    prior, pull : (q + l,) information of the priors, and its gradient.
+    rows : (n, q) derivatives of all pixels by the shared unknowns.
+    by_levels : (n, l) sparse derivatives by the local levels of all blocks; l = 0 without local
+        light.
+    prior, pull : (q + l,) information of the priors, and gradient of their cost.
     """
 
     rows: Float[np.ndarray, "n q"]
@@ -53,63 +56,74 @@ def patch_points(
     lens: AbstractLens,
     pattern: Pattern | SquareSheet,
     scene: PixelScene,
-    point: PictureFitState,
+    fit_state: ImageFitState,
     inflation: float,
 ) -> SheetPoints:
-    """The patches that a picture shows; none where the fit has left all that is finite.
+    """Measure the positions of all visible patches of the sheet.
 
-    inflation : of variances over those of independent noise as large as was assumed.
+    Parameters
+    ----------
+    lens : the lens.
+    pattern : the sheet, or the raster of a board of squares.
+    scene, fit_state : constants and end of the fit.
+    inflation : variance of the noise over that of independent noise with the assumed sigmas.
+
+    Returns
+    -------
+    Points with a common whitening matrix; no points if the fit diverged.
     """
     rays = [group.pixels.ray for group in scene.groups]
     direction = scene.join_pixels([ray.direction for ray in rays]).astype(float)
     by_pixel = scene.join_pixels([ray.by_pixel for ray in rays])
-    homography = np.asarray(homography_of_pose(point.state.pose))
+    homography = np.asarray(homography_of_pose(fit_state.state.pose))
     on_sheet = homography @ direction.T
-    place = (on_sheet[:2] / on_sheet[2]).T
-    all_rows = point.rows(scene)
-    # A picture that is shifted by d shows at x what it showed at x - d. The third column of the
-    # homography acts by the third coordinate of the ray.
+    point_mm = (on_sheet[:2] / on_sheet[2]).T
+    all_rows = fit_state.rows(scene)
+    # After a displacement d, the image at x is the previous image at x - d. The third column of the
+    # homography multiplies the third coordinate of the ray.
     by_direction = -homography.T @ (all_rows[2:9:3] / direction[:, 2])
     by_px = np.einsum("jn,njk->kn", by_direction, by_pixel)
-    residual, sigma = point.residual(scene)
-    # Neighbours share noise, and it is not all that the levels say: as the pose knows of it.
-    weight = point.kept * sigma**-2 / inflation
-    if not all(np.isfinite(part).all() for part in (place, weight, all_rows)):
-        return _NOTHING
+    residual, sigma = fit_state.residual(scene)
+    # The inflation by correlated noise is the same as for the pose.
+    weight = fit_state.inliers * sigma**-2 / inflation
+    if not all(np.isfinite(part).all() for part in (point_mm, weight, all_rows)):
+        return _NO_POINTS
     near_line = np.arange(len(scene.grey)) >= scene.counts[0]
     label = np.where(near_line, -1, scene.chosen.circle)
     if isinstance(pattern, Pattern):
-        piece = len(pattern) + _piece_of_line(place, pattern)
+        piece = len(pattern) + _piece_of_line(point_mm, pattern)
         label = np.where(label >= 0, label, piece)
-    known = (by_px**2).sum(axis=0) * weight
-    label, known = _number_patches(label, known)
-    by_px = by_px * (known > 0)
-    total = np.bincount(label, known)
-    middle = np.stack([np.bincount(label, known * axis) / total for axis in place.T], axis=1)
+    information = (by_px**2).sum(axis=0) * weight
+    label, information = _number_patches(label, information)
+    by_px = by_px * (information > 0)
+    total = np.bincount(label, information)
+    centroid_mm = np.stack(
+        [np.bincount(label, information * axis) / total for axis in point_mm.T], axis=1
+    )
     try:
-        shared = _shared_unknowns(scene, point, all_rows[9:], inflation)
+        shared = _shared_unknowns(scene, fit_state, all_rows[9:], inflation)
         shift, whitening = _displacements(by_px, label, len(total), residual, weight, shared)
     except np.linalg.LinAlgError:
-        return _NOTHING
-    shown = np.asarray(_images(lens, np.linalg.inv(homography), middle))
-    return SheetPoints(middle, shown + shift, whitening)
+        return _NO_POINTS
+    predicted_px = np.asarray(_project(lens, np.linalg.inv(homography), centroid_mm))
+    return SheetPoints(centroid_mm, predicted_px + shift, whitening)
 
 
 @kept_jit
-def _images(
+def _project(
     lens: AbstractLens,
     camera_from_sheet: Float[ArrayLike, "3 3"],
-    places_mm: Float[ArrayLike, "m 2"],
+    points_mm: Float[ArrayLike, "m 2"],
 ) -> Float[ArrayLike, "m 2"]:
-    def image(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        return lens.project_ray(camera_from_sheet @ jnp.append(place, 1.0))
+    def project(point_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        return lens.project_ray(camera_from_sheet @ jnp.append(point_mm, 1.0))
 
-    return jax.vmap(image)(places_mm)
+    return jax.vmap(project)(points_mm)
 
 
-def _piece_of_line(place_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[np.ndarray, "n"]:
-    """The piece of a line that each place is on: of the line along X, then of the one along Y."""
-    x, y = place_mm.T
+def _piece_of_line(point_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[np.ndarray, "n"]:
+    """Piece of the crossed lines nearest to each point: first those of the line along X."""
+    x, y = point_mm.T
     along_y = np.abs(y) > np.abs(x)
     reach = np.where(along_y, pattern.line_half_length_mm[1], pattern.line_half_length_mm[0])
     along = np.where(along_y, y, x) / np.maximum(reach, 1e-9)
@@ -118,26 +132,36 @@ def _piece_of_line(place_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[
 
 
 def _number_patches(
-    label: Int[np.ndarray, "n"], known: Float[np.ndarray, "n"]
+    label: Int[np.ndarray, "n"], information: Float[np.ndarray, "n"]
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Patches of which something is known numbered from 0; pixels of others, which show nothing,
-    count to the first."""
-    total = np.bincount(label, known)
+    """Number the patches with enough information from 0.
+
+    Pixels of other patches get number 0 and no information.
+
+    label, information : (n,) patch and information of each pixel.
+    """
+    total = np.bincount(label, information)
     is_useful = total > _LEAST_SHARE * total.max()
     number = np.where(is_useful, np.cumsum(is_useful) - 1, 0)
-    return number[label], known * is_useful[label]
+    return number[label], information * is_useful[label]
 
 
 def _shared_unknowns(
-    scene: PixelScene, point: PictureFitState, by_values: Float[np.ndarray, "k n"], inflation: float
+    scene: PixelScene,
+    fit_state: ImageFitState,
+    by_values: Float[np.ndarray, "k n"],
+    inflation: float,
 ) -> _SharedUnknowns:
-    """Light about a patch, where it has its own, can do what a displacement does."""
-    state, free = point.state, point.free[scene.model.size :]
-    prior = state.unknowns.prior(scene.tuning, local=scene.local)
+    """Derivatives and priors of the shared unknowns at the end of the fit.
+
+    Local light must be included, because it has effects similar to those of a displacement.
+    """
+    state, free = fit_state.state, fit_state.free[scene.model.size :]
+    prior = state.unknowns.prior(scene.tuning, local=scene.has_local_light)
     weight = np.asarray(prior.weight)
     pull = weight * (state.values - prior.mean)
-    by_levels, level_weight, level_pull = _local_light(scene, point, prior)
-    # Priors count as the pixels do: together they balance where the fit has ended.
+    by_levels, level_weight, level_pull = _local_light(scene, fit_state, prior)
+    # Priors are scaled like the pixels: at the end of the fit, their gradients balance.
     return _SharedUnknowns(
         by_values[free].astype(float).T,
         by_levels,
@@ -147,18 +171,18 @@ def _shared_unknowns(
 
 
 def _local_light(
-    scene: PixelScene, point: PictureFitState, prior: PicturePrior
+    scene: PixelScene, fit_state: ImageFitState, prior: ImagePrior
 ) -> tuple[scipy.sparse.csr_matrix, Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
-    """Derivatives by every block's levels, and the information and gradient of their priors."""
-    count, blocks = len(point.kept), scene.blocks
-    if not scene.local or blocks is None:
+    """Derivatives by the local levels, and information and gradient of their priors."""
+    count, blocks = len(fit_state.inliers), scene.blocks
+    if not scene.has_local_light or blocks is None:
         return scipy.sparse.csr_matrix((count, 0)), np.zeros(0), np.zeros(0)
-    rows = local_rows(point.rows_by_local(scene), blocks.basis).astype(float)
+    rows = local_rows(fit_state.rows_by_local(scene), blocks.basis).astype(float)
     column = LOCAL_TERMS * blocks.of_pixel + np.arange(LOCAL_TERMS)[:, None]
     row = np.tile(np.arange(count), LOCAL_TERMS)
     size = (count, LOCAL_TERMS * blocks.count)
     weight = np.tile(prior.local_weight, blocks.count)
-    levels = np.asarray(point.state.levels).T.ravel()
+    levels = np.asarray(fit_state.state.levels).T.ravel()
     return (
         scipy.sparse.csr_matrix((rows.ravel(), (row, column.ravel())), size),
         weight,
@@ -174,16 +198,29 @@ def _displacements(
     weight: Float[np.ndarray, "n"],
     shared: _SharedUnknowns,
 ) -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, "q q"]]:
-    """Shift of each patch in px, and R of all their errors, what they share being eliminated."""
+    """Displacements of all patches, with the shared unknowns eliminated.
+
+    Parameters
+    ----------
+    by_px : (2, n) derivatives of the pixels by a displacement of the image.
+    patch : (n,) patch of each pixel.
+    count : number m of patches.
+    residual, weight : (n,) residuals, and reciprocal variances of the pixels.
+    shared : the shared unknowns.
+
+    Returns
+    -------
+    (m, 2) displacements, px, and the matrix that whitens the errors of all patches.
+    """
     rows, by_levels, weighted = shared.rows, shared.by_levels, by_px * weight
 
-    def of_patches(values: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m k"]:
-        """Weighted sums over the pixels of each patch of by_u and by_v times values."""
+    def sum_by_patch(values: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m k"]:
+        """Weighted sums over each patch of the derivatives by u and by v, times values."""
         sums = [[np.bincount(patch, axis * row, count) for row in values] for axis in weighted]
         return np.array(sums).transpose(2, 0, 1).reshape(2 * count, len(values))
 
     across = np.concatenate(
-        [of_patches(rows.T), _sums_with_levels(weighted, patch, count, by_levels)], axis=1
+        [sum_by_patch(rows.T), _sums_with_levels(weighted, patch, count, by_levels)], axis=1
     )
     by_weight, levels_by_weight = (rows * weight[:, None]).T, by_levels.multiply(weight[:, None]).T
     corner = levels_by_weight @ rows
@@ -193,17 +230,17 @@ def _displacements(
     pull = np.concatenate([by_weight @ residual, levels_by_weight @ residual]) + shared.pull
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     eliminated = (across / scale) @ np.linalg.pinv(inner / np.outer(scale, scale), hermitian=True)
-    each = of_patches(by_px).reshape(count, 2, 2)
-    alone = np.zeros((count, 2, count, 2))
-    alone[np.arange(count), :, np.arange(count)] = each
-    information = alone.reshape(2 * count, 2 * count) - eliminated @ (across / scale).T
-    slope = of_patches(residual[None])[:, 0] - eliminated @ (pull / scale)
-    known = _known_directions(each)
-    factor = np.linalg.cholesky(known.T @ information @ known)
-    step = np.linalg.solve(factor.T, np.linalg.solve(factor, known.T @ slope))
+    patch_information = sum_by_patch(by_px).reshape(count, 2, 2)
+    diagonal = np.zeros((count, 2, count, 2))
+    diagonal[np.arange(count), :, np.arange(count)] = patch_information
+    information = diagonal.reshape(2 * count, 2 * count) - eliminated @ (across / scale).T
+    gradient = sum_by_patch(residual[None])[:, 0] - eliminated @ (pull / scale)
+    basis = _observable_directions(patch_information)
+    factor = np.linalg.cholesky(basis.T @ information @ basis)
+    step = np.linalg.solve(factor.T, np.linalg.solve(factor, basis.T @ gradient))
     whitening = np.zeros((2 * count, 2 * count))
-    whitening[: known.shape[1]] = factor.T @ known.T
-    return -(known @ step).reshape(count, 2), whitening
+    whitening[: basis.shape[1]] = factor.T @ basis.T
+    return -(basis @ step).reshape(count, 2), whitening
 
 
 def _sums_with_levels(
@@ -212,7 +249,7 @@ def _sums_with_levels(
     count: int,
     by_levels: scipy.sparse.csr_matrix,
 ) -> Float[np.ndarray, "m l"]:
-    """Sums over the pixels of each patch of `weighted` times the derivatives by levels."""
+    """Sums over each patch of `weighted` times the derivatives by the local levels."""
     if not by_levels.shape[1]:  # pyright: ignore[reportOptionalSubscript]
         return np.zeros((2 * count, 0))
     pixel, column = np.tile(np.arange(len(patch)), 2), np.concatenate([2 * patch, 2 * patch + 1])
@@ -220,11 +257,11 @@ def _sums_with_levels(
     return scipy.sparse.csr_matrix(by_patch @ by_levels).toarray()
 
 
-def _known_directions(information: Float[np.ndarray, "c 2 2"]) -> Float[np.ndarray, "k q"]:
-    """Unit vectors along which patches are known by themselves."""
+def _observable_directions(information: Float[np.ndarray, "c 2 2"]) -> Float[np.ndarray, "k q"]:
+    """Unit vectors along which the displacement of single patches is determined, as columns."""
     count = len(information)
     values, vectors = np.linalg.eigh(information)
     basis = np.zeros((count, 2, count, 2))
     basis[np.arange(count), :, np.arange(count)] = vectors
-    is_known = values > _LEAST_SHARE * values[:, 1:]
-    return basis.reshape(2 * count, 2 * count)[:, is_known.ravel()]
+    is_observable = values > _LEAST_SHARE * values[:, 1:]
+    return basis.reshape(2 * count, 2 * count)[:, is_observable.ravel()]

@@ -1,4 +1,4 @@
-"""The pixels that know something about the pose: those near an edge of ink."""
+"""Selection of the pixels that determine the pose: those near an edge of ink."""
 
 from typing import NamedTuple
 
@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float, Int
 from trinoc.calib.photometric.equations import CHUNK, Group
 from trinoc.calib.photometric.grey_level import Pixels
 from trinoc.calib.photometric.ink import Circle, Squares
-from trinoc.calib.photometric.sheet_places import (
+from trinoc.calib.photometric.sheet_geometry import (
     circle_points_mm,
     lens_rays,
     line_outlines_mm,
-    places_of_pixels,
     project_to_image,
+    sheet_points_of_pixels,
 )
 from trinoc.calib.photometric.square_pixels import square_pixels
 from trinoc.calib.targets.pattern import Pattern
@@ -23,23 +23,22 @@ from trinoc.calib.targets.squares import SquareSheet
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 
-# numerical: fixed-point bits of OpenCV's drawing coordinates.
+# numerical: fractional bits of OpenCV's drawing coordinates.
 _SHIFT = 4
-SMALLEST_CAPACITY = 16384  # numerical: a block size
-# numerical: size of a sample: the first of so many parts of the chosen pixels lies as evenly on the
-# sheet as all of them.
+SMALLEST_CAPACITY = 16384  # numerical: smallest padded length of a group
+# numerical: number of parts of the selected pixels; each part covers the whole sheet evenly.
 PARTS = 4
 
 
 class SelectedPixels(NamedTuple):
-    """Pixels near edges, before they are padded.
+    """Selected pixels near edges, without padding.
 
     Fields
     ------
-    column, row : (n,) of the pixel.
-    circle : (n,) index of the nearest circle, -1 where none is near; of the nearest node of a
-        board of squares.
-    squares : (n, ...) of such a board, the ink about each.
+    column, row : (n,) pixel coordinates.
+    circle : (n,) index of the nearest circle, -1 without a near one; for a board of squares, index
+        of the nearest node.
+    squares : (n, ...) ink around each pixel of a board of squares, else None.
     """
 
     column: Int[np.ndarray, "n"]
@@ -48,23 +47,23 @@ class SelectedPixels(NamedTuple):
     squares: Squares | None = None
 
     @property
-    def places(self) -> tuple[np.ndarray, np.ndarray]:
-        """To index a picture by."""
+    def image_index(self) -> tuple[np.ndarray, np.ndarray]:
+        """Index (row, column) of the pixels into an image."""
         return self.row, self.column
 
     def part(self, chosen: np.ndarray) -> "SelectedPixels":
-        """Some of them, in that order."""
+        """Select pixels by an index."""
         return jax.tree.map(lambda field: field[chosen], self)
 
 
 class PixelSelection(NamedTuple):
-    """Pixels near circles only, pixels near a line of the cross, and where no edge is.
+    """Result of `select_pixels`.
 
     Fields
     ------
-    near_circles, near_lines : see `SelectedPixels`.
-    corner : (row, column) of the sheet's bounding box.
-    flat : (h, w) pixels of that box that lie near no edge.
+    near_circles, near_lines : pixels near circles only, and pixels near a crossed line.
+    corner : (row, column) of the first pixel of the sheet's bounding box.
+    flat : (h, w) mask of the pixels of this box that are not near an edge.
     """
 
     near_circles: SelectedPixels
@@ -80,22 +79,31 @@ def select_pixels(
     image_size_px: tuple[int, int],
     reach_px: float,
 ) -> PixelSelection:
-    """The pixels within `reach_px` of the sheet's edges.
+    """Select the pixels within a distance of the sheet's edges.
 
-    Pixels within reach of two circles are left out: the model knows one.
+    Pixels near two circles are excluded, because the model has only one.
+
+    Parameters
+    ----------
+    pose, lens : the camera, which predicts the edges.
+    pattern : the sheet, or the raster of a board of squares.
+    image_size_px : (width, height).
+    reach_px : largest distance from an edge.
     """
     if isinstance(pattern, SquareSheet):
-        seen = square_pixels(pose, lens, pattern, image_size_px, reach_px)
-        near = _spread(SelectedPixels(seen.column, seen.row, seen.node, seen.squares))
-        return PixelSelection(near, near.part(np.zeros(0, dtype=int)), seen.first, seen.flat)
-    # OpenCV draws an even thickness one pixel wider: half a thickness and a half to each side.
+        pixels = square_pixels(pose, lens, pattern, image_size_px, reach_px)
+        selected = SelectedPixels(pixels.column, pixels.row, pixels.node, pixels.squares)
+        selected = _interleave(selected)
+        none = selected.part(np.zeros(0, dtype=int))
+        return PixelSelection(selected, none, pixels.corner, pixels.flat)
+    # OpenCV draws lines of even thickness one pixel wider: by half a pixel on each side.
     thickness = 2 * max(1, round(reach_px - 0.5))
-    drawn, of_circle, cross = _outlines(pose, lens, pattern)
-    # Work in the sheet's bounding box: the rest of a large picture costs nothing.
-    corner, shape = _bounding_box(drawn, thickness, image_size_px)
+    outlines, of_circle, cross = _outlines(pose, lens, pattern)
+    # Only the bounding box of the sheet is processed, to save time in large images.
+    corner, shape = _bounding_box(outlines, thickness, image_size_px)
     even, odd = np.zeros((2, *shape), dtype=np.int16)
     canvases, parity = (even, odd), pattern.lattice.sum(axis=1) % 2
-    for k, outline in zip(of_circle, _to_fixed_point(drawn - corner), strict=True):
+    for k, outline in zip(of_circle, _to_fixed_point(outlines - corner), strict=True):
         _draw(canvases[parity[k]], outline, int(k) + 1, thickness)
     lines = np.zeros(shape, dtype=np.uint8)
     for outline in cross:
@@ -105,75 +113,76 @@ def select_pixels(
     label = np.maximum(even, odd)
     blank = np.maximum(label, lines) == 0
     row, column = np.nonzero(~blank)
-    alone = (even[row, column] == 0) | (odd[row, column] == 0)
-    row, column = row[alone], column[alone]
+    has_one_circle = (even[row, column] == 0) | (odd[row, column] == 0)
+    row, column = row[has_one_circle], column[has_one_circle]
     circle, in_band = label[row, column].astype(np.int64) - 1, lines[row, column] > 0
     row, column = row + corner[1], column + corner[0]
-    seen = _line_view(column[in_band], row[in_band], pose, lens, pattern, reach_px)
+    band = _classify_band(column[in_band], row[in_band], pose, lens, pattern, reach_px)
     near_line = in_band.copy()
-    near_line[in_band] = seen.sees_line
+    near_line[in_band] = band.is_near_line
     rest = (circle >= 0) & ~near_line
+    circle_near_line = band.circle[band.is_near_line]
     return PixelSelection(
-        _spread(SelectedPixels(column[rest], row[rest], circle[rest])),
-        _spread(SelectedPixels(column[near_line], row[near_line], seen.circle[seen.sees_line])),
+        _interleave(SelectedPixels(column[rest], row[rest], circle[rest])),
+        _interleave(SelectedPixels(column[near_line], row[near_line], circle_near_line)),
         (int(corner[1]), int(corner[0])),
         blank,
     )
 
 
-class _LineView(NamedTuple):
-    """What pixels of the lines' band are near to.
+class _BandPixels(NamedTuple):
+    """Classification of the pixels in the band around the crossed lines.
 
     Fields
     ------
-    sees_line : (n,) whether an edge of a line is within reach; deep inside a circle or its gap
+    is_near_line : (n,) True if an edge of a line is within reach. Deep inside a circle or its gap
         there is none.
-    circle : (n,) index of the circle whose edge, or whose gap in the line, is within reach;
-        -1 where there is none.
+    circle : (n,) index of the circle whose edge, or whose gap in the line, is within reach; -1
+        without one.
     """
 
-    sees_line: Bool[np.ndarray, "n"]
+    is_near_line: Bool[np.ndarray, "n"]
     circle: Int[np.ndarray, "n"]
 
 
-def _line_view(
+def _classify_band(
     column: Int[np.ndarray, "n"],
     row: Int[np.ndarray, "n"],
     pose: Pose,
     lens: AbstractLens,
     pattern: Pattern,
     reach_px: float,
-) -> _LineView:
-    """Tell the pixels of the lines' band apart by the circles that the lines meet."""
-    sees_line, circle = np.ones(len(row), dtype=bool), np.full(len(row), -1)
+) -> _BandPixels:
+    """Classify the pixels of the lines' band by the circles that the lines meet."""
+    is_near_line, circle = np.ones(len(row), dtype=bool), np.full(len(row), -1)
     if not len(row):
-        return _LineView(sees_line, circle)
-    point_mm, stretch = places_of_pixels(column, row, pose, lens)
+        return _BandPixels(is_near_line, circle)
+    point_mm, stretch = sheet_points_of_pixels(column, row, pose, lens)
     reach_mm = reach_px * stretch
     gap_radius_mm = pattern.radius_mm + pattern.line_gap_mm
     from_axis_mm = np.abs(pattern.centres_mm).min(axis=1)
-    met = np.flatnonzero(
+    crossed = np.flatnonzero(
         from_axis_mm < gap_radius_mm + pattern.line_width_mm + 2 * float(reach_mm.max())
     )
-    if not len(met):
-        return _LineView(sees_line, circle)
-    centres_mm = pattern.centres_mm[met]
+    if not len(crossed):
+        return _BandPixels(is_near_line, circle)
+    centres_mm = pattern.centres_mm[crossed]
     squared = (point_mm[:, :1] - centres_mm[:, 0]) ** 2
     squared += (point_mm[:, 1:] - centres_mm[:, 1]) ** 2
-    nearest = met[squared.argmin(axis=1)]
+    nearest = crossed[squared.argmin(axis=1)]
     from_centre_mm = np.sqrt(squared.min(axis=1))
     radius_mm, hole_mm = pattern.radius_mm[nearest], pattern.inner_radius_mm[nearest]
     within = from_centre_mm < radius_mm + pattern.line_gap_mm + reach_mm
     if pattern.line_style == "stop":
-        sees_line = from_centre_mm > radius_mm + pattern.line_gap_mm - reach_mm
+        is_near_line = from_centre_mm > radius_mm + pattern.line_gap_mm - reach_mm
     elif pattern.line_style == "through":
-        sees_line = from_centre_mm > radius_mm - reach_mm
-        sees_line |= (hole_mm > 0) & (from_centre_mm < hole_mm + reach_mm)
-    return _LineView(sees_line, np.where(within, nearest, -1))
+        is_near_line = from_centre_mm > radius_mm - reach_mm
+        is_near_line |= (hole_mm > 0) & (from_centre_mm < hole_mm + reach_mm)
+    return _BandPixels(is_near_line, np.where(within, nearest, -1))
 
 
-def _spread(chosen: SelectedPixels) -> SelectedPixels:
-    """The same pixels in an order whose beginning already covers the whole sheet."""
+def _interleave(chosen: SelectedPixels) -> SelectedPixels:
+    """Reorder pixels so that the first 1/`PARTS` of them covers the whole sheet."""
     order = np.concatenate([np.arange(k, len(chosen.row), PARTS) for k in range(PARTS)])
     return chosen.part(order)
 
@@ -181,7 +190,7 @@ def _spread(chosen: SelectedPixels) -> SelectedPixels:
 def _outlines(
     pose: Pose, lens: AbstractLens, pattern: Pattern
 ) -> tuple[Float[np.ndarray, "m k 2"], Int[np.ndarray, "m"], Float[np.ndarray, "lines j 2"]]:
-    """Outlines in the picture of edges of circles, whose they are, and of the two lines."""
+    """Outlines in the image: edges of circles, the circle of each edge, and the two lines."""
     of_circle = np.concatenate([np.arange(len(pattern)), np.flatnonzero(pattern.is_ring)])
     radius = np.concatenate([pattern.radius_mm, pattern.inner_radius_mm[pattern.is_ring]])
     circles = circle_points_mm(pattern.centres_mm[of_circle], radius)
@@ -196,10 +205,9 @@ def _outlines(
 def _bounding_box(
     outlines: Float[np.ndarray, "m k 2"], margin_px: int, image_size_px: tuple[int, int]
 ) -> tuple[Int[np.ndarray, "2"], tuple[int, int]]:
-    """(column, row) of the corner and (rows, columns) of the part of the picture to look at.
+    """Corner (column, row) and shape (rows, columns) of the image region around the outlines.
 
-    The crossed lines reach beyond the circles by a little: what a wide margin does not hold of
-    them says nothing that the rest does not.
+    The margin of 10 % includes the ends of the crossed lines, except for long lines.
     """
     points = outlines.reshape(-1, 2)
     size = np.ptp(points, axis=0)
@@ -219,7 +227,7 @@ def _draw(canvas: np.ndarray, outline: Int[np.ndarray, "k 2"], value: int, thick
 
 
 def padded_capacities(near_circles: SelectedPixels, near_lines: SelectedPixels) -> tuple[int, int]:
-    """Padded lengths of both groups; few pairs, because each compiles anew."""
+    """Padded lengths of both groups. Few pairs are possible, because each needs a compilation."""
     many, few = len(near_circles.row), len(near_lines.row)
     capacity = SMALLEST_CAPACITY
     while capacity < max(many, few):
@@ -236,25 +244,32 @@ def pad_group(
     dtype: type,
     shift_px: Float[np.ndarray, "n 2"] | None = None,
 ) -> Group:
-    """The pixels as padded arrays; padding repeats the first pixel, without weight.
+    """Pack selected pixels into padded arrays. Padding repeats the first pixel with weight 0.
 
-    shift_px : by which the picture shows what a pixel looks at aside from where the lens and a flat
-        sheet would have it.
+    Parameters
+    ----------
+    chosen : the pixels.
+    image : grey levels.
+    lens : the lens.
+    pattern : the sheet, or the raster of a board of squares.
+    capacity : padded length.
+    dtype : precision of the arrays.
+    shift_px : (n, 2) known displacement of the sheet's image at each pixel; None for none.
     """
     count = len(chosen.row)
     if not count:
-        chosen, shift_px = _nothing(pattern), None
+        chosen, shift_px = _padding_pixel(pattern), None
     column, row, circle, squares = chosen
     height, width = image.shape
     uv_px = np.stack([column, row], axis=1).astype(np.float64)
     fields = Pixels(
         ray=lens_rays(lens, uv_px if shift_px is None else uv_px - shift_px),
-        place=(uv_px - 0.5 * np.array([width - 1, height - 1])) / (0.5 * width),
+        position=(uv_px - 0.5 * np.array([width - 1, height - 1])) / (0.5 * width),
         grey=image[row, column],
         weight=np.ones(len(row)),
         sigma=np.ones(len(row)),
         unit=np.ones(len(row)),
-        figure=_circles(pattern, circle) if squares is None else squares,
+        local_ink=_circles(pattern, circle) if squares is None else squares,
     )
 
     def pad(leaf: np.ndarray) -> np.ndarray:
@@ -268,6 +283,7 @@ def pad_group(
 
 
 def _circles(pattern: Pattern | SquareSheet, circle: Int[np.ndarray, "n"]) -> Circle:
+    """Circle of each pixel, by its index; index -1 gives an absent circle."""
     assert isinstance(pattern, Pattern)
     nearest = np.maximum(circle, 0)
     return Circle(
@@ -278,8 +294,8 @@ def _circles(pattern: Pattern | SquareSheet, circle: Int[np.ndarray, "n"]) -> Ci
     )
 
 
-def _nothing(pattern: Pattern | SquareSheet) -> SelectedPixels:
-    """One pixel that is near nothing, to pad with."""
+def _padding_pixel(pattern: Pattern | SquareSheet) -> SelectedPixels:
+    """One pixel without a near edge, for an empty group."""
     squares = None
     if isinstance(pattern, SquareSheet):
         squares = Squares(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 9)))

@@ -1,4 +1,4 @@
-"""Pixels near the edges of a board of squares, and a first guess of its light and ink."""
+"""Pixels near the edges of a board of squares, and sample points of its ink and paper."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -8,38 +8,39 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from trinoc.calib.photometric.ink import Squares
-from trinoc.calib.photometric.sheet_places import places_and_slopes, project_to_image
+from trinoc.calib.photometric.sheet_geometry import project_to_image, sheet_points_and_slopes
 from trinoc.calib.targets.squares import SquareSheet
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose
 from trinoc.numerics.joins import point_tree
 
-# numerical: of a table: lines within reach of a pixel that are looked at along each axis, and that
-# may carry edges.
+# numerical: largest number of grid lines within reach of a pixel along each axis, and of those that
+# contain an edge there.
 _MOST_LINES, _MOST_EDGES = 5, 2
-# numerical: samples of a start: so deep inside, over the largest depth that there is.
+# numerical: smallest depth of sample points inside ink or paper over the largest depth, and
+# smallest length of sampled edges over the longest.
 _DEEP = 0.8
-# numerical: points of the map of depths per least distance between lines, and its longest side.
+# numerical: points of the depth map per smallest distance of grid lines, and its longest side.
 _FINE, _LONGEST_MAP = 3.0, 2000
 
 
 class SquarePixels(NamedTuple):
-    """Pixels of a board of squares.
+    """Selected pixels of a board of squares.
 
     Fields
     ------
-    column, row : (n,) of those near an edge.
-    node : (n,) the board's node nearest to each.
-    squares : (n, ...) the ink about each.
-    first : (row, column) of the board's box.
-    flat : (h, w) pixels of that box within ink and near no edge.
+    column, row : (n,) coordinates of the pixels near an edge.
+    node : (n,) index of the board's node nearest to each pixel.
+    squares : (n, ...) ink around each pixel.
+    corner : (row, column) of the first pixel of the board's bounding box.
+    flat : (h, w) mask of the pixels of this box inside ink and not near an edge.
     """
 
     column: Int[np.ndarray, "n"]
     row: Int[np.ndarray, "n"]
     node: Int[np.ndarray, "n"]
     squares: Squares
-    first: tuple[int, int]
+    corner: tuple[int, int]
     flat: Bool[np.ndarray, "h w"]
 
 
@@ -50,15 +51,22 @@ def square_pixels(
     image_size_px: tuple[int, int],
     reach_px: float,
 ) -> SquarePixels:
-    """The pixels within reach of an edge, and of no more than two lines of edges along each axis.
+    """Select the pixels near an edge, with at most two lines of edges within reach per axis.
 
-    Of markers whose cells are smaller than that, the outline is left, or nothing.
+    If the cells of a marker are too small for this, at most its outline is selected.
+
+    Parameters
+    ----------
+    pose, lens : the camera.
+    sheet : raster of the board.
+    image_size_px : (width, height).
+    reach_px : largest distance from an edge.
     """
     low, high = _box(pose, lens, sheet, image_size_px, reach_px)
     rows, columns = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
-    point, slopes = places_and_slopes(columns.ravel(), rows.ravel(), pose, lens)
+    point, slopes = sheet_points_and_slopes(columns.ravel(), rows.ravel(), pose, lens)
     reach_mm = reach_px * np.hypot(*slopes)
-    # A pixel that looks past the board has a place behind the camera.
+    # The ray of a pixel beyond the horizon meets the plane of the board behind the camera.
     ahead = np.isfinite(point).all(axis=0) & np.isfinite(reach_mm).all(axis=0)
     point, reach_mm = np.where(ahead, point, 1e9), np.where(ahead, reach_mm, 0.0)
     from_x, to_x = (np.searchsorted(sheet.x_mm, point[0] + s * reach_mm[0]) for s in (-1, 1))
@@ -68,14 +76,14 @@ def square_pixels(
     none = (count_x == 0) & (count_y == 0)
     chosen = ahead & ~none & (count_x <= _MOST_EDGES) & (count_y <= _MOST_EDGES)
     flat = ahead & none & sheet.ink[from_y, from_x]
-    at = np.flatnonzero(chosen)
-    cells_x, x_mm = _cells_and_lines(sheet.x_mm, from_x[at], lines_x[at], point[0, at])
-    cells_y, y_mm = _cells_and_lines(sheet.y_mm, from_y[at], lines_y[at], point[1, at])
+    index = np.flatnonzero(chosen)
+    cells_x, x_mm = _cells_and_lines(sheet.x_mm, from_x[index], lines_x[index], point[0, index])
+    cells_y, y_mm = _cells_and_lines(sheet.y_mm, from_y[index], lines_y[index], point[1, index])
     ink = sheet.ink[cells_y[:, :, None], cells_x[:, None, :]].reshape(-1, 9).astype(float)
     return SquarePixels(
-        columns.ravel()[at],
-        rows.ravel()[at],
-        np.asarray(point_tree(sheet.nodes_mm).query(point[:, at].T)[1]),
+        columns.ravel()[index],
+        rows.ravel()[index],
+        np.asarray(point_tree(sheet.nodes_mm).query(point[:, index].T)[1]),
         Squares(x_mm, y_mm, ink),
         (int(low[1]), int(low[0])),
         flat.reshape(rows.shape),
@@ -89,12 +97,10 @@ def _box(
     image_size_px: tuple[int, int],
     reach_px: float,
 ) -> tuple[Int[np.ndarray, "2"], Int[np.ndarray, "2"]]:
-    """(column, row) of the first and the last pixel to look at: of lines' crossings and beyond."""
+    """First and last pixel (column, row) of the board's bounding box, with a margin."""
     crossings = np.stack(np.meshgrid(sheet.x_mm, sheet.y_mm), axis=-1)
-    around = np.concatenate(
-        [crossings[[0, -1]].reshape(-1, 2), crossings[:, [0, -1]].reshape(-1, 2)]
-    )
-    outline = np.asarray(project_to_image(pose, lens, around))
+    rim = np.concatenate([crossings[[0, -1]].reshape(-1, 2), crossings[:, [0, -1]].reshape(-1, 2)])
+    outline = np.asarray(project_to_image(pose, lens, rim))
     outline = outline[np.isfinite(outline).all(axis=1)]
     limit = np.array(image_size_px) - 1
     low = np.clip(np.floor(outline.min(axis=0) - 2 * reach_px), 0, limit).astype(int)
@@ -109,18 +115,29 @@ def _count_edges(
     first_row: Int[np.ndarray, "n"],
     last_row: Int[np.ndarray, "n"],
 ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n 2"]]:
-    """How many of the lines from `start` to before `end` carry an edge in some of the rows, and the
-    first two of them; -1 for none. More lines than are looked at count as too many."""
+    """Count the grid lines near each pixel that contain an edge.
+
+    Parameters
+    ----------
+    ink : mask of the inked cells.
+    start, end : (n,) range of the lines within reach of each pixel.
+    first_row, last_row : (n,) range of the rows of cells within reach.
+
+    Returns
+    -------
+    (n,) number of lines with an edge, larger than `_MOST_EDGES` if too many lines are within reach;
+    (n, 2) indices of the first two, -1 for none.
+    """
     changes = np.concatenate([np.zeros((1, ink.shape[1] - 1)), ink[:, 1:] != ink[:, :-1]])
     above = np.cumsum(changes, axis=0).astype(int)
     count, lines = np.zeros(len(start), dtype=int), np.full((len(start), _MOST_EDGES), -1)
     for step in range(_MOST_LINES):
         line = np.minimum(start + step, ink.shape[1] - 2)
-        carries = above[last_row + 1, line] > above[first_row, line]
-        carries &= start + step < end
+        has_edge = above[last_row + 1, line] > above[first_row, line]
+        has_edge &= start + step < end
         for k in range(_MOST_EDGES):
-            lines[carries & (count == k), k] = line[carries & (count == k)]
-        count += carries
+            lines[has_edge & (count == k), k] = line[has_edge & (count == k)]
+        count += has_edge
     return np.where(end - start > _MOST_LINES, _MOST_EDGES + 1, count), lines
 
 
@@ -130,21 +147,30 @@ def _cells_and_lines(
     lines: Int[np.ndarray, "n 2"],
     at_mm: Float[np.ndarray, "n"],
 ) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]:
-    """The cells before, between and after two lines, and where these lie; a line that is none lies
-    at the pixel, between cells that are one."""
+    """Cells before, between and after the two lines near each pixel, and the lines' positions.
+
+    A missing line (-1) is put at the pixel, between two equal cells.
+
+    Parameters
+    ----------
+    lines_mm : (k,) positions of all lines.
+    first : (n,) cell before the first line.
+    lines : (n, 2) indices of the lines.
+    at_mm : (n,) positions of the pixels.
+    """
     cells = np.stack([first, first, first], axis=1)
-    places = np.stack([at_mm, at_mm], axis=1)
+    positions_mm = np.stack([at_mm, at_mm], axis=1)
     for k in range(_MOST_EDGES):
-        there = lines[:, k] >= 0
-        cells[there, k + 1 :] = lines[there, k, None] + 1
-        places[there, k] = lines_mm[lines[there, k]]
-    return cells, places
+        exists = lines[:, k] >= 0
+        cells[exists, k + 1 :] = lines[exists, k, None] + 1
+        positions_mm[exists, k] = lines_mm[lines[exists, k]]
+    return cells, positions_mm
 
 
-def list_control_places(
+def list_control_points(
     sheet: SquareSheet,
 ) -> tuple[Float[np.ndarray, "_i 2"], Float[np.ndarray, "_e 2"], Float[np.ndarray, "_p 2"]]:
-    """Places deep in ink, on long edges and deep in the paper between."""
+    """Sample points of the board: deep inside ink, on long edges, and deep inside paper."""
     step_mm = min(float(np.diff(lines).min()) for lines in (sheet.x_mm, sheet.y_mm)) / _FINE
     extent_mm = max(float(np.ptp(lines)) for lines in (sheet.x_mm, sheet.y_mm))
     step_mm = max(step_mm, extent_mm / _LONGEST_MAP)
@@ -155,8 +181,8 @@ def list_control_places(
     cells = np.ix_(np.searchsorted(sheet.y_mm, y), np.searchsorted(sheet.x_mm, x))
     dark = sheet.ink[cells].astype(np.uint8)
 
-    def deep(where: np.ndarray) -> Float[np.ndarray, "k 2"]:
-        depth = cv2.distanceTransform(np.pad(where, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    def deep(mask: np.ndarray) -> Float[np.ndarray, "k 2"]:
+        depth = cv2.distanceTransform(np.pad(mask, 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
         row, column = np.nonzero(depth > _DEEP * depth.max())
         return np.stack([x[column], y[row]], axis=1)
 
@@ -168,13 +194,13 @@ def list_control_places(
 def _long_edges(
     ink: Bool[np.ndarray, "_r _c"], x_mm: Float[np.ndarray, "n"], y_mm: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "k 2"]:
-    """The middles of the longest straight edges along Y."""
+    """Centres of the longest straight edges along Y."""
     change = ink[1:-1, 1:].astype(int) - ink[1:-1, :-1]
     middles, lengths = [], []
-    for column, own in enumerate(change.T):
-        turns = np.flatnonzero(np.diff(np.concatenate([[0], own, [0]])))
+    for column, steps in enumerate(change.T):
+        turns = np.flatnonzero(np.diff(np.concatenate([[0], steps, [0]])))
         for first, last in pairwise(turns):
-            if own[first]:
+            if steps[first]:
                 middles.append((x_mm[column], 0.5 * (y_mm[first] + y_mm[last])))
                 lengths.append(y_mm[last] - y_mm[first])
     long = np.array(lengths) > _DEEP * max(lengths)

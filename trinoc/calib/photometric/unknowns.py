@@ -1,9 +1,10 @@
-"""The unknowns of one picture: names, bounds and weak priors; which of them an ideal camera has.
+"""Unknowns of one image: names, bounds and weak priors.
 
-(pose, look, light, veil, levels): light and veil are polynomials over the picture, levels the
-light about each block of the sheet. The unknowns that tell a delivered picture from an ideal
-camera's have priors, so that what a picture does not show stays near nothing; their widths are
-several times what cameras do.
+The unknowns are (pose, appearance, light, veil, levels). The appearance is blur, ink and response.
+Light and veil are polynomials over the image; levels are local light and veil of each block of the
+sheet. The ideal camera has a subset of the unknowns of the full model. The others have priors, so
+that they stay near zero if the image does not determine them. The standard deviations of the priors
+are several times the values of real cameras.
 """
 
 from typing import NamedTuple
@@ -20,51 +21,51 @@ from trinoc.numerics.precision import ArrayLike, ScalarLike
 
 # numerical: terms of polynomials of degree 4 and 2.
 LIGHT_TERMS, QUADRATIC_TERMS = 15, 6
-# numerical: light and veil about each block of the sheet, with their slopes: (1, x, y) each.
+# numerical: local terms of each block: light and veil with their slopes, (1, x, y) each.
 LOCAL_TERMS = 6
-# numerical: light that is left in the darkest shade: only this keeps the model from failing.
+# numerical: smallest relative light of a block, which keeps the model valid.
 _LEAST_LIGHT = 0.05
 _BEND = PowerResponse.PARAMETERS["bend"]
-# Per unknown of the look: its bounds, and its value for an ideal camera.
-# numerical: bounds keep steps where the model means something.
-_LOOK = {
-    # Blur of lens, motion and pixel: rms width along one axis, the mean over all directions, and
-    # cumulants over powers of it, 0 for a Gaussian.
+# Unknowns of the appearance: lower and upper bound, and value of the ideal camera.
+# numerical: the bounds keep steps in the range where the model is valid.
+_APPEARANCE = {
+    # Blur of lens, motion and pixel: rms width along one axis (mean of all directions), and its
+    # fourth and sixth cumulants over powers of the width; 0 for a Gaussian.
     "sigma_px": (0.1, 8.0, 0.0),
     "kurtosis": (-1.5, 3.0, 0.0),
     "sixth": (-6.0, 15.0, 0.0),
-    # (variance along u - along v) / 2, covariance of u and v, and the variance across edges along
-    # the picture's axes less that across diagonal ones, halved, px^2.
+    # Anisotropy of the blur, px^2: (variance along u - along v) / 2; covariance of u and v; half
+    # the variance along the image's axes minus that along the diagonals.
     "along_u": (-20.0, 20.0, 0.0),
     "diagonal": (-20.0, 20.0, 0.0),
     "along_axes": (-2.0, 2.0, 0.0),
-    # 1 where the anisotropy is that of a straight motion, 0 where it is a Gaussian's.
+    # Shape of the anisotropic part: 1 for a straight motion, 0 for a Gaussian.
     "line": (-0.5, 1.6, 0.0),
-    # Sharpening: weight of a Gaussian that is taken away, by how much it is wider than the blur,
-    # and how much further its ink reaches.
+    # Sharpening: weight of the subtracted Gaussian (lobe), its additional blur, px, and the
+    # additional spread of its ink, mm.
     "lobe": (-0.9, 4.0, 0.0),
-    "lobe_px": (0.4, 3.0, 1.0),  # of a lobe of no weight it has no effect
+    "lobe_px": (0.4, 3.0, 1.0),  # no effect if the weight is 0
     "lobe_mm": (-0.5, 0.5, 0.0),
-    # By which ink reaches beyond the drawing.
+    # Spread of ink beyond the edges of the drawing.
     "spread_mm": (-2.0, 2.0, 0.0),
-    # Grey level of ink over that of paper less one, in the middle of the picture.
+    # Grey level of ink over that of paper, minus one, in the centre of the image.
     "ratio": (-0.999, -0.02, 0.0),
-    # Response: its bend (0 linear, 1 sRGB), and further terms between ink and paper, c (1 - c) and
-    # c (1 - c) (1 - 2 c) of the share c of ink.
+    # Response: its curvature (0 linear, 1 sRGB), and coefficients of c (1 - c) and
+    # c (1 - c) (1 - 2 c), with c the share of ink.
     "bend": _BEND[:3],
     "lift": (-1.0, 1.0, 0.0),
     "contrast": (-1.0, 1.0, 0.0),
 }
 
 
-class PicturePrior(NamedTuple):
-    """Independent Gaussian priors on the unknowns beside the pose.
+class ImagePrior(NamedTuple):
+    """Independent Gaussian priors of the unknowns other than the pose.
 
     Fields
     ------
-    mean : (k,) of each unknown.
-    weight : (k,) one over the variance; 0 for an unknown without a prior.
-    local_weight : (6,) the same of a block's levels, whose mean is 0.
+    mean : (k,) prior means.
+    weight : (k,) reciprocal prior variances; 0 without a prior.
+    local_weight : (6,) reciprocal prior variances of a block's levels, whose prior means are 0.
     """
 
     mean: Float[ArrayLike, "k"]
@@ -73,77 +74,82 @@ class PicturePrior(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """Which unknowns beside the pose a compiled program has; the others are an ideal camera's.
+    """Set of unknowns other than the pose; static in compiled programs.
+
+    All others have the values of the ideal camera.
 
     Fields
     ------
-    look : names, of blur, ink and response.
-    light_terms, veil_terms : lowest terms of the two polynomials.
+    appearance : names of the unknowns of blur, ink and response.
+    light_terms, veil_terms : numbers of terms of the two polynomials, lower degrees first.
     """
 
-    look: tuple[str, ...]
+    appearance: tuple[str, ...]
     light_terms: int
     veil_terms: int
 
     @property
     def size(self) -> int:
-        """Number of unknowns beside the pose."""
-        return len(self.look) + self.light_terms + self.veil_terms
+        """Number of unknowns other than the pose."""
+        return len(self.appearance) + self.light_terms + self.veil_terms
 
     @property
     def is_ideal(self) -> bool:
-        """Whether the camera is linear, its blur a Gaussian and its light a quadratic."""
+        """True for the ideal camera: linear response, Gaussian blur, quadratic light."""
         return self == IDEAL
 
-    def places(self, *names: str) -> list[int]:
-        """Places of unknowns of the look."""
-        return [self.look.index(name) for name in names]
+    def indices(self, *names: str) -> list[int]:
+        """Indices of unknowns of the appearance by their names."""
+        return [self.appearance.index(name) for name in names]
 
     @property
     def light(self) -> range:
-        """Places of the light's terms."""
-        return range(len(self.look), len(self.look) + self.light_terms)
+        """Indices of the terms of the light."""
+        return range(len(self.appearance), len(self.appearance) + self.light_terms)
 
     @property
     def veil(self) -> range:
-        """Places of the veil's terms."""
-        return range(len(self.look) + self.light_terms, self.size)
+        """Indices of the terms of the veil."""
+        return range(len(self.appearance) + self.light_terms, self.size)
 
     @property
-    def of_ideal_camera(self) -> list[int]:
-        """Places of what an ideal camera has too."""
-        return [*self.places(*IDEAL.look), *self.light[:QUADRATIC_TERMS]]
+    def ideal_camera_indices(self) -> list[int]:
+        """Indices of the unknowns of the ideal camera."""
+        return [*self.indices(*IDEAL.appearance), *self.light[:QUADRATIC_TERMS]]
 
     @property
-    def of_uneven_light(self) -> list[int]:
-        """Places of light beyond a quadratic, and of a veil; its constant light and ratio hold."""
+    def uneven_light_indices(self) -> list[int]:
+        """Indices of the terms for uneven light: light beyond a quadratic, and the veil's slopes.
+
+        The constant of the veil is excluded: it is equivalent to changes of light and ratio.
+        """
         return [*self.light[QUADRATIC_TERMS:], *self.veil[1:]]
 
     def bounds(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-        """The least and the largest value of each."""
-        least, most = np.full((2, self.size), [[-np.inf], [np.inf]])
-        for place, name in enumerate(self.look):
-            least[place], most[place] = _LOOK[name][:2]
-        return least, most
+        """Lower and upper bounds of all unknowns."""
+        lower, upper = np.full((2, self.size), [[-np.inf], [np.inf]])
+        for index, name in enumerate(self.appearance):
+            lower[index], upper[index] = _APPEARANCE[name][:2]
+        return lower, upper
 
-    def prior(self, tuning: PhotometricTuning, *, local: bool) -> PicturePrior:
-        """Prior of every unknown beside the pose.
+    def prior(self, tuning: PhotometricTuning, *, local: bool) -> ImagePrior:
+        """Prior of all unknowns other than the pose.
 
-        local : if blocks have their own light, the polynomials have a prior too, because the images
-            hardly separate the two.
+        local : True if blocks have their own light. The polynomials then have a prior too, because
+            images hardly separate them from local light.
         """
-        priors = _look_priors(tuning)
+        priors = _appearance_priors(tuning)
         mean, sigma = np.zeros(self.size), np.full(self.size, np.inf)
-        for index, name in enumerate(self.look):
-            mean[index], sigma[index] = priors.get(name, (_LOOK[name][2], np.inf))
+        for index, name in enumerate(self.appearance):
+            mean[index], sigma[index] = priors.get(name, (_APPEARANCE[name][2], np.inf))
         if local:
-            # A term of a polynomial is as large at the image's edge as a block's veil.
+            # At the edge of the image, a term may be as large as the veil of a block.
             sigma[self.light[1:]] = sigma[self.veil] = tuning.local_widths[3]
-        return PicturePrior(mean, sigma**-2.0, np.array(tuning.local_widths) ** -2.0)
+        return ImagePrior(mean, sigma**-2.0, np.array(tuning.local_widths) ** -2.0)
 
 
-def _look_priors(tuning: PhotometricTuning) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of the unknowns of the look that have a prior."""
+def _appearance_priors(tuning: PhotometricTuning) -> dict[str, tuple[float, float]]:
+    """Prior means and standard deviations of the unknowns of the appearance, by name."""
     return {
         "kurtosis": (0.0, tuning.kurtosis_width),
         "sixth": (0.0, tuning.sixth_width),
@@ -162,19 +168,19 @@ def _look_priors(tuning: PhotometricTuning) -> dict[str, tuple[float, float]]:
 
 # numerical: an ideal camera has no veil.
 IDEAL = Unknowns(("sigma_px", "spread_mm", "ratio"), QUADRATIC_TERMS, 0)
-DELIVERED = Unknowns(tuple(_LOOK), LIGHT_TERMS, QUADRATIC_TERMS)
+FULL = Unknowns(tuple(_APPEARANCE), LIGHT_TERMS, QUADRATIC_TERMS)
 
 
-class PictureState(eqx.Module):
-    """A value of every unknown of one picture.
+class ImageState(eqx.Module):
+    """Values of all unknowns of one image.
 
     Fields
     ------
-    pose : of the camera.
-    values : look, light and veil.
-    levels : (6, blocks) of light and of veil about each block of the sheet, (1, x, y) each, as
-        shares of the light and as grey levels; no blocks where light is a polynomial alone.
-    unknowns : which there are.
+    pose : pose of the camera.
+    values : (k,) appearance, light and veil.
+    levels : (6, blocks) local terms (1, x, y) of light, relative to the polynomial, and of veil,
+        grey levels. The number of blocks is 0 without local light.
+    unknowns : the set of unknowns.
     """
 
     pose: Pose
@@ -183,24 +189,24 @@ class PictureState(eqx.Module):
     unknowns: Unknowns = eqx.field(static=True)
 
     def __getitem__(self, name: str) -> Float[ArrayLike, ""]:
-        """One number of the look; of an ideal camera where it is no unknown."""
-        if name not in self.unknowns.look:
-            return np.asarray(_LOOK[name][2], self.values.dtype)
-        return self.values[self.unknowns.look.index(name)]
+        """Value of an unknown of the appearance, or that of the ideal camera without it."""
+        if name not in self.unknowns.appearance:
+            return np.asarray(_APPEARANCE[name][2], self.values.dtype)
+        return self.values[self.unknowns.appearance.index(name)]
 
     @property
     def light(self) -> Float[ArrayLike, "m"]:
-        """Coefficients of the paper's grey level."""
+        """Coefficients of the polynomial of the paper's grey level."""
         return self.values[np.array(self.unknowns.light)]
 
     @property
     def veil(self) -> Float[ArrayLike, "m"]:
-        """Coefficients of the light that is added to paper and ink alike."""
+        """Coefficients of the veil, the additional light equal for paper and ink."""
         return self.values[np.array(self.unknowns.veil, dtype=int)]
 
     @property
     def contrast(self) -> float:
-        """Grey levels between paper and ink, in the middle of the picture."""
+        """Difference of the grey levels of paper and ink in the centre of the image."""
         return float(-self["ratio"] * self.light[0])
 
     def move(
@@ -208,36 +214,45 @@ class PictureState(eqx.Module):
         step: Float[ArrayLike, "k"],
         levels: Float[ArrayLike, "6 blocks"],
         model: PoseModel,
-    ) -> "PictureState":
-        """After a step of (pose, values), with other levels; all kept within bounds."""
+    ) -> "ImageState":
+        """State after a step of (pose, values), with new levels, clipped to the bounds.
+
+        model : parameters of the pose that the step changes.
+        """
         pose = self.pose.retract(step[: model.size], model, step_unit_mm(self.pose, model))
-        least, most = self.unknowns.bounds()
-        values = jnp.clip(self.values + step[model.size :], least, most)
+        lower, upper = self.unknowns.bounds()
+        values = jnp.clip(self.values + step[model.size :], lower, upper)
         if levels.size:
             levels = jnp.asarray(levels).at[0].set(jnp.maximum(levels[0], _LEAST_LIGHT - 1))
-        return PictureState(pose, values, levels, self.unknowns)
+        return ImageState(pose, values, levels, self.unknowns)
 
 
 def ideal_state(
     pose: Pose, sigma_px: float, ratio: float, light: Float[np.ndarray, "_n"]
-) -> PictureState:
-    """Of an ideal camera whose ink does not spread."""
+) -> ImageState:
+    """State of an ideal camera without spread of ink.
+
+    ratio : grey level of ink over that of paper, minus one. light : first terms of the light.
+    """
     values = np.zeros(IDEAL.size)
-    values[IDEAL.places("sigma_px", "ratio")] = sigma_px, ratio
+    values[IDEAL.indices("sigma_px", "ratio")] = sigma_px, ratio
     values[IDEAL.light[0] : IDEAL.light[0] + len(light)] = light
-    return PictureState(pose, values, np.zeros((LOCAL_TERMS, 0)), IDEAL)
+    return ImageState(pose, values, np.zeros((LOCAL_TERMS, 0)), IDEAL)
 
 
-def delivered_state(ideal: PictureState, tuning: PhotometricTuning) -> PictureState:
-    """The same image, with the unknowns that an ideal camera lacks at the means of their priors."""
-    values = np.array(DELIVERED.prior(tuning, local=False).mean)
-    values[DELIVERED.of_ideal_camera] = ideal.values
-    return PictureState(ideal.pose, values, ideal.levels, DELIVERED)
+def full_state(ideal: ImageState, tuning: PhotometricTuning) -> ImageState:
+    """State of the full model for an ideal camera; its other unknowns have their prior means."""
+    values = np.array(FULL.prior(tuning, local=False).mean)
+    values[FULL.ideal_camera_indices] = ideal.values
+    return ImageState(ideal.pose, values, ideal.levels, FULL)
 
 
 def step_unit_mm(pose: Pose, model: PoseModel) -> ScalarLike:
-    """The unit of lengths in steps of a pose: its distance along the axis, or from the sheet's
-    middle where the axis need not meet the sheet."""
+    """Unit of length in steps of a pose, mm.
+
+    The unit is the distance along the optical axis; for `PoseModel.RIGID`, whose axis need not meet
+    the sheet, the distance from the origin of the sheet.
+    """
     if model is PoseModel.RIGID:
         return jnp.sqrt(pose.translation_mm @ pose.translation_mm)
     return pose.distance_mm

@@ -1,4 +1,4 @@
-"""The pictures of a rig, each fitted from where its circles place the camera."""
+"""Fit of all images of a rig, each from its initial pose, in parallel threads."""
 
 import functools
 import multiprocessing
@@ -10,10 +10,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from trinoc.calib.photometric import sentences
 from trinoc.calib.photometric.encoding import AS_DELIVERED, Encoding
 from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
-from trinoc.calib.photometric.scene import ShiftOfPlaces
-from trinoc.calib.photometric.sheet_places import project_to_image
+from trinoc.calib.photometric.scene import ImageShift
+from trinoc.calib.photometric.sheet_geometry import project_to_image
 from trinoc.calib.problem.image_quality import ImageQuality
 from trinoc.calib.problem.sheet_problem import PictureFit
 from trinoc.calib.targets.pattern import Pattern
@@ -23,10 +24,10 @@ from trinoc.calib.tuning.photometric import PhotometricTuning
 from trinoc.geometry.lenses.abstract_lens import AbstractLens
 from trinoc.geometry.pose import Pose, PoseModel
 
-# numerical: of a pixel's box, which the fitted sigma includes and the lens's blur does not.
+# numerical: variance of the integration over a pixel, px^2; part of the fitted blur.
 _BOX_VARIANCE = 1 / 12
 
-_Answer = TypeVar("_Answer")
+_Result = TypeVar("_Result")
 
 
 def refine_views(
@@ -35,41 +36,50 @@ def refine_views(
     pattern: Pattern | SquareSheet,
     lenses: Mapping[str, AbstractLens],
     model: PoseModel,
-    shifts: Mapping[str, ShiftOfPlaces],
+    shifts: Mapping[str, ImageShift],
     encoding: Encoding = AS_DELIVERED,
     tuning: PhotometricTuning = TUNING.photometric,
 ) -> dict[str, PictureFit]:
-    """Fit each picture from a first pose; in threads, since they share nothing.
+    """Fit the grey levels of each image from its initial pose.
 
-    shifts : of the pictures that show the sheet elsewhere; encoding, tuning : see
-        `refine_image`.
+    Parameters
+    ----------
+    images, starts, lenses : image, initial pose and lens of each camera, by name.
+    pattern : the sheet, or the raster of a board of squares.
+    model : parameters of the pose that are estimated.
+    shifts : known displacements of the sheet's image, for cameras that have one.
+    encoding, tuning : see `refine_image`.
+
+    Returns
+    -------
+    Result of each camera, or the reason why it has none.
     """
 
     def refine(name: str) -> PictureFit:
         start, shift = starts[name], shifts.get(name)
         return _refine(images[name], start, pattern, lenses[name], model, shift, encoding, tuning)
 
-    return in_threads(refine, list(starts))
+    return run_in_threads(refine, list(starts))
 
 
-def in_threads(task: Callable[[str], _Answer], names: Sequence[str]) -> dict[str, _Answer]:
-    """A task of each camera, which share nothing, in threads."""
+def run_in_threads(task: Callable[[str], _Result], names: Sequence[str]) -> dict[str, _Result]:
+    """Run an independent task for each camera in threads; results by name."""
 
-    def alone(name: str) -> _Answer:
+    def run(name: str) -> _Result:
         # The precision is a setting of the thread.
         with jax.enable_x64(True):
             return task(name)
 
     if len(names) < 2:
-        return {name: alone(name) for name in names}
-    return dict(zip(names, _threads().map(alone, names), strict=True))
+        return {name: run(name) for name in names}
+    return dict(zip(names, _threads().map(run, names), strict=True))
 
 
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
-    """The threads of all fits: what the compiler keeps for each thread is never given back.
+    """Thread pool of all fits, reused because the compiler never frees its memory per thread.
 
-    One for each core, because a picture of 16 megapixels takes 300 MB while it is fitted.
+    One thread per core: the fit of an image of 16 megapixels needs 300 MB.
     """
     return ThreadPoolExecutor(multiprocessing.cpu_count(), thread_name_prefix="trinoc-refine")
 
@@ -80,47 +90,45 @@ def _refine(
     pattern: Pattern | SquareSheet,
     lens: AbstractLens,
     model: PoseModel,
-    shift: ShiftOfPlaces | None,
+    shift: ImageShift | None,
     encoding: Encoding,
     tuning: PhotometricTuning,
 ) -> PictureFit:
-    def silent(note: str) -> PictureFit:
+    def failure(note: str) -> PictureFit:
         return PictureFit(None, None, note)
 
-    # A threshold moves each edge as it likes; the model would take that for light.
+    # A threshold displaces edges; the model would attribute this to uneven light.
     if len(np.unique(image[:: len(image) // 8 + 1])) <= 2:
-        return silent("the picture has two grey levels alone, and so cannot be fitted itself.")
+        return failure(sentences.TWO_LEVELS)
     refined = refine_image(
         image, pattern, lens, start, model, shift=shift, encoding=encoding, tuning=tuning
     )
     if refined is None:
-        return silent(
-            "the picture shows too little of the sheet's edges, and so cannot be fitted itself."
-        )
-    finite = np.isfinite(refined.information).all() and len(refined.points.point_mm) > 0
-    if not refined.converged or not finite:
-        return silent("the fit of the picture itself did not converge.")
+        return failure(sentences.TOO_FEW_EDGES)
+    is_finite = np.isfinite(refined.information).all() and len(refined.points.point_mm) > 0
+    if not refined.converged or not is_finite:
+        return failure(sentences.NOT_CONVERGED)
     before, after = (
         np.asarray(project_to_image(pose, lens, pattern.centres_mm))
         for pose in (start, refined.state.pose)
     )
-    moved = float(np.abs(after - before).max())
-    if not moved < tuning.largest_move_px:
-        return silent(f"the picture itself disagrees with its circles by {moved:.2f} px.")
+    distance_px = float(np.abs(after - before).max())
+    if not distance_px < tuning.largest_move_px:
+        return failure(sentences.contradicts_circles(distance_px))
     quality = _quality(refined)
     is_processed = refined.overshoot > tuning.processed_overshoot
     return PictureFit(refined.points, quality, None, is_processed)
 
 
 def _quality(refined: ImageRefinement) -> ImageQuality:
-    look = refined.state
+    state = refined.state
     return ImageQuality(
         noise=refined.noise,
         noise_floor=refined.noise_floor,
         pixels=refined.pixels,
         pixels_cut=refined.pixels_cut,
-        blur_px=float(np.sqrt(max(float(look["sigma_px"]) ** 2 - _BOX_VARIANCE, 0.0))),
-        ink_spread_mm=float(look["spread_mm"]),
-        ink_over_paper=float(1 + look["ratio"]),
-        found=refined.found,
+        blur_px=float(np.sqrt(max(float(state["sigma_px"]) ** 2 - _BOX_VARIANCE, 0.0))),
+        ink_spread_mm=float(state["spread_mm"]),
+        ink_over_paper=float(1 + state["ratio"]),
+        found=refined.effects,
     )

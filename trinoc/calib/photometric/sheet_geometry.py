@@ -1,4 +1,4 @@
-"""Where the sheet and its edges lie in a picture, and what of it lies under pixels."""
+"""Geometry between the flat sheet and the image: rays of pixels, points on the sheet, outlines."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -17,20 +17,22 @@ from trinoc.numerics.precision import ArrayLike
 from trinoc.numerics.programs import kept_jit
 from trinoc.numerics.small_matrices import inverse_3x3
 
-# numerical: pieces of one length, so that another number of pixels does not compile again.
+# numerical: number of pixels per call; a constant avoids further compilations.
 _PIECE = 8192
 _CIRCLE_POINTS, _SIDE_POINTS = 32, 16  # numerical: points of outlines
 
 
 class Ray(NamedTuple):
-    """A pixel after the lens, or many, along the last axis: fixed while the pose moves.
+    """Ray of a pixel in the camera frame, or rays of many pixels along the last axis.
+
+    Rays are independent of the pose.
 
     Fields
     ------
-    direction : (3,) of the pixel's centre in the camera frame, of any length.
-    by_pixel : (3, 2) derivative of `direction` with respect to (u, v).
-    bend : (3, 3) second derivatives by uu, uv and vv, by which straight edges look curved; None
-        for a lens that keeps lines straight.
+    direction : (3,) direction through the centre of the pixel, of any length.
+    by_pixel : (3, 2) derivative of `direction` by (u, v).
+    bend : (3, 3) second derivatives by uu, uv and vv, which make the images of straight edges
+        curved; None for a lens without distortion.
     """
 
     direction: Float[ArrayLike, "3 *n"]
@@ -38,7 +40,7 @@ class Ray(NamedTuple):
     bend: Float[ArrayLike, "3 3 *n"] | None = None
 
     def move(self, du: Float[ArrayLike, "*n"], dv: Float[ArrayLike, "*n"]) -> "Ray":
-        """The ray of a place (du, dv) pixels aside, by the lens's derivatives here."""
+        """Ray at an offset (du, dv) in px, by Taylor expansion."""
         du, dv = du[None], dv[None]
         by_u, by_v = self.by_pixel[:, 0], self.by_pixel[:, 1]
         direction = self.direction + by_u * du + by_v * dv
@@ -50,19 +52,20 @@ class Ray(NamedTuple):
 
 
 class SheetPoint(NamedTuple):
-    """A pixel's point on the sheet, or those of many, along the last axis.
+    """Point on the sheet under a pixel, or points under many pixels along the last axis.
 
     Fields
     ------
-    point_mm : (2,) (X, Y).
-    by_pixel : (2, 2) A, derivative of the point with respect to (u, v), mm per px.
-    depth_slope : (2,) w, derivative of the logarithm of the homogeneous coordinate, per px:
-        the second derivatives of the point are -(A_ij w_k + A_ik w_j), and `bend`.
-    by_matrix : (3,) ray / homogeneous coordinate, which carries a change of the homography:
-        d point_i = (dM_i - point_i dM_2) . by_matrix, for rows M_i.
-    unit : 1, used as a fusion barrier. XLA computes cheap elementwise values again at every use;
-        dividing by a 1 that it cannot see through makes it compute them once.
-    bend : (2, 3) second derivatives by uu, uv and vv that the lens adds; None for none.
+    point_mm : (2,) point (X, Y) on the sheet.
+    by_pixel : (2, 2) A, derivative of the point by (u, v), mm per px.
+    depth_slope : (2,) w, derivative of the logarithm of the homogeneous coordinate, per px. The
+        second derivatives of the point are -(A_ij w_k + A_ik w_j) plus `bend`.
+    by_matrix : (3,) ray over the homogeneous coordinate. For a change dM of the homography's rows,
+        d point_i = (dM_i - point_i dM_2) . by_matrix.
+    unit : 1, used as a fusion barrier. XLA recomputes cheap elementwise values at every use.
+        Division by a 1 that it cannot simplify makes it compute them once.
+    bend : (2, 3) additional second derivatives by uu, uv and vv due to lens distortion; None
+        without distortion.
     """
 
     point_mm: Float[ArrayLike, "2 *n"]
@@ -76,17 +79,23 @@ class SheetPoint(NamedTuple):
 def sheet_point(
     sheet_from_camera: Float[ArrayLike, "3 3"], ray: Ray, unit: Float[ArrayLike, "*n"]
 ) -> SheetPoint:
-    """The point of a ray under the homography M from directions in the camera to the sheet.
+    """Point of the sheet under each ray.
 
-    Written as sums along the first axis: over thousands of pixels the compiler fuses them into one
-    loop, which it does not do for products of small matrices.
+    The code uses sums along the first axis: the compiler fuses these into one loop over thousands
+    of pixels, but not products of small matrices.
+
+    Parameters
+    ----------
+    sheet_from_camera : homography from rays in the camera frame to the sheet.
+    ray : rays of the pixels.
+    unit : ones (see `SheetPoint`).
     """
     aligned = sheet_from_camera.reshape(3, 3, *[1] * (ray.direction.ndim - 1))
     columns = [aligned[:, k] for k in range(3)]
     homogeneous = _combine(columns, ray.direction[:, None])
     scale = 1 / homogeneous[2:]
     point_mm = homogeneous[:2] * scale
-    # The homogeneous coordinate itself has no point to be counted from.
+    # The logarithmic derivative of the homogeneous coordinate needs no offset.
     origin = jnp.concatenate([point_mm, jnp.zeros_like(scale)])
     slopes = [(column * scale - origin * (column[2:] * scale))[:, None] for column in columns]
     by_pixel = _combine(slopes, ray.by_pixel[:, None])
@@ -96,7 +105,7 @@ def sheet_point(
         by_pixel[2],
         ray.direction * scale,
         unit,
-        None if ray.bend is None else _combine([one[:2] for one in slopes], ray.bend[:, None]),
+        None if ray.bend is None else _combine([slope[:2] for slope in slopes], ray.bend[:, None]),
     )
 
 
@@ -107,7 +116,10 @@ def _combine(weights: Sequence[ArrayLike], rows: Float[ArrayLike, "3 *n"]) -> Ar
 def lens_rays(
     lens: AbstractLens, uv_px: Float[np.ndarray, "n 2"], *, with_bend: bool = True
 ) -> Ray:
-    """The ray of each pixel: (n, 3) directions, (n, 3, 2) and (n, 3, 3) their derivatives."""
+    """Ray of each pixel, with pixels along the first axis.
+
+    with_bend : True to compute second derivatives for lenses with distortion.
+    """
     if lens.has_distortion:
         return _through_distortion(lens, uv_px, with_bend)
     (fu, fv), (cu, cv) = np.asarray(lens.focal_length_px), np.asarray(lens.principal_point_px)
@@ -148,15 +160,15 @@ def _distorted_rays(lens: AbstractLens, uv_px: Float[ArrayLike, "n 2"], *, with_
 def project_to_image(
     pose: Pose, lens: AbstractLens, points_mm: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
-    """Pixels that image points of the sheet."""
-    places = jnp.concatenate([points_mm, jnp.zeros_like(points_mm[:, :1])], axis=1)
-    return jax.vmap(project_point, in_axes=(None, None, 0))(pose, lens, places)
+    """Images of points (X, Y) of the sheet, px."""
+    world_mm = jnp.concatenate([points_mm, jnp.zeros_like(points_mm[:, :1])], axis=1)
+    return jax.vmap(project_point, in_axes=(None, None, 0))(pose, lens, world_mm)
 
 
 def circle_points_mm(
     centres_mm: Float[np.ndarray, "n 2"], radius_mm: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n k 2"]:
-    """Points on circles of the sheet."""
+    """Points on circles of the sheet: k equidistant points per circle."""
     angle = np.arange(_CIRCLE_POINTS) * (2 * np.pi / _CIRCLE_POINTS)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return centres_mm[:, None] + radius_mm[:, None, None] * ring
@@ -168,16 +180,16 @@ def line_outlines_mm(pattern: Pattern) -> Float[np.ndarray, "2 k 2"]:
     half = 0.5 * pattern.line_width_mm
     outlines = []
     for axis, reach in enumerate(pattern.line_half_length_mm):
-        there = np.stack([reach * along, np.full(_SIDE_POINTS, half)], axis=1)
-        outline = np.concatenate([there, -there])
+        side = np.stack([reach * along, np.full(_SIDE_POINTS, half)], axis=1)
+        outline = np.concatenate([side, -side])
         outlines.append(outline if axis == 0 else outline[:, ::-1])
     return np.stack(outlines)
 
 
 def sheet_from_camera(pose: Pose) -> Float[ArrayLike, "3 3"]:
-    """Homography from directions in the camera to the sheet.
+    """Homography from rays in the camera frame to points of the sheet, mm.
 
-    Its last row is of unit length: a sheet may lie anywhere about the camera.
+    Its last row has unit length, which is defined for every pose of the sheet.
     """
     inverse = inverse_3x3(pose.cam_from_sheet)
     return inverse / jnp.sqrt(inverse[2] @ inverse[2])
@@ -186,21 +198,21 @@ def sheet_from_camera(pose: Pose) -> Float[ArrayLike, "3 3"]:
 homography_of_pose = kept_jit(sheet_from_camera)
 
 
-def places_of_pixels(
+def sheet_points_of_pixels(
     column: Shaped[np.ndarray, "n"], row: Shaped[np.ndarray, "n"], pose: Pose, lens: AbstractLens
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """Places of a flat sheet under pixels, in mm, and the largest mm per pixel about each."""
-    point, (along_u, along_v) = places_and_slopes(column, row, pose, lens)
+    """Points of a flat sheet under pixels, mm, and the largest stretch at each, mm per px."""
+    point, (along_u, along_v) = sheet_points_and_slopes(column, row, pose, lens)
     squares = (along_u**2).sum(axis=0) + (along_v**2).sum(axis=0)
     area = along_u[0] * along_v[1] - along_u[1] * along_v[0]
     flat = np.sqrt(np.maximum(squares**2 - 4 * area**2, 0.0))
     return point.T, np.sqrt(0.5 * (squares + flat))
 
 
-def places_and_slopes(
+def sheet_points_and_slopes(
     column: Shaped[np.ndarray, "n"], row: Shaped[np.ndarray, "n"], pose: Pose, lens: AbstractLens
 ) -> tuple[Float[np.ndarray, "2 n"], tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]]:
-    """Places of a flat sheet under pixels, in mm, and their derivatives by u and by v."""
+    """Points of a flat sheet under pixels, mm, and their derivatives by u and by v."""
     uv_px = np.stack([column, row], axis=1).astype(np.float64)
     ray = lens_rays(lens, uv_px, with_bend=False)
     direction = np.asarray(ray.direction).T

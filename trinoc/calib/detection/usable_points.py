@@ -1,5 +1,8 @@
-"""The boundary of the room: what leaves it has a position in the image and a covariance that is
-finite, symmetric and positive, and corners lie where their neighbours put them."""
+"""Final check of every detection.
+
+Positions are finite, covariances are finite, symmetric and positive definite, and corners agree
+with their neighbours.
+"""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,9 +15,11 @@ from trinoc.errors import DetectionError
 
 
 def keep_usable(detection: Detection, target: AbstractTarget, tuning: CalibTuning) -> Detection:
-    """The detection without places that no fit can use, their number in `Detection.remarks`.
+    """Remove points that a fit cannot use, and report their number in `Detection.remarks`.
 
-    Raises DetectionError where too few are left.
+    Raises
+    ------
+    DetectionError : too few points remain.
     """
     symmetric = 0.5 * (detection.covariance_px2 + detection.covariance_px2.mT)
     usable = np.isfinite(detection.centres_px).all(axis=1) & are_positive(symmetric)
@@ -36,9 +41,9 @@ def keep_usable(detection: Detection, target: AbstractTarget, tuning: CalibTunin
     fewest = tuning.detection.fewest_places
     if not usable.all() and usable.sum() < fewest:
         raise DetectionError(
-            f"Only {usable.sum()} of the {len(usable)} places found on the board {target.name!r} "
-            f"can be used, and {fewest} are needed; see that the image is sharp, not overexposed, "
-            "and shows this board."
+            f"Only {usable.sum()} of the {len(usable)} points found on the board {target.name!r} "
+            f"can be used, and {fewest} are needed; check that the image is sharp, not "
+            "overexposed, and shows this board."
         )
     return build_detection(
         detection.labellings[:, usable],
@@ -52,12 +57,13 @@ def keep_usable(detection: Detection, target: AbstractTarget, tuning: CalibTunin
 
 
 def are_positive(covariance: Float[np.ndarray, "n k k"]) -> Bool[np.ndarray, "n"]:
-    """Which matrices are finite and positive definite, beyond rounding."""
+    """Mask of the matrices that are finite and positive definite, beyond rounding errors."""
     finite = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     values = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, 0.0))
     return finite & (values[:, 0] > 1e-12 * values[:, -1])
 
 
-def _count(which: Bool[np.ndarray, "n"]) -> str:
-    number = int(which.sum())
-    return f"{number} of {len(which)} places {'has' if number == 1 else 'have'}"
+def _count(mask: Bool[np.ndarray, "n"]) -> str:
+    """First words of a remark, such as "3 of 54 points have"."""
+    number = int(mask.sum())
+    return f"{number} of {len(mask)} points {'has' if number == 1 else 'have'}"

@@ -8,7 +8,7 @@ import pytest
 
 from trinoc.calib import detect_target
 from trinoc.calib.detection.detection import build_detection
-from trinoc.calib.detection.usable_places import are_positive, keep_usable
+from trinoc.calib.detection.usable_points import are_positive, keep_usable
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import DetectionError
@@ -43,7 +43,7 @@ def test_a_place_whose_covariance_is_none_is_left_out_by_number(spoiled):
     assert 3 not in kept.circle_index
     assert len(kept) == len(BOARD) - 1
     assert are_positive(kept.covariance_px2).all()
-    assert "1 of 54 places" in kept.remarks[0]
+    assert "1 of 54 points" in kept.remarks[0]
 
 
 def test_what_is_usable_stays_as_it_is():
@@ -60,8 +60,8 @@ def test_asymmetry_by_rounding_goes():
     assert np.array_equal(kept.covariance_px2, kept.covariance_px2.mT)
 
 
-def test_too_few_usable_places_are_refused():
-    with pytest.raises(DetectionError, match="Only 0 of the 54 places"):
+def test_too_few_usable_points_are_refused():
+    with pytest.raises(DetectionError, match="Only 0 of the 54 points"):
         keep_usable(detection(np.full((len(BOARD), 2, 2), np.nan)), BOARD, TUNING)
 
 
