@@ -90,7 +90,7 @@ def test_splines_correct_the_lens_of_any_board_and_the_next_picture_is_advised()
     advice, plain_advice = next_shot(result), next_shot(plain)
     assert advice is not None
     assert plain_advice is not None
-    assert advice.words == plain_advice.words
+    assert advice.instruction == plain_advice.instruction
 
 
 def test_a_lens_is_saved_as_a_lens_and_one_camera_as_a_rig(tmp_path):

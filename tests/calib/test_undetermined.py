@@ -150,7 +150,7 @@ def test_every_candidate_shows_the_sheet_from_its_printed_side():
 
 
 def test_the_words_of_a_candidate_are_those_of_its_pose():
-    poses = {candidate.words: candidate.rig_from_board for candidate in candidates()}
+    poses = {candidate.instruction: candidate.rig_from_board for candidate in candidates()}
     for side, axis, sign in (("left", 0, -1), ("right", 0, 1), ("upper", 1, -1), ("lower", 1, 1)):
         words = next(w for w in poses if f"its {side} side" in w and "in the middle" in w)
         points = poses[words].transform_points(np.pad(SHEET.centres_mm, ((0, 0), (0, 1))))

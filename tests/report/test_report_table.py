@@ -56,7 +56,7 @@ def test_a_table_in_a_terminal_has_the_same_cells(matches: Matches) -> None:
 
 @pytest.mark.parametrize("column", ["head", "heading", "cell", "detail", "attribute", "note"])
 def test_no_text_of_a_table_is_markup(column: str) -> None:
-    cells = [HOSTILE if column == "heading" else "name"]
+    cells: list[str | Cell] = [HOSTILE if column == "heading" else "name"]
     if column == "attribute":
         cells.append(Cell("1", "", {"title": HOSTILE}))
     else:
