@@ -55,6 +55,13 @@ def test_options_of_the_reference_are_as_their_classes_declare_them(monkeypatch)
     assert script.with_options(REFERENCE) == REFERENCE, "run python docs/make_reference.py"
 
 
+def test_the_page_of_messages_has_those_of_the_code(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    script = importlib.import_module("make_messages")
+    page = script.PAGE.read_text(encoding="utf-8")
+    assert script.with_messages(page) == page, "run python docs/make_messages.py"
+
+
 def test_version_is_that_of_the_installed_package_and_of_the_citation():
     try:
         installed = importlib.metadata.version("trinoc")
