@@ -79,7 +79,7 @@ def test_residuals_beyond_noise_ask_for_care_and_then_are_bad(result: Calibratio
         fit = dataclasses.replace(result.fits["right"], reduced_chi_square=chi_square)
         worse = dataclasses.replace(result, fits={**result.fits, "right": fit})
         (check,) = [
-            c for c in judged(result=worse).checks if c.question.startswith("Are the residuals")
+            c for c in judged(result=worse).checks if c.question.startswith("Do the residuals")
         ]
         assert check.level is level
         assert "right" in check.explanation or chi_square < 1.03

@@ -33,7 +33,7 @@ QUESTION_ON_MATCHES = {
     "set": ("Do segments and rig belong together?", "matches"),
     "count": ("Are enough lines sure?", "matches"),
     "agreement": ("Do the three views agree on the scene?", "epipolar"),
-    "uncertainty": ("How well are the segments known?", "matches"),
+    "uncertainty": ("How large are the sigmas of the lines?", "matches"),
 }
 
 
@@ -279,7 +279,7 @@ CHECKS = (
         bad=0.5,
     ),
     Limits(
-        "Do the views agree all along?", "recording", 2,
+        "Do the views agree in all frames?", "recording", 2,
         "A camera was knocked where the line steps: run `trinoc check` on a frame behind it.",
         _answer_on_time,
     ),
@@ -297,32 +297,32 @@ CHECKS = (
         Level.BAD,
     ),
     Limits(
-        "Do the shots belong together?", "shots", 0,
+        "Do the shots agree?", "shots", 0,
         "Mend what the sentence names, or take these shots out.",
         _answer_on_shots,
     ),
     Limits(
-        "Does the sheet fill the pictures?", "detection", 0.1,
+        "Does the sheet fill the images?", "detection", 0.1,
         "Beyond the circles lens and angles are extrapolated: bring the sheet nearer or print it "
         "larger.",
         lambda subject: _answer_on_coverage(subject, by_shots=False),
         at_least=True,
     ),
     Limits(
-        "Was the board all over the pictures?", "field-of-board", 0.4,
+        "Did the board cover the images?", "field-of-board", 0.4,
         "Beyond them the lens is extrapolated: show the board near the edges and corners.",
         lambda subject: _answer_on_coverage(subject, by_shots=True),
         at_least=True,
     ),
     Limits(
-        "Are the residuals mere noise?", "detection", NOISY,
+        "Do the residuals agree with the noise?", "detection", NOISY,
         "Look at the arrows: a swirl or a fan is the lens (run `trinoc intrinsics`), one side "
         "alone a bent sheet or a shadow, all over a wrong pattern file.",
         _answer_on_residuals,
         bad=3,
     ),
     Limits(
-        "Are the residuals mere noise?", "shots", NOISY,
+        "Do the residuals agree with the noise?", "shots", NOISY,
         "The board may not be as drawn (measure it), or it moved while pictures were taken; look "
         "at the shots with the largest rms.",
         _answer_on_scatter,
@@ -346,7 +346,7 @@ CHECKS = (
         _answer_on_held_out_shots,
     ),
     Limits(
-        "How well is a pixel known?", "uncertainty", None,
+        "How large is the sigma of a pixel?", "uncertainty", None,
         "If that is too much: shots near the edges, at both ends of the working distance.",
         _answer_on_pixels,
     ),
@@ -358,7 +358,7 @@ CHECKS = (
         bad=0.5,
     ),
     Limits(
-        "How well is a place known?", "field", None,
+        "How large is the sigma of a point?", "field", None,
         "If that is too much: measure the bars of the sheet (`--print-scale`), calibrate the lens, "
         "put the cameras farther apart.",
         _answer_on_points,
