@@ -269,7 +269,7 @@ def test_what_is_lost_of_the_common_field_is_said_or_refused(angle_deg, alpha):
     share = share_of_common_field(rig, dict(ideal.rig.items()))
     assert share == pytest.approx(expected, abs=0.08)
     assert len(ideal.notes) == (share < 0.75)
-    assert all(f"show {100 * share:.0f} % of what both" in note for note in ideal.notes)
+    assert all(f"show {100 * share:.0f} % of the common field" in note for note in ideal.notes)
 
 
 def in_a_row(*places: float, turn=(0.0, 0.0, 0.0)) -> Rig:
