@@ -51,7 +51,7 @@ def test_lines_abreast_differ_by_a_normal_vector_of_both_covariances() -> None:
     second = first + np.array([[0.0, 0.3, 0.1], [0.0, -0.2, 0.4]])
     variances = 0.04, 0.09
     covariances = [variance * np.eye(6)[None] for variance in variances]
-    normal = dataclasses.replace(DEFAULT.evidence, loose_share=1e-300)
+    normal = dataclasses.replace(DEFAULT.evidence, outlier_share=1e-300)
     apart = difference(first, covariances[0], second, covariances[1], normal)
     offset = (second - first)[0, :, 1:]
     # The common direction leans by a hundredth: places and axes are those of `first` nearly.

@@ -229,7 +229,7 @@ def test_two_views_make_a_rim_of_a_circle_and_none_of_short_arcs(rig) -> None:
     np.testing.assert_array_equal(pieces, RimTuning().posterior)
     # A third of each ring, and the lines.
     part = {name: each.take(np.r_[0:5, 14 : len(each)]) for name, each in two.items()}
-    kept = dataclasses.replace(RimTuning(), least_covered=0.1)
+    kept = dataclasses.replace(RimTuning(), min_covered_share=0.1)
     lax = find_rims(match_segments(part, rig), part, rig, tuning=MatchTuning(rims=kept))
     assert len(lax) == 1
     assert len(find_rims(match_segments(part, rig), part, rig)) == 0
