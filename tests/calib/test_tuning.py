@@ -62,4 +62,4 @@ def test_an_image_of_too_little_contrast_is_not_fitted() -> None:
         {"left": image}, sheet, camera.intrinsics, orientation="upright", tuning=tuning
     )
     assert result.fits["left"].method == "points"
-    assert any("shows too little" in note for note in result.fits["left"].notes)
+    assert any("contrast is too low" in note for note in result.fits["left"].notes)

@@ -5,8 +5,9 @@ light) gives the profile
 
     P(x) = E[sign(z1 + e1) sign(z2 + e2)],    z = n.(x - c) / blur,    E[e1 e2] = n1.n2,
 
-with standard normal e1 and e2. The model of the image is (m + d P + q P^2)(1 + g.x): mean level m,
-contrast d, curvature q of the camera's response, slope g of the light. All terms except g are
+with standard normal e1 and e2. The model of the image is (m + d P + q P^2)(1 + g.x). Here m is the
+mean level, d the contrast, q the curvature of the camera's response, g the slope of the light. All
+terms except g are
 symmetric about the corner. Errors of the model of blur and response (sharpening, saturation) are
 symmetric as well and do not move the corner.
 """

@@ -315,9 +315,9 @@ def list_quadrangles(
     """Quadrangles that may be tags; nearly independent of the dictionary and the border.
 
     The tags touch the squares between them, and OpenCV merges touching shapes. The light regions
-    are therefore dilated before the search. The numbers are later read from the original image:
-    reading them from the dilated image fails for half the tags of blurred images, and for nearly
-    all tags 40 px wide.
+    are therefore dilated before the search. The numbers are later read from the original image. In
+    the dilated image, half the tags of blurred images and nearly all tags 40 px wide are
+    unreadable.
     """
     quadrangles = []
     for scale, dilation_px in tuning.detection.tag_scales:

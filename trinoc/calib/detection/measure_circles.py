@@ -216,8 +216,8 @@ def light_slope(
     """Estimate the slope of the light at each circle from the paper's grey around all circles.
 
     A quadratic surface through the grey levels around all circles is more precise than the pixels
-    of one circle, and it does not correlate with the centre. Near a shadow the levels deviate from
-    the surface: the sigma of the slope is their deviation over one pitch.
+    of one circle. Its error is independent of the circle's centre. Near a shadow the levels
+    deviate from the surface: the sigma of the slope is their deviation over one pitch.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Test of corners against the prediction of their neighbours on the board.
 
-The image of a small part of a board is smooth. A quadratic polynomial in board coordinates, fitted
-to a dozen neighbours of a corner, predicts the corner to a small part of the corner distance, for
-every lens. A false corner has a much larger error.
+The image of a small part of a board is smooth. A quadratic polynomial in board coordinates is
+fitted to a dozen neighbours of a corner. It predicts the corner to a small part of the corner
+distance, for every lens. A false corner has a much larger error.
 """
 
 from typing import NamedTuple

@@ -15,8 +15,8 @@ without iterations that could diverge.
 
 The fitted shapes are symmetric about their position. Errors of the model of blur, response and
 saturation are symmetric as well and do not move the position. The noise is therefore estimated from
-the odd part of the residuals about the position, (r(x) - r(-x)) / sqrt(2), whose variance is that
-of the noise.
+the odd part of the residuals about the position, (r(x) - r(-x)) / sqrt(2). It has the variance of
+the noise.
 
 References
 ----------

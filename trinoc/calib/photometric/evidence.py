@@ -1,8 +1,8 @@
 """Tests of the residuals: is a model sufficient, and which further unknowns does the image need?
 
-Under a correct model, the mean residual is 0 for every share of ink (else: response or kernel),
-every direction of the edge (else: motion) and every position on the sheet (else: uneven light).
-The variance does not depend on the grey level, and neighbours are uncorrelated.
+Under a correct model, the mean residual is 0 everywhere. A dependence on the share of ink indicates
+a response or another kernel, on the direction of the edge a motion, on the position on the sheet
+uneven light. The variance does not depend on the grey level, and neighbours are uncorrelated.
 `find_refuted_part` tests this for the ideal camera without a Jacobian. `find_evidence` computes
 the score test of each group of fixed unknowns.
 """

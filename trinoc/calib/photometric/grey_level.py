@@ -1,7 +1,7 @@
 """Model of the grey levels of pixels, with derivatives.
 
-For the ideal camera a grey level is I = L (1 + q c), with the light L on the sheet and ink that
-covers the share c and reflects 1 + q times as much as paper. Paper and ink have the same light:
+For the ideal camera a grey level is I = L (1 + q c). L is the light on the sheet and c the share of
+ink, which reflects 1 + q times as much as paper. Paper and ink have the same light:
 two separate fields would adapt to objects that cover the sheet. The full model adds a veil (equal
 for ink and paper), a response, a non-Gaussian kernel, and sharpening after the response. These
 terms are not compiled for the ideal camera.

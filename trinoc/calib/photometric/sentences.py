@@ -7,8 +7,8 @@ TWO_LEVELS = (
     "more."
 )
 TOO_FEW_EDGES = (
-    "the grey levels cannot be fitted, because too few edges of the sheet are visible: show more "
-    "of it."
+    "the grey levels cannot be fitted, because too few edges of the sheet are visible or their "
+    "contrast is too low: show more of the sheet, or use more light."
 )
 NOT_CONVERGED = (
     "the fit to the grey levels did not converge: check focus and light, and that nothing covers "

@@ -1,8 +1,8 @@
 """Ring code of a sheet: the choice of rings among the circles that makes parts of it unique.
 
-A window is a block of neighbouring circles. A code has no conflict for a window size if no two
-windows show the same rings and discs, in any of the four rotations or mirror images. One visible
-window then determines its position and orientation on the sheet, and a mirrored image.
+A window is a block of neighbouring circles. A code has no conflict for a window size if all windows
+differ, also after any of the four rotations or mirror images. One visible window then determines
+its position and orientation on the sheet, and a mirrored image.
 """
 
 import functools
@@ -36,8 +36,8 @@ def ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
     """Return the mask of rings of a grid; False marks a disc. Row 0 is the top row.
 
     The result is the same at every call. The code uses the smallest windows for which the search
-    succeeds. A grid of fewer than three rows or columns gets only the rings that make the four
-    rotations and the mirror image distinguishable, if the grid allows this.
+    succeeds. A grid of fewer than three rows or columns gets one or two rings, which distinguish
+    the rotations and the mirror image if the grid allows this.
     """
     return _ring_code(rows, columns).copy()
 
