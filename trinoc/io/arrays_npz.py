@@ -63,15 +63,15 @@ def read_arrays(
     expect_path(path)
     file = Path(path)
     arrays = _arrays(file)
-    found = _one(arrays.pop("format", None))
-    if found != format_name:
+    stated = _one(arrays.pop("format", None))
+    if stated != format_name:
         raise InputError(
-            f'{file} has the format "{found}", but "{format_name}" is needed: give another file.'
+            f'{file} has the format "{stated}", but "{format_name}" is needed: give another file.'
         )
-    found_version = _one(arrays.pop("version", None))
-    if found_version != str(version):
+    stated_version = _one(arrays.pop("version", None))
+    if stated_version != str(version):
         raise InputError(
-            f"{file} has version {found_version or 'missing'} of {format_name}, but this trinoc "
+            f"{file} has version {stated_version or 'missing'} of {format_name}, but this trinoc "
             f"reads version {version}: update trinoc or write the file again."
         )
     return arrays
@@ -176,8 +176,8 @@ def _header(stream: _CountingStream) -> tuple[tuple[int, ...], bool, np.dtype]:
         dtype = np.dtype(kind) if isinstance(kind, str) else None
     except Exception as error:  # it is a text that Python parses, in whatever way it fails
         raise ValueError("The header is damaged.") from error
-    whole = isinstance(shape, tuple) and all(type(side) is int for side in shape)
-    if not whole or dtype is None or not isinstance(fortran, bool):
+    is_shape = isinstance(shape, tuple) and all(type(side) is int for side in shape)
+    if not is_shape or dtype is None or not isinstance(fortran, bool):
         raise ValueError("The header does not describe an array.")
     return shape, fortran, dtype
 

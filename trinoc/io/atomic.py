@@ -30,17 +30,17 @@ _PART_BYTES = 1 << 22
 LONGEST_NAME_BYTES = 240
 
 
-def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
+def read_bytes(path: str | os.PathLike[str], most_bytes: int = MOST_BYTES) -> bytes:
     """The content of a file. Raises InputError where it is missing, unreadable or huge.
 
-    No more than `most` bytes are read, also of a pipe or a device, which have no size.
+    No more than `most_bytes` bytes are read, also of a pipe or a device, which have no size.
     """
     expect_path(path)
     file = Path(path)
     try:
         with file.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
-            content = _read(stream, most + 1) if size <= most else b""
+            content = _read(stream, most_bytes + 1) if size <= most_bytes else b""
     except FileNotFoundError as error:
         raise InputError(f"{file} does not exist: check the name.") from error
     except (OSError, ValueError) as error:
@@ -48,27 +48,27 @@ def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
         is_long = getattr(error, "errno", None) == errno.ENAMETOOLONG
         remedy = "give a file of a shorter name" if is_long else "give a readable file"
         raise InputError(f"{file} cannot be read ({reason}): {remedy}.") from error
-    if max(size, len(content)) > most:
+    if max(size, len(content)) > most_bytes:
         raise InputError(
             f"{file} has {max(size, len(content)) / 1e6:.0f} MB, but no such file has more than "
-            f"{most / 1e6:.0f}: give another file."
+            f"{most_bytes / 1e6:.0f}: give another file."
         )
     return content
 
 
-def _read(stream: BinaryIO, most: int) -> bytes:
+def _read(stream: BinaryIO, most_bytes: int) -> bytes:
     """Up to `most` bytes. Python takes memory for all that one call may read."""
     parts = []
-    while most > 0 and (part := stream.read(min(most, _PART_BYTES))):
+    while most_bytes > 0 and (part := stream.read(min(most_bytes, _PART_BYTES))):
         parts.append(part)
-        most -= len(part)
+        most_bytes -= len(part)
     return b"".join(parts)
 
 
-def read_text(path: str | os.PathLike[str], most: int = MOST_BYTES) -> str:
+def read_text(path: str | os.PathLike[str], most_bytes: int = MOST_BYTES) -> str:
     """The text of a file, with or without a byte-order mark. Raises InputError for no UTF-8."""
     try:
-        return read_bytes(path, most).decode("utf-8-sig")
+        return read_bytes(path, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path} is no text file (UTF-8): give another file, or save it as UTF-8."
@@ -163,9 +163,9 @@ def _sweep(target: Path) -> None:
     pattern = re.compile(re.escape(f".{target.name}.") + r"[0-9a-f]{8}\.tmp")
     with contextlib.suppress(OSError):
         for name in filter(pattern.fullmatch, os.listdir(target.parent)):
-            left = target.with_name(name)
-            if time.time() - left.lstat().st_mtime > ABANDONED_S:
-                left.unlink(missing_ok=True)
+            scratch = target.with_name(name)
+            if time.time() - scratch.lstat().st_mtime > ABANDONED_S:
+                scratch.unlink(missing_ok=True)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
@@ -180,7 +180,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def has_half_characters(text: str) -> bool:
-    """Whether a text holds surrogates, which no file can hold as UTF-8."""
+    """Test a text for surrogates, which no file can hold as UTF-8."""
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:

@@ -188,12 +188,12 @@ def _target(document: Block) -> AbstractTarget:
 
 
 def _board(document: Block, kinds: Sequence[str]) -> AbstractBoard:
-    given = [kind for kind in kinds if kind in document.values]
-    if len(given) != 1:
+    present = [kind for kind in kinds if kind in document.values]
+    if len(present) != 1:
         *others, last = kinds[1:]
         listed = " or ".join([", ".join(others), last] if others else [last])
         raise document.error(kinds[0], f"{listed} must be there, one of them: add it.")
-    board, block, name = BOARDS[given[0]], document.block(given[0]), document.text("name")
+    board, block, name = BOARDS[present[0]], document.block(present[0]), document.text("name")
     try:
         if board is Pattern:
             block.expect_keys(("circles",), ("lines",))

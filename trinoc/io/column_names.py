@@ -44,11 +44,11 @@ KNOWN_COLUMNS = (
 def _known_names() -> dict[str, str]:
     """The meaning of each plain name, such as "x first" of startx."""
     meanings = {"length": "length", "len": "length", "linelength": "length"}
-    for axis, words in _AXES.items():
-        for word, (end, marks) in itertools.product(words, _ENDS.items()):
+    for axis, spellings in _AXES.items():
+        for word, (end, marks) in itertools.product(spellings, _ENDS.items()):
             for mark in marks:
                 meanings |= {word + mark: f"{axis} {end}", mark + word: f"{axis} {end}"}
-        for word, direction in itertools.product(words, _DIRECTIONS):
+        for word, direction in itertools.product(spellings, _DIRECTIONS):
             for name in (direction + word, word + direction):
                 meanings[name] = f"{axis} vector"
                 for extent, marks in _EXTENTS.items():
@@ -83,8 +83,8 @@ def names_of_comment(comment: str, count: int) -> list[str] | None:
 
     Two of the names must be coordinates of ends or middles.
     """
-    words = [word for word in re.split(r"[\s,;]+", comment) if word and not word.endswith(":")]
-    for names in (words, [word for word in words if _meaning(word) or _is_left_out(word)]):
+    tokens = [word for word in re.split(r"[\s,;]+", comment) if word and not word.endswith(":")]
+    for names in (tokens, [word for word in tokens if _meaning(word) or _is_left_out(word)]):
         coordinates = [name for name in names if (_meaning(name) or "")[2:] in _ENDS]
         if len(names) == count and len(coordinates) > 1:
             return names
@@ -92,23 +92,23 @@ def names_of_comment(comment: str, count: int) -> list[str] | None:
 
 
 def ends_of_columns(
-    names: Sequence[str], rows: Float[np.ndarray, "n c"], place: str
+    names: Sequence[str], rows: Float[np.ndarray, "n c"], where: str
 ) -> Float[np.ndarray, "n 4"]:
     """Rows x1 y1 x2 y2 of columns with these names, in the order of the ends.
 
-    place : the file and the line of the heading, for messages.
+    where : the file and the line of the heading, for messages.
 
     Raises InputError, with the names that are known, for a heading that does not determine the
     ends, and for a column that is neither read nor known to be left out.
     """
-    columns = _columns_of(names, rows, place)
+    columns = _columns_of(names, rows, where)
     if any(key in columns for key in _ENDS_OF_SEGMENT):
         needed = _ENDS_OF_SEGMENT
     else:
-        needed = (*_MIDDLE, *_needed_beside_middle(columns, place))
+        needed = (*_MIDDLE, *_needed_beside_middle(columns, where))
     if not all(key in columns for key in needed):
         raise InputError(
-            f"{place}, names the columns {', '.join(names)}, which do not give the ends of a "
+            f"{where}, names the columns {', '.join(names)}, which do not give the ends of a "
             f"segment: name them {KNOWN_COLUMNS}."
         )
     unknown = [
@@ -120,7 +120,7 @@ def ends_of_columns(
     ]
     if unknown:
         raise InputError(
-            f'{place}, names a column "{unknown[0]}" that trinoc does not know: remove it, or name '
+            f'{where}, names a column "{unknown[0]}" that trinoc does not know: remove it, or name '
             f"the columns {KNOWN_COLUMNS}."
         )
     if needed == _ENDS_OF_SEGMENT:
@@ -131,7 +131,7 @@ def ends_of_columns(
 
 
 def order_in_space(
-    names: Sequence[str], rows: Float[np.ndarray, "n c"], place: str
+    names: Sequence[str], rows: Float[np.ndarray, "n c"], where: str
 ) -> Float[np.ndarray, "n c"]:
     """Columns x1 y1 z1 x2 y2 z2, or x y z, of columns with these names, which may be in any order.
 
@@ -141,37 +141,37 @@ def order_in_space(
         columns = {_plain(name): column for name, column in zip(names, rows.T, strict=True)}
         needed = ("x", "y", "z")
     else:
-        columns = _columns_of(names, rows, place)
+        columns = _columns_of(names, rows, where)
         needed = tuple(f"{axis} {end}" for end in ("first", "last") for axis in "xyz")
     if set(columns) != set(needed) or len(names) != len(needed):
         raise InputError(
-            f"{place}, names the columns {', '.join(names)}: name them x1 y1 z1 x2 y2 z2 for "
+            f"{where}, names the columns {', '.join(names)}: name them x1 y1 z1 x2 y2 z2 for "
             "edges, or x y z for points, in any order."
         )
     return np.stack([columns[key] for key in needed], axis=1)
 
 
-def _needed_beside_middle(columns: Mapping[str, np.ndarray], place: str) -> tuple[str, ...]:
+def _needed_beside_middle(columns: Mapping[str, np.ndarray], where: str) -> tuple[str, ...]:
     """The columns that give the ends of a segment beside its middle."""
-    ways = (
+    alternatives = (
         ("x full", "y full"),
         ("x half", "y half"),
         ("x vector", "y vector", "length"),
         ("length", "angle deg"),
         ("length", "angle rad"),
     )
-    way = next((way for way in ways if all(key in columns for key in way)), None)
+    fitting = [keys for keys in alternatives if all(key in columns for key in keys)]
     has_middle = all(key in columns for key in _MIDDLE)
-    if way is None and has_middle and "x vector" in columns:
+    if not fitting and has_middle and "x vector" in columns:
         raise InputError(
-            f"{place}, does not say whether dx, dy reach from end to end or from the middle to an "
+            f"{where}, does not say whether dx, dy reach from end to end or from the middle to an "
             "end: name them full_dx, full_dy or half_dx, half_dy, or add a column length."
         )
-    if way is None and has_middle and "angle" in columns:
+    if not fitting and has_middle and "angle" in columns:
         raise InputError(
-            f"{place}, does not say the unit of the angle: name the column angle_deg or angle_rad."
+            f"{where}, does not say the unit of the angle: name the column angle_deg or angle_rad."
         )
-    return way or ("length", "angle deg")
+    return fitting[0] if fitting else ("length", "angle deg")
 
 
 def _half_vector(
@@ -193,12 +193,12 @@ def _half_vector(
 
 
 def _columns_of(
-    names: Sequence[str], rows: Float[np.ndarray, "n c"], place: str
+    names: Sequence[str], rows: Float[np.ndarray, "n c"], where: str
 ) -> dict[str, np.ndarray]:
     """Columns by the meaning of their names; ends 0 and 1, or 1 and 2, are first and last."""
     if rows.shape[1] != len(names):
         raise InputError(
-            f"{place}, names {len(names)} columns, but the rows have {rows.shape[1]} numbers: "
+            f"{where}, names {len(names)} columns, but the rows have {rows.shape[1]} numbers: "
             "name each column."
         )
     meanings = [_meaning(name) for name in names]
@@ -215,7 +215,7 @@ def _columns_of(
         if meaning in columns or (begins_with_0 and end == "2"):
             other = name_of.get(meaning, next(iter(name_of.values()), name))
             raise InputError(
-                f'{place}, has columns "{other}" and "{name}", which may mean one thing or two: '
+                f'{where}, has columns "{other}" and "{name}", which may mean one thing or two: '
                 f"keep four columns {KNOWN_COLUMNS}."
             )
         columns[meaning], name_of[meaning] = column, name

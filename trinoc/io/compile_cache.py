@@ -192,7 +192,7 @@ def surroundings() -> str:
 
 
 def _processor() -> str:
-    """What the processor can do: a program for another may not run here."""
+    """Instruction sets of the processor; a program for other ones may not run here."""
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
         kinds = ("model name", "flags", "Features", "CPU part")

@@ -53,15 +53,15 @@ def load_scene_truth(path: str | os.PathLike[str]) -> SceneTruth:
     document = read_document(path, FORMAT, VERSION)
     kinds = document.texts("edge_kinds")
     edges = document.numbers("edges_mm", (len(kinds), 2, 3))
-    seen = {view: _read_seen_parts(block) for view, block in document.block("seen").blocks()}
-    return SceneTruth(edges, kinds, seen)
+    parts = {view: _read_seen_parts(block) for view, block in document.block("seen").blocks()}
+    return SceneTruth(edges, kinds, parts)
 
 
 def save_scene_truth(
     truth: SceneTruth, path: str | os.PathLike[str], about: dict[str, Any]
 ) -> None:
     """Write a scene's truth; `about` adds keys, such as how the pictures were made."""
-    seen = {
+    parts_of_view = {
         view: {
             "edge": parts.edge.tolist(),
             "extent": np.round(parts.extent, 6).tolist(),
@@ -75,7 +75,7 @@ def save_scene_truth(
         **about,
         "edge_kinds": list(truth.edge_kinds),
         "edges_mm": np.round(truth.edges_mm, 6).tolist(),
-        "seen": seen,
+        "seen": parts_of_view,
     }
     write_document(path, document)
 

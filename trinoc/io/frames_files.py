@@ -87,9 +87,9 @@ def _write_parquet(frames: Frames, path: Path) -> None:
         if array.dtype.kind == "U":
             columns[name] = columns[name].cast(pyarrow.string())
     arrays = list_arrays(frames)
-    beside = {name: arrays[name].tolist() for name in _BESIDE_TRACKS}
-    said = {"format": FORMAT, "version": VERSION, **beside}
-    metadata = {b"trinoc": json.dumps(said, ensure_ascii=False, allow_nan=False).encode()}
+    other_fields = {name: arrays[name].tolist() for name in _BESIDE_TRACKS}
+    header = {"format": FORMAT, "version": VERSION, **other_fields}
+    metadata = {b"trinoc": json.dumps(header, ensure_ascii=False, allow_nan=False).encode()}
     table = pyarrow.table(columns).replace_schema_metadata(metadata)
     with atomic_write(path) as file:
         parquet.write_table(table, file, compression="zstd")
@@ -100,8 +100,8 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     try:
         with parquet.ParquetFile(path) as file:
             _expect_size(file.metadata, path)
-            said = file.schema_arrow.metadata or {}
-            document = parsed_json(said.get(b"trinoc", b"").decode(), path)
+            header = file.schema_arrow.metadata or {}
+            document = parsed_json(header.get(b"trinoc", b"").decode(), path)
             table = file.read()
             table.validate(full=True)
     except FileNotFoundError as error:
@@ -187,14 +187,14 @@ def read_lines(manifest: Path) -> dict[str, list[dict[str, Any]]]:
 
     Lines that are damaged are left out: the files have all that they said.
     """
-    found: dict[str, dict[int, dict[str, Any]]] = {}
+    lines_of_file: dict[str, dict[int, dict[str, Any]]] = {}
     for text in manifest.read_bytes().splitlines():
         try:
             line = json.loads(text)
-            found.setdefault(str(line["file"]), {})[int(line["row"])] = line
+            lines_of_file.setdefault(str(line["file"]), {})[int(line["row"])] = line
         except (ValueError, TypeError, KeyError, RecursionError):
             continue
-    return {file: [rows[k] for k in sorted(rows)] for file, rows in found.items()}
+    return {file: [rows[k] for k in sorted(rows)] for file, rows in lines_of_file.items()}
 
 
 def _fate(result: FrameMatches) -> dict[str, Any]:
@@ -251,19 +251,19 @@ def load_recording(folder: str | os.PathLike[str]) -> RecordingMatches:
     Frames come in the order of the recording. Raises InputError where there are none.
     """
     expect_path(folder)
-    place = Path(folder)
+    path = Path(folder)
     lines: dict[str, list[dict]] = {}
-    for manifest in sorted(place.glob("manifest*.jsonl")):
+    for manifest in sorted(path.glob("manifest*.jsonl")):
         lines |= read_lines(manifest)
     if not lines:
-        raise InputError(f"{place} holds no results of trinoc batch: give its output folder.")
+        raise InputError(f"{path} holds no results of trinoc batch: give its output folder.")
     places, failures = {}, {}
     for file in sorted(lines):
         if Path(file).name != file:
-            raise InputError(f'A manifest in {place} names "{file}", which is outside: remove it.')
+            raise InputError(f'A manifest in {path} names "{file}", which is outside: remove it.')
         for line in lines[file]:
             name = str(line.get("frame"))
             places[name] = file, int(line["row"])
             if line.get("status") == "failed":
                 failures[name] = str(line.get("why"))
-    return RecordingMatches(place, places, failures)
+    return RecordingMatches(path, places, failures)

@@ -41,7 +41,7 @@ def _are_as_many(columns: Mapping[str, np.ndarray], table: Content) -> bool:
 
 
 class Frames(Table):
-    """What became of the frames of a recording.
+    """Results of the frames of a recording.
 
     Fields
     ------
@@ -70,7 +70,7 @@ class Frames(Table):
         Column(
             ColumnCheck(
                 "are not as many as there are segments",
-                lambda words, table: len(words) == table.values["segments"].sum(),
+                lambda reasons, table: len(reasons) == table.values["segments"].sum(),
             )
         ),
     ]
@@ -84,9 +84,9 @@ class Frames(Table):
 
 
 def frames_of_results(results: Sequence[FrameMatches], views: Sequence[str]) -> Frames:
-    """The table of what became of some frames."""
-    found = [result.matches for result in results]
-    good = [matches for matches in found if matches is not None]
+    """The table of the results of some frames."""
+    all_matches = [result.matches for result in results]
+    good = [matches for matches in all_matches if matches is not None]
     none = np.zeros(len(views), dtype=np.int64)
     arrays = [list_arrays(matches) for matches in good] or [_no_tracks(len(views))]
     shared = set.intersection(*(set(each) for each in arrays))
@@ -95,15 +95,21 @@ def frames_of_results(results: Sequence[FrameMatches], views: Sequence[str]) -> 
         views=tuple(views),
         frame=np.array([result.name for result in results], dtype=np.str_),
         status=np.array([result.status for result in results], dtype=np.str_),
-        tracks=np.array([0 if m is None else len(m) for m in found], dtype=np.int64),
+        tracks=np.array([0 if m is None else len(m) for m in all_matches], dtype=np.int64),
         segments=np.stack(
-            [none if m is None else np.array([len(m.reasons[v]) for v in views]) for m in found]
+            [
+                none if m is None else np.array([len(m.reasons[v]) for v in views])
+                for m in all_matches
+            ]
         ),
-        noise_scale=np.array([1.0 if m is None else m.noise_scale for m in found]),
-        noise_tail=np.array([0.0 if m is None else m.noise_tail for m in found]),
-        counts=np.array([json.dumps({} if m is None else m.counts) for m in found]),
+        noise_scale=np.array([1.0 if m is None else m.noise_scale for m in all_matches]),
+        noise_tail=np.array([0.0 if m is None else m.noise_tail for m in all_matches]),
+        counts=np.array([json.dumps({} if m is None else m.counts) for m in all_matches]),
         notes=np.array(
-            [json.dumps([] if m is None else list(m.notes), ensure_ascii=False) for m in found]
+            [
+                json.dumps([] if m is None else list(m.notes), ensure_ascii=False)
+                for m in all_matches
+            ]
         ),
         reasons=np.concatenate(
             [np.zeros(0, "<U1"), *(m.reasons[view] for m in good for view in views)]
@@ -127,38 +133,41 @@ def _no_tracks(views: int) -> dict[str, np.ndarray]:
 
 
 def sides_of_row(sides: Sequence[str], views: int) -> tuple[int, ...]:
-    """How many numbers a row of a column has along each side."""
+    """Shape of one row of a column, for a number of views."""
     return tuple(views if side == "v" else int(side) for side in sides)
 
 
 def results_of_frames(frames: Frames, file: str | os.PathLike[str]) -> list[FrameMatches]:
     """The matches of each frame. Raises InputError for what no matching can give."""
-    found, ends, of_segments = [], np.cumsum(frames.tracks), np.cumsum(frames.segments.sum(axis=1))
-    for k, (name, said) in enumerate(zip(frames.frame, frames.status, strict=True)):
+    ends, of_segments = np.cumsum(frames.tracks), np.cumsum(frames.segments.sum(axis=1))
+    results = []
+    for k, (name, status) in enumerate(zip(frames.frame, frames.status, strict=True)):
         matches = None
-        if said == OK:
+        if status == OK:
             where = f'{file}, frame "{name}"'
             first = of_segments[k] - frames.segments[k].sum()
-            words = np.split(
+            reasons = np.split(
                 frames.reasons[first : of_segments[k]], frames.segments[k].cumsum()[:-1]
             )
             rows = slice(ends[k] - frames.tracks[k], ends[k])
             counts, notes = (parsed_json(str(t[k]), file) for t in (frames.counts, frames.notes))
-            arrays: dict[str, Any] = {own: column[rows] for own, column in frames.columns.items()}
+            arrays: dict[str, Any] = {
+                field_name: column[rows] for field_name, column in frames.columns.items()
+            }
             arrays |= {
                 "views": frames.views,
                 "noise_scale": frames.noise_scale[k],
                 "notes": _texts(_sentences(notes, where)),
                 "count_names": _texts(list(_counts(counts, where))),
                 "count_values": np.array(list(counts.values()), dtype=np.int64),
-                **{f"reasons/{view}": w for view, w in zip(frames.views, words, strict=True)},
+                **{f"reasons/{view}": w for view, w in zip(frames.views, reasons, strict=True)},
             }
             if frames.noise_tail is not None:
                 arrays["noise_tail"] = frames.noise_tail[k]
-            whole = {own: np.asarray(array) for own, array in arrays.items()}
-            matches = build_table(Matches, ArrayFields(whole, where))
-        found.append(FrameMatches(str(name), str(said), matches))
-    return found
+            field_arrays = {field_name: np.asarray(array) for field_name, array in arrays.items()}
+            matches = build_table(Matches, ArrayFields(field_arrays, where))
+        results.append(FrameMatches(str(name), str(status), matches))
+    return results
 
 
 def _counts(values: Any, where: str) -> dict[str, int]:
@@ -178,5 +187,5 @@ def _sentences(values: Any, where: str) -> list[str]:
     return values
 
 
-def _texts(words: Sequence[str]) -> np.ndarray:
-    return np.array(words, dtype=np.str_) if words else np.zeros(0, "<U1")
+def _texts(texts: Sequence[str]) -> np.ndarray:
+    return np.array(texts, dtype=np.str_) if texts else np.zeros(0, "<U1")

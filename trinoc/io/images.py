@@ -33,7 +33,7 @@ _TAIL = 4096
 
 
 def is_whole_picture(path: str | os.PathLike[str]) -> bool:
-    """Whether a file that is a PNG or JPEG has its end mark; others are whole where not empty.
+    """Test that a PNG or JPEG file has its end mark; other files are whole if not empty.
 
     Raises OSError.
     """
@@ -61,7 +61,7 @@ _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 
 
 def is_complete(content: bytes) -> bool:
-    """Whether a PNG holds the chunks and pixels that it announces; True for other formats.
+    """Test that a PNG holds the chunks and pixels that it announces; True for other formats.
 
     OpenCV takes memory for a chunk by the length that stands before it.
     """
@@ -71,10 +71,10 @@ def is_complete(content: bytes) -> bool:
         return False
     width, height, depth, colours = struct.unpack_from(">IIBB", content, 16)
     unpacked = width * height * depth * _PNG_CHANNELS.get(colours, 1) // 8
-    at = 8
-    while at + 12 <= len(content) and content[at + 4 : at + 8] != b"IEND":
-        at += 12 + struct.unpack_from(">I", content, at)[0]
-    return at + 12 <= len(content) and unpacked <= _MOST_INFLATED * len(content)
+    offset = 8
+    while offset + 12 <= len(content) and content[offset + 4 : offset + 8] != b"IEND":
+        offset += 12 + struct.unpack_from(">I", content, offset)[0]
+    return offset + 12 <= len(content) and unpacked <= _MOST_INFLATED * len(content)
 
 
 def size_px(content: bytes) -> tuple[int, int] | None:
@@ -289,65 +289,68 @@ def expect_size(name: str, image: np.ndarray, rig: Rig) -> None:
 Shots = dict[str, dict[str, Callable[[], np.ndarray]]]
 
 
-def load_shots(places: Mapping[str, str | os.PathLike[str]]) -> Shots:
+def load_shots(paths: Mapping[str, str | os.PathLike[str]]) -> Shots:
     """For each camera by name, functions that read its pictures, by the name of the shot.
 
-    A place is a folder of pictures or a pattern such as "shots/left*.png". Pictures are of one shot
+    A path is a folder of pictures or a pattern such as "shots/left*.png". Pictures are of one shot
     where their names agree, apart from what all names of a camera begin and end with: left_07.png
-    and right_07.png are of the shot "07". Nothing is read yet. Raises InputError for a place
-    without pictures, and for two cameras that were given one place.
+    and right_07.png are of the shot "07". Nothing is read yet. Raises InputError for a path
+    without pictures, and for two cameras with one path.
     """
-    files = {camera: _files(camera, os.fspath(place)) for camera, place in places.items()}
+    files = {camera: _files(camera, os.fspath(path)) for camera, path in paths.items()}
     owner: dict[Path, str] = {}
-    for camera, own in files.items():
-        for file in own:
+    for camera, camera_files in files.items():
+        for file in camera_files:
             other = owner.setdefault(file.resolve(), camera)
             if other != camera:
                 raise InputError(
                     f'{file} is a picture of "{other}" and of "{camera}": give each camera its own.'
                 )
-    names = name_shots({camera: [file.stem for file in own] for camera, own in files.items()})
+    names = name_shots(
+        {camera: [file.stem for file in camera_files] for camera, camera_files in files.items()}
+    )
     return {
         camera: {
-            name: partial(read_image, file) for name, file in zip(names[camera], own, strict=True)
+            name: partial(read_image, file)
+            for name, file in zip(names[camera], camera_files, strict=True)
         }
-        for camera, own in files.items()
+        for camera, camera_files in files.items()
     }
 
 
-def _files(camera: str, place: str) -> list[Path]:
-    is_folder = os.path.isdir(place)
-    there = sorted(Path(place).iterdir() if is_folder else map(Path, glob.glob(place)))
+def _files(camera: str, path: str) -> list[Path]:
+    is_folder = os.path.isdir(path)
+    entries = sorted(Path(path).iterdir() if is_folder else map(Path, glob.glob(path)))
     if is_folder:
-        found = [file for file in there if file.suffix.lower() in IMAGE_SUFFIXES]
+        files = [file for file in entries if file.suffix.lower() in IMAGE_SUFFIXES]
     else:
-        found = [file for file in there if file.is_file()]
-        refuse_videos(found)
-    if not found:
-        refuse_videos(there)
-        if not glob.has_magic(place) and not os.path.exists(place):
+        files = [file for file in entries if file.is_file()]
+        refuse_videos(files)
+    if not files:
+        refuse_videos(entries)
+        if not glob.has_magic(path) and not os.path.exists(path):
             raise InputError(
-                f'{place}, the folder of "{camera}", does not exist: give a folder of pictures, or '
+                f'{path}, the folder of "{camera}", does not exist: give a folder of pictures, or '
                 "a pattern such as 'shots/left*.png' in quotes."
             )
         raise InputError(
-            f'{place} holds no picture of "{camera}": give a folder of pictures, or a pattern such '
+            f'{path} holds no picture of "{camera}": give a folder of pictures, or a pattern such '
             "as 'shots/left*.png' in quotes."
         )
-    return found
+    return files
 
 
 def name_shots(stems: Mapping[str, list[str]]) -> Mapping[str, list[str]]:
     """Names of the shots of each camera's files, by their stems: the stems themselves where cameras
     share some, else what differs in them."""
-    whole = [set(own) for own in stems.values()]
-    if len(stems) == 1 or set.intersection(*whole):
+    stem_sets = [set(camera_stems) for camera_stems in stems.values()]
+    if len(stems) == 1 or set.intersection(*stem_sets):
         return stems
-    return {camera: _without_common(own) for camera, own in stems.items()}
+    return {camera: _without_common(camera_stems) for camera, camera_stems in stems.items()}
 
 
 def _without_common(stems: list[str]) -> list[str]:
-    """What is left of texts without what all of them begin and end with.
+    """The texts without the beginning and the end that all of them share.
 
     Digits are kept whole: of 09 and 10, as of 10 and 11, both digits are left.
     """
@@ -356,15 +359,15 @@ def _without_common(stems: list[str]) -> list[str]:
     start = _common_length(stems)
     while start and stems[0][start - 1].isdigit():
         start -= 1
-    left = [stem[start:] for stem in stems]
-    end = _common_length([stem[::-1] for stem in left])
-    while end and left[0][-end].isdigit():
+    endings = [stem[start:] for stem in stems]
+    end = _common_length([stem[::-1] for stem in endings])
+    while end and endings[0][-end].isdigit():
         end -= 1
-    cut = [stem[: len(stem) - end] for stem in left]
-    return cut if all(cut) else left
+    cut = [stem[: len(stem) - end] for stem in endings]
+    return cut if all(cut) else endings
 
 
 def _common_length(texts: list[str]) -> int:
-    """How many letters all texts begin with."""
+    """Number of letters that all texts begin with."""
     columns = zip(*texts, strict=False)
     return sum(1 for _ in itertools.takewhile(lambda column: len(set(column)) == 1, columns))

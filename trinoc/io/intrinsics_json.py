@@ -82,14 +82,14 @@ def expect_pitch(pitch_mm: tuple[float, float] | None, where: str) -> None:
     """Raise InputError for a pixel pitch in another unit than mm."""
     if pitch_mm is None or all(PITCH_RANGE_MM[0] <= side <= PITCH_RANGE_MM[1] for side in pitch_mm):
         return
-    said = f"{where} {pitch_mm[0]:g} {pitch_mm[1]:g} mm"
+    problem = f"{where} {pitch_mm[0]:g} {pitch_mm[1]:g} mm"
     factor, unit = (1e-3, "micrometres") if max(pitch_mm) > PITCH_RANGE_MM[1] else (1e3, "metres")
     in_mm = [side * factor for side in pitch_mm]
     if all(PITCH_RANGE_MM[0] <= side <= PITCH_RANGE_MM[1] for side in in_mm):
         raise InputError(
-            f"{said}, which looks like {unit}: write {in_mm[0]:g} {in_mm[1]:g} millimetres."
+            f"{problem}, which looks like {unit}: write {in_mm[0]:g} {in_mm[1]:g} millimetres."
         )
-    raise InputError(f"{said}, which no pixel has: give its width and height in millimetres.")
+    raise InputError(f"{problem}, which no pixel has: give its width and height in millimetres.")
 
 
 def expect_readable(value: Rig | Intrinsics, where: str) -> None:
@@ -293,18 +293,18 @@ def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intri
             "valid_radius_px",
         ),
     )
-    given = block.values
+    values, focal_key = block.values, "focal_length_mm"
     model, coefficients = None, None
-    if "distortion" in given:
+    if "distortion" in values:
         model, coefficients = _distortion(block.block("distortion"))
     try:
         lens = Intrinsics(
             image_size_px=image_size_px,
-            focal_length_mm=block.number("focal_length_mm") if "focal_length_mm" in given else None,
+            focal_length_mm=block.number(focal_key) if focal_key in values else None,
             pixel_pitch_mm=_pair_or_none(block, "pixel_pitch_mm"),
             focal_length_px=_pair_or_none(block, "focal_length_px"),
             principal_point_px=_pair_or_none(block, "principal_point_px"),
-            skew_px=block.number("skew_px") if "skew_px" in given else 0.0,
+            skew_px=block.number("skew_px") if "skew_px" in values else 0.0,
             distortion=coefficients,
             distortion_model=model,
         )
@@ -313,7 +313,7 @@ def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intri
             raise
         raise InputError(f'{block.file}: "{block.place}": {error}') from error
     expect_lens(lens, f'{block.file}: "{block.place}"')
-    if "valid_radius_px" in given:
+    if "valid_radius_px" in values:
         _expect_radius(block, lens)
     return lens
 

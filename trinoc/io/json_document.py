@@ -40,8 +40,8 @@ def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
         values = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
         if os.fspath(file).lower().endswith(".json"):
-            place = f"line {error.lineno}, column {error.colno}: {error.msg}"
-            raise InputError(f"{file} is not JSON ({place}): correct it there.") from error
+            position = f"line {error.lineno}, column {error.colno}: {error.msg}"
+            raise InputError(f"{file} is not JSON ({position}): correct it there.") from error
         raise InputError(f"{file} is not JSON: {_remedy_for_cameras(text, file)}.") from error
     except _NotStrictError as error:
         raise InputError(f"{file}: {error}") from error
@@ -58,8 +58,8 @@ def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
 
 
 def _remedy_for_cameras(text: str, file: str | os.PathLike[str]) -> str:
-    """What to do with a file that is no JSON: for another tool's cameras, the command."""
-    name = next((name for name, words in _CAMERA_WORDS.items() if words in text), None)
+    """Remedy for a file that is no JSON: for another tool's cameras, the command."""
+    name = next((name for name, mark in _CAMERA_WORDS.items() if mark in text), None)
     if name is None:
         return "give the .json file"
     return (
@@ -112,18 +112,18 @@ class Block:
 
     def error(self, key: str, problem: str) -> InputError:
         """An error that names the file and the key; `problem` completes the sentence."""
-        place = json.dumps(self._path(key), ensure_ascii=False)
-        return InputError(f"{self.file}: {place} {problem}")
+        key_path = json.dumps(self._path(key), ensure_ascii=False)
+        return InputError(f"{self.file}: {key_path} {problem}")
 
     def expect_keys(self, required: Collection[str], optional: Collection[str] = ()) -> None:
         """Raise InputError for a key that is missing or that nobody would read."""
-        known = [*required, *optional]
+        keys = [*required, *optional]
         for key in self.values:
-            if key not in known:
-                near = difflib.get_close_matches(key, known, n=1)
-                remedy = (
-                    f'did you mean "{near[0]}"?' if near else f"remove it ({_list_keys(known)})."
-                )
+            if key not in keys:
+                similar = difflib.get_close_matches(key, keys, n=1)
+                remedy = f"remove it ({_list_keys(keys)})."
+                if similar:
+                    remedy = f'did you mean "{similar[0]}"?'
                 raise self.error(key, f"is an unknown key: {remedy}")
         for key in required:
             if key not in self.values:
@@ -203,9 +203,9 @@ def read_document(path: str | os.PathLike[str], format_name: str, version: int) 
     file = Path(path)
     values = parsed_json(read_text(file), file)
     if not isinstance(values, dict) or values.get("format") != format_name:
-        found = values.get("format") if isinstance(values, dict) else None
+        stated = values.get("format") if isinstance(values, dict) else None
         raise InputError(
-            f'{file} has the format {show_value(found)}, but "{format_name}" is needed: '
+            f'{file} has the format {show_value(stated)}, but "{format_name}" is needed: '
             "give another file."
         )
     if isinstance(values.get("version"), bool) or values.get("version") != version:

@@ -78,15 +78,15 @@ def _of_rows(text: str, file: str) -> Float[np.ndarray, "m 2 3"]:
     width = 0
     heading: tuple[list[str], str] | None = None
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.replace(",", " ").replace(";", " ").split()
-        if not words:
+        fields = line.replace(",", " ").replace(";", " ").split()
+        if not fields:
             polylines.append([])
             continue
-        if words[0].startswith("#"):
+        if fields[0].startswith("#"):
             continue
-        row = _numbers(words)
+        row = _numbers(fields)
         if row is None:
-            if width == 0 and heading is None and not any(map(_is_number, words)):
+            if width == 0 and heading is None and not any(map(_is_number, fields)):
                 heading = names_of_line(line.strip()), f"{file}, line {number}"
                 continue
             raise InputError(f"{file}, line {number}: these are not all finite numbers: {_REMEDY}.")
@@ -108,10 +108,10 @@ def _of_rows(text: str, file: str) -> Float[np.ndarray, "m 2 3"]:
     return np.concatenate([np.zeros((0, 2, 3)), *runs])
 
 
-def _numbers(words: list[str]) -> list[float] | None:
-    if not all(map(_is_number, words)):
+def _numbers(fields: list[str]) -> list[float] | None:
+    if not all(map(_is_number, fields)):
         return None
-    values = [float(word) for word in words]
+    values = [float(word) for word in fields]
     return values if np.isfinite(values).all() else None
 
 
@@ -134,11 +134,11 @@ def _of_json(file: Path, unit_mm: float, grey_step: float) -> KnownShape:
         document = document.get("edges_mm", document.get("edges"))
     if not isinstance(document, list):
         raise InputError(f'{file} holds no list of edges: put one there, or under "edges_mm".')
-    edges = [_edge(file, place, entry) for place, entry in enumerate(document)]
+    edges = [_edge(file, number, entry) for number, entry in enumerate(document)]
     return _check_shape(KnownShape.of_edges(unit_mm * np.array(edges).reshape(-1, 2, 3)), file)
 
 
-def _edge(file: Path, place: int, entry: Any) -> Float[np.ndarray, "2 3"]:
+def _edge(file: Path, number: int, entry: Any) -> Float[np.ndarray, "2 3"]:
     """One edge of a JSON list."""
     try:
         edge = np.array(entry, dtype=np.float64).reshape(2, 3)
@@ -146,7 +146,7 @@ def _edge(file: Path, place: int, entry: Any) -> Float[np.ndarray, "2 3"]:
         edge = np.full((2, 3), np.nan)
     if not np.isfinite(edge).all() or (edge[0] == edge[1]).all():
         raise InputError(
-            f"{file}: edge {place} of the list is not two different points of three finite "
+            f"{file}: edge {number} of the list is not two different points of three finite "
             "numbers: correct it, or leave it out."
         )
     return edge

@@ -19,8 +19,8 @@ def straight_runs(
 ) -> Float[np.ndarray, "k 2 3"]:
     """Edges along a polyline, each as long as its points lie straight on; a closed polyline
     repeats its first point. Points given twice in a row count once."""
-    apart = np.append(True, np.any(points[1:] != points[:-1], axis=1))
-    points = points[apart]
+    is_new = np.append(True, np.any(points[1:] != points[:-1], axis=1))
+    points = points[is_new]
     edges, start = [], 0
     while start < len(points) - 1:
         stop = start + 1
@@ -37,7 +37,7 @@ def straight_runs(
 
 
 def _is_straight(points: Float[np.ndarray, "n 3"], tolerance: float) -> bool:
-    """Whether inner points lie on the way from the first to the last, one after the other."""
+    """Test that the inner points lie in order on the line from the first to the last."""
     chord = points[-1] - points[0]
     length = np.linalg.norm(chord)
     if length == 0:
@@ -72,26 +72,26 @@ def edges_of_obj(text: str, file: str, *, crease_deg: float = CREASE_DEG) -> Obj
     faces: list[list[int]] = []
     polylines: list[list[int]] = []
     for number, line in enumerate(_joined_lines(text), start=1):
-        words = line.partition("#")[0].split()
-        if not words or words[0] not in ("v", "f", "l"):
+        fields = line.partition("#")[0].split()
+        if not fields or fields[0] not in ("v", "f", "l"):
             continue
-        if words[0] == "v":
-            vertices.append(_vertex(words[1:], f"{file}, line {number}"))
+        if fields[0] == "v":
+            vertices.append(_vertex(fields[1:], f"{file}, line {number}"))
             continue
-        corners = [_index(word, len(vertices), f"{file}, line {number}") for word in words[1:]]
-        least = 3 if words[0] == "f" else 2
-        if len(corners) < least:
+        corners = [_index(word, len(vertices), f"{file}, line {number}") for word in fields[1:]]
+        fewest = 3 if fields[0] == "f" else 2
+        if len(corners) < fewest:
             raise InputError(
                 f"{file}, line {number}: {len(corners)} corners are too few for "
-                f"{'a face' if least == 3 else 'a polyline'}: give {least} or more."
+                f"{'a face' if fewest == 3 else 'a polyline'}: give {fewest} or more."
             )
-        (faces if words[0] == "f" else polylines).append(corners)
-    place, points = _merge_vertices(np.array(vertices).reshape(-1, 3))
-    faces = [_without_repeats([place[corner] for corner in face]) for face in faces]
+        (faces if fields[0] == "f" else polylines).append(corners)
+    point_of, points = _merge_vertices(np.array(vertices).reshape(-1, 3))
+    faces = [_without_repeats([point_of[corner] for corner in face]) for face in faces]
     faces = [face for face in faces if len(face) > 2]
-    kept = _creases(points, faces, crease_deg)
-    runs = [straight_runs(points[chain]) for chain in _chains(kept)]
-    runs += [straight_runs(points[[place[i] for i in polyline]]) for polyline in polylines]
+    creases = _creases(points, faces, crease_deg)
+    runs = [straight_runs(points[chain]) for chain in _chains(creases)]
+    runs += [straight_runs(points[[point_of[i] for i in polyline]]) for polyline in polylines]
     triangles = [corner for face in faces for corner in _triangles(points, face)]
     return ObjModel(
         _each_once(np.concatenate([np.zeros((0, 2, 3)), *runs])),
@@ -120,9 +120,9 @@ def _joined_lines(text: str) -> list[str]:
     return [*lines, waiting] if waiting else lines
 
 
-def _vertex(words: list[str], where: str) -> list[float]:
+def _vertex(fields: list[str], where: str) -> list[float]:
     try:
-        values = [float(word) for word in words[:3]]
+        values = [float(word) for word in fields[:3]]
     except ValueError:
         values = []
     if len(values) < 3 or not np.isfinite(values).all():
@@ -131,13 +131,13 @@ def _vertex(words: list[str], where: str) -> list[float]:
 
 
 def _index(word: str, count: int, where: str) -> int:
-    """Of a vertex, from 0; an OBJ counts from 1, or back from the last one with minus."""
+    """Index of a vertex from 0; an OBJ counts from 1, or with minus back from the last one."""
     try:
-        given = int(word.split("/")[0])
+        number = int(word.split("/")[0])
     except ValueError:
-        given = 0
-    index = given - 1 if given > 0 else count + given
-    if given == 0 or not 0 <= index < count:
+        number = 0
+    index = number - 1 if number > 0 else count + number
+    if number == 0 or not 0 <= index < count:
         raise InputError(
             f'{where}: "{word}" names none of the {count} vertices before it: correct it there.'
         )
@@ -147,13 +147,13 @@ def _index(word: str, count: int, where: str) -> int:
 def _merge_vertices(
     vertices: Float[np.ndarray, "n 3"],
 ) -> tuple[list[int], Float[np.ndarray, "k 3"]]:
-    """Of each vertex the number of its place, and the places."""
+    """Index of the distinct point of each vertex, and the distinct points."""
     if len(vertices) == 0:
         return [], vertices
     size = float(np.ptp(vertices, axis=0).max()) or 1.0
     rounded = np.rint((vertices - vertices.min(axis=0)) / (_SAME_PLACE * size)).astype(np.int64)
-    _, first, place = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    return place.reshape(-1).tolist(), vertices[first]
+    _, first, point_of = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    return point_of.reshape(-1).tolist(), vertices[first]
 
 
 def _without_repeats(face: list[int]) -> list[int]:
@@ -170,7 +170,7 @@ def _creases(
             link = face[i - 1], corner
             owners[min(link), max(link)].append((number, link[0] < link[1]))
     normals = [_normal(points[face]) for face in faces]
-    kept = []
+    creases = []
     for link, those in owners.items():
         if len(those) == 2:
             (a, forward), (b, also_forward) = those
@@ -180,8 +180,8 @@ def _creases(
             turn = np.degrees(np.arctan2(sine, sign * float(normals[a] @ normals[b])))
             if turn <= crease_deg:
                 continue
-        kept.append(link)
-    return kept
+        creases.append(link)
+    return creases
 
 
 def _normal(corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
@@ -194,24 +194,24 @@ def _normal(corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
 
 def _chains(links: list[Link]) -> list[list[int]]:
     """Links put one after the other through points where just two of them meet."""
-    at: defaultdict[int, list[Link]] = defaultdict(list)
+    links_at: defaultdict[int, list[Link]] = defaultdict(list)
     for link in links:
-        at[link[0]].append(link)
-        at[link[1]].append(link)
-    left = dict.fromkeys(links)
-    ends = [link for link in links if len(at[link[0]]) != 2 or len(at[link[1]]) != 2]
+        links_at[link[0]].append(link)
+        links_at[link[1]].append(link)
+    remaining = dict.fromkeys(links)
+    ends = [link for link in links if len(links_at[link[0]]) != 2 or len(links_at[link[1]]) != 2]
     chains = []
     for first in [*ends, *links]:
-        if first not in left:
+        if first not in remaining:
             continue
-        del left[first]
-        begin, end = first if len(at[first[0]]) != 2 else first[::-1]
+        del remaining[first]
+        begin, end = first if len(links_at[first[0]]) != 2 else first[::-1]
         chain = [begin, end]
-        while len(at[chain[-1]]) == 2:
-            following = [link for link in at[chain[-1]] if link in left]
+        while len(links_at[chain[-1]]) == 2:
+            following = [link for link in links_at[chain[-1]] if link in remaining]
             if not following:
                 break
-            del left[following[0]]
+            del remaining[following[0]]
             a, b = following[0]
             chain.append(b if a == chain[-1] else a)
         chains.append(chain)
@@ -221,17 +221,17 @@ def _chains(links: list[Link]) -> list[list[int]]:
 def _triangles(points: Float[np.ndarray, "k 3"], face: list[int]) -> list[list[int]]:
     """A plane polygon in triangles, by cutting its ears."""
     normal = _normal(points[face])
-    left, triangles = list(face), []
-    while len(left) > 3:
-        for i in range(len(left)):
-            ear = [left[i - 1], left[i], left[(i + 1) % len(left)]]
-            if _is_ear(points, ear, left, normal):
+    corners, triangles = list(face), []
+    while len(corners) > 3:
+        for i in range(len(corners)):
+            ear = [corners[i - 1], corners[i], corners[(i + 1) % len(corners)]]
+            if _is_ear(points, ear, corners, normal):
                 break
         else:  # a polygon that crosses itself
             return []
         triangles.append(ear)
-        left.remove(ear[1])
-    return [t for t in [*triangles, left] if np.any(_normal(points[t]))]
+        corners.remove(ear[1])
+    return [t for t in [*triangles, corners] if np.any(_normal(points[t]))]
 
 
 def _is_ear(
@@ -240,7 +240,7 @@ def _is_ear(
     polygon: list[int],
     normal: Float[np.ndarray, "3"],
 ) -> bool:
-    """Whether a corner turns the polygon's way and no other corner lies within."""
+    """Test that a corner turns as the polygon does, and that no other corner lies within."""
     corners = points[ear]
     side = np.cross(np.roll(corners, -1, axis=0) - corners, normal[None])
     if np.cross(corners[1] - corners[0], corners[2] - corners[1]) @ normal < 0:

@@ -35,7 +35,7 @@ class Text(NamedTuple):
     """A line of text, its baseline's middle at `place_mm`, turned upward if `is_upright`."""
 
     place_mm: tuple[float, float]
-    words: str
+    text: str
     is_upright: bool
 
 
@@ -58,7 +58,7 @@ def drawing_room_mm(paper: str) -> tuple[float, float]:
 
 
 def _around_mm() -> Float[np.ndarray, "2"]:
-    """What margins, bars and text take."""
+    """Width and height taken by margins, bars and text, mm."""
     return 2 * _MARGIN_MM + np.array([2 * _BAR_GAP_MM, _BAR_GAP_MM + _TEXT_ROOM_MM])
 
 
@@ -92,7 +92,7 @@ def lay_out(board: AbstractBoard, paper: str = "a4") -> PatternPage:
     bar_x, bar_y = (max(_BAR_STEP_MM * np.floor(side / _BAR_STEP_MM), 10.0) for side in high - low)
     # Control characters, which XML does not have.
     title = "".join(letter if letter.isprintable() else " " for letter in board.name)
-    words = (
+    lines = (
         f"{title}   {len(board)} {board.point_kind}   {paper.upper()}",
         "print at 100 % (actual size, no fit to page); then measure both bars",
     )
@@ -100,7 +100,7 @@ def lay_out(board: AbstractBoard, paper: str = "a4") -> PatternPage:
     figures = (
         *(_shift_figure(figure, shift) for figure in board.drawing()),
         *_scale_bars(low + shift, high + shift, bar_x, bar_y),
-        *(Text((0.0, foot - 7.0 - 5.0 * line), text, False) for line, text in enumerate(words)),
+        *(Text((0.0, foot - 7.0 - 5.0 * line), text, False) for line, text in enumerate(lines)),
     )
     return PatternPage(title, page_mm, figures, (float(bar_x), float(bar_y)))
 
@@ -136,7 +136,7 @@ def _scale_bars(
     """Ticks whose outer edges are the nominal length apart."""
     middle = 0.5 * (low + high)
     figures: list[Disc | Polygon | Text] = []
-    for length, at, turned in (
+    for length, position, turned in (
         (bar_x, np.array([middle[0], low[1] - _BAR_GAP_MM]), False),
         (bar_y, np.array([low[0] - _BAR_GAP_MM, middle[1]]), True),
     ):
@@ -146,10 +146,10 @@ def _scale_bars(
         rectangles += [(half - _BAR_WIDTH_MM, half, -_TICK_MM / 2, _TICK_MM / 2)]
         for left, right, bottom, top in rectangles:
             corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
-            figures.append(Polygon(at + (corners[:, ::-1] if turned else corners), True))
-        words = f"{length:g} mm between the outer edges of the ticks"
-        beside = np.array([-1.2, 0.0]) if turned else np.array([0.0, 1.2])
-        figures.append(Text(_pair(at + beside), words, turned))
+            figures.append(Polygon(position + (corners[:, ::-1] if turned else corners), True))
+        label = f"{length:g} mm between the outer edges of the ticks"
+        label_offset = np.array([-1.2, 0.0]) if turned else np.array([0.0, 1.2])
+        figures.append(Text(_pair(position + label_offset), label, turned))
     return figures
 
 
@@ -192,7 +192,7 @@ def pattern_svg(page: PatternPage) -> str:
             turn = f' transform="rotate(-90 {x} {y})"' if figure.is_upright else ""
             lines.append(
                 f'<text x="{x}" y="{y}" font-family="sans-serif" font-size="{LETTER_MM:g}"'
-                f' text-anchor="middle"{turn}>{escape(figure.words)}</text>'
+                f' text-anchor="middle"{turn}>{escape(figure.text)}</text>'
             )
     return "\n".join([*lines, "</svg>", ""])
 
@@ -265,7 +265,7 @@ def pattern_pdf(page: PatternPage) -> bytes:
             canvas.setFont("Helvetica", LETTER_MM)
             canvas.translate(*figure.place_mm)
             canvas.rotate(90 if figure.is_upright else 0)
-            canvas.drawCentredString(0, 0, figure.words)
+            canvas.drawCentredString(0, 0, figure.text)
             canvas.restoreState()
     canvas.showPage()
     canvas.save()

@@ -47,11 +47,11 @@ def pattern_picture(
     low, high = drawing_box_mm(pattern)
     needed, room = high - low, np.array(screen_room_mm(size_px, pitch_mm))
     if np.any(needed > room):
-        whole = np.array(size_px) * pitch_mm
+        size_mm = np.array(size_px) * pitch_mm
         raise InputError(
             f"The pattern {pattern.name!r} is {needed[0]:.0f} x {needed[1]:.0f} mm and needs "
-            f"{_MARGIN_MM:g} mm of white around it, but the screen is {whole[0]:.0f} x "
-            f"{whole[1]:.0f} mm: take a smaller pitch or fewer rows."
+            f"{_MARGIN_MM:g} mm of white around it, but the screen is {size_mm[0]:.0f} x "
+            f"{size_mm[1]:.0f} mm: take a smaller pitch or fewer rows."
         )
     middle = 0.5 * (low + high)
     shapes = [_on_screen(figure, middle, size_px, pitch_mm) for figure in pattern.drawing()]
@@ -108,7 +108,7 @@ def _bounds(shape: Disc | Polygon) -> tuple[Float[np.ndarray, "2"], Float[np.nda
 def _inside(
     shape: Disc | Polygon, x: Float[np.ndarray, "1 w"], y: Float[np.ndarray, "h 1"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Which points a figure covers; polygons are convex, whichever way their corners run."""
+    """Mask of the points that a figure covers; polygons are convex, in either order."""
     if isinstance(shape, Disc):
         return np.hypot(x - shape.centre_mm[0], y - shape.centre_mm[1]) < shape.radius_mm
     corners = shape.corners_mm

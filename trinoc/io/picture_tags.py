@@ -46,7 +46,7 @@ def read_orientation(content: bytes) -> int:
 
 
 def has_white_as_zero(content: bytes) -> bool:
-    """Whether a picture is a TIFF in which 0 is white."""
+    """Test for a TIFF in which 0 is white."""
     return _tiff_tag(content, _PHOTOMETRIC) == _WHITE_IS_ZERO
 
 
@@ -114,7 +114,7 @@ def _directory(content: bytes) -> _Directory | None:
 
 
 def _tiff_value_at(content: bytes, tag: int) -> int | None:
-    """Where the 16-bit value of a tag of a TIFF's first picture stands; None for no such tag."""
+    """Offset of the 16-bit value of a tag of a TIFF's first image; None without such a tag."""
     directory = _directory(content)
     if directory is None or directory.start + 8 > len(content):
         return None

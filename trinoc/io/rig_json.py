@@ -40,7 +40,7 @@ CONVERGED = "converged"
 
 
 class CameraStatus(NamedTuple):
-    """How the fit of a camera ended ("converged", "suspect"), and what its user should know."""
+    """Status of the fit of a camera ("converged", "suspect"), and notes for its user."""
 
     status: str
     notes: tuple[str, ...]
@@ -92,7 +92,7 @@ def status_to_block(result: "CalibrationResult") -> dict[str, Any]:
 
 
 def status_of_document(document: Block) -> RigStatus:
-    """What stands under "status"; nothing where it is missing. Raises InputError."""
+    """The status of a document; without entries if it states none. Raises InputError."""
     if "status" not in document.values:
         return RigStatus({}, ())
     block = document.block("status")
@@ -169,17 +169,17 @@ def load_lens(path: str | os.PathLike[str], camera: str | None = None) -> KnownL
         )
     lens = rig[name].intrinsics
     names = [f"{name}.{each}" for each in promote_lens(lens.lens).parameter_names]
-    known = [row for row, each in enumerate(names) if each in rig.parameters]
-    if not known:
+    rows_known = [row for row, each in enumerate(names) if each in rig.parameters]
+    if not rows_known:
         return KnownLens(lens, None)
-    rows = [rig.parameters.index(names[row]) for row in known]
+    rows = [rig.parameters.index(names[row]) for row in rows_known]
     covariance = np.zeros((len(names), len(names)))
-    covariance[np.ix_(known, known)] = np.asarray(rig.covariance)[np.ix_(rows, rows)]
+    covariance[np.ix_(rows_known, rows_known)] = np.asarray(rig.covariance)[np.ix_(rows, rows)]
     return KnownLens(lens, covariance)
 
 
 def load_rig_status(path: str | os.PathLike[str]) -> RigStatus:
-    """What the calibration that wrote a rig.json said of its cameras. Raises InputError."""
+    """Read the status of the calibration that wrote a rig.json. Raises InputError."""
     return status_of_document(read_document(path, FORMAT, VERSION))
 
 

@@ -29,13 +29,13 @@ from trinoc.match.tracks.matches import Matches
 from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.tables import Table
 
-# What is written as JSON, in words.
+# The kinds of values that are written as JSON, with their names in messages.
 _DOCUMENTS: tuple[tuple[type, str], ...] = (
     (Rig, "a rig"),
     (Intrinsics, "a lens"),
     (AbstractTarget, "a layout"),
 )
-# Of a PictureMaps, whose arrays are named as its fields.
+# The format of PictureMaps, whose arrays have the names of its fields.
 MAPS_FORMAT, MAPS_VERSION = "trinoc-maps", 1
 
 
@@ -54,10 +54,10 @@ def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
     written = [(*document, ".json") for document in _DOCUMENTS]
     written += [(each, each.IN_WORDS, ".npz") for each in tables()]
     written.append((PictureMaps, "maps", ".npz"))
-    for each, words, ending in written:
+    for each, label, ending in written:
         if path is not None and issubclass(kind, each) and Path(path).suffix.lower() != ending:
-            are = "is" if words.startswith("a ") else "are"
-            raise InputError(f"{path}: {words} {are} written as {ending}: choose such a name.")
+            are = "is" if label.startswith("a ") else "are"
+            raise InputError(f"{path}: {label} {are} written as {ending}: choose such a name.")
 
 
 def expect_replaceable(
@@ -67,8 +67,11 @@ def expect_replaceable(
     force: bool = False,
     remedy: str = "--force",
 ) -> None:
-    """Before a long job: raise InputError for a name that `save` would refuse a value of a kind,
-    and, unless forced, where a file stands that holds something else."""
+    """Check, before a long job, that `save` may write a value of a kind to a path.
+
+    Raises InputError for a name with another ending and, unless forced, for an existing file that
+    holds something else.
+    """
     expect_ending(path, kind)
     # Not of `Path`, which raises for a name that is too long.
     if path is None or force or not os.path.exists(path) or not Path(path).stat().st_size:
@@ -78,21 +81,21 @@ def expect_replaceable(
     except InputError:
         stated = None
     if stated not in _list_formats(kind):
-        held = f"a file of {stated}" if isinstance(stated, str) and stated else "something else"
-        raise InputError(_say_lost(path, held, remedy))
+        content = f"a file of {stated}" if isinstance(stated, str) and stated else "something else"
+        raise InputError(_describe_loss(path, content, remedy))
 
 
 def expect_marked(path: str | os.PathLike[str] | None, mark: bytes, *, force: bool = False) -> None:
-    """The same of files that are no values: all that trinoc writes there hold the mark."""
+    """Check the same for files that `load` does not read, such as reports, by a mark in them."""
     if path is None or force or not Path(path).is_file():
         return
     content = Path(path).read_bytes()
     if content and mark.lower() not in content.lower():
-        raise InputError(_say_lost(path, "something else"))
+        raise InputError(_describe_loss(path, "something else"))
 
 
 def expect_foreign(path: str | os.PathLike[str], *, force: bool = False) -> None:
-    """The same of other tools' files: none of ours may stand there."""
+    """Check the same for other tools' files, which must not replace a file of trinoc."""
     if force or not Path(path).is_file() or Path(path).suffix.lower() not in (".json", ".npz"):
         return
     try:
@@ -100,15 +103,17 @@ def expect_foreign(path: str | os.PathLike[str], *, force: bool = False) -> None
     except InputError:
         return
     if isinstance(stated, str) and stated.startswith("trinoc-"):
-        raise InputError(_say_lost(path, f"a file of {stated}"))
+        raise InputError(_describe_loss(path, f"a file of {stated}"))
 
 
-def _say_lost(path: str | os.PathLike[str], held: str, remedy: str = "--force") -> str:
-    return f"{path} is there and holds {held}, which would be lost: give another name, or {remedy}."
+def _describe_loss(path: str | os.PathLike[str], content: str, remedy: str = "--force") -> str:
+    return (
+        f"{path} is there and holds {content}, which would be lost: give another name, or {remedy}."
+    )
 
 
 def _stated_format(file: Path) -> object:
-    """What a JSON or npz file says that it is; None where it says nothing."""
+    """The format that a JSON or npz file states; None if it states none."""
     if file.suffix.lower() == ".json":
         values = parsed_json(read_text(file), file)
         return values.get("format") if isinstance(values, dict) else None
@@ -116,7 +121,7 @@ def _stated_format(file: Path) -> object:
 
 
 def _list_formats(kind: type) -> tuple[str, ...]:
-    """What files of a kind of value say that they are."""
+    """The formats that files of a kind of value state."""
     if issubclass(kind, Table):
         return (f"trinoc-{kind.KIND}",)
     if issubclass(kind, AbstractTarget):
@@ -194,7 +199,7 @@ def load(path: str | os.PathLike[str]) -> Any:
             "that wrote it, or match with --steps rims."
         )
     if not isinstance(stated, str) or stated not in readers:
-        documents = ", ".join(words for words, _ in _BY_FORMAT.values())
+        documents = ", ".join(label for label, _ in _BY_FORMAT.values())
         arrays = ", ".join(f"{kind}.npz" for kind in (*(t.KIND for t in tables()), "maps"))
         raise InputError(
             f"{file} is no value that trinoc wrote: give {documents}, one of {arrays}, shape.obj, "
@@ -204,7 +209,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 
 _Reader = Callable[[Path], Any]
-# What a JSON file says of itself: in words, and what reads it.
+# For each format of a JSON file: its name in messages, and its reader.
 _BY_FORMAT: dict[str, tuple[str, _Reader]] = {
     rig_json.FORMAT: ("a rig.json", rig_json.load_rig),
     intrinsics_json.FORMAT: ("camera.json", intrinsics_json.load_intrinsics),
@@ -212,12 +217,12 @@ _BY_FORMAT: dict[str, tuple[str, _Reader]] = {
     board_json.FORMAT: ("board.json", load_target),
     demo.FORMAT: ("truth.json", demo.load_scene_truth),
 }
-# Files that say nothing of themselves.
+# Readers of files that state no format, by ending.
 _BY_ENDING: dict[str, _Reader] = {".parquet": load_frames, ".obj": load_shape}
 
 
 def _readers() -> dict[str, _Reader]:
-    """What reads the files of each format."""
+    """The reader of the files of each format."""
     return {
         **{name: reader for name, (_, reader) in _BY_FORMAT.items()},
         **{f"trinoc-{kind.KIND}": partial(load_npz, kind) for kind in tables()},
@@ -252,7 +257,7 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
 def _content_of_result(
     value: object, path: str | os.PathLike[str]
 ) -> tuple[Rig | Intrinsics, dict[str, Any]]:
-    """What a result of a calibration has to be written, and what is written beside it."""
+    """The value of a calibration result to write, and keyword arguments for its writer."""
     # Here, because it brings the calibrations with it, and a match wants none.
     from trinoc.calib.result.calibration import CalibrationResult
 

@@ -120,24 +120,24 @@ def _words(line: str) -> list[str]:
     return line.replace(",", " ").replace(";", " ").split()
 
 
-def _numbers(words: list[str]) -> list[float] | None:
+def _numbers(fields: list[str]) -> list[float] | None:
     try:
-        return [float(word) for word in words]
+        return [float(word) for word in fields]
     except ValueError:
         return None
 
 
 def _is_names(line: str) -> bool:
-    """Whether no word of a line is a number, as in x1,y1,x2,y2."""
+    """Test for a line without any number, such as x1,y1,x2,y2."""
     return all(_numbers([word]) is None for word in _words(line))
 
 
 def _has_decimal_commas(line: str) -> bool:
     """Four numbers like 1,5 between semicolons or blanks."""
-    words = line.replace(";", " ").split()
-    parts = [word.split(",") for word in words]
+    fields = line.replace(";", " ").split()
+    parts = [word.split(",") for word in fields]
     return (
-        len(words) == 4
+        len(fields) == 4
         and all(
             len(pair) <= 2 and all(part.lstrip("+-").isdigit() for part in pair) for pair in parts
         )

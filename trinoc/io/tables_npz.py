@@ -62,10 +62,10 @@ def list_arrays(table: Table, prefix: str = "") -> dict[str, np.ndarray]:
             case Table():
                 arrays |= list_arrays(value, prefix + field.array_prefix)
             case dict() if field.type == dict[str, int]:
-                for own, array in zip(_names_of_counts(name), (list(value), list(value.values()))):
-                    arrays[own] = _array(array, "iU"[own.endswith("names")])
+                for key, array in zip(_names_of_counts(name), (list(value), list(value.values()))):
+                    arrays[key] = _array(array, "iU"[key.endswith("names")])
             case dict():
-                arrays |= {prefix + field.array_prefix + own: _array(a) for own, a in value.items()}
+                arrays |= {prefix + field.array_prefix + key: _array(a) for key, a in value.items()}
             case tuple() if field.column.blocks:
                 flat = [np.asarray(block).reshape(-1) for block in value]
                 arrays[name] = np.concatenate([*flat, np.zeros(0)])
@@ -94,7 +94,7 @@ def build_table(kind: type[_Value], fields: "ArrayFields") -> _Value:
     return kind(**read.values)
 
 
-def _read(field: Field, fields: "ArrayFields", read: Content, words: Mapping[str, str]) -> Any:
+def _read(field: Field, fields: "ArrayFields", read: Content, side_names: Mapping[str, str]) -> Any:
     """The value of one field. Raises InputError where its array is missing or another."""
     name, column = field.name, field.column
     if isinstance(field.type, type) and issubclass(field.type, Table):
@@ -110,8 +110,8 @@ def _read(field: Field, fields: "ArrayFields", read: Content, words: Mapping[str
             typing.get_args(field.type)[1].dim_str.split(),
         )
         if "..." in sides:
-            return {own: inner.arrays[inner.prefix + own] for own in inner.remaining()}
-        return {own: inner.take(own, "U", (None,), "words") for own in inner.every()}
+            return {key: inner.arrays[inner.prefix + key] for key in inner.remaining()}
+        return {key: inner.take(key, "U", (None,), "words") for key in inner.every()}
     if column.blocks:
         sizes = column.blocks(read)
         ends = np.cumsum([0, *(size**2 for size in sizes)])
@@ -127,8 +127,10 @@ def _read(field: Field, fields: "ArrayFields", read: Content, words: Mapping[str
         return tuple(map(str, texts))
     if typing.get_origin(field.type) is tuple:
         return tuple(map(int, fields.take(name, "i", (None,), name))) or None
-    known = [side for side in field.sides if side in words]
-    what = " in ".join(f"{read.sides.get(side, '')} {words[side]}".strip() for side in known)
+    named_sides = [side for side in field.sides if side in side_names]
+    what = " in ".join(
+        f"{read.sides.get(side, '')} {side_names[side]}".strip() for side in named_sides
+    )
     shape = [int(side) if side.isdigit() else read.sides.get(side) for side in field.sides]
     array = fields.take(name, field.kind, tuple(shape), what or "values")
     read.sides.update((s, n) for s, n in zip(field.sides, array.shape) if not s.isdigit())
@@ -165,7 +167,7 @@ class ArrayFields:
         self._taken: set[str] = set()
 
     def has(self, field: Field) -> bool:
-        """Whether there is anything of a field."""
+        """Test for any array of a field."""
         if field.type == dict[str, int]:
             return self.prefix + _names_of_counts(field.name)[0] in self.arrays
         if typing.get_origin(field.type) is dict or hasattr(field.type, "KIND"):
@@ -192,10 +194,10 @@ class ArrayFields:
         None in `shape` is any length; `what` says in words what needs this shape. Raises
         InputError where the file lacks it or holds another.
         """
-        whole = self.prefix + name
-        if whole not in self.arrays:
-            raise InputError(f'{self.file} lacks the array "{whole}": {self.remedy}.')
-        array = self.arrays[whole]
+        full_name = self.prefix + name
+        if full_name not in self.arrays:
+            raise InputError(f'{self.file} lacks the array "{full_name}": {self.remedy}.')
+        array = self.arrays[full_name]
         self._taken.add(name)
         if len(shape) != array.ndim or any(
             want not in (None, got) for want, got in zip(shape, array.shape, strict=True)

@@ -21,7 +21,7 @@ _FFMPEG_LOG = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 
 
 class Video(NamedTuple):
-    """What a video file says of itself.
+    """Properties that a video file states.
 
     frames : how many, 0 where it does not say; the last may be missing. size_px : (width, height).
     turned_deg : by how much it asks to be turned when it is shown.
@@ -50,10 +50,10 @@ def open_videos(files: Mapping[str, Path]) -> dict[str, Video]:
 
 
 def compare_videos(videos: Sequence[Video]) -> list[str]:
-    """What may be wrong with videos beside each other, a sentence each: lengths, sizes, a turn."""
+    """Warnings on videos of one rig, a sentence each: lengths, sizes, orientation."""
     remarks = []
-    known = [video for video in videos if video.frames]
-    shortest, longest = (f(known or videos, key=lambda video: video.frames) for f in (min, max))
+    counted = [video for video in videos if video.frames]
+    shortest, longest = (f(counted or videos, key=lambda video: video.frames) for f in (min, max))
     if longest.frames - shortest.frames > 1:
         remarks.append(
             f"{longest.file} has {longest.frames} frames and {shortest.file} {shortest.frames}: "
