@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import trinoc
-from trinoc.cli.command import LOGGER, Interruption, Job, Outcome, UsageError
+from trinoc.cli.command import LOGGER, Interruption, Job, Outcome, UsageError, pick
 from trinoc.cli.options import Settings
 from trinoc.cli.segments import ANYWHERE, depth_range, find_settings
 from trinoc.cli.views import SEGMENT_SUFFIXES, doubts_table, find_doubts, read_rig
@@ -159,8 +159,7 @@ def _outcome(result: "BatchOutcome", report: Path | None) -> Outcome:
         sentences.append(f"{result.suspect} do not seem to belong to the rig")
     if result.uncertain:
         sentences.append(f"use {result.uncertain} with care; the manifest says why")
-    names = ("frames", "failed", "suspect", "uncertain", "tracks", "earlier")
-    record = {name: getattr(result, name) for name in names}
+    record = pick(result, "frames", "failed", "suspect", "uncertain", "tracks", "earlier")
     record["workers"] = result.workers if result.frames > result.earlier else 0
     refusal = None
     if result.frames and result.failed == result.frames:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import trinoc
-from trinoc.cli.command import LOGGER, Job, Outcome, UsageError, plan_outcome
+from trinoc.cli.command import LOGGER, Job, Outcome, UsageError, pick, plan_outcome
 from trinoc.cli.lens_options import NO_NUMBERS, SIGMA, LensOptions, print_systematics
 from trinoc.cli.options import Settings
 from trinoc.cli.settings import read_settings
@@ -176,9 +176,7 @@ def calibration_record(result: "trinoc.calib.CalibrationResult") -> dict[str, An
                 "method": result.fits[name].method,
                 "parameters": parameters[name],
                 "circles": int(result.fits[name].used.sum()),
-                "rms_px": result.fits[name].rms_px,
-                "reduced_chi_square": result.fits[name].reduced_chi_square,
-                "notes": list(result.fits[name].notes),
+                **pick(result.fits[name], "rms_px", "reduced_chi_square", "notes"),
             }
             for name, status in result.status.items()
         },

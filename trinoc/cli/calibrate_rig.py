@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import trinoc
-from trinoc.cli.command import LOGGER, Bar, Job, Outcome, UsageError
+from trinoc.cli.command import LOGGER, Bar, Job, Outcome, UsageError, pick
 from trinoc.cli.lens_options import BOARD_SIGMA, print_systematics, read_lenses
 from trinoc.cli.options import Settings
 from trinoc.cli.settings import read_settings
@@ -14,7 +14,6 @@ from trinoc.cli.views import files_of_views
 if TYPE_CHECKING:
     from trinoc.calib.advice.next_shot import NextShot
     from trinoc.calib.result.camera_pairs import CameraPair
-    from trinoc.calib.result.halves import FieldDifference
     from trinoc.calib.targets.abstract_target import AbstractTarget
 
 LensModel = Literal["default", "brown_conrady", "rational", "thin_prism", "kannala_brandt", "auto",
@@ -165,29 +164,13 @@ def board_files(files: Sequence[Path]) -> dict[str, Path]:
 
 def shot_record(advice: "NextShot | None") -> dict[str, Any] | None:
     """The shot to take next, as JSON can hold it."""
-    if advice is None:
-        return None
-    return {
-        "sentence": advice.sentence,
-        "cameras": list(advice.cameras),
-        "world_from_board": advice.world_from_board.tolist(),
-        "error_now_px": advice.error_now_px,
-        "error_then_px": advice.error_then_px,
-        "sigma_then": dict(advice.sigma_then),
-    }
-
-
-def _field_record(field: "FieldDifference") -> dict[str, Any]:
-    """Difference of two halves over the field, root mean square, at the boards and farther."""
-    return {
-        "distance_mm": field.distance_mm.tolist(),
-        "rms_px": field.rms_px.tolist(),
-        "over_sigma": field.rms_over_sigma.tolist(),
-    }
+    names = ("sentence", "cameras", "world_from_board", "error_now_px", "error_then_px")
+    return None if advice is None else pick(advice, *names, "sigma_then")
 
 
 def _pair_record(pair: "CameraPair") -> dict[str, Any]:
     """Baseline and relative rotation of two cameras, as JSON can hold it."""
+    turns = zip("xyz", pair.turn_deg, pair.turn_sigma_deg, strict=True)
     return {
         "cameras": [pair.first, pair.second],
         "baseline_mm": {
@@ -198,10 +181,9 @@ def _pair_record(pair: "CameraPair") -> dict[str, Any]:
         },
         "angle_deg": {"value": pair.angle_deg, "sigma": pair.angle_sigma_deg},
         "turn_deg": {
-            axis: {"value": float(value), "sigma": float(sigma)}
-            for axis, value, sigma in zip("xyz", pair.turn_deg, pair.turn_sigma_deg, strict=True)
+            axis: {"value": float(value), "sigma": float(sigma)} for axis, value, sigma in turns
         },
-        "second_from_first": pair.second_from_first.tolist(),
+        **pick(pair, "second_from_first"),
     }
 
 
@@ -229,28 +211,23 @@ def rig_record(result: "trinoc.calib.CalibrationResult") -> dict[str, Any]:
         "pairs": [_pair_record(pair) for pair in result.pairs],
         "pixel_sigma": pixel
         and {
-            "median_px": pixel.median_px,
-            "worst_px": pixel.worst_px,
+            **pick(pixel, "median_px", "worst_px"),
             "board_size_px": pixel.size_px,
         },
-        "shots": list(result.shots),
-        "world": result.world,
+        **pick(result, "shots", "world", "failures", "refused", "notes"),
         "boards": {name: {"reference_from_board": pose.tolist()} for name, pose in poses},
         "halves": halves
         and {
-            "ratio": halves.ratio,
-            "worst": halves.worst,
-            "worst_ratio": halves.worst_ratio,
-            "over_field": {field.camera: _field_record(field) for field in halves.over_field},
+            **pick(halves, "ratio", "worst", "worst_ratio"),
+            # How far apart both halves image points, root mean square over the field.
+            "over_field": {
+                field.camera: {
+                    **pick(field, "distance_mm", "rms_px"),
+                    "over_sigma": field.rms_over_sigma.tolist(),
+                }
+                for field in halves.over_field
+            },
         },
-        "cross_validation": held_out
-        and {
-            "shots": held_out.shots,
-            "own_px": dict(held_out.own_px),
-            "across_px": dict(held_out.across_px),
-        },
+        "cross_validation": held_out and pick(held_out, "shots", "own_px", "across_px"),
         "sigmas_include": ["noise", *result.systematics],
-        "failures": dict(result.failures),
-        "refused": list(result.refused),
-        "notes": list(result.notes),
     }

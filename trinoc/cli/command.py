@@ -175,9 +175,17 @@ def plan_outcome(
     return Outcome("\n".join(lines), record, written=())
 
 
-def with_nulls(record: Mapping[str, Any]) -> dict[str, Any]:
-    """The record as JSON can hold it: null for NaN."""
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in record.items()
-    }
+def pick(value: object, *names: str) -> dict[str, Any]:
+    """The named attributes of a value, as JSON can hold them."""
+    return {name: as_json(getattr(value, name)) for name in names}
+
+
+def as_json(value: Any) -> Any:
+    """A value as JSON can hold it: lists for arrays and tuples, null for NaN and infinity."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(name): as_json(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

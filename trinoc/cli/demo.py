@@ -1,7 +1,6 @@
 """`trinoc demo`: the whole job on bundled pictures, ending in a report."""
 
 import contextlib
-import math
 import shlex
 import shutil
 import time
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import trinoc
 from trinoc.cli.calibrate import calibration_record
-from trinoc.cli.command import LOGGER, Job, Outcome
+from trinoc.cli.command import LOGGER, Job, Outcome, as_json
 from trinoc.cli.match import match_record, refusal_of
 from trinoc.cli.views import make_folder
 
@@ -79,7 +78,7 @@ def demo(
             f"{error.camera}.{error.parameter}": {
                 "known": error.known,
                 "error": error.error,
-                "error_over_sigma": error.over_sigma if math.isfinite(error.over_sigma) else None,
+                "error_over_sigma": as_json(error.over_sigma),
             }
             for error in errors
         },

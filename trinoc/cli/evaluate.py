@@ -1,14 +1,13 @@
 """`trinoc evaluate`: the accuracy of matched segments against a known shape."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import trinoc
-from trinoc.cli.command import Job, Outcome, UsageError, with_nulls
+from trinoc.cli.command import Job, Outcome, UsageError, as_json, pick
 from trinoc.cli.views import read_rig
 
 if TYPE_CHECKING:
-    from trinoc.evaluation.alignment import RigidMotion
     from trinoc.geometry.unindependent_lines import UncertainLines
 
 
@@ -84,11 +83,12 @@ def evaluate(
     text = evaluation_text(result)
     if result.status is not EvaluationStatus.COMPARED:
         text += f"\n\n{result.status.value}"
+    motion = result.motion
     record = {
         "wanted": shape.wanted,
         "status": result.status.value,
-        **with_nulls(row),
-        "motion": _motion_record(result.motion),
+        **as_json(row),
+        "motion": motion and pick(motion, "rotation", "shift_mm", "turn_deg", "rank"),
     }
     return Outcome(text, record, written=(out,))
 
@@ -113,15 +113,3 @@ def _lines(
     if rig is None:
         return independent_lines(tracks.lines_mm, tracks.covariance_mm2)
     return lines_of_form(tracks, rig, form)
-
-
-def _motion_record(motion: "RigidMotion | None") -> dict[str, Any] | None:
-    """The motion that laid the segments on the shape."""
-    if motion is None:
-        return None
-    return {
-        "rotation": motion.rotation.tolist(),
-        "shift_mm": motion.shift_mm.tolist(),
-        "turn_deg": motion.turn_deg,
-        "rank": motion.rank,
-    }

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import trinoc
-from trinoc.cli.command import LOGGER, Job, Outcome, with_nulls
+from trinoc.cli.command import LOGGER, Job, Outcome, as_json, pick
 from trinoc.cli.views import read_rig, read_scene
 from trinoc.errors import CalibrationError
 
@@ -81,7 +81,7 @@ def _refine_record(result: "trinoc.calib.RefineResult") -> dict[str, Any]:
     variances = result.covariance.diagonal()
     return {
         "status": result.status.name.lower(),
-        "gauge": result.gauge,
+        **pick(result, "gauge", "segment_sigma_factor", "sheet_sigma_factor"),
         "parameters": {
             name: {"value": float(value), "sigma": float(max(variance, 0.0)) ** 0.5}
             for name, value, variance in zip(
@@ -91,9 +91,7 @@ def _refine_record(result: "trinoc.calib.RefineResult") -> dict[str, Any]:
         "lines": len(result.lines),
         "log_posterior": list(result.history),
         "fragments_that_agree": int(result.inlier.sum()),
-        "segment_sigma_factor": result.segment_sigma_factor,
-        "sheet_sigma_factor": result.sheet_sigma_factor,
-        "chi_square": {"after": result.chi_square[0], "before": result.chi_square[1]},
+        "chi_square": dict(zip(("after", "before"), result.chi_square, strict=True)),
     }
 
 
@@ -132,8 +130,7 @@ def check(
         provenance = job.provenance({"rig": rig, **scene.files})
         trinoc.save(refined.rig, written, provenance=provenance, overwrite=True)
     record = {
-        "conclusive": result.conclusive,
-        "moved": list(result.moved),
+        **pick(result, "conclusive", "moved"),
         "corrected": refined is not None,
         "sigmas": {motion.name: motion.sigmas for motion in result.motions},
     }
@@ -175,9 +172,7 @@ def compare(
     record = {
         "moved": [name for name, change in comparison.cameras.items() if change.moved],
         "swapped": [list(pair) for pair in comparison.swapped],
-        "cameras": {
-            name: with_nulls(change._asdict()) for name, change in comparison.cameras.items()
-        },
+        "cameras": as_json({n: change._asdict() for n, change in comparison.cameras.items()}),
     }
     return Outcome("\n".join([*comparison.sentences, text_table(head, rows)]), record)
 

@@ -89,23 +89,19 @@ def _differing(words: Sequence[str]) -> list[str]:
     """The words without what all begin and end with, cut where a part of a name ends."""
     if len(words) == 1:
         return list(words)
-    begin = _whole_parts(_common_start(words))
+    begin = _shared_parts(words)
     rest = [word[len(begin) :] for word in words]
-    end = _whole_parts(_common_start([word[::-1] for word in rest]))
+    end = _shared_parts([word[::-1] for word in rest])
     return [word[: len(word) - len(end)] for word in rest]
 
 
-def _common_start(words: Sequence[str]) -> str:
-    """The letters that all words begin with."""
-    first, last = min(words), max(words)
-    count = next((k for k, pair in enumerate(zip(first, last)) if pair[0] != pair[1]), len(first))
-    return first[:count]
+def _shared_parts(words: Sequence[str]) -> str:
+    """The beginning of all words, as far as the last sign between parts.
 
-
-def _whole_parts(shared: str) -> str:
-    """As far as the last sign between parts: "sheet_l" of sheet_left, sheet_low is "sheet_"."""
-    last = max(shared.rfind(sign) for sign in _BETWEEN)
-    return shared[: last + 1]
+    Of sheet_left and sheet_low it is "sheet_", not "sheet_l".
+    """
+    shared = os.path.commonprefix(words)  # noqa: RUF071, letter by letter
+    return shared[: max(shared.rfind(sign) for sign in _BETWEEN) + 1]
 
 
 def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, Path]:
