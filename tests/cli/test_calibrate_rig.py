@@ -56,6 +56,13 @@ def test_mistakes_are_told_in_one_sentence(places, says, status, tmp_path, monke
     assert not (tmp_path / "rig.json").exists()
 
 
+@pytest.mark.parametrize("command", [["calibrate-rig", "left=pictures"], ["intrinsics", "a.png"]])
+def test_a_board_that_is_not_given_is_asked_for(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(command) == 2
+    assert "add --board FILE" in capsys.readouterr().err
+
+
 def test_a_rig_whose_lens_is_refuted_is_written_and_counts_as_failed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pictures").mkdir()

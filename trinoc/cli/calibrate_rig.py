@@ -144,6 +144,8 @@ def load_boards(files: Sequence[Path]) -> "AbstractTarget":
 
     Their own names count where they differ, else those of the files, else their numbers.
     """
+    if not files:
+        raise UsageError("No board is given: add --board FILE, as `trinoc pattern` writes it.")
     boards = [trinoc.io.load_target(file) for file in files]
     if len(boards) == 1:
         return boards[0]
