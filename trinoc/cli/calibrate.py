@@ -201,12 +201,12 @@ def _keep_of_failure(
     refuse : returns why the rig of the other cameras may not be written, or None.
     """
     from trinoc.capture.annotated import failure_picture
-    from trinoc.capture.judgement import judge
+    from trinoc.capture.image_quality import measure_quality
     from trinoc.io.atomic import as_file_name
 
     sentences = [str(error)]
     for name, failure in error.failures.items():
-        faults = judge(name, pictures[name], pattern).faults
+        faults = measure_quality(name, pictures[name], pattern).faults
         place = out.with_name(f"{out.stem}-{as_file_name(name)}-failed.png")
         trinoc.io.write_picture(place, failure_picture(pictures[name], [failure, *faults]))
         causes = f" (there {'; '.join(faults)})" if faults else ""

@@ -8,7 +8,7 @@ from trinoc.cli.command import Job, Outcome, UsageError, as_json, pick
 from trinoc.cli.views import read_rig
 
 if TYPE_CHECKING:
-    from trinoc.geometry.unindependent_lines import UncertainLines
+    from trinoc.geometry.uncertain_lines import UncertainLines
 
 
 def evaluate(
