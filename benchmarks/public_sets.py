@@ -56,7 +56,8 @@ def by_trinoc(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
 def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
     import numpy as np
 
-    from trinoc.cli.calibrate_rig import CalibrateRigCommand
+    from trinoc.cli.calibrate_rig import calibrate_shots
+    from trinoc.cli.command import Job
     from trinoc.cli.main import compile_quickly
     from trinoc.errors import TrinocError
     from trinoc.io.compile_cache import enable_compile_cache
@@ -66,15 +67,13 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
     enable_compile_cache()
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch, "rig.json")
-        command = CalibrateRigCommand(
-            shots=tuple(f"{camera}={folder / camera}" for camera in entry["cameras"]),
-            board=(folder / "board.json",),
-            lens_model=entry.get("lens_model", "default"),
-            out=out,
-            quiet=True,
-        )
+        places = {camera: folder / camera for camera in entry["cameras"]}
+        choices = {"lens_model": entry.get("lens_model", "default")}
+        job = Job(quiet=True, command_line="benchmark")
         try:
-            result, outcome = command.calibrate("benchmark")
+            result, outcome = calibrate_shots(
+                places, (folder / "board.json",), (), {}, choices, None, out, job
+            )
         except TrinocError as error:
             return {"status": "refused", "error": str(error)}
         except Exception as error:  # every other exception is a failure to count

@@ -8,8 +8,7 @@ import pytest
 
 from tests.capture.made_boards import CHESSBOARD, board_picture, hold_board
 from tests.report.test_shots import made_up
-from trinoc.calib import Status, rig_calibration
-from trinoc.calib.advice import next_shot
+from trinoc.calib import Status
 from trinoc.cli.main import main
 from trinoc.io import load_target
 from trinoc.io.rig_json import load_rig_status
@@ -57,14 +56,21 @@ def test_mistakes_are_told_in_one_sentence(places, says, status, tmp_path, monke
     assert not (tmp_path / "rig.json").exists()
 
 
+@pytest.mark.parametrize("command", [["calibrate-rig", "left=pictures"], ["intrinsics", "a.png"]])
+def test_a_board_that_is_not_given_is_asked_for(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(command) == 2
+    assert "add --board FILE" in capsys.readouterr().err
+
+
 def test_a_rig_whose_lens_is_refuted_is_written_and_counts_as_failed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pictures").mkdir()
     cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
     assert main(["pattern", "charuco", "-o", "board.json", "--quiet"]) == 0
     refuted = made_up(status=Status.SUSPECT, notes=("Another lens.",))
-    monkeypatch.setattr(rig_calibration, "calibrate_rig", lambda *_, **__: refuted)
-    monkeypatch.setattr(next_shot, "next_shot", lambda _: None)
+    monkeypatch.setattr("trinoc.calibrate_rig", lambda *_, **__: refuted)
+    monkeypatch.setattr("trinoc.next_shot", lambda _: None)
     assert main(["calibrate-rig", "left=pictures", "--board", "board.json", "--quiet"]) == 1
     assert "SUSPECT, and rig.json says so: Another lens." in capsys.readouterr().err
     cameras = load_rig_status("rig.json").cameras

@@ -12,16 +12,17 @@ import trinoc
 
 # A command that raises, warns, or both, as the program of a process of its own.
 _PROGRAM = """
-import sys, warnings
+import functools, sys, warnings
 import numpy as np
 from trinoc.cli import program
 from trinoc.cli.command import Outcome
-from trinoc.cli.segments import SegmentsCommand
+from trinoc.cli import segments
 
-def job(self, command_line):
+@functools.wraps(segments.segments)
+def job(*_, **__):
     {body}
 
-SegmentsCommand.run = job
+segments.segments = job
 sys.exit(program.run())
 """
 _SINGULAR = "np.linalg.inv(np.zeros((2, 2)))"

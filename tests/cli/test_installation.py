@@ -5,7 +5,8 @@ import importlib.metadata
 import pytest
 
 import trinoc
-from trinoc.cli.main import OPENCV, main
+from trinoc.cli.installation import OPENCV
+from trinoc.cli.main import main
 
 
 def test_all_is_well_here(

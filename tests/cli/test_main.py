@@ -1,22 +1,67 @@
 """What the command prints where, and how it ends."""
 
 import json
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import trinoc
+from tests.io.formats.bench import bench_matches
 from trinoc.cli.main import main
 
 HEAVY = "jax numpy cv2 equinox optimistix jinja2 skimage scipy matplotlib"
+MATCHER = "trinoc.match.matcher trinoc.segments.find trinoc.evaluation.lines_of_rig"
+CALIBRATIONS = "trinoc.calib.problem trinoc.calib.photometric optimistix lineax"
+# Of SciPy what takes a tenth of a second, and is used by few functions.
+SCIPY = "scipy.special scipy.spatial scipy.linalg scipy.sparse scipy.io"
+PAGES = "trinoc.report.html jinja2 skimage matplotlib"
+RUN = "from trinoc.cli.main import main; main({})"
+# What a command needs before its work, and what it must not import, by name.
+IMPORTS = {
+    "import trinoc": HEAVY,
+    "from trinoc.cli.main import main": HEAVY,
+    RUN.format(["--help"]): HEAVY,
+    RUN.format(["match", "--help"]): HEAVY,
+    "import trinoc; trinoc.load_rig, trinoc.save": f"{MATCHER} {CALIBRATIONS} {SCIPY} {PAGES}",
+    "import trinoc; trinoc.calibrate, trinoc.save, trinoc.Systematics, trinoc.io.read_views": (
+        f"{MATCHER} {SCIPY} {PAGES}"
+    ),
+    "import trinoc, trinoc.report.text; trinoc.match_segments, trinoc.find_segments, trinoc.save; "
+    "trinoc.match.improve, trinoc.with_rig_covariance": (
+        f"{CALIBRATIONS} {PAGES} trinoc.match.pixels.measure trinoc.match.rims.rim_search "
+        "trinoc.match.wire_frame.build"
+    ),
+}
 
 
-@pytest.mark.parametrize("statement", ["import trinoc", "from trinoc.cli.main import main"])
-def test_start_imports_nothing_heavy(statement):
-    check = f"import sys; {statement}; print(*set('{HEAVY}'.split()) & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == ""
+@pytest.mark.parametrize("statement", IMPORTS)
+def test_nothing_is_imported_that_is_not_used(statement, tmp_path):
+    assert imported(statement, IMPORTS[statement], tmp_path) == set()
+
+
+def test_an_export_imports_no_calibration_matcher_or_page(tmp_path):
+    trinoc.save(bench_matches(), tmp_path / "m.npz")
+    run = RUN.format(["export", "m.npz", "--to", "ply", "-o", "m.ply"])
+    names = f"{MATCHER} {CALIBRATIONS} {SCIPY} {PAGES}"
+    assert imported(run, names, tmp_path) == set()
+    assert (tmp_path / "m.ply").exists()
+
+
+def imported(statement: str, names: str, folder: Path) -> set[str]:
+    """Those of the modules that a process of its own has imported after a statement."""
+    script = f"import sys; {statement}; print(); print(*set('{names}'.split()) & set(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(Path(trinoc.__file__).parents[1])},
+    )
+    return set(done.stdout.split("\n")[-2].split())
 
 
 def test_version(capsys):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import trinoc
-import trinoc.match.steps  # imported here, it keeps the real match_segments
 from tests.match.made import sure_matches
 from trinoc.cli.main import main
 from trinoc.io.frames_files import manifest_lines
@@ -35,7 +34,7 @@ def test_match_has_one_verdict_everywhere(kind, doubts, tmp_path, capsys, monkey
     monkeypatch.chdir(tmp_path)
     matches = MATCHES[kind]
     assessment = assess_matches(matches, doubts)
-    monkeypatch.setattr("trinoc.match.matcher.match_segments", lambda *_, **__: matches)
+    monkeypatch.setattr("trinoc.match_segments", lambda *_, **__: matches)
     monkeypatch.setattr("trinoc.cli.match.find_doubts", lambda _: doubts)
     trinoc.save(table1_rig().take(matches.views), "rig.json")
     ends = np.random.default_rng(1).uniform(0, 470, (len(matches), 4))

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tyro
 from hypothesis import given, strategies as st
 
 import trinoc
-from trinoc.cli.calibrate import CalibrateCommand
+from trinoc.cli.calibrate import calibrate
 from trinoc.cli.command import UsageError
 from trinoc.cli.lens_options import BOARD_SIGMA, SIGMA, LensOptions
-from trinoc.cli.main import main
+from trinoc.cli.main import main, parse_arguments
 from trinoc.cli.segments import FIND
 from trinoc.cli.settings import (
     parse_integer,
@@ -115,11 +114,10 @@ def test_lens_that_cannot_be_is_refused():
 def test_pictures_may_follow_the_options(lens):
     """An option that takes any number of values would swallow them."""
     options, pictures = ("--pattern", "p.json", *lens), ("upper=u.png", "left=l.png")
-    config = (tyro.conf.OmitArgPrefixes,)
-    before = tyro.cli(CalibrateCommand, args=[*pictures, *options], config=config)
-    after = tyro.cli(CalibrateCommand, args=[*options, *pictures], config=config)
+    before = parse_arguments(["calibrate", *pictures, *options])
+    after = parse_arguments(["calibrate", *options, *pictures])
     assert before == after
-    assert after.images == pictures
+    assert after.arguments["images"] == pictures
 
 
 @pytest.mark.parametrize(
@@ -138,7 +136,7 @@ def test_pictures_may_follow_the_options(lens):
     ],
 )
 def test_files_between_options_are_taken(typed, meant):
-    assert put_files_first(CalibrateCommand, typed.split()) == meant.split()
+    assert put_files_first(calibrate, typed.split()) == meant.split()
 
 
 def test_what_a_board_has_may_stand_behind_its_options(tmp_path):

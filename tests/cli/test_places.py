@@ -7,12 +7,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import tyro
 
 import trinoc
 from tests.io.formats.bench import bench_matches
-from trinoc.cli.command import expect_places
-from trinoc.cli.main import AnyCommand, main
+from trinoc.cli.checks import expect_options
+from trinoc.cli.main import main, parse_arguments
 from trinoc.match.tracks.reliability import assess_matches
 from trinoc.synth import table1_rig
 
@@ -64,8 +63,7 @@ def test_no_result_goes_over_another_file_of_the_job(folder, arguments, said, ca
 def test_a_rig_may_take_the_place_of_the_one_it_was_made_from() -> None:
     refine = ("refine", "--matches", "left.npz", "--rig", "rig.json", "-o", "rig.json")
     for arguments in (refine, (*CALIBRATE, "--orientation", "rig.json", "-o", "rig.json")):
-        config = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
-        expect_places(tyro.cli(AnyCommand, args=arguments, config=config))
+        expect_options(parse_arguments(arguments))
 
 
 def test_a_link_to_what_is_read_is_what_is_read(folder, capsys):

@@ -8,7 +8,7 @@ import pytest
 
 import trinoc
 from trinoc.calib import RigCheck
-from trinoc.cli.command import UsageError
+from trinoc.cli.command import Job, UsageError
 from trinoc.cli.main import main
 from trinoc.cli.views import read_scene
 from trinoc.errors import InputError
@@ -18,12 +18,12 @@ from trinoc.synth import table1_rig
 @pytest.mark.parametrize(("pictures", "matches"), [((), None), (("upper=a.png",), Path("m.npz"))])
 def test_either_pictures_or_matches(pictures, matches):
     with pytest.raises(UsageError, match="either NAME=FILE for each camera"):
-        read_scene(pictures, matches, table1_rig(), Path("rig.json"), quiet=True)
+        read_scene(pictures, matches, table1_rig(), Path("rig.json"), Job(quiet=True))
 
 
 def test_pictures_are_those_of_the_rig():
     with pytest.raises(InputError, match="no camera"):
-        read_scene(("other=a.png",), None, table1_rig(), Path("rig.json"), quiet=True)
+        read_scene(("other=a.png",), None, table1_rig(), Path("rig.json"), Job(quiet=True))
 
 
 @pytest.mark.parametrize("command", ["check", "refine"])
@@ -37,8 +37,8 @@ def test_a_scene_that_is_not_given_is_wrong_usage(command, tmp_path, capsys):
 def test_a_check_is_told_in_the_words_of_its_result(conclusive, tmp_path, capsys, monkeypatch):
     check = RigCheck((), ("left",) if conclusive else (), None, conclusive)
     scene = SimpleNamespace(matches=(), tolerant=None, strict=None, files={})
-    monkeypatch.setattr("trinoc.calib.rig_check.knocked.check_rig", lambda *_, **__: check)
-    monkeypatch.setattr("trinoc.cli.views.read_scene", lambda *_, **__: scene)
+    monkeypatch.setattr("trinoc.check_rig", lambda *_, **__: check)
+    monkeypatch.setattr("trinoc.cli.refine.read_scene", lambda *_, **__: scene)
     trinoc.save(table1_rig(), tmp_path / "rig.json")
     assert main(["check", "--rig", str(tmp_path / "rig.json"), "--matches", "m.npz", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {

@@ -19,7 +19,6 @@ from tests.capture.made_boards import (
     matrix,
     move_poses,
 )
-from trinoc.cli.calibrate_rig import CalibrateRigCommand
 from trinoc.cli.main import main
 from trinoc.geometry.rig import Rig
 from trinoc.io.board_json import save_target
@@ -192,17 +191,17 @@ def test_too_few_shots_are_kept_and_gone_on_with(folder, capsys, monkeypatch) ->
     assert again[:2] == ["trinoc", "watch"]
     calibrated = []
 
-    def calibrate(command: CalibrateRigCommand, _: str) -> None:
-        calibrated.append(command.shots)
+    def calibrate(places: dict[str, Path], *_: object) -> None:
+        calibrated.append(places)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(CalibrateRigCommand, "calibrate", calibrate)
+    monkeypatch.setattr("trinoc.cli.watch.calibrate_shots", calibrate)
     assert main(again[1:]) == 130
     out, err = capsys.readouterr()
     assert "shot_0001: kept as shot_0001" in out
     assert "picture 1: nothing new" in out
     assert "picture 2: kept as shot_0003" in out
-    assert calibrated == [("left=rig_shots/left", "right=rig_shots/right")]
+    assert calibrated == [{name: Path("rig_shots", name) for name in ("left", "right")}]
     assert "Interrupted: The shots are kept in rig_shots; go on by: trinoc watch" in err
 
 

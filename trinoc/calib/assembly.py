@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.linalg import block_diag
 
 from trinoc.calib import sentences
 from trinoc.calib.adjustment.adjustment import Adjustment
@@ -82,7 +82,7 @@ def result_of_adjustments(
             pose_values = values_of_parameters(adjustment.parameters(view))
             values.append(pose_values[: len(pose_parameters)])
             parameters += [f"{name}.{parameter}" for parameter in pose_parameters]
-    covariance = np.asarray(block_diag(*covariance_blocks))
+    covariance = np.asarray(scipy.linalg.block_diag(*covariance_blocks))
     measurement = advise_measurement([final for _, final in fits], priors.systematics)
     tests = [test for name in cameras for test in camera_fits[name].fixed_parameter_tests]
     advice = [sentences.undetectable_errors(*find_undetectable_errors(tests))]

@@ -1,187 +1,184 @@
 """`trinoc batch`: a recording, frame by frame, to matched 3-D segments."""
 
-import contextlib
-import dataclasses
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
-import tyro
-
-from trinoc.cli.command import (
-    LOGGER,
-    Command,
-    Interruption,
-    Out,
-    Outcome,
-    ReportOption,
-    UsageError,
-)
-from trinoc.cli.segments import DepthOption, FindOption
+import trinoc
+from trinoc.cli.command import LOGGER, Interruption, Job, Outcome, UsageError, pick
+from trinoc.cli.options import Settings
+from trinoc.cli.segments import ANYWHERE, depth_range, find_settings
 from trinoc.cli.views import SEGMENT_SUFFIXES, doubts_table, find_doubts, read_rig
 from trinoc.errors import list_names
 
 if TYPE_CHECKING:
     from trinoc.batch.run import BatchOutcome, BatchProgress
-    from trinoc.geometry.rig import Rig
 
 # Where no bar can be drawn, a line so often.
 LINE_EVERY_S = 60.0
-_BY_ITSELF = "(default: found by itself)"
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class BatchCommand(DepthOption, FindOption, ReportOption, Command):
-    """Match every frame of a recording. Stopped or killed, the same command goes on."""
+def batch(
+    frames: Path,
+    /,
+    *,
+    rig: Path,
+    template: str | None = None,
+    shard: str = "1/1",
+    frames_per_file: int = 16,
+    workers: str | None = None,
+    memory_gb: float | None = None,
+    depth_range_mm: tuple[float, float] = ANYWHERE,
+    find: Settings = (),
+    report: Path | None = None,
+    out: Path = Path("matches"),
+    job: Job,
+) -> Outcome:
+    """Match every frame of a recording. Stopped or killed, the same command goes on.
 
-    frames: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER|TABLE.csv")]
-    """A folder of pictures (or segments), or a CSV table: a column frame, and a column of file
-    names for each camera."""
+    Parameters
+    ----------
+    frames : FOLDER|TABLE.csv
+        A folder of pictures (or segments), or a CSV table: a column frame, and a column of file
+        names for each camera.
+    rig
+        The cameras, as `trinoc calibrate` writes them; a frame needs a file of each.
+    template : (default: found by itself)
+        How the files are named: {frame}_{camera}.png, {camera}/{frame}.tif, with * for anything.
+    shard : I/N
+        Job I of N, which does each N-th file of results; jobs may run at once in one folder.
+    frames_per_file
+        Frames that are matched together and stand in one file of results.
+    workers : N|tcp://... (default: all cores)
+        Processes of this machine, at most, or threads for short recordings; or the address of a
+        Dask scheduler, whose workers take their place.
+    memory_gb : GB (default: half of the machine's)
+        Memory that this process may take.
+    depth_range_mm : NEAR FAR (default: anywhere before them)
+        Least and greatest depth of lines before every camera that sees them.
+    find
+        How segments are found, by the options of `trinoc segments`: tolerance_px=1.6,
+        false_alarms=1, least_contrast=7, arcs=no, response=linear.
+    report
+        Also write an HTML report here: verdict, cameras, residuals and uncertainty over the field,
+        and what was matched.
+    out : FOLDER
+        The folder of results.
+    """
+    settings, depths_mm = find_settings(find), depth_range(depth_range_mm)
+    threads, scheduler = _workers(workers)
+    part = _shard(shard)
+    for name, value in (("frames-per-file", frames_per_file), ("memory-gb", memory_gb)):
+        if value is not None and not value > 0:
+            raise UsageError(f"--{name} is {value:g}: give more than 0.")
 
-    rig: Path
-    """The cameras, as `trinoc calibrate` writes them; a frame needs a file of each."""
-
-    template: Annotated[str | None, tyro.conf.arg(help_behavior_hint=_BY_ITSELF)] = None
-    """How the files are named: {frame}_{camera}.png, {camera}/{frame}.tif, with * for anything."""
-
-    shard: Annotated[str, tyro.conf.arg(metavar="I/N")] = "1/1"
-    """Job I of N, which does each N-th file of results; jobs may run at once in one folder."""
-
-    frames_per_file: int = 16
-    """Frames that are matched together and stand in one file of results."""
-
-    workers: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="N|tcp://...", help_behavior_hint="(default: all cores)"),
-    ] = None
-    """Processes of this machine, at most, or threads for short recordings; or the address of a Dask
-    scheduler, whose workers take their place."""
-
-    memory_gb: Annotated[
-        float | None, tyro.conf.arg(help_behavior_hint="(default: half of the machine's)")
-    ] = None
-    """Memory that this process may take."""
-
-    out: Out = Path("matches")
-    """The folder of results."""
-
-    def run(self, command_line: str) -> Outcome:
-        """Match all frames that are not done."""
-        settings = self.find_settings()
-        threads, scheduler = _workers(self.workers)
-        shard = _shard(self.shard)
-        depths = self.depths_mm()
-        for name in ("frames_per_file", "memory_gb"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise UsageError(f"--{name.replace('_', '-')} is {value:g}: give more than 0.")
-
-        from trinoc.batch.run import match_recording
-
-        rig = read_rig(self.rig)
-        with _progress(self.quiet) as tell:
-            try:
-                outcome = match_recording(
-                    self.frames,
-                    rig,
-                    self.out,
-                    template=self.template,
-                    find=settings,
-                    depth_range_mm=depths,
-                    shard=shard,
-                    frames_per_file=self.frames_per_file,
-                    threads_at_most=threads,
-                    in_processes=True,
-                    scheduler=scheduler,
-                    memory_gb=self.memory_gb,
-                    on_progress=tell,
-                )
-            except KeyboardInterrupt as error:
-                raise Interruption(
-                    f"Interrupted: {tell.done} of {tell.total} frames are done and kept in "
-                    f"{self.out}; the same command goes on from there."
-                ) from error
-        if self.report is not None and outcome.failed < outcome.frames:
-            self._write_report(rig, command_line)
-        return _outcome(outcome, self.report)
-
-    def _write_report(self, rig: "Rig", command_line: str) -> None:
-        """All frames of the folder, and the middle one with its pictures."""
-        from trinoc.batch.source import find_frames
-        from trinoc.batch.work import MatchingJob, frame_segments
-        from trinoc.cli.command import provenance
-        from trinoc.io.frames_files import load_recording
-        from trinoc.io.images import read_image
-        from trinoc.report.frames_part import frames_part
-
-        LOGGER.info("reading the results of all frames")
-        results = load_recording(self.out)
-        recording = frames_part(results, results.failures)
-        source = find_frames(self.frames, rig.names, self.template)
-        rig = rig.take(source.views)
-        (frame,) = (each for each in source.frames if each.name == recording.middle)
-        files = {name: source.folder / frame.files[name] for name in rig.names}
-        job = MatchingJob(source.folder, rig, self.find_settings(), self.depths_mm())
-        self.write_report(
-            provenance(command_line, {**files, "rig": self.rig}),
-            rig=rig,
-            segments=frame_segments(job, frame),
-            matches=results[frame.name],
-            scene_pictures={
-                name: read_image(file)
-                for name, file in files.items()
-                if file.suffix.lower() not in SEGMENT_SUFFIXES
-            },
-            title=f"Recording of {len(results):,} frames",
-            tables=doubts_table(self.rig),
-            doubts=find_doubts(self.rig),
-            recording=recording,
+    cameras = read_rig(rig)
+    progress = _Progress(quiet=job.quiet)
+    try:
+        outcome = trinoc.match_recording(
+            frames,
+            cameras,
+            out,
+            template=template,
+            find=settings,
+            depth_range_mm=depths_mm,
+            shard=part,
+            frames_per_file=frames_per_file,
+            threads_at_most=threads,
+            in_processes=True,
+            scheduler=scheduler,
+            memory_gb=memory_gb,
+            on_progress=progress.show,
         )
+    except KeyboardInterrupt as error:
+        raise Interruption(
+            f"Interrupted: {progress.done} of {progress.total} frames are done and kept in "
+            f"{out}; the same command goes on from there."
+        ) from error
+    finally:
+        progress.close()
+    if report is not None and outcome.failed < outcome.frames:
+        content = _report_content(frames, out, cameras, template, settings, depths_mm)
+        files = content.pop("files")
+        job.write_report(
+            report,
+            job.provenance({**files, "rig": rig}),
+            tables=doubts_table(rig),
+            doubts=find_doubts(rig),
+            **content,
+        )
+    return _outcome(outcome, report)
 
 
-def _outcome(found: "BatchOutcome", report: Path | None) -> Outcome:
-    here = found.frames - found.earlier
-    parts = [f"{found.frames} frames done, {found.tracks} tracks"]
-    if found.earlier:
-        parts.append(f"{found.earlier} of the frames by an earlier run")
-    if found.without:
-        parts.append(f"no picture of {list_names(found.without)}, which were left out")
-    if found.failed:
-        parts.append(f"{found.failed} failed; the manifest says why")
-    if found.suspect:
-        parts.append(f"{found.suspect} do not seem to belong to the rig")
-    if found.uncertain:
-        parts.append(f"use {found.uncertain} with care; the manifest says why")
-    record = {
-        "frames": found.frames,
-        "failed": found.failed,
-        "suspect": found.suspect,
-        "uncertain": found.uncertain,
-        "tracks": found.tracks,
-        "earlier": found.earlier,
-        "workers": found.workers if here else 0,
+def _report_content(
+    frames: Path,
+    out: Path,
+    rig: "trinoc.Rig",
+    template: str | None,
+    find: dict[str, Any],
+    depths_mm: tuple[float, float] | None,
+) -> dict[str, Any]:
+    """All frames of the folder of results, and the middle one with its pictures and its files."""
+    from trinoc.batch.source import find_frames
+    from trinoc.batch.work import MatchingJob, frame_segments
+    from trinoc.report.frames_part import frames_part
+
+    LOGGER.info("reading the results of all frames")
+    results = trinoc.load_recording(out)
+    recording = frames_part(results, results.failures)
+    source = find_frames(frames, rig.names, template)
+    rig = rig.take(source.views)
+    (frame,) = (each for each in source.frames if each.name == recording.middle)
+    files = {name: source.folder / frame.files[name] for name in rig.names}
+    return {
+        "files": files,
+        "rig": rig,
+        "segments": frame_segments(MatchingJob(source.folder, rig, find, depths_mm), frame),
+        "matches": results[frame.name],
+        "scene_pictures": {
+            name: trinoc.io.read_image(file)
+            for name, file in files.items()
+            if file.suffix.lower() not in SEGMENT_SUFFIXES
+        },
+        "title": f"Recording of {len(results):,} frames",
+        "recording": recording,
     }
+
+
+def _outcome(result: "BatchOutcome", report: Path | None) -> Outcome:
+    sentences = [f"{result.frames} frames done, {result.tracks} tracks"]
+    if result.earlier:
+        sentences.append(f"{result.earlier} of the frames by an earlier run")
+    if result.without:
+        sentences.append(f"no picture of {list_names(result.without)}, which were left out")
+    if result.failed:
+        sentences.append(f"{result.failed} failed; the manifest says why")
+    if result.suspect:
+        sentences.append(f"{result.suspect} do not seem to belong to the rig")
+    if result.uncertain:
+        sentences.append(f"use {result.uncertain} with care; the manifest says why")
+    record = pick(result, "frames", "failed", "suspect", "uncertain", "tracks", "earlier")
+    record["workers"] = result.workers if result.frames > result.earlier else 0
     refusal = None
-    if found.frames and found.failed == found.frames:
-        refusal = f"All {found.frames} frames failed: {found.manifest} says why."
-    elif found.suspect:
+    if result.frames and result.failed == result.frames:
+        refusal = f"All {result.frames} frames failed: {result.manifest} says why."
+    elif result.suspect:
         refusal = (
-            f"{found.suspect} of {found.frames} frames do not seem to belong to the rig: "
-            f"{found.manifest} says why."
+            f"{result.suspect} of {result.frames} frames do not seem to belong to the rig: "
+            f"{result.manifest} says why."
         )
-    written = (found.folder, found.manifest, report)
-    return Outcome(f"{'; '.join(parts)}.", record, refusal, written)
+    written = (result.folder, result.manifest, report)
+    return Outcome(f"{'; '.join(sentences)}.", record, refusal, written)
 
 
 def _shard(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
-    job, jobs = (int(found[1]), int(found[2])) if found else (0, 0)
-    if not 1 <= job <= jobs:
+    numbers = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+    part, parts = (int(numbers[1]), int(numbers[2])) if numbers else (0, 0)
+    if not 1 <= part <= parts:
         raise UsageError(f"--shard {text} is no job: write 1/4 to 4/4 for four of them.")
-    return job, jobs
+    return part, parts
 
 
 def _workers(text: str | None) -> tuple[int | None, str | None]:
@@ -196,58 +193,57 @@ def _workers(text: str | None) -> tuple[int | None, str | None]:
     return int(text), None
 
 
-class _Teller:
-    """Takes note of the progress, and shows it on stderr."""
+class _Progress:
+    """The progress on stderr: a bar with rate and time on a terminal, a line a minute elsewhere."""
 
-    def __init__(self, show: "Callable[[BatchProgress], None]") -> None:
-        self.done, self.total, self._show = 0, 0, show
+    def __init__(self, *, quiet: bool) -> None:
+        self.done, self.total = 0, 0
+        self._quiet, self._bar = quiet, None
+        self._first: BatchProgress | None = None
+        self._start_s = self._last_s = 0.0
 
-    def __call__(self, progress: "BatchProgress") -> None:
+    def show(self, progress: "BatchProgress") -> None:
+        """Show the progress, and keep its counts."""
         self.done, self.total = progress.done, progress.total
-        self._show(progress)
+        if self._quiet:
+            return
+        if sys.stderr.isatty():
+            self._draw(progress)
+        else:
+            self._log(progress)
 
+    def close(self) -> None:
+        """Remove the bar."""
+        if self._bar is not None:
+            self._bar.close()
 
-@contextlib.contextmanager
-def _progress(quiet: bool) -> Iterator[_Teller]:
-    """A bar with rate and time left on a terminal, a line a minute elsewhere."""
-    if quiet:
-        yield _Teller(lambda _: None)
-        return
-    if not sys.stderr.isatty():
-        yield _Teller(_Lines())
-        return
+    def _draw(self, progress: "BatchProgress") -> None:
+        from tqdm import tqdm
 
-    from tqdm import tqdm
+        if self._bar is None:
+            self._bar = tqdm(
+                desc="trinoc: frames",
+                unit="frame",
+                total=progress.total,
+                initial=progress.done,
+                leave=False,
+                file=sys.stderr,
+            )
+        if progress.failed:
+            self._bar.set_postfix_str(f"{progress.failed} failed", refresh=False)
+        self._bar.update(progress.done - self._bar.n)
 
-    with tqdm(desc="trinoc: frames", unit="frame", leave=False, file=sys.stderr) as bar:
-
-        def show(progress: "BatchProgress") -> None:
-            if bar.total is None:
-                bar.total, bar.initial, bar.n = progress.total, progress.done, progress.done
-            if progress.failed:
-                bar.set_postfix_str(f"{progress.failed} failed", refresh=False)
-            bar.update(progress.done - bar.n)
-
-        yield _Teller(show)
-
-
-class _Lines:
-    """Progress as lines of a log."""
-
-    def __init__(self) -> None:
-        self._start, self._last, self._at_start = 0.0, 0.0, 0
-
-    def __call__(self, progress: "BatchProgress") -> None:
-        now = time.monotonic()
-        if not self._start:
-            self._start = self._last = now
-            self._at_start = progress.done
+    def _log(self, progress: "BatchProgress") -> None:
+        now_s = time.monotonic()
+        if self._first is None:
+            self._first, self._start_s, self._last_s = progress, now_s, now_s
             LOGGER.info("%d of %d frames are done", progress.done, progress.total)
             return
-        if now - self._last < LINE_EVERY_S and progress.done < progress.total:
+        if now_s - self._last_s < LINE_EVERY_S and progress.done < progress.total:
             return
-        self._last = now
-        rate = max((progress.done - self._at_start) / max(now - self._start, 1e-9), 1e-9)
+        self._last_s = now_s
+        frames = progress.done - self._first.done
+        rate = max(frames / max(now_s - self._start_s, 1e-9), 1e-9)
         minutes = (progress.total - progress.done) / rate / 60
         failed = f", {progress.failed} failed" if progress.failed else ""
         LOGGER.info(

@@ -1,8 +1,5 @@
-"""What every command is: options that tyro reads, a `run` that returns what to print, and the bar
-that shows its progress.
-"""
+"""What commands share: the options of every command, what it hands back, and progress on stderr."""
 
-import abc
 import dataclasses
 import hashlib
 import logging
@@ -11,9 +8,7 @@ import os
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar
-
-import tyro
+from typing import Any, NamedTuple, TypeVar
 
 import trinoc
 from trinoc.errors import InputError
@@ -32,71 +27,6 @@ def set_up_logging(*, quiet: bool) -> None:
     LOGGER.propagate = False
 
 
-class Bar:
-    """A progress bar on stderr for work that says how far it is."""
-
-    def __init__(self, doing: str, *, quiet: bool) -> None:
-        self._doing, self._quiet, self._bar = doing, quiet, None
-
-    def __enter__(self) -> "Bar":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def show(self, done: int, total: int) -> None:
-        """Show that so many of so many are done."""
-        from tqdm import tqdm
-
-        if self._bar is None:
-            self._bar = tqdm(
-                total=total,
-                desc=f"trinoc: {self._doing}",
-                leave=False,
-                file=sys.stderr,
-                disable=self._quiet or not sys.stderr.isatty(),
-            )
-        self._bar.update(done - self._bar.n)
-
-
-def each(items: Collection[_Item], doing: str, *, quiet: bool) -> Iterator[_Item]:
-    """The items, with a progress bar on stderr that leaves no trace."""
-    from tqdm import tqdm
-
-    yield from tqdm(
-        items,
-        desc=f"trinoc: {doing}",
-        leave=False,
-        file=sys.stderr,
-        disable=quiet or not sys.stderr.isatty(),
-    )
-
-
-def provenance(command_line: str, inputs: Mapping[str, str | os.PathLike[str]]) -> dict[str, Any]:
-    """The "provenance" object of a file; equal inputs give equal objects, so it has no date."""
-    return {
-        "command": command_line,
-        "version": trinoc.__version__,
-        "inputs": {
-            name: {
-                "file": Path(path).name,
-                "sha256": hashlib.sha256(Path(path).read_bytes()).hexdigest(),
-            }
-            for name, path in inputs.items()
-        },
-    }
-
-
-def for_people(origin: Mapping[str, Any]) -> dict[str, str]:
-    """The same as lines of text, for the foot of a report."""
-    files = {
-        name: f"{entry['file']} (sha256 {entry['sha256'][:12]})"
-        for name, entry in origin["inputs"].items()
-    }
-    return {"command": origin["command"], "version": origin["version"], **files}
-
-
 class UsageError(InputError):
     """The command line itself is wrong: exit status 2 instead of 1."""
 
@@ -106,11 +36,11 @@ class Interruption(KeyboardInterrupt):
 
 
 class Outcome(NamedTuple):
-    """What a command has to say: text for people, or one JSON object for programs.
+    """The output of a command: text for people, or one JSON object for programs.
 
-    refusal : why the job counts as failed although there is something to say; None where not.
+    refusal : why the job counts as failed although there is output; None where it does not.
     written : the files that it left, of which None were not asked for; None for a job that only
-        says something.
+        prints.
     """
 
     text: str
@@ -123,178 +53,139 @@ class Outcome(NamedTuple):
         if self.written is None:
             return self
         names = [str(path) for path in self.written if path is not None]
-        said = [f"written: {', '.join(names)}"] if names else []
+        lines = [f"written: {', '.join(names)}"] if names else []
         return self._replace(
-            text="\n".join([self.text, *said]), record={**self.record, "written": names}
+            text="\n".join([self.text, *lines]), record={**self.record, "written": names}
         )
 
 
-# The options that most commands have. A layout may also be called a pattern.
-Out = Annotated[Path, tyro.conf.arg(aliases=("-o",))]
-BoardFile = Annotated[Path, tyro.conf.arg(aliases=("--pattern",), metavar="FILE")]
-FileOrNone = Annotated[
-    Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-]
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ReportOption:
-    """Of commands that also write what they found as a page."""
+class Job:
+    """The options of every command, and the steps that most commands take.
 
-    report: FileOrNone = None
-    """Also write an HTML report here: verdict, cameras, residuals and uncertainty over the field,
-    and what was matched."""
-
-    def write_report(self, origin: Mapping[str, Any], **content: Any) -> None:
-        """The page, where one is asked for; `origin` is the provenance of the result."""
-        if self.report is None:
-            return
-        from trinoc.cli.command import LOGGER, for_people
-        from trinoc.report.html import write_report
-
-        LOGGER.info("writing %s", self.report)
-        write_report(self.report, provenance=for_people(origin), **content)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class DryRunOption:
-    """Of commands that can say what they would do."""
-
-    dry_run: bool = False
-    """Read and check everything, say what would be done, and write nothing."""
-
-    def plan(
-        self,
-        what: str,
-        files: Mapping[str, Path],
-        sizes_px: Mapping[str, tuple[int, int]],
-        outputs: Sequence[Path | None],
-    ) -> Outcome:
-        """The job in words, each camera with its file and size, and what would be written."""
-        lines = [f"would {what}:"]
-        for name, file in files.items():
-            width, height = sizes_px[name]
-            lines.append(f"  {name}: {file}, {width} x {height} px")
-        would_write = [path for path in outputs if path is not None]
-        for path in would_write:
-            lines.append(f"would {'replace' if path.exists() else 'write'} {path}")
-        record = {
-            "cameras": {name: str(file) for name, file in files.items()},
-            "would_write": [str(path) for path in would_write],
-        }
-        return Outcome("\n".join(lines), record, written=())
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Command(abc.ABC):
-    """Options that all commands share."""
+    json : print one JSON object. quiet : show no progress. force : replace files of another kind.
+    command_line : as the user typed it, for the provenance of files.
+    """
 
     json: bool = False
-    """Print exactly one JSON object on stdout instead of text."""
-
     quiet: bool = False
-    """Show no progress on stderr."""
-
     force: bool = False
-    """Replace files of another kind."""
+    command_line: str = ""
 
-    @abc.abstractmethod
-    def run(self, command_line: str) -> Outcome:
-        """Do the job. Files go where the options say; only `main` prints the outcome.
+    def expect(self, kind: type, out: Path | None, *others: Path | None) -> None:
+        """Raise InputError, before the work, where a value of a kind cannot be written to `out`.
 
-        `command_line` is what the user typed, for the provenance of files. What takes long to
-        import is imported here, so that `--help` is quick.
+        others : files that are written, too, of any kind.
         """
+        from trinoc.io.atomic import expect_place
+        from trinoc.io.saving import expect_replaceable
+
+        expect_place(out, *others)
+        expect_replaceable(out, kind, force=self.force)
+
+    def provenance(self, inputs: Mapping[str, str | os.PathLike[str]]) -> dict[str, Any]:
+        """The "provenance" object of a file; equal inputs give equal objects: it has no date."""
+        return {
+            "command": self.command_line,
+            "version": trinoc.__version__,
+            "inputs": {
+                name: {
+                    "file": Path(path).name,
+                    "sha256": hashlib.sha256(Path(path).read_bytes()).hexdigest(),
+                }
+                for name, path in inputs.items()
+            },
+        }
+
+    def write_report(
+        self, report: Path | None, provenance: Mapping[str, Any], **content: Any
+    ) -> None:
+        """Write the HTML report, where one is asked for."""
+        if report is None:
+            return
+        from trinoc.report.html import write_report
+
+        LOGGER.info("writing %s", report)
+        write_report(report, provenance=for_people(provenance), **content)
+
+    def each(self, items: Collection[_Item], doing: str) -> Iterator[_Item]:
+        """The items, with a progress bar on stderr that leaves no trace."""
+        bar = Bar(doing, quiet=self.quiet)
+        for number, item in enumerate(items):
+            bar.show(number, len(items))
+            yield item
+        bar.close()
 
 
-# Options of commands that name a file to write; all other paths are read.
-_WRITTEN = ("out", "report", "plot")
-# A rig may take the place of the one that it was made from.
-_REPLACED = ("rig", "orientation")
-# What all pages and figures of ours hold: a file without it is not theirs to replace.
-_MARKS = {"report": b"<!doctype html>", "plot": b"matplotlib"}
-
-
-def expect_places(command: object) -> None:
-    """Raise UsageError where two results, or a result and what it is made of, are one file.
-
-    Raises InputError where a page or a figure would replace something else.
-    """
-    taken: dict[Path, str] = {}
-    kept = {_same(path) for path in _read(command, (*_WRITTEN, *_REPLACED))}
-    read = {_same(path) for path in _read(command, _WRITTEN)}
-    for name in _WRITTEN:
-        path = getattr(command, name, None)
-        if not isinstance(path, Path):
-            continue
-        option, place = f"--{name.replace('_', '-')}", _same(path)
-        if place in (kept if name == "out" else read):
-            raise UsageError(
-                f"{option} is {path}, which is read, and would be lost: give another name."
-            )
-        if place in taken:
-            raise UsageError(
-                f"{taken[place]} and {option} are both {path}: give each a name of its own."
-            )
-        taken[place] = option
-        if name == "report" and path.suffix.lower() not in (".html", ".htm"):
-            raise UsageError(f"--report is {path}: a report is HTML, choose a name such as r.html.")
-        if name in _MARKS:
-            from trinoc.io.saving import expect_marked
-
-            expect_marked(path, _MARKS[name], force=getattr(command, "force", False))
-
-
-def _read(options: object, but: tuple[str, ...]) -> Iterator[Path]:
-    """Files that options name, those of groups of options and of NAME=FILE, too."""
-    for field in dataclasses.fields(options):  # pyright: ignore[reportArgumentType]
-        value = getattr(options, field.name)
-        if field.name in but:
-            continue
-        if dataclasses.is_dataclass(value):
-            yield from _read(value, but)
-        for each in value if isinstance(value, tuple) else (value,):
-            if isinstance(each, Path):
-                yield each
-            elif isinstance(each, str) and each:
-                yield Path(each.partition("=")[2] or each)
-
-
-def _same(path: Path) -> Path:
-    """One path for all names of a file; a name that no file can have stays as it is."""
-    try:
-        return path.resolve()
-    except (OSError, RuntimeError, ValueError):
-        return path
-
-
-def with_nulls(record: Mapping[str, Any]) -> dict[str, Any]:
-    """As JSON can hold it: null for NaN."""
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in record.items()
+def for_people(origin: Mapping[str, Any]) -> dict[str, str]:
+    """A provenance as lines of text, for the foot of a report."""
+    files = {
+        name: f"{entry['file']} (sha256 {entry['sha256'][:12]})"
+        for name, entry in origin["inputs"].items()
     }
+    return {"command": origin["command"], "version": origin["version"], **files}
 
 
-def expect_numbers(options: object) -> None:
-    """Raise UsageError for an option that is not a number, or infinite where nothing is meant.
+class Bar:
+    """A progress bar on stderr for work that reports how far it is."""
 
-    Infinite numbers are taken where the option has one by default.
-    """
-    for name, value, default in _list_options(options):
-        numbers = value if isinstance(value, tuple) else (value,)
-        usual = default if isinstance(default, tuple) else (default,)
-        for number in numbers:
-            if not isinstance(number, float) or math.isfinite(number) or number in usual:
-                continue
-            raise UsageError(f"--{name.replace('_', '-')} is {number}: give a finite number.")
+    def __init__(self, doing: str, *, quiet: bool) -> None:
+        self._doing, self._quiet, self._bar = doing, quiet, None
+
+    def __enter__(self) -> "Bar":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Remove the bar."""
+        if self._bar is not None:
+            self._bar.close()
+
+    def show(self, done: int, total: int) -> None:
+        """Show that so many of so many are done."""
+        if self._quiet or not sys.stderr.isatty():
+            return
+        from tqdm import tqdm
+
+        if self._bar is None:
+            text = f"trinoc: {self._doing}"
+            self._bar = tqdm(total=total, desc=text, leave=False, file=sys.stderr)
+        self._bar.update(done - self._bar.n)
 
 
-def _list_options(options: object) -> Iterator[tuple[str, object, object]]:
-    """(name, value, default) of every option, those of groups of options, too."""
-    for field in dataclasses.fields(options):  # pyright: ignore[reportArgumentType]
-        value = getattr(options, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from _list_options(value)
-        else:
-            yield field.name, value, field.default
+def plan_outcome(
+    what: str,
+    files: Mapping[str, Path],
+    sizes_px: Mapping[str, tuple[int, int]],
+    outputs: Sequence[Path | None],
+) -> Outcome:
+    """The outcome of --dry-run: the job, each camera with its file and size, and the outputs."""
+    lines = [f"would {what}:"]
+    for name, file in files.items():
+        width, height = sizes_px[name]
+        lines.append(f"  {name}: {file}, {width} x {height} px")
+    would_write = [path for path in outputs if path is not None]
+    lines += [f"would {'replace' if p.exists() else 'write'} {p}" for p in would_write]
+    record = {
+        "cameras": {name: str(file) for name, file in files.items()},
+        "would_write": [str(path) for path in would_write],
+    }
+    return Outcome("\n".join(lines), record, written=())
+
+
+def pick(value: object, *names: str) -> dict[str, Any]:
+    """The named attributes of a value, as JSON can hold them."""
+    return {name: as_json(getattr(value, name)) for name in names}
+
+
+def as_json(value: Any) -> Any:
+    """A value as JSON can hold it: lists for arrays and tuples, null for NaN and infinity."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(name): as_json(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

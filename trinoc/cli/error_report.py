@@ -75,9 +75,9 @@ def _report_text(error: Exception, arguments: Sequence[str]) -> str:
 def _list_versions() -> str:
     """Return what is installed; if that raises too, the version of Python and the reason."""
     try:
-        from trinoc.cli.main import installation
+        from trinoc.cli.installation import describe_installation
 
-        return installation()[0]
+        return describe_installation()[0]
     except Exception as error:  # a library that cannot be imported may be the error itself
         return (
             f"python {platform.python_version()} on {platform.platform()}; the other versions are "

@@ -1,12 +1,10 @@
 """How the command line says what lens a camera has, and what is not exact."""
 
-import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import tyro
-
+import trinoc
 from trinoc.cli.command import LOGGER, UsageError
 from trinoc.cli.settings import parse_number, parse_pair
 from trinoc.cli.views import files_of_views, warn_of_folds
@@ -15,18 +13,11 @@ from trinoc.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.geometry.intrinsics import Intrinsics
 
 # Not None: an option that may be numbers or nothing would take pictures that follow it.
 NO_NUMBERS = (0.0, 0.0, 0.0)
 # From an endoscope's lens to a telescope.
 FOCAL_RANGE_MM = (0.1, 10_000.0)
-
-# A lens may also be called its intrinsics.
-LensFiles = Annotated[
-    tyro.conf.UseAppendAction[tuple[str, ...]],
-    tyro.conf.arg(metavar="FILE", aliases=("--intrinsics",)),
-]
 
 
 def _sigma(text: str) -> float:
@@ -108,7 +99,7 @@ Covariances = "np.ndarray | dict[str, np.ndarray] | None"
 
 def read_lenses(
     given: tuple[str, ...], cameras: Iterable[str]
-) -> "tuple[dict[str, Intrinsics], Covariances]":
+) -> "tuple[dict[str, trinoc.Intrinsics], Covariances]":
     """The lens of each camera that a file is given for, one for all or NAME=FILE, and what the
     files state of them: the covariance of the one lens of all cameras, or of each.
 
@@ -128,20 +119,11 @@ def read_lenses(
     return lenses, stated or None
 
 
-@dataclasses.dataclass(frozen=True)
-class LensOptions:
-    """The lens: from a file, or as its data sheet has it."""
+class LensOptions(NamedTuple):
+    """The lens: from files, --lens, or as its data sheet has it, --lens-mm."""
 
-    lens: Annotated[LensFiles, tyro.conf.arg(help_behavior_hint="(or --lens-mm)")] = ()
-    """camera.json or rig.json of all cameras, or NAME=camera.json."""
-
-    lens_mm: Annotated[
-        tuple[float, float, float],
-        tyro.conf.arg(metavar="FOCAL WIDTH HEIGHT", help_behavior_hint="(or --lens)"),
-    ] = NO_NUMBERS
-    """The lens of all cameras as data sheets have it: focal length, width and height of a pixel, in
-    mm. It may be off by 1 % in focal length, 2 % of the picture's width in the principal point, and
-    one pixel of distortion at the corner, unless --sigma has lens=0."""
+    lens: tuple[str, ...] = ()
+    lens_mm: tuple[float, float, float] = NO_NUMBERS
 
     def check(self) -> None:
         """Raise UsageError, before any picture is read."""
@@ -149,12 +131,11 @@ class LensOptions:
             expect_focal_length(self.lens_mm[0])
             expect_pixel_pitch(self.lens_mm[1:], "--lens-mm has pixels of")
 
-    def lenses(self, sizes_px: Mapping[str, tuple[int, int]]) -> "dict[str, Intrinsics]":
+    def lenses(self, sizes_px: Mapping[str, tuple[int, int]]) -> "dict[str, trinoc.Intrinsics]":
         """The lens of each camera, whose pictures have these (width, height).
 
         Raises UsageError where the options do not say it, InputError for a file that does not.
         """
-        from trinoc.geometry.intrinsics import Intrinsics
         from trinoc.io.intrinsics_json import expect_lens
 
         by_numbers = self.lens_mm != NO_NUMBERS
@@ -170,7 +151,7 @@ class LensOptions:
             _warn_of_sizes(sizes_px)
             return {
                 name: expect_lens(
-                    Intrinsics(
+                    trinoc.Intrinsics(
                         focal_length_mm=focal_mm,
                         pixel_pitch_mm=(width_mm, height_mm),
                         image_size_px=size,
@@ -189,15 +170,13 @@ class LensOptions:
         return {name: lenses[name] for name in sizes_px}
 
     def covariance(
-        self, lenses: "Mapping[str, Intrinsics]"
+        self, lenses: "Mapping[str, trinoc.Intrinsics]"
     ) -> "np.ndarray | Mapping[str, np.ndarray] | None":
         """The covariance of the one lens of all cameras, or of each that is not exact, if any.
 
         What no file states is that of a data sheet, where the lens is given as one gives it.
         """
-        from trinoc.calib.uncertainty.systematics import Systematics
-
-        usual = Systematics.typical(lenses).lens_covariance
+        usual = trinoc.Systematics.typical(lenses).lens_covariance
         if not self.lens:
             return usual
         _, stated = read_lenses(self.lens, lenses)

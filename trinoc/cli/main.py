@@ -1,102 +1,129 @@
-"""The `trinoc` command: reads the command line, runs one command, prints what it says.
+"""The `trinoc` command: reads the command line, runs one command, prints its outcome.
 
 Exit status 0: done. 1: the job failed, and one sentence on stderr says why and what to do
 next. 2: wrong usage. 130: interrupted. 141: nobody read the output to its end.
 """
 
+import dataclasses
 import errno
-import importlib.metadata
+import importlib
+import inspect
 import json
 import os
-import platform
 import shlex
 import sys
-from collections.abc import Sequence
-from typing import Annotated, Any, Union
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import tyro
 
-from trinoc.cli.batch import BatchCommand
-from trinoc.cli.calibrate import CalibrateCommand
-from trinoc.cli.calibrate_rig import CalibrateRigCommand
-from trinoc.cli.command import (
-    LOGGER,
-    Command,
-    UsageError,
-    expect_numbers,
-    expect_places,
-)
-from trinoc.cli.demo import DemoCommand
-from trinoc.cli.evaluate import EvaluateCommand
-from trinoc.cli.export import ExportCommand
-from trinoc.cli.intrinsics import IntrinsicsCommand, UndistortCommand
-from trinoc.cli.match import MatchCommand
-from trinoc.cli.pattern import PatternCommand
-from trinoc.cli.refine import CheckCommand, CompareCommand, RefineCommand
-from trinoc.cli.segments import SegmentsCommand
+from trinoc.cli.checks import expect_options
+from trinoc.cli.command import LOGGER, Job, Outcome, UsageError, set_up_logging
+from trinoc.cli.options import SHARED, list_options
 from trinoc.cli.settings import put_files_first, with_file
-from trinoc.cli.watch import WatchCommand
 from trinoc.errors import TrinocError
 
-LIBRARIES = (
-    *("numpy", "scipy", "jax", "jaxlib", "equinox", "optimistix", "lineax"),
-    *("opencv-python-headless", "scikit-image", "tyro", "jinja2"),
+DESCRIPTION = (
+    "Calibrate fixed cameras from one picture of a printed sheet each, and match line segments "
+    "across their pictures into 3-D segments with error bars. `trinoc COMMAND --help` explains a "
+    "command, `trinoc --version` says which trinoc this is and what it stands on."
 )
-EXTRAS = {
-    "print": ("reportlab",),
-    "plot": ("matplotlib",),
-    "notebook": ("pandas",),
-    "batch": ("dask", "distributed"),
-    "export": ("ruamel.yaml",),
-    "parquet": ("pyarrow",),
+# Each command and the file of this package that has its function, which is called like it.
+COMMANDS = {
+    "demo": "demo",
+    "pattern": "pattern",
+    "watch": "watch",
+    "intrinsics": "intrinsics",
+    "calibrate": "calibrate",
+    "calibrate-rig": "calibrate_rig",
+    "segments": "segments",
+    "match": "match",
+    "batch": "batch",
+    "refine": "refine",
+    "check": "refine",
+    "compare": "refine",
+    "undistort": "undistort",
+    "evaluate": "evaluate",
+    "export": "export",
 }
-# All of these install the module cv2, each over the others.
-OPENCV = (
-    *("opencv-python", "opencv-python-headless", "opencv-contrib-python"),
-    "opencv-contrib-python-headless",
-)
 
 
-def installation() -> tuple[str, list[str]]:
-    """(what is installed, a line each; what to do where that is not well)."""
-    import jax
+def find_command(name: str) -> Callable[..., Outcome]:
+    """The function of a command. Its parameters are the options; `--help` shows its docstring."""
+    module = importlib.import_module(f"trinoc.cli.{COMMANDS[name]}")
+    return getattr(module, name.replace("-", "_"))
 
-    import trinoc
-    from trinoc.io.compile_cache import COMPILE_CACHE_VARIABLE, enable_compile_cache
 
-    found = {"python": f"{platform.python_version()} on {platform.platform()}"}
-    found |= {name: _version(name) or "not installed" for name in LIBRARIES}
-    for extra, names in EXTRAS.items():
-        missing = [name for name in names if _version(name) is None]
-        found[f"extra {extra}"] = f"pip install 'trinoc[{extra}]'" if missing else "installed"
-    found["devices"] = ", ".join(f"{d.platform} {d.device_kind}" for d in jax.devices())
-    folder = enable_compile_cache()
-    off = os.environ.get(COMPILE_CACHE_VARIABLE, "").lower() in ("off", "0", "no")
-    found["compile cache"] = str(folder or ("off" if off else "cannot be used"))
+def parse_arguments(arguments: Sequence[str]) -> inspect.BoundArguments:
+    """The call of a command that the arguments ask for.
 
-    remedies = [
-        f"pip install {name}"
-        for name in LIBRARIES
-        if found[name] == "not installed" and name not in OPENCV
-    ]
-    wheels = [name for name in OPENCV if _version(name) is not None]
-    if len(wheels) > 1:
-        remedies.append(
-            f"{len(wheels)} wheels bring cv2: pip uninstall -y {' '.join(wheels)} && pip install "
-            "opencv-python-headless"
+    Raises SystemExit after help, and where tyro has printed what is wrong.
+    """
+    config = (tyro.conf.FlagCreatePairsOff,)
+    if arguments and arguments[0] in COMMANDS:
+        name, *words = arguments
+        return tyro.cli(_binder(name), prog=f"trinoc {name}", args=words, config=config)
+    return tyro.extras.subcommand_cli_from_dict(
+        {name: _binder(name) for name in COMMANDS},
+        prog="trinoc",
+        description=DESCRIPTION,
+        args=arguments,
+        config=config,
+    )
+
+
+def _binder(name: str) -> Callable[..., inspect.BoundArguments]:
+    """A function with the options of a command, which only binds them to its parameters."""
+    command = find_command(name)
+
+    def bind(*arguments: Any, **options: Any) -> inspect.BoundArguments:
+        job = Job(**{name: options.pop(name) for name in SHARED})
+        return inspect.signature(command).bind(*arguments, **options, job=job)
+
+    parameters = [
+        inspect.Parameter(
+            option.name,
+            inspect.Parameter.KEYWORD_ONLY if option.typed else inspect.Parameter.POSITIONAL_ONLY,
+            default=option.default,
+            annotation=option.annotation(),
         )
-    if folder is None and not off:
-        remedies.append(f"set {COMPILE_CACHE_VARIABLE} to a folder that only you can write to")
-    width = max(map(len, found))
-    lines = [f"{name:<{width}}  {words}" for name, words in found.items()]
-    return "\n".join([f"trinoc {trinoc.__version__}", *lines]), remedies
+        for option in list_options(command)
+    ]
+    signed: Any = bind  # tyro reads these
+    signed.__signature__ = inspect.Signature(parameters)
+    signed.__annotations__ = {each.name: each.annotation for each in parameters}
+    signed.__doc__ = inspect.getdoc(command).partition("\n\n")[0]  # pyright: ignore
+    return signed
 
 
-def _version(name: str) -> str | None:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments == ["--version"]:
+        return _print_version()
     try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
+        if arguments and arguments[0] in COMMANDS:
+            words = put_files_first(find_command(arguments[0]), arguments[1:])
+            arguments = with_file([arguments[0], *words])
+        call = parse_arguments(arguments)
+    except UsageError as error:
+        print(f"trinoc: {error}", file=sys.stderr)
+        return 2
+    except SystemExit as exit_:
+        return int(exit_.code or 0)
+    command_line = shlex.join(["trinoc", *arguments])
+    call.arguments["job"] = dataclasses.replace(call.arguments["job"], command_line=command_line)
+    return _run(find_command(arguments[0]), call)
+
+
+def _print_version() -> int:
+    from trinoc.cli.installation import describe_installation
+
+    text, remedies = describe_installation()
+    print(text)
+    for remedy in remedies:
+        print(f"trinoc: {remedy}.", file=sys.stderr)
+    return 1 if remedies else 0
 
 
 def compile_quickly() -> None:
@@ -118,120 +145,56 @@ def compile_quickly() -> None:
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 
-DESCRIPTION = (
-    "Calibrate fixed cameras from one picture of a printed sheet each, and match line segments "
-    "across their pictures into 3-D segments with error bars. `trinoc COMMAND --help` explains a "
-    "command, `trinoc --version` says which trinoc this is and what it stands on."
-)
-
-COMMANDS: dict[str, type[Command]] = {
-    "demo": DemoCommand,
-    "pattern": PatternCommand,
-    "watch": WatchCommand,
-    "intrinsics": IntrinsicsCommand,
-    "calibrate": CalibrateCommand,
-    "calibrate-rig": CalibrateRigCommand,
-    "segments": SegmentsCommand,
-    "match": MatchCommand,
-    "batch": BatchCommand,
-    "refine": RefineCommand,
-    "check": CheckCommand,
-    "compare": CompareCommand,
-    "undistort": UndistortCommand,
-    "evaluate": EvaluateCommand,
-    "export": ExportCommand,
-}
-AnyCommand: Any = Union[  # noqa: UP007, tyro reads a union that is made here
-    tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())
-]
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit status."""
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    if arguments == ["--version"]:
-        said, remedies = installation()
-        print(said)
-        for remedy in remedies:
-            print(f"trinoc: {remedy}.", file=sys.stderr)
-        return 1 if remedies else 0
-    if arguments and arguments[0] in COMMANDS:
-        kind = COMMANDS[arguments[0]]
-        arguments = [arguments[0], *put_files_first(kind, arguments[1:])]
-    try:
-        arguments = with_file(arguments)
-    except UsageError as error:
-        print(f"trinoc: {error}", file=sys.stderr)
-        return 2
-    try:
-        command = tyro.cli(
-            AnyCommand,
-            prog="trinoc",
-            description=DESCRIPTION,
-            args=arguments,
-            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
-        )
-    except SystemExit as exit_:  # tyro prints help or what is wrong by itself
-        return int(exit_.code or 0)
-    return _run(command, shlex.join(["trinoc", *arguments]))
-
-
-def _run(command: Command, command_line: str) -> int:
+def _run(command: Callable[..., Outcome], call: inspect.BoundArguments) -> int:
+    """Run a command, print its outcome or the sentence of its error, return the exit status."""
     # Small LAPACK calls are many times slower when their threads fight over busy cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-    from trinoc.cli.command import set_up_logging
-    from trinoc.cli.main import compile_quickly
     from trinoc.io.compile_cache import enable_compile_cache
 
-    set_up_logging(quiet=command.quiet)
+    job: Job = call.arguments["job"]
+    set_up_logging(quiet=job.quiet)
     if sys.stderr.isatty():  # a person waits
         LOGGER.info("loading")
     compile_quickly()
     enable_compile_cache()
     try:
-        expect_numbers(command)
-        expect_places(command)
-        outcome = command.run(command_line).with_files()
+        expect_options(call)
+        outcome = command(*call.args, **call.kwargs).with_files()
     except TrinocError as error:
-        return _report_failure(
-            command, str(error), status=2 if isinstance(error, UsageError) else 1
-        )
+        return _report_failure(job, str(error), status=2 if isinstance(error, UsageError) else 1)
     except BrokenPipeError:
         raise
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         is_long = error.errno == errno.ENAMETOOLONG
         remedy = "give a shorter name" if is_long else "check the disk"
-        return _report_failure(command, f"{place}{error.strerror or error}: {remedy}.", status=1)
+        return _report_failure(job, f"{place}{error.strerror or error}: {remedy}.", status=1)
     except MemoryError:
-        return _report_failure(
-            command, "The memory does not suffice: give smaller or fewer files.", 1
-        )
+        return _report_failure(job, "The memory does not suffice: give smaller or fewer files.", 1)
     except KeyboardInterrupt as stopped:
-        said = str(stopped) or "Interrupted: files that were not finished are not there."
-        return _report_failure(command, said, 130)
+        sentence = str(stopped) or "Interrupted: files that were not finished are not there."
+        return _report_failure(job, sentence, 130)
     record = outcome.record
     if outcome.refusal is not None:
         record = {**record, "error": outcome.refusal}
-        print(f"trinoc: {record['error']}", file=sys.stderr)
-    said = json.dumps(record, allow_nan=False) if command.json else outcome.text
-    _print(said)
+        print(f"trinoc: {outcome.refusal}", file=sys.stderr)
+    _print(json.dumps(record, allow_nan=False) if job.json else outcome.text)
     return 0 if outcome.refusal is None else 1
 
 
 def _print(text: str) -> None:
-    """To stdout, with a question mark for what its encoding lacks."""
+    """Print to stdout, with a question mark for what its encoding lacks."""
     if sys.stdout is None:  # closed
         return
     encoding = sys.stdout.encoding or "utf-8"
     print(text.encode(encoding, errors="replace").decode(encoding))
 
 
-def _report_failure(command: Command, sentence: str, status: int) -> int:
-    # Names of files and cameras may hold anything; what is said stays one line.
+def _report_failure(job: Job, sentence: str, status: int) -> int:
+    # Names of files and cameras may hold anything; the sentence stays one line.
     sentence = " ".join(sentence.splitlines())
     print(f"trinoc: {sentence}", file=sys.stderr)
-    if command.json:
+    if job.json:
         _print(json.dumps({"error": sentence}))
     return status

@@ -13,24 +13,17 @@ the cameras:
     images = {upper = "upper.png", left = "left.png", right = "right.png"}
 """
 
-import dataclasses
 import difflib
 import math
 import tomllib
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
-
-import tyro
+from typing import Any
 
 from trinoc.cli.command import UsageError
+from trinoc.cli.options import REPEATED, Settings, list_options
 
-# May be given again, or with several settings behind it.
-Settings = Annotated[
-    tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]],
-    tyro.conf.arg(metavar="NAME=VALUE...", help_behavior_hint="(optional)"),
-]
 # For each name what makes a value of its text. It raises ValueError, whose words complete a
 # sentence.
 Parsers = Mapping[str, Callable[[str], Any]]
@@ -62,16 +55,16 @@ def read_settings(option: str, words: Iterable[Iterable[str]], parsers: Parsers)
     return found
 
 
-def put_files_first(command: type, words: Sequence[str]) -> list[str]:
+def put_files_first(command: Callable[..., Any], words: Sequence[str]) -> list[str]:
     """The words behind a command, with every NAME=FILE that stands between options moved before.
 
     What an option takes stays behind it: the one word that follows it, and settings. As many
     numbers as an option takes may stand in one word, with commas between.
     """
-    hints = _option_types(command)
-    flags = {f"--{name.replace('_', '-')}" for name, hint in hints.items() if hint is bool}
-    with_settings = {f"--{name}" for name, hint in hints.items() if hint == Settings}
-    lengths = {f"--{name.replace('_', '-')}": _count_numbers(hint) for name, hint in hints.items()}
+    kinds = {option.typed: option.kind for option in list_options(command)}
+    flags = {option for option, kind in kinds.items() if kind is bool}
+    with_settings = {option for option, kind in kinds.items() if kind == Settings}
+    lengths = {option: _count_numbers(kind) for option, kind in kinds.items()}
     first, rest, option, is_taken = [], [], "", False
     for word in words:
         if word.startswith("-"):
@@ -88,25 +81,8 @@ def put_files_first(command: type, words: Sequence[str]) -> list[str]:
     return [*rest[:count], *first, *rest[count:]]
 
 
-def _option_types(command: type) -> dict[str, Any]:
-    """The type of each option of a command, those of its groups of options among them."""
-    types = typing.get_type_hints(command, include_extras=True)
-    for kind in map(_plain, list(types.values())):
-        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
-            types |= _option_types(kind)
-    return types
-
-
-def _plain(hint: Any) -> Any:
-    """A type without what tyro knows of it."""
-    while typing.get_origin(hint) is Annotated:
-        hint = typing.get_args(hint)[0]
-    return hint
-
-
-def _count_numbers(hint: Any) -> int:
+def _count_numbers(kind: Any) -> int:
     """How many numbers an option of this type takes; 0 for other types."""
-    kind = _plain(hint)
     alternatives = map(typing.get_args, (kind, *typing.get_args(kind)))
     return next((len(values) for values in alternatives if set(values) == {float}), 0)
 
@@ -172,8 +148,6 @@ ALTERNATIVES = (
     ("--rig", "--lens", "--intrinsics", "--lens-mm"),
     ("--to", "--from"),
 )
-# These options take one value each time they are given.
-REPEATED = ("--board", "--lens")
 
 
 def with_file(arguments: Sequence[str], file: Path = SETTINGS_FILE) -> list[str]:
@@ -209,7 +183,7 @@ def _option_words(option: str, value: object) -> list[str]:
     """The option and its value as they are typed."""
     if isinstance(value, bool):
         return [option] if value else []
-    if option in REPEATED:
+    if option[2:] in REPEATED:
         return [each for word in _words(value) for each in (option, word)]
     return [option, *_words(value)]
 

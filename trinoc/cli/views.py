@@ -6,16 +6,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from trinoc.cli.command import LOGGER, UsageError, each
+import trinoc
+from trinoc.cli.command import LOGGER, Job, UsageError
 from trinoc.errors import InputError, list_names
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from trinoc.geometry.intrinsics import Intrinsics
-    from trinoc.geometry.rig import Rig
-    from trinoc.geometry.segments import Segments
-    from trinoc.match.tracks.matches import Matches
     from trinoc.report.html import ExtraTable
 
 # What stands between the words of a file's name.
@@ -23,22 +20,18 @@ _BETWEEN = "_-. "
 
 
 def files_of_views(
-    arguments: Sequence[str],
-    *,
-    guess: bool = False,
-    say: bool = True,
-    words: Mapping[str, str] | None = None,
+    arguments: Sequence[str], *, guess: bool = False, words: Mapping[str, str] | None = None
 ) -> dict[str, Path]:
-    """The file of each view, in the order given.
+    """The file of each view, in the order of the arguments.
 
-    guess : where no name is given at all, take them from the files' names; say : and say so.
+    guess : where no argument has a name, take the names from those of the files.
     words : the camera of a rig that each word names, where there is a rig.
 
     Raises UsageError.
     """
     named = [_name_and_file(argument, words) for argument in arguments]
     if guess and arguments and all(not separator for _, separator, _ in named):
-        return _guess_names([Path(argument) for argument in arguments], say=say)
+        return _guess_names([Path(argument) for argument in arguments])
     files: dict[str, Path] = {}
     for argument, (name, separator, file) in zip(arguments, named, strict=True):
         if not (name and separator and file):
@@ -51,6 +44,25 @@ def files_of_views(
     return files
 
 
+def named_files(
+    arguments: Sequence[str], *, wanted: str = "picture", log: bool = True
+) -> dict[str, Path]:
+    """`files_of_views` with guessed names, which the log repeats. UsageError for no file."""
+    if not arguments:
+        raise UsageError(f"No {wanted} is given: write NAME=FILE for each camera.")
+    files = files_of_views(arguments, guess=True)
+    if log:
+        _log_names(arguments, files)
+    return files
+
+
+def _log_names(arguments: Sequence[str], files: Mapping[str, Path]) -> None:
+    """Log the names that cameras have from their files."""
+    if not any("=" in argument for argument in arguments):
+        names = " ".join(f"{name}={file}" for name, file in files.items())
+        LOGGER.info("cameras are named after their files: %s", names)
+
+
 def _name_and_file(argument: str, words: Mapping[str, str] | None) -> tuple[str, str, str]:
     """NAME, = and FILE of an argument; the name of a camera may hold an = itself."""
     parts = argument.split("=")
@@ -61,16 +73,12 @@ def _name_and_file(argument: str, words: Mapping[str, str] | None) -> tuple[str,
     return argument.partition("=")
 
 
-def _guess_names(files: Sequence[Path], *, say: bool) -> dict[str, Path]:
+def _guess_names(files: Sequence[Path]) -> dict[str, Path]:
     """Named after what differs between the files' names, or the folders' where the names agree."""
     for words in ([file.stem for file in files], [file.parent.name for file in files]):
         names = _differing(words)
         if all(names) and len(set(names)) == len(names):
-            found = dict(zip(names, files, strict=True))
-            if say:
-                said = " ".join(f"{name}={file}" for name, file in found.items())
-                LOGGER.info("cameras are named after their files: %s", said)
-            return found
+            return dict(zip(names, files, strict=True))
     raise UsageError(
         f"The names of the files do not tell cameras apart: write NAME=FILE, such as "
         f"upper={files[0]}."
@@ -81,23 +89,19 @@ def _differing(words: Sequence[str]) -> list[str]:
     """The words without what all begin and end with, cut where a part of a name ends."""
     if len(words) == 1:
         return list(words)
-    begin = _whole_parts(_common_start(words))
+    begin = _shared_parts(words)
     rest = [word[len(begin) :] for word in words]
-    end = _whole_parts(_common_start([word[::-1] for word in rest]))
+    end = _shared_parts([word[::-1] for word in rest])
     return [word[: len(word) - len(end)] for word in rest]
 
 
-def _common_start(words: Sequence[str]) -> str:
-    """The letters that all words begin with."""
-    first, last = min(words), max(words)
-    count = next((k for k, pair in enumerate(zip(first, last)) if pair[0] != pair[1]), len(first))
-    return first[:count]
+def _shared_parts(words: Sequence[str]) -> str:
+    """The beginning of all words, as far as the last sign between parts.
 
-
-def _whole_parts(shared: str) -> str:
-    """As far as the last sign between parts: "sheet_l" of sheet_left, sheet_low is "sheet_"."""
-    last = max(shared.rfind(sign) for sign in _BETWEEN)
-    return shared[: last + 1]
+    Of sheet_left and sheet_low it is "sheet_", not "sheet_l".
+    """
+    shared = os.path.commonprefix(words)  # noqa: RUF071, letter by letter
+    return shared[: max(shared.rfind(sign) for sign in _BETWEEN) + 1]
 
 
 def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, Path]:
@@ -110,16 +114,17 @@ def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, 
 
     words = camera_aliases(tuple(names))
     files = files_of_views(arguments, guess=True, words=words)
-    if set(files) <= set(names) or any("=" in argument for argument in arguments):
+    if any("=" in argument for argument in arguments):
         return files
-    for find in (lambda name, _: words.get(name), lambda _, file: _camera_of_file(file, words)):
-        cameras = [find(name, file) for name, file in files.items()]
-        if all(cameras) and len(set(cameras)) == len(cameras):
-            of_rig = dict(zip(map(str, cameras), files.values(), strict=True))
-            LOGGER.info(
-                "by the rig: %s", " ".join(f"{name}={file}" for name, file in of_rig.items())
-            )
-            return of_rig
+    for cameras in (
+        list(files),
+        [words.get(name) for name in files],
+        [_camera_of_file(file, words) for file in files.values()],
+    ):
+        if set(cameras) <= set(names) and len(set(cameras)) == len(cameras):
+            files = dict(zip(map(str, cameras), files.values(), strict=True))
+            break
+    _log_names(arguments, files)
     return files
 
 
@@ -149,14 +154,12 @@ def make_folder(folder: Path) -> None:
         ) from error
 
 
-def read_rig(file: str | os.PathLike[str]) -> "Rig":
+def read_rig(file: str | os.PathLike[str]) -> "trinoc.Rig":
     """The rig of a file; warnings on stderr name lenses that fold in the corners of the picture.
 
     They also repeat what the calibration doubted.
     """
-    from trinoc.io.rig_json import load_rig
-
-    rig = load_rig(file)
+    rig = trinoc.load_rig(file)
     warn_of_folds(rig, file)
     doubts = find_doubts(file)
     if doubts:
@@ -166,7 +169,8 @@ def read_rig(file: str | os.PathLike[str]) -> "Rig":
 
 
 def warn_of_folds(
-    value: "Rig | Intrinsics | Mapping[str, Intrinsics]", file: str | os.PathLike[str]
+    value: "trinoc.Rig | trinoc.Intrinsics | Mapping[str, trinoc.Intrinsics]",
+    file: str | os.PathLike[str],
 ) -> None:
     """Log a warning for each lens of a file that folds in the corners of the picture."""
     from trinoc.io.intrinsics_json import fold_notes
@@ -199,23 +203,23 @@ SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
 
 def read_segments(
     files: Mapping[str, Path],
-    rig: "Rig",
-    find: "Callable[[np.ndarray], Segments]",
-    *,
-    quiet: bool,
-) -> "tuple[dict[str, np.ndarray], dict[str, Segments]]":
+    rig: "trinoc.Rig",
+    find: "Callable[[np.ndarray], trinoc.Segments]",
+    job: Job,
+) -> "tuple[dict[str, np.ndarray], dict[str, trinoc.Segments]]":
     """(the pictures among the files, the segments of all): read, or found in the pictures."""
     from trinoc.image.grey import describe_mixed_pixels, grey_image
-    from trinoc.io.images import expect_inside, expect_size, read_views
-    from trinoc.io.segment_table import load_segments
+    from trinoc.io.images import expect_inside, expect_size
 
     tables = {n: f for n, f in files.items() if f.suffix.lower() in SEGMENT_SUFFIXES}
-    images = read_views({name: file for name, file in files.items() if name not in tables})
+    images = trinoc.io.read_views(
+        {name: file for name, file in files.items() if name not in tables}
+    )
     for name, image in images.items():
         expect_size(name, image, rig)
     segments = {
-        name: load_segments(tables[name]) if name in tables else find(images[name])
-        for name in each(tuple(files), "segments", quiet=quiet)
+        name: trinoc.load_segments(tables[name]) if name in tables else find(images[name])
+        for name in job.each(tuple(files), "segments")
     }
     for name, image in images.items():
         mixed = describe_mixed_pixels(grey_image(image))
@@ -236,7 +240,7 @@ def _warn_of_nothing(name: str, image: "np.ndarray | None", file: Path) -> None:
     LOGGER.warning('no segment in %s, the picture of "%s": %s', file, name, why)
 
 
-def expect_names(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
+def expect_names(files: Mapping[str, Path], rig: "trinoc.Rig", rig_file: Path) -> None:
     """Raise InputError for a view that is no camera of the rig."""
     for name in files:
         if name not in rig.names:
@@ -245,7 +249,7 @@ def expect_names(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
             )
 
 
-def check_views(files: Mapping[str, Path], rig: "Rig", rig_file: Path) -> None:
+def check_views(files: Mapping[str, Path], rig: "trinoc.Rig", rig_file: Path) -> None:
     """Raise InputError where the views given are not the cameras of the rig."""
     expect_names(files, rig, rig_file)
     missing = [name for name in rig.names if name not in files]
@@ -266,14 +270,14 @@ TOLERANT_SIGMA_PX = 4.0
 class SceneInput(NamedTuple):
     """Matches made with the rig given, ways to match again (none for matches), and the files."""
 
-    matches: "Matches"
-    tolerant: "Callable[[Rig], Matches] | None"
-    strict: "Callable[[Rig], Matches] | None"
+    matches: "trinoc.Matches"
+    tolerant: "Callable[[trinoc.Rig], trinoc.Matches] | None"
+    strict: "Callable[[trinoc.Rig], trinoc.Matches] | None"
     files: dict[str, Path]
 
 
 def read_scene(
-    pictures: Sequence[str], matches: Path | None, rig: "Rig", rig_file: Path, *, quiet: bool
+    pictures: Sequence[str], matches: Path | None, rig: "trinoc.Rig", rig_file: Path, job: Job
 ) -> SceneInput:
     """Read the matches, or the pictures or segments. Raises UsageError, InputError."""
     if bool(pictures) == (matches is not None):
@@ -282,23 +286,20 @@ def read_scene(
             "--matches FILE."
         )
     if matches is not None:
-        from trinoc.io.saving import load_matches
-
-        tracks = load_matches(matches)
+        tracks = trinoc.load_matches(matches)
         others = [name for name in rig if name not in tracks.views]
         if others:
             LOGGER.warning("%s has no view of %s: left out", matches, list_names(others))
         return SceneInput(tracks, None, None, {"matches": matches})
-
-    from trinoc.match.matcher import match_segments
-    from trinoc.segments.find import find_segments
-
     files = files_of_rig(pictures, rig.names)
     check_views(files, rig, rig_file)
-    segments = read_segments(files, rig, find_segments, quiet=quiet)[1]
+    segments = read_segments(files, rig, trinoc.find_segments, job)[1]
     LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
     # Whether the pictures belong together is asked once, of the rig given.
-    again = partial(match_segments, segments, verify="off")
+    again = partial(trinoc.match_segments, segments, verify="off")
     return SceneInput(
-        match_segments(segments, rig), partial(again, sigma_px=TOLERANT_SIGMA_PX), again, files
+        trinoc.match_segments(segments, rig),
+        partial(again, sigma_px=TOLERANT_SIGMA_PX),
+        again,
+        files,
     )

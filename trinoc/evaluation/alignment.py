@@ -8,8 +8,8 @@ that wrong lines lose their weight. Scale is not estimated: it is part of the me
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from trinoc.evaluation.distances import nearest_segments, sampled_segments
 from trinoc.geometry.uncertain_lines import UncertainLines
@@ -48,7 +48,8 @@ class RigidMotion(NamedTuple):
     @property
     def turn_deg(self) -> float:
         """Angle of the rotation, degrees."""
-        return float(np.degrees(Rotation.from_matrix(self.rotation).magnitude()))
+        turn = scipy.spatial.transform.Rotation.from_matrix(self.rotation)
+        return float(np.degrees(turn.magnitude()))
 
     def move_points(self, points_mm: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """Apply the motion to points, (..., 3) mm."""
@@ -96,7 +97,7 @@ def align(
         for _ in range(MOST_STEPS):
             moved = points @ rotation.T + shift
             change, rank, spread = _step(moved, weight, edges, scale)
-            turn = Rotation.from_rotvec(change[:3]).as_matrix()
+            turn = scipy.spatial.transform.Rotation.from_rotvec(change[:3]).as_matrix()
             rotation, shift = turn @ rotation, turn @ shift + change[3:]
             if np.abs(change).max() < _SMALL_STEP * scale:
                 break

@@ -22,10 +22,7 @@ from trinoc.geometry.pose import PoseModel
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import LineObservations
 from trinoc.geometry.uncertain_lines import UncertainLines
-from trinoc.match.line_map.collinear_merge import join_collinear
-from trinoc.match.line_map.corners import snap_corners
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.wire_frame.build import wireframe
 from trinoc.numerics.buckets import in_blocks
 from trinoc.numerics.precision import ArrayLike, as_numpy, in_float64
 from trinoc.numerics.programs import kept_jit
@@ -121,9 +118,15 @@ def lines_of_form(matches: Matches, rig: Rig, form: str) -> UncertainLines:
     if form == TRACKS:
         return tracks
     if form == WIREFRAME:
+        from trinoc.match.wire_frame.build import wireframe
+
         answer = wireframe(matches, rig)
         ends, fragment_covariance = answer.lines_mm, answer.covariance_mm2
     else:
+        # Here, as above: every matching imports this file, and puts no tracks together.
+        from trinoc.match.line_map.collinear_merge import join_collinear
+        from trinoc.match.line_map.corners import snap_corners
+
         answer = join_collinear(matches, rig)
         ends, fragment_covariance = answer.lines_mm, answer.covariance_mm2
         if form == CORNERS:

@@ -5,8 +5,8 @@ from typing import Any
 
 import jax
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.linalg import rq
 
 from trinoc.errors import InputError
 from trinoc.geometry.intrinsics import Intrinsics
@@ -299,6 +299,6 @@ def _parameters_deg(pose: Pose) -> Float[ArrayLike, "6"]:
 
 def _rq_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Factors of a 3x3 matrix: upper triangular with positive diagonal, and orthogonal."""
-    upper, rotation = rq(matrix)
+    upper, rotation = scipy.linalg.rq(matrix)
     signs = np.diag(np.sign(np.diag(upper)))
     return upper @ signs, signs @ rotation

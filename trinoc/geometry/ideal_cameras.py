@@ -11,8 +11,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.linalg import block_diag
 
 from trinoc.errors import InputError, real_number
 from trinoc.geometry.camera import Camera
@@ -154,7 +154,7 @@ def with_covariance(cameras: Mapping[str, Camera], rig: Rig) -> Rig:
         names = [f"{name}.{parameter}" for parameter in PARAMETER_NAMES]
         before, after = before + names, after + names
         blocks.append(np.asarray(_change_of_turned(rig[name].pose.parameters, rotation @ old.T)))
-    jacobian = np.asarray(block_diag(*blocks))
+    jacobian = np.asarray(scipy.linalg.block_diag(*blocks))
     if not np.isfinite(jacobian).all():
         return Rig(cameras)
     covariance = jacobian @ rig.covariance_of(before) @ jacobian.T

@@ -32,7 +32,6 @@ from trinoc.io.tables_npz import (
     save_npz,
 )
 from trinoc.match.tracks.matches import Matches, MatchStatus
-from trinoc.match.tracks.reliability import assess_matches
 from trinoc.numerics.tables import list_fields
 from trinoc.recording.frame_table import FrameMatches
 
@@ -201,6 +200,9 @@ def _fate(result: FrameMatches) -> dict[str, Any]:
     if result.matches is None:
         return {"status": "failed", "why": result.status}
     stage = result.matches.stage
+    # Here, because it brings the matcher with it, and a reader of frames wants none.
+    from trinoc.match.tracks.reliability import assess_matches
+
     assessment, reason = assess_matches(result.matches), {}
     if assessment.status is MatchStatus.SUSPECT:
         reason = {"suspect": assessment.deciding.explanation}

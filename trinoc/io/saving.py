@@ -8,25 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib.detection.detection import Detection
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.errors import InputError, expect_path
 from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.image.ideal_pictures import PictureMaps
-from trinoc.io import board_json, demo, intrinsics_json, rig_json
+from trinoc.io import board_json, intrinsics_json, rig_json
 from trinoc.io.arrays_npz import format_of_arrays, read_arrays, write_arrays
 from trinoc.io.atomic import read_text
 from trinoc.io.board_json import load_target, save_target
-from trinoc.io.frames_files import FORMAT as FRAMES_FORMAT, load_frames, load_recording
 from trinoc.io.json_document import parsed_json
-from trinoc.io.known_shape import load_shape
 from trinoc.io.rig_json import status_to_block
 from trinoc.io.tables_npz import load_npz, save_npz
-from trinoc.match.features import FEATURES
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.wire_frame.frame import Wireframe
 from trinoc.numerics.tables import Table
 
 # The kinds of values that are written as JSON, with their names in messages.
@@ -41,6 +36,10 @@ MAPS_FORMAT, MAPS_VERSION = "trinoc-maps", 1
 
 def tables() -> list[type[Table]]:
     """The kinds of values that are written as npz."""
+    # Here, because a calibration writes none of them, and they bring the matcher with them.
+    from trinoc.calib.detection.detection import Detection
+    from trinoc.match.features import FEATURES
+
     return [Segments, Matches, Detection, *FEATURES]
 
 
@@ -52,8 +51,9 @@ def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
     Raises InputError for another ending.
     """
     written = [(*document, ".json") for document in _DOCUMENTS]
-    written += [(each, each.IN_WORDS, ".npz") for each in tables()]
     written.append((PictureMaps, "maps", ".npz"))
+    if issubclass(kind, Table):
+        written.append((kind, kind.IN_WORDS, ".npz"))
     for each, label, ending in written:
         if path is not None and issubclass(kind, each) and Path(path).suffix.lower() != ending:
             are = "is" if label.startswith("a ") else "are"
@@ -149,7 +149,8 @@ def save(
     """
     expect_path(path)
     more: dict[str, Any] = {}
-    if not isinstance(value, (*(kind for kind, _ in _DOCUMENTS), *tables(), PictureMaps)):
+    kinds = (PictureMaps, *(tables() if isinstance(value, Table) else dict(_DOCUMENTS)))
+    if not isinstance(value, kinds):
         value, more = _content_of_result(value, path)
     expect_replaceable(path, type(value), force=overwrite, remedy="overwrite=True")
     match value:
@@ -181,13 +182,27 @@ def load(path: str | os.PathLike[str]) -> Any:
     expect_path(path)
     file = Path(path)
     if os.path.isdir(file):
+        from trinoc.io.frames_files import load_recording
+
         return load_recording(file)
-    if file.suffix.lower() in _BY_ENDING:
-        return _BY_ENDING[file.suffix.lower()](file)
+    # Files that say nothing of themselves.
+    if file.suffix.lower() == ".parquet":
+        from trinoc.io.frames_files import load_frames
+
+        return load_frames(file)
+    if file.suffix.lower() == ".obj":
+        from trinoc.io.known_shape import load_shape
+
+        return load_shape(file)
     stated: object = None
     if file.suffix.lower() in (".json", ".npz") or not os.path.exists(file):
         stated = _stated_format(file)
-    readers = _readers()
+    if isinstance(stated, str) and stated in _BY_FORMAT:
+        return _BY_FORMAT[stated][1](file)
+
+    from trinoc.match.wire_frame.frame import Wireframe
+
+    readers = _other_readers()
     if stated == f"trinoc-{Wireframe.KIND}" and file.suffix.lower() == ".json":
         raise InputError(
             f"{file} is a wire frame for other programs, without the covariance between its "
@@ -199,7 +214,7 @@ def load(path: str | os.PathLike[str]) -> Any:
             "that wrote it, or match with --steps rims."
         )
     if not isinstance(stated, str) or stated not in readers:
-        documents = ", ".join(label for label, _ in _BY_FORMAT.values())
+        documents = ", ".join([*(label for label, _ in _BY_FORMAT.values()), "truth.json"])
         arrays = ", ".join(f"{kind}.npz" for kind in (*(t.KIND for t in tables()), "maps"))
         raise InputError(
             f"{file} is no value that trinoc wrote: give {documents}, one of {arrays}, shape.obj, "
@@ -215,18 +230,17 @@ _BY_FORMAT: dict[str, tuple[str, _Reader]] = {
     intrinsics_json.FORMAT: ("camera.json", intrinsics_json.load_intrinsics),
     board_json.PATTERN_FORMAT: ("sheet.json", load_target),
     board_json.FORMAT: ("board.json", load_target),
-    demo.FORMAT: ("truth.json", demo.load_scene_truth),
 }
-# Readers of files that state no format, by ending.
-_BY_ENDING: dict[str, _Reader] = {".parquet": load_frames, ".obj": load_shape}
 
 
-def _readers() -> dict[str, _Reader]:
-    """The reader of the files of each format."""
+def _other_readers() -> dict[str, _Reader]:
+    """The readers of a truth.json and of the kinds of npz, by format."""
+    from trinoc.io import demo, frames_files
+
     return {
-        **{name: reader for name, (_, reader) in _BY_FORMAT.items()},
         **{f"trinoc-{kind.KIND}": partial(load_npz, kind) for kind in tables()},
-        FRAMES_FORMAT: load_frames,
+        demo.FORMAT: demo.load_scene_truth,
+        frames_files.FORMAT: frames_files.load_frames,
         MAPS_FORMAT: _load_maps,
     }
 

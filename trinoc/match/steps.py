@@ -1,7 +1,8 @@
 """Steps after matching, by name, in the order in which they run.
 
 Python (`improve`) and the command use the same names. A step that detects features in space adds
-them to the result under their kind.
+them to the result under their kind. A step imports its work itself, because most matchings take
+none.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,12 +17,8 @@ from trinoc.geometry.rig import Rig
 from trinoc.geometry.segments import Segments
 from trinoc.image.response import ResponseLike
 from trinoc.match.matcher import match_segments
-from trinoc.match.pixels.measure import measure_lines
-from trinoc.match.rims.explained_tracks import add_rims
-from trinoc.match.rims.rim_search import find_rims
 from trinoc.match.step_names import StepName
 from trinoc.match.tracks.matches import Matches
-from trinoc.match.wire_frame.build import wireframe
 
 
 class StepResult(NamedTuple):
@@ -64,6 +61,8 @@ class Step(NamedTuple):
 
 
 def _measure(result: StepResult, inputs: StepInput) -> StepResult:
+    from trinoc.match.pixels.measure import measure_lines
+
     measured = measure_lines(
         result.matches, result.segments, inputs.rig, inputs.images, response=inputs.response
     )
@@ -71,6 +70,9 @@ def _measure(result: StepResult, inputs: StepInput) -> StepResult:
 
 
 def _rims(result: StepResult, inputs: StepInput) -> StepResult:
+    from trinoc.match.rims.explained_tracks import add_rims
+    from trinoc.match.rims.rim_search import find_rims
+
     chords = inputs.arcs() if inputs.arcs is not None else {}
     chord_matches = match_segments(chords, inputs.rig, depth_range_mm=inputs.depth_range_mm)
     rims = find_rims(chord_matches, chords, inputs.rig)
@@ -79,6 +81,8 @@ def _rims(result: StepResult, inputs: StepInput) -> StepResult:
 
 
 def _wireframe(result: StepResult, inputs: StepInput) -> StepResult:
+    from trinoc.match.wire_frame.build import wireframe
+
     return result.with_features(wireframe(result.matches, inputs.rig))
 
 

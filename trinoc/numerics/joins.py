@@ -10,8 +10,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int, Shaped
-from scipy.spatial import KDTree
 
 Group = Int[np.ndarray, "m"] | None
 
@@ -151,9 +151,9 @@ def group_medians(
     return np.asarray(median[0]) if group is None else median
 
 
-def point_tree(points_px: Float[np.ndarray, "n 2"]) -> KDTree:
+def point_tree(points_px: Float[np.ndarray, "n 2"]) -> "scipy.spatial.KDTree":
     """k-d tree for few queries: its construction takes half the time of a balanced tree."""
-    return KDTree(points_px, leafsize=_LEAF, balanced_tree=False, compact_nodes=False)
+    return scipy.spatial.KDTree(points_px, leafsize=_LEAF, balanced_tree=False, compact_nodes=False)
 
 
 def near_pairs(

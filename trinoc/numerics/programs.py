@@ -259,7 +259,13 @@ def _load_or_compile(
 @functools.cache
 def _make_lapack_ready() -> None:
     """Register LAPACK's addresses, which JAX does only when it lowers a call."""
-    jax.jit(jnp.linalg.cholesky).lower(np.eye(2))
+    try:
+        # The first step of the lowering, without the rest, which takes a tenth of a second.
+        from jaxlib.lapack import prepare_lapack_call
+
+        prepare_lapack_call("potrf_ffi", np.dtype(float))
+    except (ImportError, TypeError):  # JAX does not promise to keep this name
+        jax.jit(jnp.linalg.cholesky).lower(np.eye(2))
 
 
 def _name(

@@ -1,16 +1,22 @@
 """Results as tables for a terminal."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from trinoc.match.tracks.matches import Matches
 from trinoc.report.matches_part import counts_table, reasons_table
 from trinoc.report.numbers import significant_decimals, with_decimals, with_sigma, with_sign
-from trinoc.report.parameter_table import LABELS, ParameterError
 from trinoc.report.report_table import draw_text, text_table
 
+if TYPE_CHECKING:
+    from trinoc.report.parameter_table import ParameterError
 
-def errors_text(errors: Sequence[ParameterError], reference_name: str) -> str:
+
+def errors_text(errors: "Sequence[ParameterError]", reference_name: str) -> str:
     """Table of estimated parameters with their sigmas and their errors against known values."""
+    # Here, because it brings the calibrations with it, and a match wants none.
+    from trinoc.report.parameter_table import LABELS
+
     rows = []
     for number, each in enumerate(errors):
         first = number == 0 or errors[number - 1].camera != each.camera

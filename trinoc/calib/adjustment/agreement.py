@@ -16,8 +16,8 @@ equally uncertain.
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial.distance import cdist
 
 from trinoc.calib.adjustment.adjustment import Adjustment, prior_weights
 from trinoc.calib.problem.information import whiten_views
@@ -116,7 +116,7 @@ def autocorrelation_of_circles(adjustment: Adjustment, view: int) -> float:
     index = adjustment.problem.views[view].detection.circle_index[used]
     circle_mm = adjustment.problem.target.centres_mm[index]
     residuals = adjustment.whitened.residual[view].reshape(-1, 2)[used]
-    separation_mm = cdist(circle_mm, circle_mm)
+    separation_mm = scipy.spatial.distance.cdist(circle_mm, circle_mm)
     nearest_mm = np.partition(separation_mm, 1, axis=1)[:, 1]
     are_neighbours = separation_mm < _NEIGHBOURS * np.median(nearest_mm)
     first, second = np.nonzero(np.triu(are_neighbours, 1))

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.special import ndtr
 
 from trinoc.numerics.precision import ArrayLike, ScalarLike, array_namespace
 from trinoc.numerics.tails import MAD_TO_SIGMA
@@ -55,7 +55,7 @@ def clipped_moments(
     level, sigma : (n,) mean and standard deviation before clipping.
     """
     math, top = array_namespace(level, sigma), saturation.top
-    normal = ndtr if math is np else jax.scipy.special.ndtr
+    normal = scipy.special.ndtr if math is np else jax.scipy.special.ndtr
     z = math.minimum((top - level) / sigma, _FAR_BELOW)
     below, density = normal(z), math.exp(-0.5 * z * z) * 0.3989422804014327
     gap = z * below + density

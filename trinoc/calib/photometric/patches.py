@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
+import scipy
 from jaxtyping import Float, Int
 
 from trinoc.calib.photometric.equations import local_rows
@@ -47,7 +47,7 @@ class _SharedUnknowns(NamedTuple):
     """
 
     rows: Float[np.ndarray, "n q"]
-    by_levels: scipy.sparse.csr_matrix
+    by_levels: "scipy.sparse.csr_matrix"
     prior: Float[np.ndarray, "m"]
     pull: Float[np.ndarray, "m"]
 
@@ -172,7 +172,7 @@ def _shared_unknowns(
 
 def _local_light(
     scene: PixelScene, fit_state: ImageFitState, prior: ImagePrior
-) -> tuple[scipy.sparse.csr_matrix, Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
+) -> tuple["scipy.sparse.csr_matrix", Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
     """Derivatives by the local levels, and information and gradient of their priors."""
     count, blocks = len(fit_state.inliers), scene.blocks
     if not scene.has_local_light or blocks is None:
@@ -247,7 +247,7 @@ def _sums_with_levels(
     weighted: Float[np.ndarray, "2 n"],
     patch: Int[np.ndarray, "n"],
     count: int,
-    by_levels: scipy.sparse.csr_matrix,
+    by_levels: "scipy.sparse.csr_matrix",
 ) -> Float[np.ndarray, "m l"]:
     """Sums over each patch of `weighted` times the derivatives by the local levels."""
     if not by_levels.shape[1]:  # pyright: ignore[reportOptionalSubscript]

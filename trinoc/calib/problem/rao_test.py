@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.linalg import solve_triangular
-from scipy.special import chdtri, chndtrinc, fdtrc
 
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
@@ -69,7 +68,7 @@ class RaoTest(NamedTuple):
     def p_value_with_noise(self, variance: float, freedom: float) -> float:
         """`p_value` with a noise variance that was estimated with so many degrees of freedom."""
         ratio = self.chi_square / max(self.freedom, 1) / variance
-        return float(fdtrc(self.freedom, freedom, ratio)) if self.freedom else 1.0
+        return float(scipy.special.fdtrc(self.freedom, freedom, ratio)) if self.freedom else 1.0
 
 
 def detectable_sigmas(chance: float, freedom: int, power: float = TUNING.answer.power) -> float:
@@ -80,7 +79,8 @@ def detectable_sigmas(chance: float, freedom: int, power: float = TUNING.answer.
     W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic Commission,
     1968, by the noncentral chi-square distribution.
     """
-    return float(np.sqrt(chndtrinc(chdtri(freedom, chance), freedom, 1.0 - power)))
+    limit = scipy.special.chdtri(freedom, chance)
+    return float(np.sqrt(scipy.special.chndtrinc(limit, freedom, 1.0 - power)))
 
 
 def score_test(
@@ -210,7 +210,7 @@ def score_of_residuals(
     extra, base : derivatives of the residuals by the fixed and by the fitted unknowns.
     root : R of the information R^T R on the fitted unknowns, with priors and other images.
     """
-    fitted = solve_triangular(root, base.T @ extra, trans=1)
+    fitted = scipy.linalg.solve_triangular(root, base.T @ extra, trans=1)
     return FixedScore(
         information=extra.T @ extra - fitted.T @ fitted,
         gradient=extra.T @ residual,

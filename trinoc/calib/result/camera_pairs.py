@@ -8,8 +8,8 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from trinoc.calib.uncertainty.board_size import covariance_of_size
 from trinoc.geometry.pose import Pose, PoseModel
@@ -133,15 +133,15 @@ class _PoseByParameters:
         if not self._is_rigid and self._has_aim:
             radians = np.concatenate([np.radians(change[:3]), change[3:]])
             return Pose.from_parameters(np.asarray(self._pose.parameters) + radians)
-        turn = Rotation.from_rotvec(change[:3], degrees=True).as_matrix()
+        turn = scipy.spatial.transform.Rotation.from_rotvec(change[:3], degrees=True).as_matrix()
         return Pose.from_centre(turn @ self._pose.rotation, self._pose.centre_world_mm + change[3:])
 
 
 def _centre_and_turn(first: Pose, second: Pose) -> Float[np.ndarray, "6"]:
     """Centre (mm) and rotation vector (degrees) of the second camera in the frame of the first."""
     centre_mm = first.rotation @ (second.centre_world_mm - first.centre_world_mm)
-    turn = Rotation.from_matrix(first.rotation @ second.rotation.T).as_rotvec(degrees=True)
-    return np.concatenate([centre_mm, turn])
+    turn = scipy.spatial.transform.Rotation.from_matrix(first.rotation @ second.rotation.T)
+    return np.concatenate([centre_mm, turn.as_rotvec(degrees=True)])
 
 
 def _central_differences(

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
@@ -152,8 +152,9 @@ def _change_over_field(now: Rig, before: Rig, name: str) -> tuple[float, float]:
 def _displacement_and_rotation(first: Camera, second: Camera) -> tuple[float, float]:
     """Distance of two centres in mm, and angle between two rotations in degrees."""
     distance = float(np.linalg.norm(first.centre_world_mm - second.centre_world_mm))
-    turn = np.asarray(first.pose.rotation) @ np.asarray(second.pose.rotation).T
-    return distance, float(np.degrees(Rotation.from_matrix(turn).magnitude()))
+    matrix = np.asarray(first.pose.rotation) @ np.asarray(second.pose.rotation).T
+    turn = scipy.spatial.transform.Rotation.from_matrix(matrix)
+    return distance, float(np.degrees(turn.magnitude()))
 
 
 def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:

@@ -7,8 +7,8 @@ import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import special
 
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 from trinoc.errors import CalibrationError
@@ -95,7 +95,7 @@ def _fits_better(
         residuals = np.linalg.norm(np.asarray(project(jnp.asarray(points))) - pixels, axis=1)
         medians.append(float(np.median(residuals)) + _SOLVER_PX)
     freedom = 2 * len(pixels) - 6
-    p_value = special.fdtrc(freedom, freedom, (medians[1] / medians[0]) ** 2)
+    p_value = scipy.special.fdtrc(freedom, freedom, (medians[1] / medians[0]) ** 2)
     return bool(p_value < tuning.answer.chance)
 
 

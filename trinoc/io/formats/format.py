@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from trinoc.calib.result.calibration import CalibrationResult
 from trinoc.errors import InputError, list_names
 from trinoc.geometry.features import Feature
 from trinoc.geometry.intrinsics import Intrinsics
@@ -189,9 +188,10 @@ class Format:
 
     def lost(self, value: object) -> tuple[str, ...]:
         """What of this value the format cannot hold, in words; projections stay the same."""
-        lost = say_losses(_plain(value), self.loses)
-        of_lens = isinstance(value, CalibrationResult) and value.is_lens
-        return (LOSSES[COVARIANCE], *lost) if of_lens else lost
+        plain = _plain(value)
+        lost = say_losses(plain, self.loses)
+        is_of_result = isinstance(plain, Intrinsics) and plain is not value
+        return (LOSSES[COVARIANCE], *lost) if is_of_result else lost
 
     def _unit(self, unit_mm: float | None) -> float:
         if unit_mm is None:
@@ -228,6 +228,11 @@ def _find_kind(value: object) -> str:
 
 
 def _plain(value: object) -> object:
+    if isinstance(value, (Rig, Intrinsics, Table)):
+        return value
+    # Here, because it brings the calibrations with it.
+    from trinoc.calib.result.calibration import CalibrationResult
+
     if isinstance(value, CalibrationResult):
         return value.lens if value.is_lens else value.rig
     return value

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.io
+import scipy
 
 from trinoc.errors import InputError
 from trinoc.geometry.camera import Camera

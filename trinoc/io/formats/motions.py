@@ -1,8 +1,8 @@
 """Rigid motions as other tools write them: checked, chained, and as quaternions or vectors."""
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from trinoc.errors import InputError
 
@@ -68,7 +68,7 @@ def inverse(pose: Float[np.ndarray, "3 4"]) -> Float[np.ndarray, "3 4"]:
 
 def quaternion_wxyz(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
     """(w, x, y, z) of a rotation, w not negative."""
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True)
+    x, y, z, w = scipy.spatial.transform.Rotation.from_matrix(rotation).as_quat(canonical=True)
     return np.array([w, x, y, z])
 
 
@@ -77,14 +77,14 @@ def rotation_of_quaternion(wxyz: Float[np.ndarray, "4"], where: str) -> Float[np
     if not (np.abs(wxyz).max() < 2 and abs(np.linalg.norm(wxyz) - 1) < ROUNDED):
         raise InputError(f"{where} is no unit quaternion: correct it.")
     w, x, y, z = wxyz
-    return Rotation.from_quat([x, y, z, w]).as_matrix()
+    return scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix()
 
 
 def rotation_vector(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
     """Axis times angle in rad."""
-    return Rotation.from_matrix(rotation).as_rotvec()
+    return scipy.spatial.transform.Rotation.from_matrix(rotation).as_rotvec()
 
 
 def rotation_of_vector(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Inverse of `rotation_vector`."""
-    return Rotation.from_rotvec(vector).as_matrix()
+    return scipy.spatial.transform.Rotation.from_rotvec(vector).as_matrix()

@@ -7,8 +7,8 @@ have a leading axis of frames.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.special import expit
 
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.match.tuning.evidence import EvidenceTuning
@@ -235,4 +235,4 @@ def _normalise(shares: tuple[float, ...]) -> np.ndarray:
 
 def probability(log_odds: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
     """Probability of log odds, without overflow."""
-    return expit(log_odds)
+    return scipy.special.expit(log_odds)

@@ -9,8 +9,8 @@ import heapq
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.special import expit
 
 from trinoc.errors import InputError
 from trinoc.geometry.rig import Rig
@@ -142,7 +142,8 @@ def _agglomerate(
         both_right = np.array(
             [a.posterior * b.posterior for a, b in zip(first_groups, second_groups, strict=True)]
         )
-        is_likely = (expit(odds) >= rules.min_posterior) & (both_right >= rules.trusted_posterior)
+        is_likely = scipy.special.expit(odds) >= rules.min_posterior
+        is_likely &= both_right >= rules.trusted_posterior
         for value, (first, second) in zip(
             odds[is_likely].tolist(), group_pairs[is_likely].tolist(), strict=True
         ):

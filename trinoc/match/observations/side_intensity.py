@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import KDTree
 
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.evidence import SideTuning
@@ -165,4 +165,4 @@ def _nearest(middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning) -> np.nda
     count = min(tuning.neighbours, len(middles_px) - 1)
     if count < 2:
         return np.zeros((len(middles_px), 0), dtype=np.int64)
-    return np.asarray(KDTree(middles_px).query(middles_px, count + 1)[1])[:, 1:]
+    return np.asarray(scipy.spatial.KDTree(middles_px).query(middles_px, count + 1)[1])[:, 1:]

@@ -14,8 +14,8 @@ the views agree and wider if they disagree. The misfit of two views gives no inf
 """
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.special import fdtri, gammaln
 
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.match.tuning.selection import NoiseTuning
@@ -66,8 +66,8 @@ def fit_tails(
     freedom, (kinds, kind) = 1 / tail, np.unique(degrees, return_inverse=True)
     degrees_of_kind = kinds[:, None]
     log_likelihood = (
-        gammaln((freedom + degrees_of_kind) / 2)
-        - gammaln(freedom / 2)
+        scipy.special.gammaln((freedom + degrees_of_kind) / 2)
+        - scipy.special.gammaln(freedom / 2)
         - degrees_of_kind / 2 * np.log(freedom)
     )
     log_likelihood = log_likelihood[kind] - ((freedom + degrees_of_kind) / 2)[kind] * np.log1p(
@@ -91,7 +91,7 @@ def misfit_limit(
     """
     if tail < _SMALLEST_TAIL:
         return np.asarray(chi_square_limit(probability, degrees))
-    return np.asarray(degrees * fdtri(degrees, 1 / tail, 1 - probability))
+    return np.asarray(degrees * scipy.special.fdtri(degrees, 1 / tail, 1 - probability))
 
 
 def student_log_density(
@@ -143,7 +143,7 @@ def ellipsoid_limit(
 def _student_limit(probability: float, freedom: Float[np.ndarray, "t"]) -> Float[np.ndarray, "t"]:
     """Squared distance within which a line with Student-distributed errors lies, (t,)."""
     kinds, kind = np.unique(freedom, return_inverse=True)
-    return _PARAMETERS * fdtri(_PARAMETERS, kinds, probability)[kind]
+    return _PARAMETERS * scipy.special.fdtri(_PARAMETERS, kinds, probability)[kind]
 
 
 def scale_covariance_of_lines(

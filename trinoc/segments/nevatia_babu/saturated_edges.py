@@ -9,8 +9,8 @@ Priors are the blur of other edges of the image and the usual height of surfaces
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.special import ndtri
 
 from trinoc.image.light import Light
 from trinoc.image.step_edge import fit_profiles
@@ -170,7 +170,7 @@ def _fit_positions(
     precision = np.array([0.0, 1 / tuning.log_above_sigma**2, 0.0, 1 / blur.sigma**2])
     start = prior.copy()
     # Start: half of the visible step is this many widths before the middle of the true step.
-    start[:, 0] = -width * ndtri(0.5 * np.exp(-tuning.log_above))
+    start[:, 0] = -width * scipy.special.ndtri(0.5 * np.exp(-tuning.log_above))
     fit = fit_profiles(across, level, information, visible, start, prior, precision, 0.0)
     freedom = np.maximum(used.sum(axis=1) - len(precision), 1)
     variance = fit.variance_px2 * np.maximum(fit.chi_square / freedom, 1.0)

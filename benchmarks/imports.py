@@ -1,0 +1,80 @@
+"""The import tree of a command or of `import trinoc; trinoc.NAME`, by cost.
+
+    python benchmarks/imports.py [--least-ms 10] [--runs 3] [--packages] calibrate ...
+    python benchmarks/imports.py [--least-ms 10] [--runs 3] [--packages] --python trinoc.calibrate
+
+Everything behind the options is the command line of trinoc, which runs as it is typed, in the
+current folder, with its output discarded. A row is a module: milliseconds until it is there with
+all that it imports for the first time, and by itself; below it, further in, those that it imported.
+Of several runs the least is taken, module by module. With --packages a row is a package, or a room
+of trinoc: by itself, and how many of its modules there are. Times are by the clock, and belong to
+one machine and its load. The last row is the sum of the modules by themselves.
+"""
+
+import argparse
+import re
+import subprocess
+import sys
+from collections import Counter
+
+_LINE = re.compile(r"import time:\s+(\d+) \|\s+(\d+) \|( *)(\S+)")
+_COMMAND = "import sys; sys.argv[0] = 'trinoc'; from trinoc.cli.program import run; run()"
+
+
+def list_imports(statement: str, words: list[str]) -> list[tuple[int, str, float, float]]:
+    """(depth, module, ms with what it imports, ms by itself), each before what it imported."""
+    command = [sys.executable, "-X", "importtime", "-c", statement, *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    rows = [match.groups() for match in map(_LINE.match, done.stderr.splitlines()) if match]
+    return [
+        (len(indent) // 2, module, int(whole) / 1e3, int(own) / 1e3)
+        for own, whole, indent, module in reversed(rows)
+    ]
+
+
+def least_times(statement: str, words: list[str], runs: int) -> list[tuple[int, str, float, float]]:
+    """`list_imports` of the last run, with the least times of all runs."""
+    whole: dict[str, float] = {}
+    own: dict[str, float] = {}
+    rows: list[tuple[int, str, float, float]] = []
+    for _ in range(runs):
+        rows = list_imports(statement, words)
+        for _, module, whole_ms, own_ms in rows:
+            whole[module] = min(whole_ms, whole.get(module, whole_ms))
+            own[module] = min(own_ms, own.get(module, own_ms))
+    return [(depth, module, whole[module], own[module]) for depth, module, _, _ in rows]
+
+
+def package_of(module: str) -> str:
+    """The package of a module, of trinoc its room."""
+    parts = module.split(".")
+    return ".".join(parts[: 2 if parts[0] == "trinoc" else 1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--least-ms", type=float, default=10.0)
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--packages", action="store_true")
+    parser.add_argument("--python", metavar="TRINOC.NAME")
+    parser.add_argument("words", nargs=argparse.REMAINDER, metavar="COMMAND ...")
+    args = parser.parse_args()
+    statement = _COMMAND if args.python is None else f"import trinoc; {args.python}"
+    rows = least_times(statement, args.words, args.runs)
+    if args.packages:
+        times, counts = Counter[str](), Counter[str]()
+        for _, module, _, own_ms in rows:
+            times[package_of(module)] += own_ms  # pyright: ignore[reportArgumentType]
+            counts[package_of(module)] += 1
+        for package, own_ms in times.most_common():
+            if own_ms >= args.least_ms:
+                print(f"{own_ms:8.1f} ms  {package} ({counts[package]})")
+    else:
+        for depth, module, whole_ms, own_ms in rows:
+            if whole_ms >= args.least_ms:
+                print(f"{whole_ms:8.1f} {own_ms:8.1f} ms  {'  ' * depth}{module}")
+    print(f"{sum(own_ms for *_, own_ms in rows):8.1f} ms  {len(rows)} modules")
+
+
+if __name__ == "__main__":
+    main()

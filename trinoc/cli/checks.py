@@ -1,0 +1,75 @@
+"""Checks of the options of any command before its work: numbers, and files that would be lost."""
+
+import inspect
+import math
+from pathlib import Path
+from typing import Any
+
+from trinoc.cli.command import UsageError
+
+# Options that name a file to write; all other paths are read.
+_WRITTEN = ("out", "report")
+# A rig may take the place of the one that it was made from.
+_REPLACED = ("rig", "orientation")
+# Every report has it: a file without it is not one to replace.
+_MARK = b"<!doctype html>"
+
+
+def expect_options(call: inspect.BoundArguments) -> None:
+    """Check the options of a command.
+
+    Raises UsageError for an option that is not a number, and where two results, or a result and
+    what it is made of, are one file. Raises InputError where a report would replace something else.
+    """
+    options, parameters = call.arguments, call.signature.parameters
+    for name, value in options.items():
+        _expect_numbers(name, value, parameters[name].default)
+    taken: dict[Path, str] = {}
+    for name in _WRITTEN:
+        path = options.get(name)
+        if not isinstance(path, Path):
+            continue
+        place = _resolve(path)
+        ignored = (*_WRITTEN, *(_REPLACED if name == "out" else ()))
+        if any(place in _paths(value) for own, value in options.items() if own not in ignored):
+            raise UsageError(
+                f"--{name} is {path}, which is read, and would be lost: give another name."
+            )
+        if place in taken:
+            raise UsageError(
+                f"--{taken[place]} and --{name} are both {path}: give each a name of its own."
+            )
+        taken[place] = name
+        if name == "report":
+            _expect_report(path, force=options["job"].force)
+
+
+def _expect_report(path: Path, *, force: bool) -> None:
+    from trinoc.io.saving import expect_marked
+
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--report is {path}: a report is HTML, choose a name such as r.html.")
+    expect_marked(path, _MARK, force=force)
+
+
+def _expect_numbers(name: str, value: Any, default: Any) -> None:
+    """Raise UsageError for NaN, and for infinity where the default has none."""
+    usual = default if isinstance(default, tuple) else (default,)
+    for number in value if isinstance(value, tuple) else (value,):
+        if isinstance(number, float) and not math.isfinite(number) and number not in usual:
+            raise UsageError(f"--{name.replace('_', '-')} is {number}: give a finite number.")
+
+
+def _paths(value: Any) -> set[Path]:
+    """The files that an option names, as paths or as NAME=FILE."""
+    words = value if isinstance(value, tuple) else (value,)
+    files = [word.partition("=")[2] or word if isinstance(word, str) else word for word in words]
+    return {_resolve(Path(file)) for file in files if file and isinstance(file, str | Path)}
+
+
+def _resolve(path: Path) -> Path:
+    """One path for all names of a file; a name that no file can have stays as it is."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError):
+        return path

@@ -1,0 +1,124 @@
+"""The options of a command, read from its function: types from the signature, texts from the
+docstring.
+
+Positional-only parameters are arguments, the others options. The section "Parameters" describes
+each as `name : METAVAR (default: in words)`, both optional, with the text of the help below.
+"""
+
+import functools
+import inspect
+import re
+import typing
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import tyro
+
+# An option of settings, NAME=VALUE, may be given again, or with several settings behind it.
+Settings = tuple[tuple[str, ...], ...]
+# Other names of options, or of those of one command. A layout may also be called a pattern, a lens
+# its intrinsics.
+_ALIASES = {
+    "out": ("-o",),
+    "board": ("--pattern",),
+    "lens": ("--intrinsics",),
+    "undistort.rig": ("--lens", "--intrinsics"),
+}
+# These options take one value each time they are given.
+REPEATED = ("board", "lens")
+# Of all commands: fields of `Job`.
+SHARED = {
+    "json": "Print exactly one JSON object on stdout instead of text.",
+    "quiet": "Show no progress on stderr.",
+    "force": "Replace files of another kind.",
+}
+_DESCRIPTION = re.compile(r"^ {4}(\w+)(?: : (.*))?\n((?: {8}.*\n)+)", re.MULTILINE)
+_SLOT = re.compile(r"(.*?) ?(\([^()]*\))?")
+
+
+class Option(NamedTuple):
+    """An option or an argument of a command, and how the help shows it.
+
+    name : of the parameter. typed : how it is typed, such as "--from"; "" for an argument.
+    """
+
+    name: str
+    typed: str
+    kind: Any
+    default: Any
+    metavar: str = ""
+    default_text: str = ""
+    text: str = ""
+    aliases: tuple[str, ...] = ()
+
+    @property
+    def is_repeated(self) -> bool:
+        """Whether every value needs the option again."""
+        is_tuple = typing.get_origin(self.kind) is tuple
+        return is_tuple and (self.name in REPEATED or self.kind == Settings)
+
+    def annotation(self) -> Any:
+        """The type with all that tyro reads and shows."""
+        argument = tyro.conf.arg(
+            name=self.typed[2:] or None,
+            metavar=self.metavar or None,
+            help=self.text,
+            help_behavior_hint=self.default_text or None,
+            aliases=self.aliases or None,
+        )
+        kind = Annotated[self.kind, argument]
+        if not self.typed:
+            return tyro.conf.Positional[kind]
+        return tyro.conf.UseAppendAction[kind] if self.is_repeated else kind
+
+
+@functools.cache
+def list_options(command: Callable[..., Any]) -> tuple[Option, ...]:
+    """The options of a command, those of all commands last."""
+    hints = typing.get_type_hints(command)
+    described = {
+        name: (slot, " ".join(text.split()))
+        for name, slot, text in _DESCRIPTION.findall(command.__doc__ or "")
+    }
+    options = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if name == "job":
+            continue
+        slot, text = described[name]
+        metavar, default_text = _SLOT.fullmatch(slot).groups()  # pyright: ignore
+        is_argument = parameter.kind is parameter.POSITIONAL_ONLY
+        options.append(
+            Option(
+                name,
+                "" if is_argument else f"--{name.rstrip('_').replace('_', '-')}",
+                hints[name],
+                parameter.default,
+                metavar or _usual_metavar(hints[name]),
+                default_text or _usual_default(parameter.default),
+                text,
+                _ALIASES.get(f"{command.__name__}.{name}", _ALIASES.get(name, ())),
+            )
+        )
+    options += [Option(name, f"--{name}", bool, False, text=text) for name, text in SHARED.items()]
+    return tuple(options)
+
+
+def _usual_metavar(kind: Any) -> str:
+    kinds = typing.get_args(kind) if type(None) in typing.get_args(kind) else (kind,)
+    if Path in kinds or tuple[Path, ...] in kinds:
+        return "FILE"
+    if kind == Settings:
+        return "NAME=VALUE..."
+    choices = [
+        each for own in kinds if typing.get_origin(own) is Literal for each in typing.get_args(own)
+    ]
+    return "|".join(choices)
+
+
+def _usual_default(default: Any) -> str:
+    if default is inspect.Parameter.empty:
+        return "(required)"
+    if default is None:
+        return "(default: none)"
+    return "(optional)" if default == () else ""
