@@ -48,7 +48,7 @@ def test_distances_from_right_priors_are_as_probable_as_they_claim() -> None:
         space = PriorSpace.of(near)
         for pull in map(space.pull, unknowns_with_priors(near)):
             if pull.freedom:
-                chances.setdefault(pull.unknown.kind, []).append(pull.chance)
+                chances.setdefault(pull.unknown.kind, []).append(pull.p_value)
         assert refuted_priors(near) == []
     assert {"all", "bend", "principal point", "print aspect"} <= set(chances)
     # What no image shows is not tested.

@@ -220,7 +220,7 @@ def find_exchanged_pair(
                 trial[row] = owner._replace(detections=giver.detections, cam_from_board=poses)
         except CalibrationError:
             continue
-        if not place_board(trial, cam_from_rig, target, tuning).stragglers:
+        if not place_board(trial, cam_from_rig, target, tuning).outliers:
             pairs.append((first_sighting.camera, second_sighting.camera))
     return pairs[0] if len(pairs) == 1 else None
 
