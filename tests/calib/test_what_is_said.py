@@ -159,7 +159,7 @@ def test_a_lens_that_was_given_and_shots_refute_is_named(wrong, named, amount):
     match = re.search(said, found.notes[0])
     assert match is not None
     assert float(match[1]) == pytest.approx(amount, abs=4 * float(match[2]))
-    assert found.summary().startswith("SUSPECT: The shots ask for another lens")
+    assert found.summary().startswith("SUSPECT: The shots contradict the given lens")
 
 
 def test_a_lens_of_all_cameras_is_refuted_as_one(monkeypatch):
@@ -203,7 +203,7 @@ def test_an_error_of_a_lens_that_goes_unseen_moves_a_camera_as_is_said():
 
     right = fitted(KNOWN)
     (note,) = right.notes
-    said = r'"(\w+)" is taken.* cx_px off by (\S+), cy_px off by (\S+), which .* to (\d+) of its'
+    said = r'"(\w+)" is assumed.* cx_px off by (\S+), cy_px off by (\S+), which .* to (\d+) of its'
     match = re.search(said, note)
     assert match is not None
     wrong = np.array(LENSES[match[1]])

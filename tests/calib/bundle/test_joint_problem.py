@@ -217,7 +217,8 @@ def test_rounding_is_no_knowledge_of_the_gauge():
 def test_two_views_of_a_line_say_nothing_about_the_cameras():
     lines, _, _ = made_tracks(2, COUNT, hidden=1.0)
     problem, state, _ = problem_of(lines, PoseModel.RIGID)
-    _, information, gradient = equations_of(problem, state)
+    equations = equations_of(problem, state)
+    information, gradient = equations.information, equations.gradient
     _, known, pull = equations_of_prior(problem, state)
     np.testing.assert_allclose(information.head, known, rtol=1e-10)
     np.testing.assert_allclose(gradient[0], pull, atol=1e-9)

@@ -45,8 +45,8 @@ class MeasurementAdvice(NamedTuple):
             ("angles", self.angle_now_deg, self.angle_then_deg, "deg"),
             ("distances", self.distance_now_mm, self.distance_then_mm, "mm"),
         )
-        least = self.tuning.enough_gain
-        return tuple(quantity for quantity in quantities if quantity[1] > least * quantity[2])
+        least_gain = self.tuning.enough_gain
+        return tuple(quantity for quantity in quantities if quantity[1] > least_gain * quantity[2])
 
 
 def advise_measurement(

@@ -80,7 +80,7 @@ class PriorPull(NamedTuple):
 
     def concerns_aim(self, view: int) -> bool:
         """True if the aim of a camera may be wrong."""
-        return any(one.kind == "aim" and view in one.views for one in self.unknowns)
+        return any(unknown.kind == "aim" and view in unknown.views for unknown in self.unknowns)
 
     @property
     def sigmas(self) -> float:
@@ -190,15 +190,17 @@ def unknowns_with_priors(adjustment: Adjustment) -> list[Unknown]:
     weights = prior_weights(adjustment.problem)[adjustment.free]
     unknowns = [*_of_lenses(adjustment), *_of_aims(adjustment), *_of_sheet(adjustment)]
     unknowns.append(Unknown("all", (), np.eye(size)[weights > 0]))
-    return [one for one in unknowns if np.any(one.by_step[:, weights > 0])]
+    return [unknown for unknown in unknowns if np.any(unknown.by_step[:, weights > 0])]
 
 
 def _offsets(adjustment: Adjustment) -> Float[np.ndarray, "f"]:
     """Free steps minus their prior means, (f,); 0 without a prior."""
     problem = adjustment.problem
-    whole, parametrization = np.zeros(len(problem.free)), problem.parametrization
-    whole[problem.slices.sheets] = np.asarray(problem.state.sheet) / parametrization.sheet_scale
-    offset = whole[adjustment.free]
+    head_offset, parametrization = np.zeros(len(problem.free)), problem.parametrization
+    head_offset[problem.slices.sheets] = (
+        np.asarray(problem.state.sheet) / parametrization.sheet_scale
+    )
+    offset = head_offset[adjustment.free]
     for view in range(len(adjustment.used)):
         rows = adjustment.lens_rows(view)
         if len(rows):

@@ -55,7 +55,7 @@ def candidate_shots(problem: Problem) -> list[Candidate]:
     """Board at nine positions of every camera's image, at two distances, tilted or not."""
     rules, members = problem.tuning.advice, list_boards(problem.target)
     names = board_names(problem.target)
-    set_from_board = [Pose(each) for each in np.asarray(problem.state.set_from_board)]
+    set_from_board = [Pose(pose_matrix) for pose_matrix in np.asarray(problem.state.set_from_board)]
     shots = []
     for camera, size_px in problem.image_sizes_px.items():
         lens = lens_number(problem, int(problem.parametrization.lens_of_camera[camera]))
@@ -187,7 +187,9 @@ def _pose_candidates(
     pixel (0, 0).
     """
     sizes, boards = problem.image_sizes_px, np.array(problem.state.rig_from_board)
-    boards[: len(candidates)] = [each.rig_from_board.cam_from_world for each in candidates]
+    boards[: len(candidates)] = [
+        candidate.rig_from_board.cam_from_world for candidate in candidates
+    ]
     state = eqx.tree_at(lambda s: s.rig_from_board, problem.state, boards)
     views = []
     firsts, members = first_point_indices(problem.target), list_boards(problem.target)

@@ -131,12 +131,12 @@ def compare_halves(
     sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     directions, square = _squared_mahalanobis(difference, covariance)
     ratio = float(np.sqrt(square / directions))
-    each = np.abs(difference) / sigma
-    worst = int(np.argmax(each))
+    normalised = np.abs(difference) / sigma
+    worst = int(np.argmax(normalised))
     names = head_names(problem, cameras)
     column = int(np.flatnonzero(problem.free)[worst])
     over_field = field_differences(problem, states, covariance, cameras)
-    return HalvesCheck(ratio, names[column], float(each[worst]), directions, over_field)
+    return HalvesCheck(ratio, names[column], float(normalised[worst]), directions, over_field)
 
 
 def covariance_of_difference(
@@ -203,16 +203,16 @@ def _motions(
 
 def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
     """Names of the steps of the head, without the board points."""
-    of_lens = problem.state.lenses.parameter_names
-    owner = [
+    lens_parameters = problem.state.lenses.parameter_names
+    lens_cameras = [
         cameras[int(np.flatnonzero(problem.parametrization.lens_of_camera == k)[0])]
         for k in range(problem.parametrization.lens_shape[0])
     ]
     pose = ("turn_x", "turn_y", "turn_z", "x", "y", "z")
-    names = [f"{name}.{each}" for name in owner for each in of_lens]
-    names += [f"{name}.{each}" for name in cameras for each in pose]
+    names = [f"{name}.{parameter}" for name in lens_cameras for parameter in lens_parameters]
+    names += [f"{name}.{parameter}" for name in cameras for parameter in pose]
     prefixes = board_prefixes(problem.target)
     if len(problem.state.set_from_board):
-        names += [f"{prefix}{each}" for prefix in prefixes for each in pose]
+        names += [f"{prefix}{parameter}" for prefix in prefixes for parameter in pose]
     sheet = [name.removesuffix("_mm") for name in problem.parametrization.sheet_model.names]
-    return [*names, *(f"{prefix}{each}" for prefix in prefixes for each in sheet)]
+    return [*names, *(f"{prefix}{parameter}" for prefix in prefixes for parameter in sheet)]

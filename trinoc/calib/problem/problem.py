@@ -215,7 +215,7 @@ def with_wider_lenses(
     whole.
     """
     count, size = problem.parametrization.lens_shape
-    more = len(lenses[0].parameter_names) - size
+    added_count = len(lenses[0].parameter_names) - size
     names, never_fitted = lenses[0].parameter_names[size:], lenses[0].never_fitted
     scale = np.stack(
         [lens.parameter_scales(size_px) for lens, size_px in zip(lenses, image_sizes_px[:count])]
@@ -227,8 +227,10 @@ def with_wider_lenses(
     )
     wider = with_priors(
         problem,
-        lens_mean=np.pad(problem.priors.lens_mean, ((0, 0), (0, more))),
-        lens_information=np.pad(problem.priors.lens_information, ((0, 0), (0, more), (0, more))),
+        lens_mean=np.pad(problem.priors.lens_mean, ((0, 0), (0, added_count))),
+        lens_information=np.pad(
+            problem.priors.lens_information, ((0, 0), (0, added_count), (0, added_count))
+        ),
     )
     parametrization = dataclasses.replace(
         wider.parametrization,

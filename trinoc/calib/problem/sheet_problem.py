@@ -161,21 +161,21 @@ def sheet_problem(
         lens_of_camera = np.zeros(len(padded), dtype=int)
     lenses = [padded[k].promoted_lens for k in range(lens_of_camera[-1] + 1)]
     scale = np.stack(
-        [lens.parameter_scales(one.lens.image_size_px) for lens, one in zip(lenses, padded)]
+        [lens.parameter_scales(camera.lens.image_size_px) for lens, camera in zip(lenses, padded)]
     )
     basis, lens_information = basis_of_scales(scale), np.zeros((*scale.shape, scale.shape[1]))
     lens_free = np.zeros(scale.shape)
-    for k, one in enumerate(padded[: len(lenses)]):
-        if one.lens_factor is not None and is_real[k]:
-            basis[k], lens_information[k], lens_free[k] = _lens_prior(one.lens_factor, scale[k])
+    for k, camera in enumerate(padded[: len(lenses)]):
+        if camera.lens_factor is not None and is_real[k]:
+            basis[k], lens_information[k], lens_free[k] = _lens_prior(camera.lens_factor, scale[k])
     sigma = BentPaper.sigmas(
         systematics.print_size_sigma,
         systematics.print_scale_sigma,
         systematics.flatness_mm,
         priors.tuning.problem.height_shares,
     )
-    radius_mm = max(float(np.hypot(*_points_mm(one, target).T[:2]).max()) for one in cameras)
-    unit_mm = np.median([_camera_distance_mm(one, target) for one in cameras])
+    radius_mm = max(float(np.hypot(*_points_mm(camera, target).T[:2]).max()) for camera in cameras)
+    unit_mm = np.median([_camera_distance_mm(camera, target) for camera in cameras])
     pose_free = np.outer(is_real, np.arange(POSE_SIZE) < model.size)
     parametrization = Parametrization(
         lens_basis=basis,
@@ -197,7 +197,7 @@ def sheet_problem(
     )
     state = RigState(
         lenses=stack_problem_lenses(lenses),
-        cam_from_rig=np.stack([np.asarray(one.pose.cam_from_world) for one in padded]),
+        cam_from_rig=np.stack([np.asarray(camera.pose.cam_from_world) for camera in padded]),
         rig_from_board=np.eye(3, 4)[None],
         set_from_board=np.zeros((0, 3, 4)),
         sheet=np.zeros(len(sigma)),
@@ -207,16 +207,16 @@ def sheet_problem(
         BoardObservation(
             camera=k,
             shot=0,
-            detection=one.detection,
-            used=np.ones(len(one.detection), dtype=bool),
-            grey_level_points=one.grey_level_points,
-            ink_spread_mm=one.ink_spread_mm,
+            detection=camera.detection,
+            used=np.ones(len(camera.detection), dtype=bool),
+            grey_level_points=camera.grey_level_points,
+            ink_spread_mm=camera.ink_spread_mm,
             spare_rows=0
-            if one.image is None
-            else one.largest_point_count - len(_points_mm(one, target)),
-            sigma_ratio=one.scatter,
+            if camera.image is None
+            else camera.largest_point_count - len(_points_mm(camera, target)),
+            sigma_ratio=camera.scatter,
         )
-        for k, one in enumerate(cameras)
+        for k, camera in enumerate(cameras)
     )
     return Problem(
         views,
@@ -246,7 +246,9 @@ def _lens_prior(
 
 def _are_one_lens(cameras: Sequence[SheetCamera]) -> bool:
     first = np.asarray(cameras[0].promoted_lens.parameters)
-    return all(np.array_equal(np.asarray(one.promoted_lens.parameters), first) for one in cameras)
+    return all(
+        np.array_equal(np.asarray(camera.promoted_lens.parameters), first) for camera in cameras
+    )
 
 
 def _camera_distance_mm(camera: SheetCamera, target: AbstractTarget) -> float:

@@ -416,34 +416,34 @@ class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Progress:
         """State at the start, with the first step if equations are given."""
-        here, search = self.descent.init(y, aux_struct), self.search.init(y, aux_struct)
+        point, search = self.descent.init(y, aux_struct), self.search.init(y, aux_struct)
         step, done = search.tried, jnp.asarray(False)
         if self.start is not None:
-            here = self.descent.query(y, self.start._replace(details=None), here)
-            step, _ = self.descent.step(search.damping, here)
+            point = self.descent.query(y, self.start._replace(details=None), point)
+            step, _ = self.descent.step(search.damping, point)
             done = jnp.isfinite(self.start.cost) & (step.promised < self.search.atol)
         search = search._replace(tried=step)
-        return _Progress(y, here[1], here, search, step, jnp.asarray(0), done, done)
+        return _Progress(y, point[1], point, search, step, jnp.asarray(0), done, done)
 
     def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, ArrowEquations]:
         """Evaluate a step, and propose the next one."""
         tried = self.descent.retract(y, state.step.head, state.step.blocks)
         _, evaluated = fn(tried, args)
-        there = evaluated._replace(details=None)
+        evaluated_equations = evaluated._replace(details=None)
         damping, accepted, _, search = self.search.step(
-            state.steps == 0, state.best, tried, state.at_best, there, state.search
+            state.steps == 0, state.best, tried, state.at_best, evaluated_equations, state.search
         )
-        better = jnp.asarray(there.cost <= state.at_best.cost)
-        best, at_best = _where(better, (tried, there), (state.best, state.at_best))
-        here = _where(accepted, (tried, there), (best, at_best))
-        step, _ = self.descent.step(damping, self.descent.query(here[0], here[1], state.here))
+        better = jnp.asarray(evaluated_equations.cost <= state.at_best.cost)
+        best, at_best = _where(better, (tried, evaluated_equations), (state.best, state.at_best))
+        point = _where(accepted, (tried, evaluated_equations), (best, at_best))
+        step, _ = self.descent.step(damping, self.descent.query(point[0], point[1], state.here))
         steps = state.steps + 1
         done = search.done | (steps >= self.most_steps)
         if self.start is not None:
             done |= better & (step.promised < self.search.atol)
         search = search._replace(tried=step)
-        progress = _Progress(best, at_best, here, search, step, steps, better, jnp.asarray(done))
-        return here[0], progress, evaluated
+        progress = _Progress(best, at_best, point, search, step, steps, better, jnp.asarray(done))
+        return point[0], progress, evaluated
 
     def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
         """True if the descent has ended; it failed if no cost was finite."""

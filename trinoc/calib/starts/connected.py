@@ -103,14 +103,14 @@ def _link_all_cameras(
     for a, b in combinations(sightings, 2):
         # For each shot, and each group of boards, a pair, preferably of one board.
         pairs: dict[tuple[int, int], tuple[Sighting, Sighting]] = {}
-        for one in sightings[a]:
-            group = next(k for k, members in enumerate(groups) if one.board in members)
-            for other in sightings[b]:
-                if other.shot != one.shot or other.board not in groups[group]:
+        for first in sightings[a]:
+            group = next(k for k, members in enumerate(groups) if first.board in members)
+            for second in sightings[b]:
+                if second.shot != first.shot or second.board not in groups[group]:
                     continue
-                pair = pairs.get((one.shot, group))
-                if pair is None or (pair[0].board != pair[1].board and one.board == other.board):
-                    pairs[one.shot, group] = one, other
+                pair = pairs.get((first.shot, group))
+                if pair is None or (pair[0].board != pair[1].board and first.board == second.board):
+                    pairs[first.shot, group] = first, second
         if pairs:
             links[a, b] = link_cameras([pairs[key] for key in sorted(pairs)], target, tuning)
     return links
@@ -126,11 +126,21 @@ def _link_all_boards(
     links: Links = {}
     for a, b in combinations(boards, 2):
         pairs = [
-            (one, other, poses)
+            (first, second, poses)
             for poses in cameras
-            for one in (s for camera in poses for s in sightings[camera] if s.board == a)
-            for other in (s for camera in poses for s in sightings[camera] if s.board == b)
-            if one.shot == other.shot
+            for first in (
+                sighting
+                for camera in poses
+                for sighting in sightings[camera]
+                if sighting.board == a
+            )
+            for second in (
+                sighting
+                for camera in poses
+                for sighting in sightings[camera]
+                if sighting.board == b
+            )
+            if first.shot == second.shot
         ]
         if pairs:
             links[a, b] = link_boards(sorted(pairs, key=lambda pair: pair[0].shot), target, tuning)

@@ -172,22 +172,22 @@ def place_board(
     # A single board may be turned wherever it looks the same; a board of a set may not.
     is_set = len({sighting.board for sighting in sightings}) > 1
     best: tuple[float, AgreedBoard] | None = None
-    for one in sightings:
+    for proposer in sightings:
         for labelling, cam_from_set in enumerate(
-            one.cam_from_set if is_set else one.cam_from_set[:1]
+            proposer.cam_from_set if is_set else proposer.cam_from_set[:1]
         ):
-            board = cam_from_rig[one.camera].inverse @ cam_from_set
+            board = cam_from_rig[proposer.camera].inverse @ cam_from_set
             members, outliers, total = [], [], 0.0
-            for other in sightings:
+            for sighting in sightings:
                 turn, error_px = labelling, 0.0
-                if other is not one:
-                    turn, error_px = other.nearest(cam_from_rig[other.camera] @ board, target)
-                agreement_px = other.agreement_px(tuning)
+                if sighting is not proposer:
+                    turn, error_px = sighting.nearest(cam_from_rig[sighting.camera] @ board, target)
+                agreement_px = sighting.agreement_px(tuning)
                 total += min(error_px / agreement_px, 1.0)
                 if error_px < agreement_px:
-                    members.append((other, turn))
+                    members.append((sighting, turn))
                 else:
-                    outliers.append((other, error_px))
+                    outliers.append((sighting, error_px))
             if best is None or total < best[0]:
                 best = total, AgreedBoard(members, board, outliers)
     assert best is not None
