@@ -42,8 +42,9 @@ INNER_FLOORS = {
     "geometry": ("lenses",),
 }
 
-# What the inner rooms of a room stand on, a file or a room: its tuned constants.
-FOUNDATION = "tuning"
+# Files or rooms that all inner rooms of a room may import: its tuned constants, and its sentences
+# if they are made of numbers and names alone.
+FOUNDATION = {"calib": {"tuning"}, "match": {"tuning", "sentences"}}
 
 # Doors with names for users: those that import when a name is first used, as what stands behind
 # them takes a second to import; and those that import at once. Inside, one imports from the files.
@@ -129,7 +130,7 @@ def test_inner_rooms_import_only_the_floors_below(room):
         parts = module.split(".")
         if own != room or len(parts) < 4:
             continue
-        below = {FOUNDATION, *floors[: floors.index(parts[2]) + 1]}
+        below = {*FOUNDATION.get(room, {"tuning"}), *floors[: floors.index(parts[2]) + 1]}
         for name in imported(tree):
             taken = name.split(".")
             if taken[:2] == ["trinoc", room] and taken[2] not in below:

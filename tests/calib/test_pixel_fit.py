@@ -72,7 +72,7 @@ def shown(view, target: AbstractTarget = BOARD):
 
 def test_points_count_alike_whether_detected_or_shown():
     detected = problem()
-    views = [view._replace(shown=shown(view)) for view in detected.views]
+    views = [view._replace(grey_level_points=shown(view)) for view in detected.views]
     # One of them is silent, and counts as it was detected.
     views[0] = detected.views[0]
     both = detected._replace(views=tuple(views))
@@ -101,7 +101,7 @@ def test_a_circle_that_is_shown_elsewhere_is_left_out():
         own = shown(view, SHEET)
         aside = np.zeros_like(own.uv_px)
         aside[4] = 3.0
-        views.append(view._replace(shown=own._replace(uv_px=own.uv_px + aside)))
+        views.append(view._replace(grey_level_points=own._replace(uv_px=own.uv_px + aside)))
     left = drop_wrong_circles(here._replace(views=tuple(views)))
     assert all(np.flatnonzero(~view.rows_used).tolist() == [4] for view in left.views)
 

@@ -43,7 +43,7 @@ def test_pictures_exchanged_in_some_shots_are_named():
     seen["left"][4], seen["right"][4] = seen["right"][4], seen["left"][4]
     refused = calibrate_rig(seen, BOARD, lens=KNOWN, systematics=EXACT).refused
     assert any(
-        each.startswith('shot 5: the pictures of "left" and "right" look exchanged')
+        each.startswith('shot 5: the images of "left" and "right" seem to be exchanged')
         for each in refused
     )
     assert all(each.startswith("shot 5") for each in refused)

@@ -193,7 +193,7 @@ REFUSED = {
     ),
     "a lens of another camera": (
         ("calibrate", "upper=upper.png", "--pattern", "sheet.json", "--intrinsics", "lens.json"),
-        "but its lens says 640 x 480",
+        "but its lens is for 640 x 480",
     ),
     "no such folder": ((*calibrate("upper=upper.png"), "-o", "no/rig.json"), "folder no does not"),
     "a camera without a picture": (
@@ -261,7 +261,7 @@ def test_scene_that_hardly_matches_says_what_to_check(run, shuffled):
     status, out, _ = run("match", *files, "--rig", "rig.json", "-o", "none.npz")
     assert status == 0
     assert "Use these matches with care. 0 sure lines in three views" in out
-    assert "check that this rig took these pictures" in out
+    assert "check that this rig took these images" in out
 
 
 @pytest.mark.parametrize("paper", ["a4", "letter"])

@@ -47,7 +47,7 @@ def test_options_are_hashable_frozen_and_changed_by_name():
     assert len({DEFAULT, MatchTuning(), changed}) == 2
     with pytest.raises(dataclasses.FrozenInstanceError):
         setattr(DEFAULT.selection, "damping", 0.5)  # noqa: B010
-    with pytest.raises(ValueError, match="choose one of"):
+    with pytest.raises(ValueError, match="Choose one of"):
         with_field(DEFAULT, "selection.dampening", 0.5)
 
 

@@ -101,7 +101,7 @@ def test_places_left_out_are_marked_and_cut() -> None:
     (whole,) = [each for each in part.cameras[0].figures if each.name == SHOTS[1]]
     assert whole.caption.startswith("left out, ")
     assert whole.residuals == ""
-    assert "located wrongly and not used" in Page(render_report(result=changed)).text
+    assert "located wrongly and left out" in Page(render_report(result=changed)).text
 
 
 def test_the_page_holds_each_image_once_and_small() -> None:

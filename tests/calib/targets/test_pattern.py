@@ -107,7 +107,7 @@ def test_rescaling_back_gives_the_sheet_again(x, y):
         ({"line_style": "dotted"}, "line style"),
         ({"line_width_mm": -1.0}, "negative"),
         ({"pitch_mm": float("nan")}, "finite"),
-        ({"rows": 0}, "none"),
+        ({"rows": 0}, "empty"),
         ({"rings": np.zeros((2, 2), dtype=bool)}, "shape"),
     ],
 )
