@@ -241,9 +241,7 @@ def test_a_camera_that_sees_the_back_of_a_two_sided_board_is_told_so():
     front, back = shown(CHARUCO, (0.0, 20.0)), shown(replace(CHARUCO, mirrored=True), (0.0, 20.0))
     with pytest.raises(CalibrationError, match=r'camera "far".*mirrored=yes.*two-sided'):
         calibrate_rig({"near": front, "far": back}, CHARUCO)
-    with pytest.raises(
-        CalibrationError, match=r"In (picture|image|shot) 1: 24 markers.*mirrored=yes"
-    ):
+    with pytest.raises(CalibrationError, match=r"In \w+ 1: 24 markers.*mirrored=yes"):
         calibrate_intrinsics(back, CHARUCO)
 
 
