@@ -156,7 +156,7 @@ def test_grey_levels_of_sharpened_pictures_that_differ_give_way_to_sound_circles
     root = np.eye(2 * len(SHEET)) / finer_px
     points = SheetPoints(SHEET.centres_mm, places_px, root)
     picture = PictureFit(points, None, None, is_processed)
-    shown = dataclasses.replace(camera, picture=picture, grey_level_points=points)
+    shown = dataclasses.replace(camera, grey_level_fit=picture, grey_level_points=points)
     choice = choose_observations(0, shown, circles, adjusted([shown], known))
     assert choice.agreement < 1e-2
     assert choice.method == method

@@ -196,7 +196,7 @@ def test_a_lens_off_by_its_own_sigma_is_not_suspect() -> None:
 @pytest.mark.parametrize(
     ("covariance", "words"),
     [
-        (np.full((4, 4), np.nan), "is determined"),
+        (np.full((4, 4), np.nan), "not finite"),
         (np.zeros((2, 3)), "shape"),
         ({"lower": COVARIANCE}, 'names the camera "lower"'),
     ],
