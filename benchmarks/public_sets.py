@@ -87,7 +87,7 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
             readable = str(error)
     squares, weights = [], []
     for view, errors in zip(result.views, result.residuals_px, strict=True):
-        kept = view.kept
+        kept = view.rows_used
         variance = np.trace(view.detection.covariance_px2, axis1=1, axis2=2)
         variance = variance * getattr(view, "sigma_ratio", 1.0) ** 2
         squares.append(np.sum(errors**2, axis=1)[kept] / variance[kept])

@@ -179,9 +179,7 @@ def notes_of_camera(
 def notes_of_priors(
     pulls: Sequence[PriorPull], adjustment: Adjustment, view: int
 ) -> tuple[str, ...]:
-    """Notes on the priors of one camera's lens and aim, then of the sheet, that the images
-    contradict.
-    """
+    """Notes on contradicted priors of one camera's lens and aim, then of the sheet."""
     camera_sentences = [sentence_of_pull(p, adjustment, view) for p in pulls if view in p.views]
     return (*dict.fromkeys(camera_sentences), *notes_of_sheet(pulls, adjustment))
 

@@ -414,8 +414,8 @@ def lens_choice(
     """The chosen lens model and the reason.
 
     rms_px : held-out error of each model. tests : for each tested extension of the best model
-    without splines, its p-value and whether it is significant. doubt : whether the residuals need
-    splines, although splines were tested.
+        without splines, its p-value and whether it is significant. doubt : whether the residuals
+        need a correction by splines.
     """
     others = ", ".join(f"{name} {rms:.3g}" for name, rms in rms_px.items() if name != model)
     comparison = f" ({others})" if others else ""

@@ -80,9 +80,9 @@ def fit_robustly(problem: Problem) -> RobustFit:
 
 def fit_annealed(problem: Problem) -> RobustFit:
     """Robust fit of a problem after `anneal`."""
-    problem, elsewhere = drop_wrong_points(problem)
+    problem, rejected_images = drop_wrong_points(problem)
     problem, _ = fit_points(problem)
-    return finish_fit(problem, elsewhere)
+    return finish_fit(problem, rejected_images)
 
 
 def anneal(
@@ -120,23 +120,23 @@ def fit_without_wrong_points(problem: Problem, suspects: Sequence[int]) -> tuple
     return fit_points(problem._replace(views=tuple(views)), first_damping=LEAST_DAMPING)
 
 
-def finish_fit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
-    """Fit with the sigmas that the residuals show."""
-    return refit(with_sigma_factors(problem), elsewhere)
+def finish_fit(problem: Problem, rejected_images: list[tuple[int, int, float]]) -> RobustFit:
+    """Robust fit with the sigmas that the residuals show, from a problem without outliers."""
+    return refit(with_sigma_factors(problem), rejected_images)
 
 
-def refit(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> RobustFit:
+def refit(problem: Problem, rejected_images: list[tuple[int, int, float]]) -> RobustFit:
     """Fit with unchanged sigmas."""
     problem, converged = fit_points(problem)
-    return end_of_fit(problem, converged, elsewhere)
+    return end_of_fit(problem, converged, rejected_images)
 
 
 def end_of_fit(
-    problem: Problem, converged: bool, elsewhere: list[tuple[int, int, float]]
+    problem: Problem, converged: bool, rejected_images: list[tuple[int, int, float]]
 ) -> RobustFit:
     """Result of a fit that ended at the state of a problem."""
     chi_square = float(np.sum(np.square(whitened_errors(problem))))
-    return RobustFit(problem, converged, elsewhere, chi_square, degrees_of_freedom(problem))
+    return RobustFit(problem, converged, rejected_images, chi_square, degrees_of_freedom(problem))
 
 
 def fit_points(
@@ -192,9 +192,9 @@ def _used_rows(
     return [rows[: len(view.used)][view.used] for rows, view in zip(errors, problem.views)]
 
 
-def use_all_points(problem: Problem, elsewhere: list[tuple[int, int, float]]) -> Problem:
+def use_all_points(problem: Problem, rejected_images: list[tuple[int, int, float]]) -> Problem:
     """Problem with every point used, except in rejected images."""
-    rejected = {(camera, shot) for camera, shot, _ in elsewhere}
+    rejected = {(camera, shot) for camera, shot, _ in rejected_images}
     views = tuple(
         view
         if (view.camera, view.shot) in rejected

@@ -268,7 +268,7 @@ class ArrowDescent(optx.AbstractDescent):
         return y, zeros._replace(cost=jnp.full_like(zeros.cost, jnp.inf), details=None)
 
     def query(self, y: Any, f_info: ArrowEquations, state: Any) -> Any:
-        """Continue from this point."""
+        """Set the point of the next step, with the equations there."""
         return y, f_info
 
     def step(self, step_size: Any, state: Any) -> tuple[ArrowStep, optx.RESULTS]:
