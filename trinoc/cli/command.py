@@ -73,9 +73,11 @@ class Job:
     command_line: str = ""
 
     def expect(self, kind: type, out: Path | None, *others: Path | None) -> None:
-        """Raise InputError, before the work, where a value of a kind cannot be written to `out`.
+        """Check, before any work, that a value of type `kind` can be written to `out`.
 
-        others : files that are written, too, of any kind.
+        others : further output files, of any type.
+
+        Raises InputError.
         """
         from trinoc.io.atomic import expect_place
         from trinoc.io.saving import expect_replaceable

@@ -66,9 +66,9 @@ class KnownShape(Value):
         return cls(truth.edges_mm, *_read_labels(parts), np.zeros((0, 3, 3)), wanted)
 
     def visible_to(self, rig: Rig) -> "KnownShape":
-        """The same edges; the parts visible to two cameras should be detected.
+        """The same shape, with the edges that count as visible: those that two cameras see.
 
-        Known faces hide edges behind them. Parts outside the images are never wanted.
+        Known faces hide the edges behind them. Parts outside the images are not visible.
         """
         visible = {name: self._before(camera) for name, camera in rig.items()}
         labels = _labels(len(self.edges_mm))

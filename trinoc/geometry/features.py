@@ -62,9 +62,9 @@ class Feature(Displayable, Table):
     def segments_of(self, row: int | np.integer) -> dict[str, Int[np.ndarray, "_"]]:
         """Indices of the segments that show one feature, per view; empty if unknown.
 
-        A table has this information if it has `views` and one row per segment: the columns `view`,
-        `segment`, and the feature's index. That last column is named like the kind in singular, for
-        example `rim`.
+        The table has this information if it has `views` and the columns `view`, `segment` and the
+        number of the feature, with one row per segment. The last column has the singular name of
+        the kind, for example `rim`.
         """
         table: Any = self
         numbers = getattr(table, self.KIND.removesuffix("s"), None)
@@ -77,7 +77,7 @@ class Feature(Displayable, Table):
 
     @abc.abstractmethod
     def wires(self) -> Wires:
-        """Line drawing of all features."""
+        """Line drawing of all features in the world frame: points, straight lines and faces."""
 
 
 def wires_of_lines(lines: Sequence[Sequence[Float[np.ndarray, "_ 3"]]]) -> Wires:

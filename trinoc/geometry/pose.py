@@ -92,8 +92,8 @@ class Pose(Value):
     Notes
     -----
     Fits take small steps from a pose (`retract`) in local coordinates without a singularity. Pan
-    and swing are such a singularity: they become one angle if a camera looks straight down, which
-    is a common position. The method's parameters are computed at the end (`parameters`,
+    and swing have one: they become one angle if a camera looks straight down, which is a common
+    position. Pan, tilt, swing and distance are computed at the end (`parameters`,
     `d_parameters_d_delta`).
     """
 

@@ -141,7 +141,10 @@ def read_size_px(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def read_views(paths: Mapping[str, str | os.PathLike[str]]) -> dict[str, np.ndarray]:
-    """The picture of each view. Raises InputError, also where two views share one picture."""
+    """Read the image of each view.
+
+    Raises InputError for an unreadable file, and if two views have the same file.
+    """
     images: dict[str, np.ndarray] = {}
     view_of: dict[bytes, str] = {}
     for view, path in paths.items():

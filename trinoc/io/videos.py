@@ -146,7 +146,7 @@ class _VideoReader:
         self.number, self.count, self.has_ended, self._begin_ms = -1, 0, False, 0.0
 
     def advance(self) -> bool:
-        """Go to the next frame; False at the end, which a damaged frame may be, too."""
+        """Go to the next frame. Returns False at the end of the video or at a damaged frame."""
         if not self.capture.grab():
             self.has_ended = True
             return False

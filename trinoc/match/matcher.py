@@ -168,8 +168,9 @@ def match_frames(
 ) -> list[Matches]:
     """Match several frames with the same number of views as one problem.
 
-    Several frames have at most three views, and at most FRAMES_AT_ONCE frames are matched at once.
-    The noise scale of each frame is estimated from its own segments, in as many passes as needed.
+    At most FRAMES_AT_ONCE frames are matched together, and only if they have at most three views.
+    The noise scale of each frame is estimated from its own segments; a frame whose noise differs
+    from the stated one is matched again.
 
     Parameters
     ----------

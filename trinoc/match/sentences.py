@@ -134,7 +134,7 @@ def all_images_resized(size: str) -> str:
 
 
 def image_shifted(view: str, shift_px: Float[ndarray, "2"]) -> str:
-    """An image is shifted against the camera of the rig."""
+    """Text: an image is shifted against its camera in the rig. shift_px : (x, y) shift."""
     return (
         f'the image of "{view}" is shifted by about ({shift_px[0]:.0f}, {shift_px[1]:.0f}) px '
         "against its camera (it is cropped, or its principal point or the camera has moved)"

@@ -152,7 +152,7 @@ class Elimination(NamedTuple):
 
 
 def eliminate(arrow: BlockArrow) -> Elimination:
-    """Eliminate the blocks of an arrow."""
+    """Eliminate the diagonal blocks of a block-arrow matrix (Schur complement)."""
     inverse = jax.vmap(inverse_positive_definite)(arrow.blocks)
     determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
     inverse = jnp.where(determined[:, None, None], inverse, 0.0)

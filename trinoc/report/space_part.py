@@ -183,7 +183,10 @@ def _error_bars(matches: Matches) -> list[np.ndarray]:
 
 
 def _joined_layers(matches: Matches, rig: Rig) -> list[LineLayer]:
-    """Collinear tracks as one line each, and the corners where lines meet; hidden at first."""
+    """Layers for the joined lines, one line per group of collinear tracks, and for their corners.
+
+    The layers are hidden when the page opens.
+    """
     joined = join_collinear(matches, rig)
     corners = snap_corners(joined)
     descriptions = []

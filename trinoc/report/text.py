@@ -40,5 +40,5 @@ def counts_text(matches: Matches) -> str:
 
 
 def reasons_text(matches: Matches) -> str:
-    """Number of segments of each view by their reason, and of all."""
+    """Table as text: number of segments for each reason, per view and in total."""
     return draw_text(reasons_table(matches))

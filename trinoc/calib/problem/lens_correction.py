@@ -134,11 +134,10 @@ def _with_own_sigmas(problem: Problem) -> Problem:
 def assess_corrections(
     problem: Problem, sigma_px: Float[np.ndarray, "l"]
 ) -> tuple[Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
-    """Chi-square of each lens's correction under a sigma of 1 px, and its determined number of
-    points.
+    """Chi-square and effective number of control points of each lens's spline correction, (l,).
 
-    The second result is the effective number of control points that the shots determine, at the end
-    of a fit under priors of `sigma_px`.
+    The chi-square is computed for a prior sigma of 1 px. The second result is the number of
+    control points that the shots determine, at the end of a fit with the priors `sigma_px`.
     """
     information = compute_information(problem)
     covariance = np.nan_to_num(information.observability.covariance)

@@ -51,7 +51,7 @@ class Problem(NamedTuple):
 
     @property
     def slices(self) -> HeadSlices:
-        """Positions of the steps of each kind of unknown in the head."""
+        """Index range of each kind of unknown in the head (the unknowns that shots share)."""
         return self.parametrization.slices
 
     @property

@@ -35,7 +35,7 @@ class PictureFit:
 
     Fields
     ------
-    points : pixels of each circle and each piece of the crossed lines.
+    points : fitted positions, px, of each circle and of each piece of the crossed lines.
     quality : light, ink, blur and noise.
     note : reason why the grey levels cannot be used; None if they can.
     is_processed : whether software has sharpened the image.

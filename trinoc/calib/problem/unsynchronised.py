@@ -204,9 +204,10 @@ def _correlated_whitening(
 
 
 def _motion_covariance(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "6 6"]:
-    """Covariance M of the motion of the board in one image, in steps of its pose, (6, 6).
+    """Covariance of the board's motion between the exposures of two cameras of a shot, (6, 6).
 
-    The influence of the most different pairs is bounded.
+    The unit is that of steps of the pose. It is estimated from pairs of poses; the pairs with the
+    largest differences have bounded weight.
     """
     differences, noises = [], []
     for first, *others in images_of_shots(problem).values():

@@ -140,8 +140,9 @@ class Parametrization(eqx.Module):
 
     @property
     def lens_scale(self) -> Float[ArrayLike, "l q"]:
-        """Change of each lens parameter for its unit step, (l, q), if each parameter has its own
-        step.
+        """Change of each lens parameter for a step of 1, (l, q).
+
+        Only if every step changes one parameter.
         """
         return self.lens_basis.diagonal(axis1=1, axis2=2)
 

@@ -76,7 +76,11 @@ class BoardObservation(NamedTuple):
     has_motion_errors: bool = False
 
     def without_motion(self) -> "BoardObservation":
-        """Observation with independent errors of its detected points, for a pose of its own."""
+        """The observation with its detected points and their own errors only.
+
+        Errors that the motion of the board adds are removed, so that the image can have its own
+        pose of the board.
+        """
         return (
             self._replace(grey_level_points=None, has_motion_errors=False)
             if self.has_motion_errors

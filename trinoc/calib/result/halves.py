@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 
 class CrossValidation(NamedTuple):
-    """Errors of lenses and cameras, fitted to one half of the shots, on the other half.
+    """Two-fold cross-validation: errors of lenses and cameras on shots not used in their fit.
 
     For a held-out shot only the pose of the board is fitted, to the image of one camera.
 

@@ -251,7 +251,10 @@ def _motion(
 
 
 def _significance(fixed: RefineResult, freed: RefineResult, noise: float) -> float:
-    """Significance, in sigmas, of the chi-square reduction by one more camera without a prior."""
+    """Significance, in sigmas, of the chi-square reduction when one more camera is freed.
+
+    noise : factor of the segments' sigmas, by which both chi-squares are scaled.
+    """
     gain = max(fixed.chi_square[0] - freed.chi_square[0], 0.0) / noise**2
     return sigmas_of_chi_square(gain, len(_pose_rows(freed)) // len(freed.rig))
 

@@ -195,8 +195,9 @@ def _start_by_zhang(
 def _near_homography(
     detection: Detection, target: AbstractTarget, tuning: CalibTuning
 ) -> Bool[np.ndarray, "m"]:
-    """Mask of the points near the homography of most points, (m,); all true without a
-    homography.
+    """Mask of the points that agree with one homography, (m,).
+
+    The homography is fitted by RANSAC. All points are True if it cannot be fitted.
     """
     sheet = target.centres_mm[detection.circle_index]
     extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))

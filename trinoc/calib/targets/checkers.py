@@ -70,7 +70,7 @@ class Chessboard(AbstractSquareBoard):
 
     @property
     def marks(self) -> Marks:
-        """Numbers of inner corners: a search for a chessboard needs exactly these."""
+        """Number of inner corners in both directions, which a search for a chessboard needs."""
         fewer, more = sorted((self.rows, self.columns))
         return Marks(
             f"chessboard of {fewer} x {more}",

@@ -12,9 +12,9 @@ def covariance_of_size(
 ) -> Float[np.ndarray, "p p"]:
     """Part of a joint covariance that is caused by the error of the board's size, (p, p).
 
-    The size is the mean of all board scales among `parameters`, such as "board.scale_x". The part
-    is that of a linear regression on the size, so that the rest is the covariance for a board of
-    known size. Zero if all scales are exact.
+    The size is the mean of all board scales among `parameters`, such as "board.scale_x". The
+    remaining part, covariance minus this part, is the covariance for a board of known size. Zero
+    if all scales are exact.
     """
     is_scale = np.array(
         [name.startswith("board.") and name.rpartition(".")[2] in _SCALES for name in parameters]

@@ -46,9 +46,9 @@ def promote_lens(
 
 
 def widen_lens(lens: AbstractLens, model: type[AbstractLens]) -> AbstractLens:
-    """Convert a lens to a wider model; the added coefficients are 0 and the lens is equal.
+    """Convert a lens to a model with more coefficients; the added ones are 0.
 
-    The coefficients of `model` must begin with those of the lens.
+    The projection does not change. The coefficients of `model` must begin with those of the lens.
     """
     zeros = np.zeros(len(model.coefficient_names) - len(lens.coefficient_names))
     coefficients = np.append(np.asarray(lens.coefficients), zeros)

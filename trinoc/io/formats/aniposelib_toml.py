@@ -58,7 +58,7 @@ def write_anipose(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def write_caliscope(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the cameras as tables with numbers."""
+    """Write the cameras as numbered TOML tables, unit `unit_mm`."""
     tables = {
         f"cameras.{number}": {
             "cam_id": number,
@@ -84,7 +84,10 @@ def read_anipose(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
 
 
 def read_caliscope(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The tables under `cameras`, or `cam_0`, ... of an earlier version, but those to ignore."""
+    """Read the cameras from the tables under `cameras`, except those marked as ignored.
+
+    Files of an earlier version have tables `cam_0`, `cam_1`, ... instead.
+    """
     document = read_toml(path)
     if "cameras" in document.values:
         tables = {f"cam_{key}": block for key, block in document.block("cameras").blocks()}

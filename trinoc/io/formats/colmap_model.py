@@ -53,7 +53,10 @@ def write_binary(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def write_text_model(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the text files."""
+    """Write the rig as a COLMAP model in text files into the folder `path`, unit `unit_mm`.
+
+    Raises InputError for a camera name that contains a blank.
+    """
     for name in rig:
         if any(letter.isspace() for letter in name):
             raise InputError(

@@ -106,7 +106,10 @@ XML = Notation("XML", _parse_xml, (ElementTree.ParseError, ValueError), 100_000_
 
 
 def _block(element: ElementTree.Element, path: Path) -> Block:
-    """Attributes, properties and texts of an element by their names; its place is its label."""
+    """Attributes, properties and texts of an XML element by name.
+
+    Error messages name the element by its label.
+    """
     values = {child.tag: (child.text or "").strip() for child in element if not len(child)}
     values |= {each.get("name", ""): each.get("value") for each in element.iterfind("property")}
     values |= element.attrib

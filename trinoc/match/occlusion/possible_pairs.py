@@ -257,7 +257,11 @@ def log_ends(candidates: Candidates, shares: Float[np.ndarray, "*m c"]) -> Float
 
 
 def end_shares(mixture: MixtureParameters, tuning: EndTuning) -> Float[np.ndarray, "*f c"]:
-    """Shares of the end components of two views, derived from those of three."""
+    """Mixture weights for how the segment ends of two views agree, (..., c).
+
+    They follow from the weights for three views: two views that agree are a random pair of the
+    three.
+    """
     all_agree, two_agree = len(tuning.agreement_px), len(tuning.pair_px)
     agreeing = mixture.ends[..., :all_agree].copy()
     # If two of three views agree, they are a given pair in one of three cases.

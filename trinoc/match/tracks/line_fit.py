@@ -222,7 +222,10 @@ def _release_cut_ends(
     segment_px: Float[np.ndarray, "n 2 2"],
     ends_here: Bool[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Add a large variance along the segment to the ends that are cuts."""
+    """Add a large variance along the segment to the end points at which it is cut.
+
+    ends_here : (m, 2) True for the end points of the segment itself.
+    """
     along = (segment_px[:, 1] - segment_px[:, 0]).T
     along = along / np.sqrt((along**2).sum(axis=0))
     push = FREE_PX**2 * along[:, None] * along

@@ -151,9 +151,10 @@ def scale_covariance_of_lines(
     covariance_mm2: Float[np.ndarray, "t 6 6"],
     factor: Float[np.ndarray, "t"],
 ) -> Float[np.ndarray, "t 6 6"]:
-    """Multiply the variances across the lines by a factor; the variances along them stay.
+    """Multiply the variances across each line by its factor, (t, 6, 6).
 
-    Noise does not affect the position along a line, where the detector stops.
+    The variances along the line do not change: they come from the position at which the detector
+    stops, not from noise.
     """
     step = ends_mm[:, 1] - ends_mm[:, 0]
     unit = step / np.linalg.norm(step, axis=1, keepdims=True)

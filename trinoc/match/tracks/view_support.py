@@ -131,10 +131,10 @@ def right_rates(
     posterior: Float[np.ndarray, "t"],
     rules: ViewSupportTuning,
 ) -> Float[np.ndarray, "v v"]:
-    """Share of right lines on which view v has a segment, given that view u has one, (v, v).
+    """Probability that view v has a segment of a correct line of which view u has one, (v, v).
 
-    Only lines with a segment in three views other than v count: these are tracks with or without
-    v.
+    Only lines with segments in at least three views other than v are counted: they are tracks
+    whether or not v has a segment.
     """
     is_member = index >= 0
     has_three_others = (is_member.sum(axis=1, keepdims=True) - is_member) >= 3

@@ -5,7 +5,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RimTuning:
-    """Circles from chords. Shown by benchmarks/rims.py."""
+    """Constants of the search for circles through matched chords.
+
+    The benchmark `rims.py` shows their effect.
+    """
 
     # Two matched lines propose a circle if the two tangent circles coincide within this share of
     # the radius. Other lines support it within half of that. By hand.

@@ -79,7 +79,7 @@ class AdjustedGraph(NamedTuple):
     observation_covariance_mm2: Float[np.ndarray, "l 2 3 2 3"]
 
     def joint(self, vertices: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k 3 k 3"]:
-        """Joint covariance of vertices of one part."""
+        """Joint covariance of vertices of one connected part, (k, 3, k, 3), mm^2."""
         part = int(self.part[vertices[0]])
         rows = np.searchsorted(np.flatnonzero(self.part == part), vertices)
         blocks = self.covariance_mm2[part]
