@@ -389,7 +389,11 @@ def coefficients_not_called_for(
 
 
 def distortion_extrapolated(point: str, share: float) -> str:
-    """No observation near the corners of the image. point : "circle" or "corner"."""
+    """Few observations near the corners of the image, where the distortion is extrapolated.
+
+    point : "circle" or "corner", the kind of board point. share : of the way from the principal
+    point to the corners of the image that the observations reach.
+    """
     return (
         f"No {point} lies beyond {100 * share:.0f} % of the distance from the principal point to "
         "the corners: the distortion beyond is extrapolated. Show the board near the corners."
@@ -458,7 +462,7 @@ def lens_model_widened(
     """Another lens model was used, because the first one folds the image of a camera."""
     return (
         f'The {model} distortion of "{camera}" {fold}, so the lens model is {wider_model}: the rms '
-        f"residual is {rms_px:.3f} px instead of {folding_rms_px:.3f} px."
+        f"residual is now {rms_px:.3f} px; it was {folding_rms_px:.3f} px."
     )
 
 
@@ -469,8 +473,8 @@ def folding_coefficients_fixed(
     coefficients, verb = ", ".join(names), "is" if len(names) == 1 else "are"
     return (
         f'The distortion of "{camera}" fitted with {coefficients} {fold}, so {coefficients} {verb} '
-        f"fixed at 0; the rms residual is {rms_px:.3f} px instead of {folding_rms_px:.3f} px. Show "
-        "the board nearer to the corners of the image."
+        f"fixed at 0. The rms residual is now {rms_px:.3f} px; it was {folding_rms_px:.3f} px. "
+        "Show the board nearer to the corners of the image."
     )
 
 

@@ -61,10 +61,12 @@ class Outcome(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Job:
-    """The options of every command, and the steps that most commands take.
+    """Options and steps that most commands share.
 
-    json : print one JSON object. quiet : show no progress. force : replace files of another kind.
-    command_line : as the user typed it, for the provenance of files.
+    json : print one JSON object.
+    quiet : show no progress.
+    force : overwrite an output file that holds a value of another kind.
+    command_line : text that the user typed, for the provenance of files.
     """
 
     json: bool = False

@@ -150,11 +150,11 @@ def rectify_pair(
 
 @in_float64
 def share_of_common_field(rig: Rig, cameras: Mapping[str, Camera]) -> float:
-    """Share of the common field of two cameras that both new `cameras` image; NaN if there is none.
+    """Share of the common field of `rig` that both rectified `cameras` still see.
 
-    The field is sampled on planes perpendicular to the axes, at the depth where the optical axes
-    approach each other most. Axes that do not approach in front of the cameras are sampled at a
-    great distance.
+    NaN if the two cameras of the rig have no common field. The field is sampled on planes
+    perpendicular to the axes, at the depth where the optical axes approach each other most. If the
+    axes do not approach in front of the cameras, it is sampled at a large distance.
     """
     first, second = rig.cameras
     depths = _depths_of_approach(first, second)

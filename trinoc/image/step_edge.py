@@ -62,7 +62,10 @@ def log_parabola(
 def peak_of_slope(
     slope: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """(offset from the middle, variance) of a blurred step from slopes at three positions."""
+    """Position of a blurred step relative to the middle sample, and variance of its blur.
+
+    Both follow from the slopes at three positions.
+    """
     rise, bend = log_parabola(slope)
     bend = np.maximum(bend, _SMALLEST)
     return rise / bend, 1 / bend

@@ -108,7 +108,10 @@ def _bounds(shape: Disc | Polygon) -> tuple[Float[np.ndarray, "2"], Float[np.nda
 def _inside(
     shape: Disc | Polygon, x: Float[np.ndarray, "1 w"], y: Float[np.ndarray, "h 1"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Mask of the points that a figure covers; polygons are convex, in either order."""
+    """Mask of the points inside a figure.
+
+    Polygons are convex; their vertices may be in either order.
+    """
     if isinstance(shape, Disc):
         return np.hypot(x - shape.centre_mm[0], y - shape.centre_mm[1]) < shape.radius_mm
     corners = shape.corners_mm

@@ -199,7 +199,7 @@ def save_rig(
 
 
 def rig_text(rig: Rig) -> str:
-    """The text of a rig.json without a status; equal rigs give equal texts."""
+    """Text of a rig.json without the status of a calibration; equal rigs give equal texts."""
     return document_text(_rig_to_values(rig, None, None))
 
 

@@ -37,7 +37,7 @@ def with_features(figure: SpaceFigure, kinds: Iterable[Feature]) -> SpaceFigure:
 
 
 def features_layers(features: Feature) -> list[LineLayer]:
-    """One layer with the lines of all features, described; a wire frame has several."""
+    """Layers of lines for the features, with descriptions: one, or several for a wire frame."""
     if isinstance(features, Wireframe):
         return wireframe_layers(features)
     if not len(features):

@@ -75,9 +75,10 @@ NUMBERED = 14
 
 
 class Stroke(NamedTuple):
-    """A segment or a fragment on an image; `track` is -1 if it belongs to none.
+    """A segment or a fragment on an image.
 
-    matched : None without a matching.
+    track : number of its track; -1 if it is on no track.
+    matched : whether it was matched; None if there are no matches.
     """
 
     u1: float

@@ -49,7 +49,10 @@ class Window(NamedTuple):
 
     @classmethod
     def around(cls, points_px: Float[np.ndarray, "n 2"], picture: PagePicture) -> "Window":
-        """The points with a margin, in the picture's shape where that fits, cut at its edge."""
+        """Window around the points with a margin, clipped to the picture.
+
+        It has the aspect ratio of the picture if possible.
+        """
         if len(points_px) == 0:
             return cls(*picture.window)
         size = np.array([picture.width_px, picture.height_px])

@@ -131,9 +131,9 @@ class Adjustment:
         return _triangle(self.root[:, last])[len(others) :, len(others) :]
 
     def observability(self, view: int, sigma_factor: float = 1.0) -> Observability:
-        """Determined parameters of one camera's pose, with all other unknowns eliminated.
+        """Parameters of one camera's pose that are determined, with all other unknowns eliminated.
 
-        sigma_factor : by which the sigmas of all observations are divided.
+        sigma_factor : divisor of the sigmas of all observations.
         """
         largest = largest_sigmas(self.model, self.distance_mm(view))
         root = sigma_factor * self.pose_root(view)

@@ -87,10 +87,11 @@ def joint_estimate(
     calibrated: CalibrationResult | Rig,
     tuning: CalibTuning,
 ) -> RefineResult:
-    """Joint estimate from the start `rig`, with the prior of `sheet_rig`.
+    """Estimate cameras and lines jointly, with the covariance of `sheet_rig` as the prior.
 
-    lines : observations with the rig's cameras in its order. calibrated : for the quality of the
-        sheet's fit.
+    rig : start of the estimate.
+    lines : observations; their cameras are those of `rig`, in the same order.
+    calibrated : calibration whose residuals tell whether the sheet's sigmas hold.
     """
     tracks, lines_mm = _pad_tracks(lines)
     start = CamerasAndLines(_cameras(rig, choice), lines_mm)
@@ -195,10 +196,12 @@ def _cameras(rig: Rig, choice: FreeParameters) -> CameraState:
 def prior_information(
     rig: Rig, parameters: tuple[str, ...], choice: FreeParameters
 ) -> Float[np.ndarray, "k k"]:
-    """Prior information on the trusted cameras and all lenses: the inverse of their covariance, (k,
-    k).
+    """Prior information matrix of the trusted cameras and of all lenses, (k, k).
 
-    parameters : names of the parameters of each camera. A knocked camera keeps its lens.
+    It is the inverse of their covariance. A camera that was knocked has no prior on its pose, only
+    on its lens.
+
+    parameters : names of the parameters of each camera.
     """
     names = [f"{camera}.{name}" for camera in rig.names for name in parameters]
     information = np.zeros((len(names), len(names)))

@@ -288,9 +288,10 @@ def _crossing_of_squares(
 ) -> Scalar:
     """Correction of the share of ink at a crossing of two grid lines.
 
-    `ink_of_squares` first assumes that the edges above each crossing and to its right continue
-    below and to the left. This correction restores the quadrants of the crossing. In a
-    checkerboard crossing, the edge along X spreads in opposite directions on both sides.
+    `ink_of_squares` assumes that the edges above each crossing and to its right continue below and
+    to the left. This correction replaces the assumed quadrants by the true ones. At a checkerboard
+    crossing the dark side of the edge along X changes, so that spreading ink moves the edge in
+    opposite directions on both sides.
     """
     lower, upper = lower_left - lower_right, upper_left - upper_right
     before, after = lower_left - upper_left, lower_right - upper_right

@@ -392,11 +392,11 @@ class _Progress(eqx.Module):
 
 
 class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
-    """Minimiser that runs a descent and a search, with equations that the function returns with its
-    cost.
+    """Minimiser that combines a descent and a search.
 
-    The program contains the function once, after a step. Without equations at the start, a first
-    step of zero evaluates them.
+    The minimised function returns its cost together with its `ArrowEquations`. The compiled
+    program contains it only once, after each step, so that it compiles faster. Without equations
+    at the start, a first step of zero provides them.
 
     Fields
     ------
@@ -463,7 +463,7 @@ def _where(condition: Bool[ArrayLike, ""], yes: Any, no: Any) -> Any:
 
 
 def gauss_newton_gain(equations: ArrowEquations) -> Float[Array, ""]:
-    """Reduction of the cost by an undamped step, to first order in the residuals."""
+    """Predicted reduction of the cost by an undamped step, with linearised residuals."""
     solver = BlockArrowSolver(FLOOR_DAMPING)
     solved = lx.linear_solve(equations.information, equations.gradient, solver, throw=False).value
     (head, blocks), (head_gradient, block_gradient) = solved, equations.gradient

@@ -117,7 +117,7 @@ class BoardObservation(NamedTuple):
 
 
 class ObservationTable(NamedTuple):
-    """Observations as arrays. Rows without whitening have no effect.
+    """Observations as arrays. Rows whose `whitening` is 0 have no effect.
 
     Fields
     ------

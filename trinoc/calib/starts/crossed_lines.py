@@ -73,7 +73,10 @@ def _distance_and_misfit(
     slopes: Float[np.ndarray, "m 2"],
     circle_mm: Float[np.ndarray, "m 2"],
 ) -> tuple[Float[np.ndarray, "a"], Float[np.ndarray, "a"]]:
-    """Best distance of each rotation, and its sum of squares; infinite if a circle lies behind."""
+    """For each rotation, the best distance of the sheet, mm, and the sum of squared residuals.
+
+    Both are infinite if a circle would lie behind the camera.
+    """
     offset = circle_mm @ np.swapaxes(axes[:, :, :2], 1, 2)
     slope = ray[:2] - slopes * ray[2]
     target = slopes * offset[..., 2:] - offset[..., :2]

@@ -121,7 +121,7 @@ _CORRELATION_CELLS = 4.0
 
 
 class AbstractSplinedLens(AbstractLens):
-    """A lens with the pixels of its core, displaced by a bicubic B-spline (du, dv).
+    """Core lens whose image points are displaced by a bicubic B-spline (du, dv).
 
     The coefficients are those of the core, the logarithms of half the grid's extent along u and v,
     and the control points. The extent is in focal lengths from the principal point and is never

@@ -59,7 +59,7 @@ class ColmapRecords(NamedTuple):
 
 
 def text_files(records: ColmapRecords) -> dict[str, str]:
-    """Write cameras and images as the five text files of a COLMAP model, by name of file."""
+    """Contents of the five text files of a COLMAP model, by file name."""
     cameras = [
         f"{number} {model} {width} {height} {_join_numbers(parameters)}"
         for number, (model, (width, height), parameters) in records.cameras.items()

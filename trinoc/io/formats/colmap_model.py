@@ -48,7 +48,7 @@ SQUARE = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
 
 def write_binary(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the binary files."""
+    """Write the rig as a COLMAP model in binary files into the folder `path`."""
     _write(path, binary_files(_records(rig, unit_mm)))
 
 

@@ -66,9 +66,10 @@ def read_json(path: str | os.PathLike[str]) -> Block:
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Block:
-    """The map of a YAML file; of a stream of several, which must agree but for their `header`.
+    """Read the map of a YAML file.
 
-    Raises InputError as `read_yaml_stream`.
+    If the file has several documents, they must be equal except for `header`, and the first is
+    returned. Raises InputError as `read_yaml_stream`.
     """
     first, *others = read_yaml_stream(path)
     for number, other in enumerate(others, 2):

@@ -26,10 +26,12 @@ from trinoc.numerics.programs import kept_jit
 
 
 class ConflictGraph(NamedTuple):
-    """Directed conflicts, sorted by slot = candidate * views + view.
+    """Directed conflicts of candidates that use the same segment of a view.
 
-    slot : the candidate that is limited, and the view of the shared segment.
-    rival_slot : the rival.
+    They are sorted by slot = candidate * views + view.
+
+    slot : candidate whose evidence the rival limits, and view of the shared segment.
+    rival_slot : the rival candidate, and the same view.
     """
 
     slot: Int[np.ndarray, "e"]
