@@ -205,8 +205,10 @@ ADD_A_CAMERA = "Check that this rig took these images, or add a third camera."
 
 def sure_lines(tracks: int, share: float) -> str:
     """Sure lines among the tracks. `share` : of segments on them in the poorest view, 0 to 1."""
-    return f"of {tracks} tracks, which contain {100 * share:.0f} % of the segments of the view with "
+    return (
+        f"of {tracks} tracks, which contain {100 * share:.0f} % of the segments of the view with "
         "the fewest matches."
+    )
 
 
 def too_few_sure_lines(required: int) -> str:
