@@ -79,13 +79,13 @@ def test_a_name_that_cannot_be_shown_is_refused_where_it_comes_in(
     name: str, tmp_path: Path
 ) -> None:
     camera = bench_rig().cameras[0]
-    with pytest.raises(InputError, match="camera name .* is not allowed") as caught:
+    with pytest.raises(InputError, match=r"camera name .* is not allowed") as caught:
         Rig({name: camera})
     assert str(caught.value).isprintable()
     picture, sheet = np.zeros((480, 512), np.uint8), trinoc.Pattern.default()
-    with pytest.raises(InputError, match="camera name .* is not allowed"):
+    with pytest.raises(InputError, match=r"camera name .* is not allowed"):
         trinoc.calibrate({name: picture}, sheet, camera.intrinsics)
-    with pytest.raises(InputError, match="camera name .* is not allowed"):
+    with pytest.raises(InputError, match=r"camera name .* is not allowed"):
         trinoc.calibrate_rig({name: [picture]}, sheet)
     trinoc.save(bench_rig(), tmp_path / "rig.json")
     document = json.loads((tmp_path / "rig.json").read_text(encoding="utf-8"))
