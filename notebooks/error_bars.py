@@ -1,9 +1,9 @@
 # %% [markdown]
 # # What the error bars mean
 #
-# A sigma is a promise: of many repetitions, 68 of 100 lie within one sigma of the truth and 95 within
-# 1.96. Here the promise is kept: the same sheet is looked at many times, each time with fresh noise, and
-# the scatter of the answers is compared with what each answer claims.
+# A sigma states a frequency: in 68 of 100 repetitions the error is at most one sigma, and in 95 of 100 at
+# most 1.96 sigma. This notebook tests that. It calibrates one camera many times, each time with new noise,
+# and compares the scatter of the results with their reported sigmas.
 
 # %%
 import jax
@@ -21,21 +21,21 @@ plt.rcParams.update({"figure.dpi": 80, "savefig.bbox": "tight"})
 
 camera = table1_rig()["upper"]
 pattern = trinoc.Pattern.cross_grid(rows=5, columns=5, pitch_mm=20, radius_mm=6)
-points = np.column_stack([pattern.centres_mm, np.zeros(len(pattern))])
+points_mm = np.column_stack([pattern.centres_mm, np.zeros(len(pattern))])
 with jax.enable_x64(True):
-    seen = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, points))
+    exact_px = np.asarray(jax.vmap(project, in_axes=(None, 0))(camera, points_mm))
 
 # %% [markdown]
 # ## Noise alone
-# Thirty calibrations of one camera, each from the same 25 points with noise of 0.02 px, through
-# a lens that is exact.
+# The next cell calibrates one camera thirty times. Each time it uses the same 25 points with new noise of
+# 0.02 px in each coordinate. The lens is exact.
 
 # %%
-random, sigma_px = np.random.default_rng(7), 0.02
+random, noise_px = np.random.default_rng(7), 0.02
 fits = [
     calibrate_points(
-        points,
-        seen + random.normal(scale=sigma_px, size=seen.shape),
+        points_mm,
+        exact_px + random.normal(scale=noise_px, size=exact_px.shape),
         camera.intrinsics,
         pose_model="aimed",
         systematics=Systematics(),
@@ -43,44 +43,49 @@ fits = [
     for _ in range(30)
 ]
 truth = {"pan_deg": camera.pan_deg, "tilt_deg": camera.tilt_deg, "distance_mm": camera.distance_mm}
-for name, true in truth.items():
-    found = np.array([getattr(fit.camera, name) for fit in fits])
-    claimed = np.array([fit.sigma(name) for fit in fits])
+for name, true_value in truth.items():
+    estimates = np.array([getattr(fit.camera, name) for fit in fits])
+    sigmas = np.array([fit.sigma(name) for fit in fits])
     print(
-        f"{name:12s} scatter {found.std(ddof=1):.5f}, claimed {claimed.mean():.5f}, within 1.96 "
-        f"sigma {np.mean(np.abs(found - true) < 1.96 * claimed):.0%}"
+        f"{name:12s} scatter {estimates.std(ddof=1):.5f}, mean sigma {sigmas.mean():.5f}, within 1.96 "
+        f"sigma {np.mean(np.abs(estimates - true_value) < 1.96 * sigmas):.0%}"
     )
 
 # %% [markdown]
-# Each dot is one answer with its own bar; most bars cross the line of the truth.
+# Each dot is the error of one estimate of the distance. Its bar is 1.96 sigma long on each side. Most bars
+# cross the line of zero error.
 
 # %%
-distance = np.array([fit.camera.distance_mm for fit in fits])
-sigma = np.array([fit.sigma("distance_mm") for fit in fits])
+distances_mm = np.array([fit.camera.distance_mm for fit in fits])
+sigmas_mm = np.array([fit.sigma("distance_mm") for fit in fits])
+errors_mm = distances_mm - camera.distance_mm
 figure, axes = plt.subplots(figsize=(9, 3), layout="constrained")
-axes.errorbar(range(len(fits)), distance - camera.distance_mm, 1.96 * sigma, fmt=".", linewidth=1)
+axes.errorbar(range(len(fits)), errors_mm, 1.96 * sigmas_mm, fmt=".", linewidth=1)
 axes.axhline(0, color="gray")
-axes.set(xlabel="repetition", ylabel="distance off (mm)")
+axes.set(xlabel="repetition", ylabel="error of the distance (mm)")
 plt.show()
 
 # %% [markdown]
-# ## What no residual shows
-# The sheet was printed .1 % too large. The residuals do not know it: a larger sheet farther away looks
-# the same. Only a sigma that includes the size of the print covers the error. This is why
-# `trinoc.calibrate` assumes .2 % when nothing is said, and why a report says what its sigmas include.
+# ## An error that no residual shows
+# Assume that the sheet was printed 0.1 % too large. A larger sheet farther away gives the same image, so
+# the residuals do not change. Only a sigma that includes the size of the print covers this error.
+# `trinoc.calibrate` therefore assumes a sigma of 0.2 % for the size unless you provide another one. The
+# summary of a result lists what its sigmas include.
 
 # %%
-wrong = calibrate_points(points * 1.001, seen, camera.intrinsics, pose_model="aimed")
-off = wrong.camera.distance_mm - camera.distance_mm
-print(f"distance off by {off:.3f} mm, which is {off / np.mean(sigma):.0f} sigmas of the noise")
-print(f"residuals: {np.sqrt(np.mean(np.square(wrong.residuals_px))):.6f} px rms")
-print(f"sigma with a print known to .2 %: {0.002 * camera.distance_mm:.3f} mm")
+scaled = calibrate_points(points_mm * 1.001, exact_px, camera.intrinsics, pose_model="aimed")
+error_mm = scaled.camera.distance_mm - camera.distance_mm
+print(f"error of the distance {error_mm:.3f} mm: {error_mm / np.mean(sigmas_mm):.0f} sigma of the noise")
+residuals_px = scaled.fits["camera"].residuals_px
+print(f"residuals: {np.sqrt(np.mean(np.square(residuals_px))):.6f} px rms")
+print(f"sigma for a print size of 0.2 % sigma: {0.002 * camera.distance_mm:.3f} mm")
 
 # %% [markdown]
-# Checks, run with the tests.
+# The tests of the project run these checks.
 
 # %%
-inside = np.mean(np.abs(distance - camera.distance_mm) < 1.96 * sigma)
-assert 0.85 <= inside <= 1.0
-assert 0.75 < distance.std(ddof=1) / sigma.mean() < 1.3
-assert abs(off) < 2 * 0.002 * camera.distance_mm
+share_within = np.mean(np.abs(errors_mm) < 1.96 * sigmas_mm)
+assert 0.85 <= share_within <= 1.0
+assert 0.75 < distances_mm.std(ddof=1) / sigmas_mm.mean() < 1.3
+assert abs(error_mm) < 2 * 0.002 * camera.distance_mm
+assert len(residuals_px) == len(points_mm) and np.abs(residuals_px).max() < 1e-3
