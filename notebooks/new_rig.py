@@ -59,7 +59,7 @@ plt.show()
 # %% [markdown]
 # ## Uncertainty of a point in space
 # The next cell computes the sigma, along its least certain direction, of a point that all cameras
-# see. With a lens from a data sheet and an unmeasured print, the sigma is about 0.2 mm at 60 to
+# see. With a lens from a data sheet and an unmeasured print, the sigma is 0.2 to 0.3 mm at 60 to
 # 85 mm from the origin. To reduce it to some micrometres, measure the bars of the sheet and
 # calibrate the lens.
 
