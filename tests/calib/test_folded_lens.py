@@ -119,7 +119,7 @@ def test_a_coefficient_that_folds_the_image_is_fixed_where_the_residuals_allow_i
     assert result.has_rig
     assert describe_fold(result.lens) is None
     (note,) = [note for note in result.notes if "so k3 is fixed at 0" in note]
-    assert f"the rms residual is {result.rms_px():.3f} px instead of" in note
+    assert f"The rms residual is now {result.rms_px():.3f} px; it was" in note
     assert {"k3", "k4"}.isdisjoint(fitted_names(result))
     assert result.sigma("k3") == 0.0
 
