@@ -52,7 +52,7 @@ CASES = {
     ),
     "a lens that folds": (
         folded,
-        ", because the lens folds the picture 54 px from the principal point",
+        ", because the lens folds the image 54 px from the principal point",
     ),
     "all circles in one line": (one_row, "has too few circles, or all on one line"),
     "all points in one line": (

@@ -39,7 +39,7 @@ def test_a_distortion_seen_in_the_middle_alone_is_not_a_result(monkeypatch):
     seen = shots(count=8, cameras=("left",))
     with pytest.raises(CalibrationError, match="fewer coefficients") as raised:
         calibrate_rig(seen, BOARD, distortion=1)
-    assert str(raised.value).startswith('The fitted distortion of "left" folds the picture 2')
+    assert str(raised.value).startswith('The fitted distortion of "left" folds the image 2')
     result = calibrate_rig(seen, BOARD, distortion=1, throw=False)
     assert result.overall_status is Status.SUSPECT
     assert not result.has_rig
@@ -56,7 +56,7 @@ def test_the_first_lens_that_folds_too_near_is_named():
     failure, notes = assess_folds(
         {"left": good, "right": folds}, {"left": nothing, "right": nothing}
     )
-    assert str(failure).startswith('The fitted distortion of "right" folds the picture 258 px')
+    assert str(failure).startswith('The fitted distortion of "right" folds the image 258 px')
     assert notes == ()
 
 
@@ -65,11 +65,11 @@ def test_a_lens_that_folds_beyond_everything_observed_is_noted_and_before_it_ref
     observed = np.array([[319.5, 239.5], [319.5 + 300.0, 239.5]])
     failure, (note,) = assess_folds({"left": folds}, {"left": observed})
     assert failure is None
-    assert note.startswith('The distortion of "left" folds the picture 308 px from the principal')
+    assert note.startswith('The distortion of "left" folds the image 308 px from the principal')
     assert "Show the board nearer to the corners" in note
     beyond = np.concatenate([observed, [[319.5 + 309.0, 239.5]]])
     failure, notes = assess_folds({"left": folds}, {"left": beyond})
-    assert str(failure).startswith('The fitted distortion of "left" folds the picture 308 px')
+    assert str(failure).startswith('The fitted distortion of "left" folds the image 308 px')
     assert notes == ()
 
 
@@ -114,7 +114,7 @@ def test_a_coefficient_that_folds_the_image_is_fixed_where_the_residuals_allow_i
     )
     assert folded.overall_status is Status.SUSPECT
     assert not folded.has_rig
-    assert folded.notes[0].startswith('The fitted distortion of "camera" folds the picture 3')
+    assert folded.notes[0].startswith('The fitted distortion of "camera" folds the image 3')
     result = calibrate_intrinsics(given, BOARD, lens_model="kannala_brandt")
     assert result.has_rig
     assert describe_fold(result.lens) is None
@@ -144,8 +144,8 @@ def test_a_coefficient_that_the_residuals_ask_for_is_not_fixed(monkeypatch, tmp_
     assert result.overall_status is Status.CONVERGED
     assert result.has_rig
     assert result.sigma("k2") > 0.0
-    (note,) = [note for note in result.notes if "folds the picture" in note]
-    assert note.startswith('The distortion of "camera" folds the picture 35')
+    (note,) = [note for note in result.notes if "folds the image" in note]
+    assert note.startswith('The distortion of "camera" folds the image 35')
     np.testing.assert_allclose(result.lens.valid_radius_px, 355.0, atol=5.0)
     trinoc.save(result, tmp_path / "camera.json")
     assert trinoc.load(tmp_path / "camera.json") == result.lens
@@ -156,7 +156,7 @@ def test_a_rig_with_a_fold_in_the_corners_has_a_note_and_is_read_back(monkeypatc
     result = calibrate_rig({"left": corner_shots()}, BOARD, lens_model="brown_conrady")
     assert result.overall_status is Status.CONVERGED
     assert result.has_rig
-    (note,) = [note for note in result.notes if "folds the picture" in note]
+    (note,) = [note for note in result.notes if "folds the image" in note]
     assert note in result.summary()
     trinoc.save(result, tmp_path / "rig.json")
     assert trinoc.load_rig(tmp_path / "rig.json") == result.rig
@@ -179,11 +179,11 @@ def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
     assert lens.distortion_model in ("rational", "kannala_brandt")
     assert describe_fold(lens) is None
     (note,) = [note for note in result.notes if "so the lens model is" in note]
-    assert note.startswith('The brown_conrady distortion of "left" folds the picture')
+    assert note.startswith('The brown_conrady distortion of "left" folds the image')
     assert abs(result.value("left.fx_px") - 450.0) < 3 * result.sigma("left.fx_px")
     named = calibrate_rig({"left": given}, BOARD, lens_model="brown_conrady")
-    (note,) = [note for note in named.notes if "folds the picture" in note]
-    assert note.startswith('The distortion of "left" folds the picture 404 px')
+    (note,) = [note for note in named.notes if "folds the image" in note]
+    assert note.startswith('The distortion of "left" folds the image 404 px')
     assert named.has_rig
     assert 400 < named.rig["left"].intrinsics.valid_radius_px < 410
     alone = calibrate_intrinsics(given, BOARD)

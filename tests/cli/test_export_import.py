@@ -96,7 +96,7 @@ def test_a_lens_that_folds_in_the_corners_is_warned_of_where_it_is_read(run):
     status, _, warned = run("export", "folds.yml", "--from", "opencv", "-o", "back.json")
     assert status == 0
     assert warned == (
-        "trinoc: folds.yml: The distortion of the lens folds the picture 686 px from the "
+        "trinoc: folds.yml: The distortion of the lens folds the image 686 px from the "
         "principal point, while the farthest corner is 734 px away: lines and points beyond the "
         "fold, in 1.4 % of the image, are not used.\n"
     )
@@ -104,7 +104,7 @@ def test_a_lens_that_folds_in_the_corners_is_warned_of_where_it_is_read(run):
     files = [f"{name}=ends.csv" for name in rig]
     status, _, warned = run("match", *files, "--rig", "rig.json", "--dry-run")
     assert status == 0
-    assert warned.count("folds the picture 686 px") == len(rig)
+    assert warned.count("folds the image 686 px") == len(rig)
     assert 'rig.json: The distortion of "upper" folds' in warned
 
 

@@ -142,7 +142,7 @@ def test_beyond_a_fold_in_the_corners_ideal_pictures_are_black(alpha):
 
 def test_a_distortion_that_folds_is_refused():
     folds = Intrinsics(image_size_px=(640, 480), focal_length_px=300.0, distortion=(-0.8,))
-    with pytest.raises(InputError, match="folds the picture"):
+    with pytest.raises(InputError, match="folds the image"):
         undistort_lens(folds)
     with pytest.raises(InputError, match='Camera "a": The distortion'):
         undistort_rig(Rig({"a": Camera(folds, Pose(np.eye(3, 4)))}))

@@ -146,7 +146,7 @@ def test_it_is_pickled_and_written_whole(tmp_path):
 def test_a_correction_that_folds_is_refused():
     steep = corrected(scale_px=40.0)
     assert steep.steepness() > 1.0
-    with pytest.raises(InputError, match="folds the picture: neighbouring control points"):
+    with pytest.raises(InputError, match="folds the image: neighbouring control points"):
         expect_lens(Intrinsics.of_lens(steep, SIZE_PX), "lens.json")
 
 

@@ -358,7 +358,7 @@ def test_cameras_that_cannot_be_are_refused(folder, documents, damage):
     document = json.loads(json.dumps(documents["rig"][0]))
     upper = document["cameras"]["upper"]
     lens = upper["intrinsics"]
-    said = {"micrometres": "micrometres: write 0.01", "fold": "folds the picture"}
+    said = {"micrometres": "micrometres: write 0.01", "fold": "folds the image"}
     match damage:
         case "fold":
             distortion = {"model": "brown_conrady", "coefficients": [-50, 0, 0, 0, 0]}

@@ -385,6 +385,6 @@ def test_a_lens_that_a_calibration_accepts_is_written_and_read(k1: float, tmp_pa
         trinoc.save(rig, tmp_path / "rig.json")
         assert trinoc.load_rig(tmp_path / "rig.json") == rig
     else:
-        assert re.search("folds the picture", str(failure))
-        with pytest.raises(InputError, match="folds the picture"):
+        assert re.search("folds the image", str(failure))
+        with pytest.raises(InputError, match="folds the image"):
             trinoc.save(rig, tmp_path / "rig.json")

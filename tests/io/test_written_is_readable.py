@@ -22,7 +22,7 @@ from trinoc.io.intrinsics_json import fold_notes
 FOLDS = Intrinsics(
     image_size_px=(640, 480), focal_length_px=350.0, distortion=(-0.27, 0.0, 0.0, 0.0, 0.0)
 )
-SAYS = "lens has a distortion that folds the picture 258 px from the principal point"
+SAYS = "lens has a distortion that folds the image 258 px from the principal point"
 
 
 def rig_of(lens: Intrinsics, *, pan_deg: tuple[float, float] = (0.0, 20.0)) -> Rig:
@@ -64,7 +64,7 @@ def test_what_is_written_is_read_and_what_is_not_read_is_not_written(k1, tmp_pat
     lens = Intrinsics(image_size_px=(640, 480), focal_length_px=350.0, distortion=(float(k1),))
     path = tmp_path / "rig.json"
     if describe_unusable_fold(lens) is not None:
-        with pytest.raises(InputError, match="folds the picture"):
+        with pytest.raises(InputError, match="folds the image"):
             trinoc.save(rig_of(lens), path)
         assert not path.exists()
         return
@@ -124,7 +124,7 @@ def test_a_lens_that_folds_in_the_corners_is_read_once_it_is_written(name, holds
     assert read.distortion_model == model
     np.testing.assert_allclose(read.valid_radius_px, lens.valid_radius_px, rtol=1e-6)
     (note, *_) = fold_notes(again)
-    assert f"folds the picture {lens.valid_radius_px:.0f} px" in note
+    assert f"folds the image {lens.valid_radius_px:.0f} px" in note
 
 
 @pytest.mark.parametrize("kind", ["camera", "rig"])

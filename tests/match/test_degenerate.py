@@ -96,7 +96,7 @@ ERRORS = {
     ),
     "a lens that folds its picture": (
         lambda: trinoc.match_segments(seen(IN_LINE, loose_lines(COUNT, 3)), FOLDED),
-        'The lens of the camera "b" folds the picture 87 px from the principal point',
+        'The lens of the camera "b" folds the image 87 px from the principal point',
     ),
     "identical pictures": (
         lambda: trinoc.match_segments(

@@ -207,17 +207,17 @@ def _keep_of_failure(
     sentences = [str(error)]
     for name, failure in error.failures.items():
         faults = measure_quality(name, pictures[name], pattern).faults
-        place = out.with_name(f"{out.stem}-{as_file_name(name)}-failed.png")
-        trinoc.io.write_picture(place, failure_picture(pictures[name], [failure, *faults]))
+        path = out.with_name(f"{out.stem}-{as_file_name(name)}-failed.png")
+        trinoc.io.write_picture(path, failure_picture(pictures[name], [failure, *faults]))
         causes = f" (there {'; '.join(faults)})" if faults else ""
-        sentences.append(f'What was seen of "{name}" is in {place}{causes}.')
+        sentences.append(f'What was seen of "{name}" is in {path}{causes}.')
     result = error.result
     if isinstance(result, trinoc.calib.CalibrationResult):
         why = refuse(result)
         if why is None:
-            place = out.with_name(f"{out.stem}-incomplete.json")
-            trinoc.save(result, place, provenance=provenance, overwrite=True)
-            kept = "is as it was" if out.exists() else "was not written"
-            why = f"{place} holds the others ({', '.join(result.rig.names)}); {out} {kept}."
+            path = out.with_name(f"{out.stem}-incomplete.json")
+            trinoc.save(result, path, provenance=provenance, overwrite=True)
+            outcome = "is as it was" if out.exists() else "was not written"
+            why = f"{path} holds the others ({', '.join(result.rig.names)}); {out} {outcome}."
         sentences.append(why)
     return CalibrationError(" ".join(sentences), error.failures, result)

@@ -76,8 +76,8 @@ def calibrate_rig(
     for shot in shots:
         if "=" not in shot:
             raise UsageError(f'"{shot}" names no camera: write NAME=FOLDER, such as left=left/.')
-    places = files_of_views(shots)
-    if not places:
+    folders = files_of_views(shots)
+    if not folders:
         raise UsageError("No pictures are given: write NAME=FOLDER for each camera.")
     choices: dict[str, Any] = {
         "lens_model": lens_model,
@@ -86,11 +86,11 @@ def calibrate_rig(
         "method": method,
         "world": world,
     }
-    return calibrate_shots(places, board, lens, systematics, choices, report, out, job)[1]
+    return calibrate_shots(folders, board, lens, systematics, choices, report, out, job)[1]
 
 
 def calibrate_shots(
-    places: dict[str, Path],
+    folders: dict[str, Path],
     board: Sequence[Path],
     lens: tuple[str, ...],
     systematics: dict[str, Any],
@@ -106,16 +106,19 @@ def calibrate_shots(
     """
     job.expect(trinoc.Rig, out, report)
     target = load_boards(board)
-    pictures = trinoc.io.load_shots(places)
+    pictures = trinoc.io.load_shots(folders)
     lenses, stated = read_lenses(lens, pictures)
-    known = trinoc.Systematics.typical({})._replace(lens_covariance=stated, **systematics)
-    LOGGER.info("looking for the board; pictures: %d", sum(len(own) for own in pictures.values()))
+    priors = trinoc.Systematics.typical({})._replace(lens_covariance=stated, **systematics)
+    LOGGER.info(
+        "looking for the board; pictures: %d",
+        sum(len(shots_of_camera) for shots_of_camera in pictures.values()),
+    )
     with Bar("looking", quiet=job.quiet) as bar:
         result = trinoc.calibrate_rig(
             pictures,
             target,
             lens=lenses,
-            systematics=known,
+            systematics=priors,
             progress=bar.show,
             **choices,
         )

@@ -29,17 +29,19 @@ def expect_options(call: inspect.BoundArguments) -> None:
         path = options.get(name)
         if not isinstance(path, Path):
             continue
-        place = _resolve(path)
+        output = _resolve(path)
         ignored = (*_WRITTEN, *(_REPLACED if name == "out" else ()))
-        if any(place in _paths(value) for own, value in options.items() if own not in ignored):
+        if any(
+            output in _paths(value) for option, value in options.items() if option not in ignored
+        ):
             raise UsageError(
                 f"--{name} is {path}, which is read, and would be lost: give another name."
             )
-        if place in taken:
+        if output in taken:
             raise UsageError(
-                f"--{taken[place]} and --{name} are both {path}: give each a name of its own."
+                f"--{taken[output]} and --{name} are both {path}: give each a name of its own."
             )
-        taken[place] = name
+        taken[output] = name
         if name == "report":
             _expect_report(path, force=options["job"].force)
 
@@ -62,8 +64,8 @@ def _expect_numbers(name: str, value: Any, default: Any) -> None:
 
 def _paths(value: Any) -> set[Path]:
     """The files that an option names, as paths or as NAME=FILE."""
-    words = value if isinstance(value, tuple) else (value,)
-    files = [word.partition("=")[2] or word if isinstance(word, str) else word for word in words]
+    values = value if isinstance(value, tuple) else (value,)
+    files = [word.partition("=")[2] or word if isinstance(word, str) else word for word in values]
     return {_resolve(Path(file)) for file in files if file and isinstance(file, str | Path)}
 
 

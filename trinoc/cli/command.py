@@ -1,4 +1,4 @@
-"""What commands share: the options of every command, what it hands back, and progress on stderr."""
+"""Parts that commands share: common options, the outcome, and progress on stderr."""
 
 import dataclasses
 import hashlib

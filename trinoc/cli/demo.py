@@ -116,10 +116,10 @@ def _work(seconds: dict[str, float]) -> DemoWork:
     sheets, scenes = demo_images("sheet"), demo_images("scene")
     with _step("calibrating from the pictures of the sheet", seconds):
         # The pictures are made: their lens is exact, and so is the size of their sheet.
-        known = trinoc.Systematics.typical({})._replace(
+        priors = trinoc.Systematics.typical({})._replace(
             print_size_sigma=0.0, print_scale_sigma=(0.0, 0.0)
         )
-        result = trinoc.calibrate(sheets, demo_pattern(), table1_lens(), systematics=known)
+        result = trinoc.calibrate(sheets, demo_pattern(), table1_lens(), systematics=priors)
     with _step("finding segments in the pictures of the blocks", seconds):
         segments = {view: trinoc.find_segments(picture) for view, picture in scenes.items()}
     with _step("matching them", seconds):

@@ -106,10 +106,10 @@ def _lines(
     from trinoc.evaluation.lines_of_rig import independent_lines, lines_of_form
     from trinoc.match.tracks.matches import TRINOCULAR
 
-    kept = matches.posterior >= least_posterior
+    is_used = matches.posterior >= least_posterior
     if stage == TRINOCULAR:
-        kept &= matches.stage == TRINOCULAR
-    tracks = matches.take(np.flatnonzero(kept))
+        is_used &= matches.stage == TRINOCULAR
+    tracks = matches.take(np.flatnonzero(is_used))
     if rig is None:
         return independent_lines(tracks.lines_mm, tracks.covariance_mm2)
     return lines_of_form(tracks, rig, form)

@@ -126,17 +126,19 @@ def _read(
     return Outcome(text, record, written=(out,))
 
 
-def _lenses(words: tuple[str, ...]) -> "dict[str, trinoc.Intrinsics] | None":
-    if not words:
+def _lenses(arguments: tuple[str, ...]) -> "dict[str, trinoc.Intrinsics] | None":
+    if not arguments:
         return None
-    if len(words) == 1 and "=" not in words[0]:
-        return {name: camera.intrinsics for name, camera in trinoc.load_rig(words[0]).items()}
-    return {name: trinoc.io.load_intrinsics(file) for name, file in files_of_views(words).items()}
+    if len(arguments) == 1 and "=" not in arguments[0]:
+        return {name: camera.intrinsics for name, camera in trinoc.load_rig(arguments[0]).items()}
+    return {
+        name: trinoc.io.load_intrinsics(file) for name, file in files_of_views(arguments).items()
+    }
 
 
-def _write_frames(words: tuple[str, ...], out: Path, every_s: float) -> Outcome:
+def _write_frames(arguments: tuple[str, ...], out: Path, every_s: float) -> Outcome:
     """Write the frames of synchronized videos, in one folder per camera."""
-    files = named_files(words, wanted="video")
+    files = named_files(arguments, wanted="video")
     if len({file.resolve() for file in files.values()}) < len(files):
         raise UsageError("Two cameras are given one video: give each its own.")
 

@@ -1,4 +1,4 @@
-"""How the command line says what lens a camera has, and what is not exact."""
+"""Options of commands for lenses and for the sigmas of sheet, aim and lens."""
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -85,12 +85,14 @@ def expect_focal_length(focal_length_mm: float) -> None:
 def _warn_of_sizes(sizes_px: Mapping[str, tuple[int, int]]) -> None:
     """Pictures of one kind of camera have one size as long as nobody edits them."""
     if len(set(sizes_px.values())) > 1:
-        said = ", ".join(f"{name} {width} x {height}" for name, (width, height) in sizes_px.items())
+        sizes = ", ".join(
+            f"{name} {width} x {height}" for name, (width, height) in sizes_px.items()
+        )
         LOGGER.warning(
             "--lens-mm is the lens of all cameras, but their pictures differ in size (%s px): a "
             "picture that was resized or turned has other pixels, one that was cut another middle. "
             "Give each as its camera took it, or --lens NAME=camera.json for each.",
-            said,
+            sizes,
         )
 
 
@@ -98,7 +100,7 @@ Covariances = "np.ndarray | dict[str, np.ndarray] | None"
 
 
 def read_lenses(
-    given: tuple[str, ...], cameras: Iterable[str]
+    arguments: tuple[str, ...], cameras: Iterable[str]
 ) -> "tuple[dict[str, trinoc.Intrinsics], Covariances]":
     """The lens of each camera that a file is given for, one for all or NAME=FILE, and what the
     files state of them: the covariance of the one lens of all cameras, or of each.
@@ -109,11 +111,13 @@ def read_lenses(
 
     from trinoc.io.rig_json import load_lens
 
-    is_of_all = len(given) == 1 and "=" not in given[0]
-    files = dict.fromkeys(cameras, Path(given[0])) if is_of_all else files_of_views(given)
-    known = {name: load_lens(file, name) for name, file in files.items()}
-    lenses = {name: own.intrinsics for name, own in known.items()}
-    stated = {name: own.covariance for name, own in known.items() if own.covariance is not None}
+    is_of_all = len(arguments) == 1 and "=" not in arguments[0]
+    files = dict.fromkeys(cameras, Path(arguments[0])) if is_of_all else files_of_views(arguments)
+    stated_lenses = {name: load_lens(file, name) for name, file in files.items()}
+    lenses = {name: lens.intrinsics for name, lens in stated_lenses.items()}
+    stated = {
+        name: lens.covariance for name, lens in stated_lenses.items() if lens.covariance is not None
+    }
     if is_of_all and eqx.tree_equal(*lenses.values()):
         return lenses, next(iter(stated.values()), None)
     return lenses, stated or None
@@ -181,7 +185,7 @@ class LensOptions(NamedTuple):
             return usual
         _, stated = read_lenses(self.lens, lenses)
         if isinstance(stated, Mapping):
-            of_lenses = {name: own for name, own in stated.items() if name in lenses}
+            of_lenses = {name: matrix for name, matrix in stated.items() if name in lenses}
             return {**(usual if isinstance(usual, Mapping) else {}), **of_lenses} or None
         return usual if stated is None else stated
 

@@ -61,8 +61,8 @@ def parse_arguments(arguments: Sequence[str]) -> inspect.BoundArguments:
     """
     config = (tyro.conf.FlagCreatePairsOff,)
     if arguments and arguments[0] in COMMANDS:
-        name, *words = arguments
-        return tyro.cli(_binder(name), prog=f"trinoc {name}", args=words, config=config)
+        name, *rest = arguments
+        return tyro.cli(_binder(name), prog=f"trinoc {name}", args=rest, config=config)
     return tyro.extras.subcommand_cli_from_dict(
         {name: _binder(name) for name in COMMANDS},
         prog="trinoc",
@@ -103,8 +103,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _print_version()
     try:
         if arguments and arguments[0] in COMMANDS:
-            words = put_files_first(find_command(arguments[0]), arguments[1:])
-            arguments = with_file([arguments[0], *words])
+            in_order = put_files_first(find_command(arguments[0]), arguments[1:])
+            arguments = with_file([arguments[0], *in_order])
         call = parse_arguments(arguments)
     except UsageError as error:
         print(f"trinoc: {error}", file=sys.stderr)
@@ -166,10 +166,10 @@ def _run(command: Callable[..., Outcome], call: inspect.BoundArguments) -> int:
     except BrokenPipeError:
         raise
     except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
+        prefix = f"{error.filename}: " if error.filename else ""
         is_long = error.errno == errno.ENAMETOOLONG
         remedy = "give a shorter name" if is_long else "check the disk"
-        return _report_failure(job, f"{place}{error.strerror or error}: {remedy}.", status=1)
+        return _report_failure(job, f"{prefix}{error.strerror or error}: {remedy}.", status=1)
     except MemoryError:
         return _report_failure(job, "The memory does not suffice: give smaller or fewer files.", 1)
     except KeyboardInterrupt as stopped:

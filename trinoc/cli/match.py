@@ -79,20 +79,20 @@ def match(
     from trinoc.match.tracks.reliability import assess_matches
     from trinoc.report.features_part import features_record, features_text
 
-    places = {
+    feature_files = {
         kind: out.with_name(f"{out.stem}-{kind.KIND}.npz")
         for kind in FEATURES
         if kind.KIND in steps
     }
-    for kind, place in ((trinoc.Matches, out), *places.items()):
-        job.expect(kind, place, report)
+    for kind, path in ((trinoc.Matches, out), *feature_files.items()):
+        job.expect(kind, path, report)
     cameras = read_rig(rig)
     files = files_of_rig(images, cameras.names)
     check_views(files, cameras, rig)
     for name in steps:
         if STEPS[name].requirement:
             _check_pictures(files, f"--steps {name}")
-    written = (out, *places.values(), report)
+    written = (out, *feature_files.values(), report)
     if dry_run:
         sizes = {name: cameras[name].image_size_px for name in files}
         return plan_outcome(f"match with {rig}", files, sizes, written)
@@ -115,7 +115,7 @@ def match(
         begin=lambda step: LOGGER.info(step.description),
     )
     for feature in features.values():
-        trinoc.save(feature, places[type(feature)], overwrite=True)
+        trinoc.save(feature, feature_files[type(feature)], overwrite=True)
     matches = trinoc.with_rig_covariance(matches, cameras)
     trinoc.save(matches, out, overwrite=True)
     doubts = find_doubts(rig)
@@ -162,7 +162,7 @@ def match_record(
 ) -> dict[str, Any]:
     """Summary of a matching for programs, as JSON can hold it."""
     return {
-        "segments": {name: len(own) for name, own in segments.items()},
+        "segments": {name: len(segments_of_view) for name, segments_of_view in segments.items()},
         "tracks": {
             stage: int((matches.stage == stage).sum()) for stage in ("trinocular", "binocular")
         },

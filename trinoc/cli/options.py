@@ -54,7 +54,7 @@ class Option(NamedTuple):
 
     @property
     def is_repeated(self) -> bool:
-        """Whether every value needs the option again."""
+        """True if the option is repeated for each value."""
         is_tuple = typing.get_origin(self.kind) is tuple
         return is_tuple and (self.name in REPEATED or self.kind == Settings)
 
@@ -111,7 +111,10 @@ def _usual_metavar(kind: Any) -> str:
     if kind == Settings:
         return "NAME=VALUE..."
     choices = [
-        each for own in kinds if typing.get_origin(own) is Literal for each in typing.get_args(own)
+        each
+        for literal in kinds
+        if typing.get_origin(literal) is Literal
+        for each in typing.get_args(literal)
     ]
     return "|".join(choices)
 

@@ -142,9 +142,9 @@ class Screen(NamedTuple):
     pitch_mm: float
 
 
-def _read_screen(words: tuple[tuple[str, ...], ...], *, is_meant: bool) -> Screen | None:
+def _read_screen(arguments: tuple[tuple[str, ...], ...], *, is_meant: bool) -> Screen | None:
     """The screen that --screen states; None where no screen is meant. Raises UsageError."""
-    values = read_settings("--screen", words, _SCREEN)
+    values = read_settings("--screen", arguments, _SCREEN)
     if not is_meant:
         if values:
             raise UsageError("--screen is of a screen as target: give -o FILE.png, too.")
@@ -163,8 +163,8 @@ def _read_screen(words: tuple[tuple[str, ...], ...], *, is_meant: bool) -> Scree
     pitch_mm = values.get("pitch_mm")
     if pitch_mm is None:
         pitch_mm = values["diagonal_inch"] * _MM_PER_INCH / math.hypot(*size_px)
-    least, most = _PITCHES_MM
-    if not least <= pitch_mm <= most:
+    smallest_mm, largest_mm = _PITCHES_MM
+    if not smallest_mm <= pitch_mm <= largest_mm:
         raise UsageError(
             f"Pixels of {pitch_mm:g} mm are on no screen: the diagonal is in inches, the pitch in "
             "millimetres."
@@ -174,22 +174,22 @@ def _read_screen(words: tuple[tuple[str, ...], ...], *, is_meant: bool) -> Scree
 
 def _expect_drawings(layout: Path, endings: Sequence[str], *, force: bool) -> None:
     """Raise InputError where a picture that no layout stands beside would be replaced."""
-    for place in map(layout.with_suffix, endings):
-        if place.exists() and not layout.exists() and not force:
+    for drawing in map(layout.with_suffix, endings):
+        if drawing.exists() and not layout.exists() and not force:
             raise InputError(
-                f"{place} is there, and no layout {layout.name} beside it, so that it may be "
+                f"{drawing} is there, and no layout {layout.name} beside it, so that it may be "
                 "something else, which would be lost: give another name, or --force."
             )
 
 
-def _split_layout(words: tuple[str, ...]) -> tuple[str, list[str]]:
+def _split_layout(arguments: tuple[str, ...]) -> tuple[str, list[str]]:
     """The kind of board, or the file of a layout; and what is stated as NAME=VALUE."""
-    names = [word for word in words if "=" not in word]
+    names = [word for word in arguments if "=" not in word]
     if len(names) > 1:
         raise UsageError(
             f"{names[0]} and {names[1]} are two kinds: give one, and what it has as NAME=VALUE."
         )
-    return names[0] if names else SHEET, [word for word in words if "=" in word]
+    return names[0] if names else SHEET, [word for word in arguments if "=" in word]
 
 
 def _expect_no_counts(why: str, rows: int | None, columns: int | None) -> None:

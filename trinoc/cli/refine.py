@@ -49,17 +49,17 @@ def refine(
 
     job.expect(trinoc.Rig, out)
     cameras = read_rig(rig)
-    words = camera_aliases(cameras.names)
+    aliases = camera_aliases(cameras.names)
     scene = read_scene(images, matches, cameras, rig, job)
     LOGGER.info("refining the cameras of %d lines", len(scene.matches))
-    again = [scene.tolerant, scene.strict] if moved else [scene.strict]
+    matchers = [scene.tolerant, scene.strict] if moved else [scene.strict]
     result = trinoc.refine(
         cameras,
         scene.matches,
         pose_model=pose_model,
         free_lens=free_lens or None,
-        moved=[words.get(name, name) for name in moved],
-        match_again=[match for match in again if match is not None] or None,
+        moved=[aliases.get(name, name) for name in moved],
+        match_again=[match for match in matchers if match is not None] or None,
     )
     if result.status is RefineStatus.AMBIGUOUS:
         raise CalibrationError(
@@ -122,8 +122,8 @@ def check(
     cameras = read_rig(rig)
     scene = read_scene(images, matches, cameras, rig, job)
     LOGGER.info("checking the cameras of %d lines", len(scene.matches))
-    again = [match for match in (scene.tolerant, scene.strict) if match is not None]
-    result = trinoc.check_rig(cameras, scene.matches, match_again=again or None)
+    matchers = [match for match in (scene.tolerant, scene.strict) if match is not None]
+    result = trinoc.check_rig(cameras, scene.matches, match_again=matchers or None)
     refined = result.refined
     written = None if refined is None else out
     if refined is not None and written is not None:

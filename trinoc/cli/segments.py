@@ -100,9 +100,11 @@ def _expect_find(settings: Mapping[str, Any], spell: Callable[[str], str]) -> No
     for name in ("tolerance_px", "false_alarms"):
         if not settings[name] > 0:
             raise UsageError(f"{spell(name)} is {settings[name]:g}, but must be positive.")
-    least = settings["least_contrast"]
-    if not least >= 0:
-        raise UsageError(f"{spell('least_contrast')} is {least:g}, but must not be negative.")
+    least_contrast = settings["least_contrast"]
+    if not least_contrast >= 0:
+        raise UsageError(
+            f"{spell('least_contrast')} is {least_contrast:g}, but must not be negative."
+        )
     response = settings["response"]
     if not isinstance(response, str) and not -1 <= response <= 2:
         raise UsageError(
@@ -117,10 +119,11 @@ ANYWHERE = (0.0, math.inf)
 
 def depth_range(depths_mm: tuple[float, float]) -> tuple[float, float] | None:
     """The range of --depth-range-mm, or None where all depths are allowed. Raises UsageError."""
-    near, far = depths_mm
-    if not 0 <= near < far:
+    smallest_mm, largest_mm = depths_mm
+    if not 0 <= smallest_mm < largest_mm:
         raise UsageError(
-            f"--depth-range-mm {near:g} {far:g} holds no depth: give the least, then the "
+            f"--depth-range-mm {smallest_mm:g} {largest_mm:g} holds no depth: give the least, then "
+            "the "
             "greatest, in mm."
         )
     return None if depths_mm == ANYWHERE else depths_mm

@@ -35,27 +35,29 @@ def read_settings(option: str, words: Iterable[Iterable[str]], parsers: Parsers)
     Raises UsageError for a name that the option does not have, one without a value or given twice,
     and a value that its parser refuses.
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for word in (word for group in words for word in group):
         name, separator, text = word.partition("=")
         name = name.replace("-", "_")
         if name not in parsers:
-            near = difflib.get_close_matches(name, parsers, n=1)
-            known = f"write {near[0]}=VALUE" if near else f"it has {', '.join(parsers)}"
+            close_names = difflib.get_close_matches(name, parsers, n=1)
+            advice = (
+                f"write {close_names[0]}=VALUE" if close_names else f"it has {', '.join(parsers)}"
+            )
             files = "; files stand before the options" if option.startswith("--") else ""
-            raise UsageError(f'{option} has no setting "{name}": {known}{files}.')
+            raise UsageError(f'{option} has no setting "{name}": {advice}{files}.')
         if not (separator and text):
             raise UsageError(f"{option} {word} has no value: write {name}=VALUE.")
-        if name in found:
+        if name in values:
             raise UsageError(f"{option} has {name} twice: give it once.")
         try:
-            found[name] = parsers[name](text)
+            values[name] = parsers[name](text)
         except ValueError as error:
             raise UsageError(f"{option} {word} {error}.") from error
-    return found
+    return values
 
 
-def put_files_first(command: Callable[..., Any], words: Sequence[str]) -> list[str]:
+def put_files_first(command: Callable[..., Any], arguments: Sequence[str]) -> list[str]:
     """The words behind a command, with every NAME=FILE that stands between options moved before.
 
     What an option takes stays behind it: the one word that follows it, and settings. As many
@@ -66,7 +68,7 @@ def put_files_first(command: Callable[..., Any], words: Sequence[str]) -> list[s
     with_settings = {option for option, kind in kinds.items() if kind == Settings}
     lengths = {option: _count_numbers(kind) for option, kind in kinds.items()}
     first, rest, option, is_taken = [], [], "", False
-    for word in words:
+    for word in arguments:
         if word.startswith("-"):
             option, is_taken = word, word not in flags and "=" not in word
         elif "=" in word and not is_taken and option not in with_settings:
@@ -82,7 +84,7 @@ def put_files_first(command: Callable[..., Any], words: Sequence[str]) -> list[s
 
 
 def _count_numbers(kind: Any) -> int:
-    """How many numbers an option of this type takes; 0 for other types."""
+    """Number of numbers in a value of an option of this type; 0 for other types."""
     alternatives = map(typing.get_args, (kind, *typing.get_args(kind)))
     return next((len(values) for values in alternatives if set(values) == {float}), 0)
 
@@ -108,10 +110,10 @@ def parse_integer(text: str) -> int:
 
 def parse_truth(text: str) -> bool:
     """yes or no."""
-    words = {"yes": True, "true": True, "no": False, "false": False}
-    if text.lower() not in words:
+    truths = {"yes": True, "true": True, "no": False, "false": False}
+    if text.lower() not in truths:
         raise ValueError("is neither yes nor no: give one of them")
-    return words[text.lower()]
+    return truths[text.lower()]
 
 
 def parse_pair(parse: Callable[[str], Any]) -> Callable[[str], tuple[Any, Any]]:

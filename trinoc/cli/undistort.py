@@ -82,7 +82,9 @@ def _undistort_rig(
     notes, has_sigmas = [*ideal.notes], bool(ideal.rig.parameters)
     if rig.parameters and not has_sigmas:
         parameters = [name.rpartition(".") for name in rig.parameters]
-        is_open = any(own not in PARAMETER_NAMES for view, _, own in parameters if view in files)
+        is_open = any(
+            parameter not in PARAMETER_NAMES for view, _, parameter in parameters if view in files
+        )
         why = (
             f"errors of the lenses, which {rig_file} has, bend the rays of a picture as no ideal "
             "camera does"
@@ -153,10 +155,10 @@ def _new_pictures(out: Path, files: Collection[Path], views: Iterable[str] = ())
         names = [f"{as_file_name(view)}_{name}" for view, name in zip(views, names)] or names
     new = [out / f"{name}.png" for name in names]
     files = list(files)
-    for k, place in enumerate(new):
-        if place in new[:k]:
+    for k, path in enumerate(new):
+        if path in new[:k]:
             raise UsageError(
-                f"{files[new.index(place)]} and {files[k]} would both become {place}: give "
+                f"{files[new.index(path)]} and {files[k]} would both become {path}: give "
                 "pictures with names of their own."
             )
     return new
@@ -177,16 +179,16 @@ def _expect_places(
         raise UsageError(f"--out is {out}, which is no folder: give one.")
     kinds = {**dict.fromkeys(maps, PictureMaps), **cameras}
     taken = {file.resolve() for file in read}
-    for place in (*pictures, *kinds):
-        if place.resolve() in taken:
-            raise UsageError(f"{place} is read, and would be lost: give another --out.")
+    for path in (*pictures, *kinds):
+        if path.resolve() in taken:
+            raise UsageError(f"{path} is read, and would be lost: give another --out.")
     # A folder with maps is one that this command wrote before.
-    is_ours = all(place.exists() for place in kinds)
-    for place, kind in kinds.items() if out.exists() else ():
-        job.expect(kind, place)
-    for place in pictures:
-        if place.exists() and not (is_ours or job.force):
-            raise InputError(f"{place} is there and would be lost: give another --out, or --force.")
+    is_ours = all(path.exists() for path in kinds)
+    for path, kind in kinds.items() if out.exists() else ():
+        job.expect(kind, path)
+    for path in pictures:
+        if path.exists() and not (is_ours or job.force):
+            raise InputError(f"{path} is there and would be lost: give another --out, or --force.")
 
 
 def _table(lenses: "Mapping[str, trinoc.Intrinsics]", maps: "Mapping[str, PictureMaps]") -> str:

@@ -75,8 +75,8 @@ def _name_and_file(argument: str, words: Mapping[str, str] | None) -> tuple[str,
 
 def _guess_names(files: Sequence[Path]) -> dict[str, Path]:
     """Named after what differs between the files' names, or the folders' where the names agree."""
-    for words in ([file.stem for file in files], [file.parent.name for file in files]):
-        names = _differing(words)
+    for candidates in ([file.stem for file in files], [file.parent.name for file in files]):
+        names = _differing(candidates)
         if all(names) and len(set(names)) == len(names):
             return dict(zip(names, files, strict=True))
     raise UsageError(
@@ -112,14 +112,14 @@ def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, 
     """
     from trinoc.recording.camera_aliases import camera_aliases
 
-    words = camera_aliases(tuple(names))
-    files = files_of_views(arguments, guess=True, words=words)
+    aliases = camera_aliases(tuple(names))
+    files = files_of_views(arguments, guess=True, words=aliases)
     if any("=" in argument for argument in arguments):
         return files
     for cameras in (
         list(files),
-        [words.get(name) for name in files],
-        [_camera_of_file(file, words) for file in files.values()],
+        [aliases.get(name) for name in files],
+        [_camera_of_file(file, aliases) for file in files.values()],
     ):
         if set(cameras) <= set(names) and len(set(cameras)) == len(cameras):
             files = dict(zip(map(str, cameras), files.values(), strict=True))
@@ -163,8 +163,8 @@ def read_rig(file: str | os.PathLike[str]) -> "trinoc.Rig":
     warn_of_folds(rig, file)
     doubts = find_doubts(file)
     if doubts:
-        said = ", ".join(f"{name} ({doubt.removesuffix('.')})" for name, doubt in doubts.items())
-        LOGGER.warning("the calibration in %s is SUSPECT: %s", file, said)
+        cameras = ", ".join(f"{name} ({doubt.removesuffix('.')})" for name, doubt in doubts.items())
+        LOGGER.warning("the calibration in %s is SUSPECT: %s", file, cameras)
     return rig
 
 
@@ -225,11 +225,11 @@ def read_segments(
         mixed = describe_mixed_pixels(grey_image(image))
         if mixed is not None:
             LOGGER.warning('%s, the picture of "%s": %s', files[name], name, mixed)
-    for name, found in segments.items():
-        if len(found) == 0:
+    for name, segments_of_view in segments.items():
+        if len(segments_of_view) == 0:
             _warn_of_nothing(name, images.get(name), files[name])
         elif name in tables:
-            expect_inside(name, found, rig, tables[name])
+            expect_inside(name, segments_of_view, rig, tables[name])
     return images, segments
 
 
@@ -296,10 +296,10 @@ def read_scene(
     segments = read_segments(files, rig, trinoc.find_segments, job)[1]
     LOGGER.info("matching %s", ", ".join(f"{len(s)} ({n})" for n, s in segments.items()))
     # Whether the pictures belong together is asked once, of the rig given.
-    again = partial(trinoc.match_segments, segments, verify="off")
+    matcher = partial(trinoc.match_segments, segments, verify="off")
     return SceneInput(
         trinoc.match_segments(segments, rig),
-        partial(again, sigma_px=TOLERANT_SIGMA_PX),
-        again,
+        partial(matcher, sigma_px=TOLERANT_SIGMA_PX),
+        matcher,
         files,
     )

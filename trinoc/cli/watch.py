@@ -64,16 +64,16 @@ def watch(
     number = None if port == "none" else _read_port(port)
     if report is not None and out is None:
         raise UsageError("--report is of a calibration: say by -o where the rig goes.")
-    places = _places(sources)
-    kind = _kind(places, once=once, keep=keep)
+    sources_of_views = _places(sources)
+    kind = _kind(sources_of_views, once=once, keep=keep)
     target = _target(board)
-    _expect_results(out, report, sources, "" in places, job)
+    _expect_results(out, report, sources, "" in sources_of_views, job)
     from trinoc.serving.session import WatchSession
     from trinoc.serving.sources import open_source
 
     # Before the page is shown: what is no source ends the command.
-    moments = open_source(places, every_s, once=once, warn=LOGGER.warning)
-    kept = _open_kept(places, kind, keep, out)
+    moments = open_source(sources_of_views, every_s, once=once, warn=LOGGER.warning)
+    saved_shots = _open_kept(sources_of_views, kind, keep, out)
     stream = sys.stderr if job.json else sys.stdout
     is_silent = job.json and job.quiet
 
@@ -81,7 +81,7 @@ def watch(
         if not is_silent:
             print(line, file=stream, flush=True)
 
-    session = WatchSession(target, " ".join(sources), tuple(places), kept, say)
+    session = WatchSession(target, " ".join(sources), tuple(sources_of_views), saved_shots, say)
     with contextlib.ExitStack() as stack:
         if number is not None and not once:
             _show(stack.enter_context(session.serve(number)), port == "open")
@@ -97,20 +97,20 @@ def _places(sources: tuple[str, ...]) -> dict[str, str]:
         raise UsageError("No source is given: give a folder, a camera's number, or a video.")
     if len(sources) == 1 and "=" not in sources[0]:
         return {"": sources[0]}
-    return {name: str(place) for name, place in files_of_views(sources).items()}
+    return {name: str(file) for name, file in files_of_views(sources).items()}
 
 
-def _kind(places: Mapping[str, str], *, once: bool, keep: Path | None) -> str:
+def _kind(sources: Mapping[str, str], *, once: bool, keep: Path | None) -> str:
     """ "camera", "video" or "folder"; raises UsageError for options that do not go with it."""
     from trinoc.serving.sources import find_kind
 
-    kinds = {find_kind(place) for place in places.values()}
+    kinds = {find_kind(source) for source in sources.values()}
     if len(kinds) > 1:
-        for place in places.values():
-            if not (place.isdecimal() or Path(place).exists()):
-                raise UsageError(f"{place} does not exist: check the name.")
+        for source in sources.values():
+            if not (source.isdecimal() or Path(source).exists()):
+                raise UsageError(f"{source} does not exist: check the name.")
         raise UsageError("Cameras, folders and videos do not go together: give one kind.")
-    if len({int(p) if p.isdecimal() else Path(p) for p in places.values()}) < len(places):
+    if len({int(p) if p.isdecimal() else Path(p) for p in sources.values()}) < len(sources):
         raise UsageError("Two cameras are given one source: give each its own.")
     (kind,) = kinds
     if once and kind != "folder":
@@ -118,7 +118,7 @@ def _kind(places: Mapping[str, str], *, once: bool, keep: Path | None) -> str:
             "--once goes with a folder: a camera has always one more picture, and a video ends "
             "by itself."
         )
-    if keep is not None and kind == "folder" and "" in places:
+    if keep is not None and kind == "folder" and "" in sources:
         raise UsageError("--keep goes with a camera: the pictures of a folder are kept there.")
     return kind
 
@@ -148,28 +148,29 @@ def _expect_results(
 
 
 def _open_kept(
-    places: Mapping[str, str], kind: str, keep: Path | None, out: Path | None
+    sources: Mapping[str, str], kind: str, keep: Path | None, out: Path | None
 ) -> "KeptShots | None":
     """The folder of kept shots: that of --keep, or one beside the result."""
     from trinoc.serving.kept_shots import KeptShots
 
     if keep is not None:
-        kept = KeptShots(keep, tuple(places))
-        watched = {Path(place).resolve() for place in places.values()}
-        if watched & {place.resolve() for place in kept.folders.values()}:
+        saved_shots = KeptShots(keep, tuple(sources))
+        watched = {Path(source).resolve() for source in sources.values()}
+        if watched & {source.resolve() for source in saved_shots.folders.values()}:
             raise UsageError(
                 f"--keep {keep} would write into a folder that is watched: give another."
             )
-        return kept
-    if out is None or (kind == "folder" and "" in places):
+        return saved_shots
+    if out is None or (kind == "folder" and "" in sources):
         return None
-    kept = KeptShots(out.with_name(f"{out.stem}_shots"), tuple(places))
-    if kept.names():
+    saved_shots = KeptShots(out.with_name(f"{out.stem}_shots"), tuple(sources))
+    if saved_shots.names():
         raise UsageError(
-            f"{kept.folder} holds {len(kept.names())} shots of an earlier run: go on with them "
-            f"by --keep {shlex.quote(str(kept.folder))}, or give another folder."
+            f"{saved_shots.folder} holds {len(saved_shots.names())} shots of an earlier run: go on "
+            "with them "
+            f"by --keep {shlex.quote(str(saved_shots.folder))}, or give another folder."
         )
-    return kept
+    return saved_shots
 
 
 def _look(session: "WatchSession", moments: "Iterator[Moment]", *, must_go_on: bool) -> None:
@@ -248,9 +249,9 @@ class _Calibration(NamedTuple):
 
         session = self.session
         assert session.kept is not None
-        places = {name: Path(place) for name, place in session.kept.folders.items()}
+        folders = {name: Path(folder) for name, folder in session.kept.folders.items()}
         result, outcome = calibrate_shots(
-            places, (self.board,), (), {}, {}, self.report, self.out, self.job
+            folders, (self.board,), (), {}, {}, self.report, self.out, self.job
         )
         verdict, advice = judge_shots(result), outcome.record["next_shot"]
         if advice is not None and result.has_rig:

@@ -313,14 +313,14 @@ def describe_fold(lens: Intrinsics) -> str | None:
     """
     if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:
         return (
-            "folds the picture: neighbouring control points of its correction differ by "
+            "folds the image: neighbouring control points of its correction differ by "
             f"{lens.lens.steepness():.2g} times their distance"
         )
     away_px, radius_px = farthest_corner_px(lens), lens.valid_radius_px
     if lens.lens.fold_angle_rad() >= np.pi / 2 or not radius_px < away_px:
         return None
     return (
-        f"folds the picture {radius_px:.0f} px from the principal point, while the farthest corner "
+        f"folds the image {radius_px:.0f} px from the principal point, while the farthest corner "
         f"is {away_px:.0f} px away"
     )
 

@@ -71,7 +71,7 @@ def border_in_plane(
     shown = rays[:, 2] > np.cos(np.radians(WIDEST_DEG)) * np.linalg.norm(rays, axis=1)
     if not (np.isfinite(rays).all() and (off_px[shown] < _CLOSES_PX).all()):
         raise InputError(
-            "The distortion of the lens folds the picture inside its border. Check the order and "
+            "The distortion of the lens folds the image inside its border. Check the order and "
             "signs of its coefficients, or fit fewer of them."
         )
     x, y, z = (rays @ ideal_from_cam.T).T

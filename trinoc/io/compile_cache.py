@@ -146,10 +146,10 @@ class FolderStore:
     def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:
         """The content, if it is there and whole."""
         try:
-            place = self._place(name, modules)
-            content = place.read_bytes()
+            path = self._place(name, modules)
+            content = path.read_bytes()
             # The youngest are kept when the folder grows too large.
-            os.utime(place)
+            os.utime(path)
         except (OSError, LookupError):
             return None
         digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
@@ -158,8 +158,8 @@ class FolderStore:
     def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
         """Keep it where the disk allows and where the modules have sources."""
         with contextlib.suppress(OSError, InputError, LookupError):
-            place = self._place(name, modules)
-            with atomic_write(place) as file:
+            path = self._place(name, modules)
+            with atomic_write(path) as file:
                 file.write(hashlib.sha256(content).digest())
                 file.write(content)
 
@@ -175,10 +175,10 @@ def surroundings() -> str:
     """Digest of what every compiled program depends on: versions, processor and settings."""
     import jax
 
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
 
     def take(*words: object) -> None:
-        found.update(repr(words).encode())
+        digest.update(repr(words).encode())
 
     for library in LIBRARIES:
         with contextlib.suppress(PackageNotFoundError):
@@ -188,7 +188,7 @@ def surroundings() -> str:
     take(sorted((k, v) for k, v in os.environ.items() if k.startswith(("XLA_", "JAX_", "TF_"))))
     settings = {name: value for name, value in jax.config.values.items() if "cache" not in name}
     take(sorted((name, repr(value)) for name, value in settings.items()))
-    return found.hexdigest()
+    return digest.hexdigest()
 
 
 def _processor() -> str:

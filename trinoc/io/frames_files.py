@@ -211,7 +211,7 @@ def _fate(result: FrameMatches) -> dict[str, Any]:
     return {
         "status": result.status,
         **reason,
-        "segments": {view: len(words) for view, words in result.matches.reasons.items()},
+        "segments": {view: len(reasons) for view, reasons in result.matches.reasons.items()},
         "tracks": {name: int((stage == name).sum()) for name in ("trinocular", "binocular")},
     }
 
@@ -259,13 +259,13 @@ def load_recording(folder: str | os.PathLike[str]) -> RecordingMatches:
         lines |= read_lines(manifest)
     if not lines:
         raise InputError(f"{path} holds no results of trinoc batch: give its output folder.")
-    places, failures = {}, {}
+    positions, failures = {}, {}
     for file in sorted(lines):
         if Path(file).name != file:
             raise InputError(f'A manifest in {path} names "{file}", which is outside: remove it.')
         for line in lines[file]:
             name = str(line.get("frame"))
-            places[name] = file, int(line["row"])
+            positions[name] = file, int(line["row"])
             if line.get("status") == "failed":
                 failures[name] = str(line.get("why"))
-    return RecordingMatches(path, places, failures)
+    return RecordingMatches(path, positions, failures)

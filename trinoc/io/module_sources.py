@@ -64,8 +64,8 @@ def _imports(module: str) -> frozenset[str]:
 def _imported_names(text: str, packages: set[str]) -> Iterator[str]:
     for source, names, plain in _IMPORT.findall(text):
         if plain:
-            found = re.split(r"[ \t,]+", plain)
-            yield from (name for name in found if name.partition(".")[0] in packages)
+            parts = re.split(r"[ \t,]+", plain)
+            yield from (name for name in parts if name.partition(".")[0] in packages)
         elif source.partition(".")[0] in packages:
             yield source
             yield from (f"{source}.{name}" for name in re.findall(r"\w+", names))
@@ -79,8 +79,8 @@ def _source_file(module: str) -> Path | None:
     if file is not None:
         return Path(file)
     for folder in getattr(sys.modules.get(root), "__path__", ()):
-        place = Path(folder, *parts)
-        for candidate in (place.with_name(f"{place.name}.py"), place / "__init__.py"):
+        path = Path(folder, *parts)
+        for candidate in (path.with_name(f"{path.name}.py"), path / "__init__.py"):
             if candidate.is_file():
                 return candidate
     return None

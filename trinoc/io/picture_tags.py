@@ -52,10 +52,10 @@ def has_white_as_zero(content: bytes) -> bool:
 
 def as_stored(content: bytes) -> bytes:
     """The content of a picture file with the orientation tag of a TIFF set to 1."""
-    directory, at = _directory(content), _tiff_value_at(content, _ORIENTATION)
-    if directory is None or at is None or _tiff_tag(content, _ORIENTATION) == 1:
+    directory, offset = _directory(content), _tiff_value_at(content, _ORIENTATION)
+    if directory is None or offset is None or _tiff_tag(content, _ORIENTATION) == 1:
         return content
-    return content[:at] + struct.pack(f"{directory.order}H", 1) + content[at + 2 :]
+    return content[:offset] + struct.pack(f"{directory.order}H", 1) + content[offset + 2 :]
 
 
 def warn_of_orientation(file: Path, content: bytes) -> None:
@@ -89,12 +89,12 @@ def _exif_orientation(content: bytes) -> int | None:
 
 def _png_chunk(content: bytes, kind: bytes) -> bytes:
     """The data of a PNG's first chunk of a kind, empty where it has none; pixels stay packed."""
-    at = len(_PNG)
-    while at + 12 <= len(content):
-        (length,) = struct.unpack_from(">I", content, at)
-        if content[at + 4 : at + 8] == kind:
-            return content[at + 8 : at + 8 + length]
-        at += 12 + length
+    offset = len(_PNG)
+    while offset + 12 <= len(content):
+        (length,) = struct.unpack_from(">I", content, offset)
+        if content[offset + 4 : offset + 8] == kind:
+            return content[offset + 8 : offset + 8 + length]
+        offset += 12 + length
     return b""
 
 
@@ -120,17 +120,17 @@ def _tiff_value_at(content: bytes, tag: int) -> int | None:
         return None
     (count,) = struct.unpack_from(directory.count_format, content, directory.start)
     first = directory.start + struct.calcsize(directory.count_format)
-    whole = min(count, (len(content) - first) // directory.entry_bytes)
-    for at in range(first, first + whole * directory.entry_bytes, directory.entry_bytes):
-        number, kind = struct.unpack_from(f"{directory.order}HH", content, at)
+    entry_count = min(count, (len(content) - first) // directory.entry_bytes)
+    for offset in range(first, first + entry_count * directory.entry_bytes, directory.entry_bytes):
+        number, kind = struct.unpack_from(f"{directory.order}HH", content, offset)
         if number == tag:
-            return at + directory.value_at if kind == _SHORT else None
+            return offset + directory.value_at if kind == _SHORT else None
     return None
 
 
 def _tiff_tag(content: bytes, tag: int) -> int | None:
     """The 16-bit value of a tag of a TIFF's first picture."""
-    directory, at = _directory(content), _tiff_value_at(content, tag)
-    if directory is None or at is None:
+    directory, offset = _directory(content), _tiff_value_at(content, tag)
+    if directory is None or offset is None:
         return None
-    return struct.unpack_from(f"{directory.order}H", content, at)[0]
+    return struct.unpack_from(f"{directory.order}H", content, offset)[0]

@@ -62,5 +62,5 @@ def test_a_view_all_of_whose_segments_lie_beyond_has_no_tracks():
 
 def test_a_lens_of_whose_image_too_little_is_left_is_refused():
     rig = rig_of(*NAMES, distortion=(-6.0,))
-    with pytest.raises(MatchError, match=r'The lens of the camera ".*" folds the picture'):
+    with pytest.raises(MatchError, match=r'The lens of the camera ".*" folds the image'):
         trinoc.match_segments(pictures(IDEAL, loose_lines(10, 3)), rig)

@@ -98,10 +98,10 @@ def text_files(records: ColmapRecords) -> dict[str, str]:
 def text_records(folder: Path) -> ColmapRecords:
     """The cameras and images of a folder. Raises InputError, naming file and line."""
     cameras: dict[int, ColmapCamera] = {}
-    for where, words in _lines(folder / "cameras.txt"):
+    for where, fields in _lines(folder / "cameras.txt"):
         try:
-            number, size = int(words[0]), (int(words[2]), int(words[3]))
-            camera = ColmapCamera(words[1], size, [float(word) for word in words[4:]])
+            number, size = int(fields[0]), (int(fields[2]), int(fields[3]))
+            camera = ColmapCamera(fields[1], size, [float(word) for word in fields[4:]])
         except (ValueError, IndexError) as error:
             raise InputError(f"{where} is no camera of COLMAP: correct it.") from error
         if number in cameras:
@@ -110,17 +110,17 @@ def text_records(folder: Path) -> ColmapRecords:
     images: list[ColmapImage] = []
     # Below each image stands a line of its points, which programs leave out where there are none.
     may_be_points = False
-    for where, words in _lines(folder / "images.txt", keep_empty=True):
-        if may_be_points and _are_points(words):
+    for where, fields in _lines(folder / "images.txt", keep_empty=True):
+        if may_be_points and _are_points(fields):
             may_be_points = False
             continue
-        if not words:
+        if not fields:
             continue
         try:
-            numbers = [float(word) for word in words[1:8]]
-            number, camera = int(words[0]), int(words[8])
+            numbers = [float(word) for word in fields[1:8]]
+            number, camera = int(fields[0]), int(fields[8])
             # Names of files may have blanks.
-            name = " ".join([words[9], *words[10:]])
+            name = " ".join([fields[9], *fields[10:]])
             images.append(ColmapImage(number, numbers[:4], numbers[4:], camera, name))
         except (ValueError, IndexError) as error:
             raise InputError(f"{where} is no image of COLMAP: correct it.") from error
@@ -128,13 +128,13 @@ def text_records(folder: Path) -> ColmapRecords:
     return ColmapRecords(cameras, images)
 
 
-def _are_points(words: list[str]) -> bool:
+def _are_points(fields: list[str]) -> bool:
     """Tell a line of points (x, y and number of each) from a line of an image.
 
     An image has nine numbers and a name: ten words, or more where its name has blanks.
     """
     try:
-        return len(words) % 3 == 0 and all(map(math.isfinite, map(float, words)))
+        return len(fields) % 3 == 0 and all(map(math.isfinite, map(float, fields)))
     except ValueError:
         return False
 

@@ -112,8 +112,8 @@ def _lens(camera: ColmapCamera, where: str) -> Intrinsics:
     if not np.isfinite(parameters).all():
         raise InputError(f"{where} has a camera with numbers that are not finite: correct it.")
     focals = 1 if camera.model in SQUARE else 2
-    known = [row for row in ROWS if row.called == camera.model]
-    if known and len(parameters) != focals + 2 + len(known[0].coefficients):
+    rows = [row for row in ROWS if row.called == camera.model]
+    if rows and len(parameters) != focals + 2 + len(rows[0].coefficients):
         raise InputError(
             f"{where} has a {camera.model} camera with {len(parameters)} numbers: correct it."
         )

@@ -226,14 +226,15 @@ def _lens_from_map(
 
 
 def _first_key(block: Block, keys: tuple[str, ...]) -> str:
-    """The first of several names of a value that a map has; the first where it has none."""
+    """The first of several keys that the map contains; the first key if it contains none."""
     return next((key for key in keys if key in block.values), keys[0])
 
 
 def _called(block: Block) -> str:
-    """Which row of lenses a map names. Raises InputError for words that contradict or are unknown.
+    """Name of the lens model that a map states.
 
-    FileStorage has no word for it: programs add their own.
+    Raises InputError for contradicting or unknown names. OpenCV has no key for it; programs add
+    their own.
     """
     named: dict[str, str] = {}
     for key in _FISHEYE_KEYS:
@@ -246,8 +247,8 @@ def _called(block: Block) -> str:
         if key in block.values:
             word = block.text(key)
             if word.lower() not in _LENS_WORDS:
-                known = ", ".join(filter(None, _LENS_WORDS))
-                raise block.error(key, f'is "{word}", but trinoc reads {known} here: convert it.')
+                models = ", ".join(filter(None, _LENS_WORDS))
+                raise block.error(key, f'is "{word}", but trinoc reads {models} here: convert it.')
             named[key] = _LENS_WORDS[word.lower()]
     if len(set(named.values())) > 1:
         first, second = list(named)[:2]

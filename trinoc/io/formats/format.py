@@ -1,4 +1,4 @@
-"""What a format of another tool is: a name, what it holds, where its origins lie, what it loses."""
+"""Description of a file format of another tool: contents, origins, units and losses."""
 
 import dataclasses
 import itertools
@@ -42,7 +42,7 @@ LOSSES = {
 
 
 def say_losses(value: object, loses: tuple[str, ...]) -> tuple[str, ...]:
-    """Of `loses`, in words, what this value really has."""
+    """Descriptions of those losses that apply to this value."""
     return tuple(LOSSES[loss] for loss in loses if _has(value, loss))
 
 
@@ -139,11 +139,11 @@ class Format:
         value = _plain(value)
         kind = _find_kind(value)
         if kind not in self.kinds:
-            words = {"rig": "a rig", "lens": "a lens"}
-            words |= {each.KIND: each.IN_WORDS for each in (Matches, Segments, *FEATURES)}
-            given = words.get(kind, f"a {type(value).__name__}")
-            held = " or ".join(words[kind] for kind in self.kinds)
-            raise InputError(f"{self.title} holds {held}, not {given}: choose another format.")
+            names = {"rig": "a rig", "lens": "a lens"}
+            names |= {each.KIND: each.IN_WORDS for each in (Matches, Segments, *FEATURES)}
+            actual = names.get(kind, f"a {type(value).__name__}")
+            accepted = " or ".join(names[kind] for kind in self.kinds)
+            raise InputError(f"{self.title} holds {accepted}, not {actual}: choose another format.")
         target = Path(path)
         if self.place == "folder" or (kind == "rig" and "folder" in self.place):
             expect_new_folder(target)
@@ -187,7 +187,10 @@ class Format:
         return value if names is None else _rename_cameras(value, tuple(names), source)
 
     def lost(self, value: object) -> tuple[str, ...]:
-        """What of this value the format cannot hold, in words; projections stay the same."""
+        """Descriptions of the parts of a value that the format cannot hold.
+
+        None of them changes a projection.
+        """
         plain = _plain(value)
         lost = say_losses(plain, self.loses)
         is_of_result = isinstance(plain, Intrinsics) and plain is not value

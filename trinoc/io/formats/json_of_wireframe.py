@@ -22,11 +22,11 @@ def write_json(frame: Wireframe, path: Path, unit_mm: float) -> None:
         "unit_mm": unit_mm,
         "vertices": [
             {
-                "place": (place / unit_mm).tolist(),
+                "place": (position_mm / unit_mm).tolist(),
                 "covariance": (vertex_covariance[vertex] / area).tolist(),
                 "corner": bool(frame.corner[vertex]),
             }
-            for vertex, place in enumerate(frame.vertices_mm)
+            for vertex, position_mm in enumerate(frame.vertices_mm)
         ],
         "edges": [
             {
@@ -53,8 +53,8 @@ def write_json(frame: Wireframe, path: Path, unit_mm: float) -> None:
             )
         ],
         "let_go": [
-            {"track": track, "place": place, "reason": reason}
-            for track, place, reason in zip(
+            {"track": track, "place": position_mm, "reason": reason}
+            for track, position_mm, reason in zip(
                 frame.let_go.track.tolist(),
                 (frame.let_go.place_mm / unit_mm).tolist(),
                 frame.let_go.reason.tolist(),

@@ -156,11 +156,11 @@ def _lens(block: Block) -> Intrinsics:
             "trinoc reads pinhole: calibrate with that model."
         )
     fx, fy, cx, cy = block.numbers("intrinsics", (4,)).tolist()
-    called = block.text("distortion_model")
+    model_name = block.text("distortion_model")
     coefficients = block.numbers("distortion_coeffs", (None,)).tolist()
-    if called in ("radtan", "equidistant") and len(coefficients) != 4:
-        raise block.error("distortion_coeffs", f"must be the four of {called}.")
-    numbers = LensNumbers(called, (fx, fy), (cx, cy), 0.0, coefficients)
+    if model_name in ("radtan", "equidistant") and len(coefficients) != 4:
+        raise block.error("distortion_coeffs", f"must be the four of {model_name}.")
+    numbers = LensNumbers(model_name, (fx, fy), (cx, cy), 0.0, coefficients)
     where = f'{block.file}: "{block.place}"'
     return make_lens(numbers, block.image_size_px("resolution"), ROWS, where)
 

@@ -59,11 +59,11 @@ class Keys(NamedTuple):
                 if value not in refused.harmless:
                     raise block.error(key, f"is {show_value(value)}: {refused.what}.")
             elif _CHANGES_PROJECTION.search(key):
-                near = difflib.get_close_matches(key, self.read, n=1, cutoff=_ALIKE)
+                close_keys = difflib.get_close_matches(key, self.read, n=1, cutoff=_ALIKE)
                 raise block.error(
                     key,
-                    f'is an unknown key: did you mean "{near[0]}"?'
-                    if near and near[0] not in block.values
+                    f'is an unknown key: did you mean "{close_keys[0]}"?'
+                    if close_keys and close_keys[0] not in block.values
                     else "may change where points are imaged, and trinoc does not read it here: "
                     "remove it if it changes nothing, or convert the camera to a model without it.",
                 )

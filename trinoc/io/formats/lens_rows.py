@@ -87,13 +87,15 @@ def list_lens_numbers(
             )
         raise InputError(f"{who} is {lens.lens.model}, which {title} cannot hold: {advice}.")
     for row in fitting:
-        left = [name for name, value in values.items() if value and name not in row.coefficients]
-        if not left:
+        unsupported = [
+            name for name, value in values.items() if value and name not in row.coefficients
+        ]
+        if not unsupported:
             break
     else:
         raise InputError(
-            f"{who} has {left[0]} = {values[left[0]]:g}, which {title} cannot hold: choose another "
-            "format, or calibrate the lens without it."
+            f"{who} has {unsupported[0]} = {values[unsupported[0]]:g}, which {title} cannot hold: "
+            "choose another format, or calibrate the lens without it."
         )
     focal, centre = np.asarray(lens.focal_length_px), np.asarray(lens.principal_point_px)
     return LensNumbers(
@@ -118,40 +120,40 @@ def make_lens(
     `where` begins the sentence of the InputError for a model or a coefficient that trinoc does
     not know, and for numbers that are no lens.
     """
-    called = [row for row in rows if row.called == numbers.called]
-    if not called:
-        known = ", ".join(dict.fromkeys(row.called for row in rows))
+    rows_of_model = [row for row in rows if row.called == numbers.called]
+    if not rows_of_model:
+        model_names = ", ".join(dict.fromkeys(row.called for row in rows))
         raise InputError(
-            f'{where} has the lens model "{numbers.called}", but trinoc reads {known} here: '
+            f'{where} has the lens model "{numbers.called}", but trinoc reads {model_names} here: '
             "convert the lens first."
         )
-    most = max(len(row.coefficients) for row in called)
-    if len(numbers.coefficients) > most:
+    largest_count = max(len(row.coefficients) for row in rows_of_model)
+    if len(numbers.coefficients) > largest_count:
         raise InputError(
             f"{where} has {len(numbers.coefficients)} distortion coefficients, but "
-            f"{numbers.called or 'its model'} has {most}: check the file."
+            f"{numbers.called or 'its model'} has {largest_count}: check the file."
         )
     # The first row, the simplest lens, that knows what is not zero.
-    row = next((row for row in called if not _unknown(numbers, row)), called[-1])
-    given = dict(zip(row.coefficients, numbers.coefficients))
+    row = next((row for row in rows_of_model if not _unknown(numbers, row)), rows_of_model[-1])
+    coefficients = dict(zip(row.coefficients, numbers.coefficients))
     ours = LENS_MODELS[row.model].coefficient_names
     for name in _unknown(numbers, row):
         raise InputError(
-            f"{where} has {name} = {given[name]:g}, which trinoc's lens {row.model} does not have: "
-            "convert the lens first."
+            f"{where} has {name} = {coefficients[name]:g}, which trinoc's lens {row.model} does not "
+            "have: convert the lens first."
         )
     if not all(focal > 0 for focal in numbers.focal_px):
         raise InputError(
             f"{where} has the focal lengths {numbers.focal_px[0]:g} and {numbers.focal_px[1]:g} "
             "px, but both must be positive: correct them."
         )
-    distorted = any(given.values()) or not LENS_MODELS[row.model].zero_is_ideal
+    distorted = any(coefficients.values()) or not LENS_MODELS[row.model].zero_is_ideal
     return Intrinsics(
         image_size_px=image_size_px,
         focal_length_px=numbers.focal_px,
         principal_point_px=tuple(c - origin_px for c in numbers.centre_px),
         skew_px=numbers.skew_px,
-        distortion=[given.get(name, 0.0) for name in ours] if distorted else None,
+        distortion=[coefficients.get(name, 0.0) for name in ours] if distorted else None,
         distortion_model=row.model if distorted else None,
     )
 

@@ -90,9 +90,9 @@ gltf = Format(
 
 def write_obj(value: Matches | Feature, path: Path, unit_mm: float) -> None:
     """Write vertices, lines and faces."""
-    places, pairs, _, loops = value.wires()
+    points_mm, pairs, _, loops = value.wires()
     lines = [f"# unit {unit_mm!r} mm, Z up"]
-    lines.extend("v " + " ".join(map(repr, place)) for place in (places / unit_mm).tolist())
+    lines.extend("v " + " ".join(map(repr, point)) for point in (points_mm / unit_mm).tolist())
     lines.extend(f"l {one + 1} {other + 1}" for one, other in pairs.tolist())
     lines.extend("f " + " ".join(str(v + 1) for v in loop.tolist()) for loop in loops)
     write_text(path, "\n".join(lines) + "\n")
@@ -121,14 +121,14 @@ def write_dxf(value: Matches | Feature, path: Path, unit_mm: float) -> None:
         *((0, "SECTION"), (2, "ENTITIES")),
     ]
     wires = value.wires()
-    places = wires.points_mm / unit_mm
+    points = wires.points_mm / unit_mm
     layers = _layers(value)
-    for row, (start, end) in zip(wires.owner, places[wires.pairs].tolist(), strict=True):
+    for row, (start, end) in zip(wires.owner, points[wires.pairs].tolist(), strict=True):
         pairs += [(0, "LINE"), (8, layers[row].upper())]
         pairs += zip((10, 20, 30), start, strict=True)
         pairs += zip((11, 21, 31), end, strict=True)
     for loop in wires.loops:
-        pairs += _face(places[loop].tolist())
+        pairs += _face(points[loop].tolist())
     pairs += [(0, "ENDSEC"), (0, "EOF")]
     write_text(path, "".join(f"{code}\n{value}\n" for code, value in pairs))
 

@@ -25,8 +25,8 @@ def columns_in_unit(columns: dict[str, np.ndarray], unit_mm: float) -> dict[str,
     scaled = {}
     for name, column in columns.items():
         power = 2 if name.endswith("_mm2") else int(name.endswith("_mm"))
-        own = name.removesuffix("_mm2").removesuffix("_mm")
-        scaled[own] = column / unit_mm**power if power else column
+        base_name = name.removesuffix("_mm2").removesuffix("_mm")
+        scaled[base_name] = column / unit_mm**power if power else column
     return scaled
 
 

@@ -85,14 +85,14 @@ def _lens(block: Block) -> Intrinsics:
     # The last number is 0 in files of early versions.
     if skew or lower or last not in ([0, 0, 1], [0, 0, 0]):
         raise block.error("camera_matrix", "must be fx 0 cx, 0 fy cy, 0 0 1: correct it.")
-    called = f"{block.number('distortion_type'):g}"
-    if called not in (row.called for row in ROWS):
+    model_name = f"{block.number('distortion_type'):g}"
+    if model_name not in (row.called for row in ROWS):
         raise block.error(
-            "distortion_type", f"is {called}, but trinoc reads 0, Brown's, and 1, Kannala's."
+            "distortion_type", f"is {model_name}, but trinoc reads 0, Brown's, and 1, Kannala's."
         )
     sides = [block.number("img_width"), block.number("img_height")]
     numbers = LensNumbers(
-        called,
+        model_name,
         (fx, fy),
         (cx, cy),
         0.0,

@@ -89,9 +89,13 @@ def _camera(path: Path, unit_mm: float) -> Camera:
     intrinsics = block.numbers("intrinsics", (None,)).tolist()
     if len(intrinsics) < 4:
         raise block.error("intrinsics", "must begin with fx, fy, cx, cy: correct it.")
-    called = block.text("lensmodel")
+    model_name = block.text("lensmodel")
     numbers = LensNumbers(
-        called, (intrinsics[0], intrinsics[1]), (intrinsics[2], intrinsics[3]), 0.0, intrinsics[4:]
+        model_name,
+        (intrinsics[0], intrinsics[1]),
+        (intrinsics[2], intrinsics[3]),
+        0.0,
+        intrinsics[4:],
     )
     lens = make_lens(numbers, block.image_size_px("imagersize"), ROWS, str(path))
     key = next((key for key in POSE_KEYS if key in block.values), POSE_KEYS[0])

@@ -70,13 +70,13 @@ def read_multical(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
             "camera_poses",
             "is missing, as in intrinsic.json: give the calibration.json of a rig.",
         )
-    known = {name: KEYS.take(block) for name, block in document.block("cameras").blocks()}
+    cameras = {name: KEYS.take(block) for name, block in document.block("cameras").blocks()}
     poses = _poses(document.block("camera_poses"), unit_mm)
-    for name in [*poses, *known]:
-        if name not in poses or name not in known:
+    for name in [*poses, *cameras]:
+        if name not in poses or name not in cameras:
             where = "cameras" if name in poses else "camera_poses"
             raise document.error(where, f'lacks "{name}": calibrate all cameras together.')
-    return Rig({name: Camera(_lens(block), Pose(poses[name])) for name, block in known.items()})
+    return Rig({name: Camera(_lens(block), Pose(poses[name])) for name, block in cameras.items()})
 
 
 def _poses(document: Block, unit_mm: float) -> dict[str, np.ndarray]:

@@ -109,8 +109,10 @@ def read_nerfstudio(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     shared = {key: value for key, value in document.values.items() if key != "frames"}
     blocks = []
     for number, frame in enumerate(frames):
-        own: dict[str, Any] = frame if isinstance(frame, dict) else {}
-        blocks.append(KEYS.take(Block({**shared, **own}, document.file, f"frames[{number}]")))
+        frame_values: dict[str, Any] = frame if isinstance(frame, dict) else {}
+        blocks.append(
+            KEYS.take(Block({**shared, **frame_values}, document.file, f"frames[{number}]"))
+        )
     pictures = [PurePosixPath(block.text("file_path")) for block in blocks]
     stems_differ = len({picture.stem for picture in pictures}) == len(pictures)
     for number, (block, picture) in enumerate(zip(blocks, pictures, strict=True)):
@@ -130,8 +132,8 @@ def _lens(block: Block) -> Intrinsics:
             raise block.error(key, "is missing: add w and h, the size of the pictures in px.")
     size_px = Block({"size": [block.number("w"), block.number("h")]}, block.file, block.place)
     width, height = size_px.image_size_px("size")
-    called = _called(block)
-    row = next((row for row in READ if row.called == called), None)
+    model_name = _called(block)
+    row = next((row for row in READ if row.called == model_name), None)
     names = COEFFICIENTS if row is None else row.coefficients
     coefficients: dict[str, float] = {
         key: block.number(key) for key in COEFFICIENTS if key in block.values
@@ -145,9 +147,9 @@ def _lens(block: Block) -> Intrinsics:
         coefficients = dict(zip(COEFFICIENTS, given, strict=True))
     for key, value in coefficients.items():
         if value and key not in names:
-            raise block.error(key, f"is {value:g}, which {called} does not have: correct it.")
+            raise block.error(key, f"is {value:g}, which {model_name} does not have: correct it.")
     numbers = LensNumbers(
-        called,
+        model_name,
         _focal_px(block, width, height),
         (_centre(block, "cx", width), _centre(block, "cy", height)),
         0.0,
@@ -159,11 +161,13 @@ def _lens(block: Block) -> Intrinsics:
 
 def _called(block: Block) -> str:
     """The camera model, or what instant-ngp says in its place."""
-    called = block.text("camera_model") if "camera_model" in block.values else ""
+    model_name = block.text("camera_model") if "camera_model" in block.values else ""
     if not block.values.get("is_fisheye"):
-        return called or "OPENCV"
-    if called not in ("", FISHEYE):
-        raise block.error("is_fisheye", f"is true beside the camera_model {called}: correct one.")
+        return model_name or "OPENCV"
+    if model_name not in ("", FISHEYE):
+        raise block.error(
+            "is_fisheye", f"is true beside the camera_model {model_name}: correct one."
+        )
     return FISHEYE
 
 

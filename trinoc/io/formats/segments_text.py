@@ -56,11 +56,11 @@ def _rows(segments: Segments) -> list[str]:
 def _segments(lines: list[str], path: Path, columns: tuple[int, ...], start: int) -> Segments:
     rows = []
     for number, line in enumerate(lines, start):
-        words = line.replace(",", " ").split()
-        if not words or words[0].startswith("#"):
+        fields = line.replace(",", " ").split()
+        if not fields or fields[0].startswith("#"):
             continue
         try:
-            row = [float(word) for word in words]
+            row = [float(word) for word in fields]
         except ValueError:
             row = []
         if len(row) not in columns:

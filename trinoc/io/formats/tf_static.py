@@ -111,20 +111,20 @@ def _find_frames(lenses: Lenses, parents: Collection[str], path: Path) -> dict[s
 
 def _transform(name: str, world_from_cam: np.ndarray, unit_mm: float) -> dict[str, Any]:
     w, x, y, z = quaternion_wxyz(world_from_cam[:, :3]).tolist()
-    place = (world_from_cam[:, 3] / unit_mm).tolist()
+    position = (world_from_cam[:, 3] / unit_mm).tolist()
     return {
         "header": {"frame_id": WORLD},
         "child_frame_id": name + SUFFIXES[0],
         "transform": {
-            "translation": dict(zip("xyz", place, strict=True)),
+            "translation": dict(zip("xyz", position, strict=True)),
             "rotation": {"x": x, "y": y, "z": z, "w": w},
         },
     }
 
 
 def _arguments(entry: dict[str, Any]) -> list[str]:
-    place, turn = entry["transform"]["translation"], entry["transform"]["rotation"]
-    options = {f"--{key}": value for key, value in place.items()}
+    position, turn = entry["transform"]["translation"], entry["transform"]["rotation"]
+    options = {f"--{key}": value for key, value in position.items()}
     options |= {f"--q{key}": value for key, value in turn.items()}
     options |= {"--frame-id": WORLD, "--child-frame-id": entry["child_frame_id"]}
     return [str(word) for pair in options.items() for word in pair]
@@ -148,10 +148,10 @@ def _parents(documents: list[Block], unit_mm: float) -> dict[str, tuple[str, np.
             block = KEYS.take(Block(entry if isinstance(entry, dict) else {}, document.file, place))
             child, parent = block.text("child_frame_id"), block.block("header").text("frame_id")
             pose = _pose(block, unit_mm)
-            again = child in parents and not (
+            is_repeated = child in parents and not (
                 parents[child][0] == parent and np.array_equal(parents[child][1], pose)
             )
-            if child in in_message or again:
+            if child in in_message or is_repeated:
                 raise block.error(
                     "child_frame_id", f'is "{child}" as of one before it: remove one.'
                 )
