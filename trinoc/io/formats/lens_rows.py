@@ -139,8 +139,8 @@ def make_lens(
     ours = LENS_MODELS[row.model].coefficient_names
     for name in _unknown(numbers, row):
         raise InputError(
-            f"{where} has {name} = {coefficients[name]:g}, which trinoc's lens {row.model} does not "
-            "have: convert the lens first."
+            f"{where} has {name} = {coefficients[name]:g}, which trinoc's lens {row.model} does "
+            "not have: convert the lens first."
         )
     if not all(focal > 0 for focal in numbers.focal_px):
         raise InputError(
