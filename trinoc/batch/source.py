@@ -15,10 +15,10 @@ SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
 
 
 class Source(NamedTuple):
-    """Frames, and the folder that their files are relative to.
+    """Frames of a recording, and the folder that their files are relative to.
 
-    `views` are the cameras needed in each frame: all of the rig, or those with any file if these
-    are three or more.
+    `views` are the cameras that each frame must have: those that have a file in any frame, if
+    these are three or more; otherwise all cameras of the rig.
     """
 
     folder: Path

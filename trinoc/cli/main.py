@@ -73,7 +73,10 @@ def parse_arguments(arguments: Sequence[str]) -> inspect.BoundArguments:
 
 
 def _binder(name: str) -> Callable[..., inspect.BoundArguments]:
-    """A function with the options of a command, which only binds them to its parameters."""
+    """Make a function with the options of a command.
+
+    It does not run the command: it returns the bound arguments.
+    """
     command = find_command(name)
 
     def bind(*arguments: Any, **options: Any) -> inspect.BoundArguments:

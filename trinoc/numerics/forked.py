@@ -26,5 +26,8 @@ def expect_no_fork() -> None:
 
 
 def note_fork() -> None:
-    """Record a fork; the package's front door registers this with the operating system."""
+    """Record that the process was forked.
+
+    `trinoc/__init__.py` registers this function with `os.register_at_fork`.
+    """
     _JaxState.is_lost = _JaxState.has_computed

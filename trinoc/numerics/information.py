@@ -65,7 +65,8 @@ def observability_of_root(
 ) -> Observability:
     """`observability` of the information root^T root, without forming the product.
 
-    Standard deviations may then differ by twelve digits; with the information, by seven.
+    It stays accurate for standard deviations whose ratio is up to 1e12; the information matrix
+    itself only up to 1e7.
     """
     _, values, vectors = np.linalg.svd(root)
     is_real = values > 1e-12 * values[0]

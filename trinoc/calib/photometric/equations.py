@@ -314,9 +314,10 @@ def pixel_rows(
     drawing: InkDrawing,
     near_line: bool,
 ) -> PixelRows:
-    """Predicted grey levels before saturation and their derivatives, in the pixels' precision.
+    """Predicted grey levels before saturation, and their derivatives, in the pixels' float type.
 
-    near_line : True for pixels near a line, whose model has lines and circles.
+    near_line : True for pixels near a line. They are modelled with lines and circles, the others
+    with circles only.
     """
     pixels, unknowns = group.pixels, state.unknowns
     single = pixels.grey.dtype

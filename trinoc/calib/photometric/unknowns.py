@@ -250,8 +250,8 @@ def full_state(ideal: ImageState, tuning: PhotometricTuning) -> ImageState:
 def step_unit_mm(pose: Pose, model: PoseModel) -> ScalarLike:
     """Unit of length in steps of a pose, mm.
 
-    The unit is the distance along the optical axis; for `PoseModel.RIGID`, whose axis need not meet
-    the sheet, the distance from the origin of the sheet.
+    It is the distance from the camera to the sheet along the optical axis. For `PoseModel.RIGID`,
+    where that axis may miss the sheet, it is the distance from the camera to the sheet's origin.
     """
     if model is PoseModel.RIGID:
         return jnp.sqrt(pose.translation_mm @ pose.translation_mm)

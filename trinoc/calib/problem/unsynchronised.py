@@ -175,7 +175,10 @@ def _with_motion(problem: Problem) -> Problem:
 def _moved_points_mm(
     problem: Problem, view: BoardObservation, step: Float[np.ndarray, "6"]
 ) -> Float[np.ndarray, "m 3"]:
-    """Board points of an image at the pose of that image, in the frame of the shot's board, mm."""
+    """Points of the board in one image, after `step` from its pose in the shot to the image's.
+
+    The frame is that of the board at the shot's pose, mm, (m, 3).
+    """
     from_board = np.asarray(problem.state.rig_from_board[view.shot])
     after = np.asarray(step_motion(from_board, step, problem.parametrization.unit_mm))
     drawn_mm = problem.target.centres_mm[view.detection.circle_index]

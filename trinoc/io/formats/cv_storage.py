@@ -151,7 +151,10 @@ def _lens_to_map(lens: Intrinsics, camera: str) -> dict[str, Any]:
 
 
 def _stereo(rig: Rig, cameras: list[dict[str, Any]], unit_mm: float) -> dict[str, Any]:
-    """The keys of OpenCV's stereo sample, for two cameras; it knows no fisheyes."""
+    """Calibration of two cameras with the keys of OpenCV's stereo sample.
+
+    These keys cannot describe a fisheye.
+    """
     if len(cameras) != 2 or any("fisheye_model" in camera for camera in cameras):
         return {}
     poses = [np.asarray(camera.cam_from_world) for camera in rig.cameras]

@@ -101,8 +101,10 @@ def _has_other_chords(
     second: int,
     tuning: RimTuning,
 ) -> bool:
-    """Test whether other chords of the second view, half as long, support a circle with the same
-    image in the first.
+    """Test whether a rival circle exists: one that looks the same in the first view, but rests on
+    other chords of the second view.
+
+    Only chords at least half as long as those of the circle are considered.
     """
     in_second = chords.view == second
     rows = np.setdiff1d(np.flatnonzero(in_second), chord_rows)
