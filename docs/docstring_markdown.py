@@ -20,11 +20,14 @@ def as_markdown(text: str) -> str:
     text = re.sub(r"(?m)^([A-Z]\w+)\n-{3,}$", r"\n**\1**\n", text)
     # The tree of errors is drawn with lines.
     text = re.sub(r"(?m)^(.*\n(?:[├└│].*\n?)+)", r"```text\n\1\n```\n", text)
-    lines, listed = [], False
-    for line in text.splitlines():
+    lines, listed, source = [], False, text.splitlines()
+    for line, following in zip(source, [*source[1:], ""]):
         item = re.match(r"^([\w.*]+(?:, [\w.*]+)*) : (.*)", line)
         if item:
-            lines += ([] if listed else [""]) + [f"- `{item[1]}`: {item[2]}"]
+            # In NumPy's layout a type stands here, and the description begins on the next line.
+            is_type = re.match(r"    [A-Z]", following) and not item[2].endswith((".", ","))
+            words = f" ({item[2]}):" if is_type else f": {item[2]}"
+            lines += ([] if listed else [""]) + [f"- `{item[1]}`{words}"]
         else:
             lines.append(line)
         listed = bool(item) or (listed and line.startswith("    "))

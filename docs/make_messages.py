@@ -38,7 +38,7 @@ def _messages(file: Path) -> Iterator[tuple[str, str]]:
         cause = (ast.get_docstring(node) or "").split("\n\n")[0].replace("\n", " ")
         cause = _PARAMETERS.sub("", cause).rstrip(";.") + "."
         returned = [part.value for part in ast.walk(node) if isinstance(part, ast.Return)]
-        texts = [text for value in returned if value and len(text := _template(value)) > 1]
+        texts = [text for value in returned if value and re.search(r"\w", text := _template(value))]
         if texts:
             yield cause, "<br>".join(text.replace("|", "\\|") for text in texts)
 
@@ -53,12 +53,10 @@ def _template(value: ast.expr) -> str:
         case ast.BinOp(left, ast.Add(), right):
             text = _template(left) + _template(right)
         case ast.Call(_, arguments) if any(isinstance(a, ast.JoinedStr) for a in arguments):
-            text = VALUE.join(map(_template, arguments))
+            text = f" {VALUE} ".join(map(_template, arguments))
         case _:
             text = VALUE
-    while VALUE * 2 in text:
-        text = text.replace(VALUE * 2, VALUE)
-    return text
+    return re.sub(rf"{VALUE}(\s*{VALUE})+", VALUE, text)
 
 
 if __name__ == "__main__":

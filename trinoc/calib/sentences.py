@@ -501,7 +501,7 @@ def grey_levels_not_used(where: str, reason: str) -> str:
 
 
 def detection_remark(where: str, remark: str) -> str:
-    """Corners of an image that the detector rejected."""
+    """Corners of an image that the detector found and rejected. remark : the reason."""
     return f"{where}: {remark}; not used."
 
 

@@ -1,8 +1,9 @@
 """The options of a command, read from its function: types from the signature, texts from the
 docstring.
 
-Positional-only parameters are arguments, the others options. The section "Parameters" describes
-each as `name : METAVAR (default: in words)`, both optional, with the text of the help below.
+Positional-only parameters are arguments, the others options. The section "Parameters" must describe
+each by a line `name : METAVAR (default: ...)`, where METAVAR and the parenthesis may be left out,
+followed by indented lines with its help.
 """
 
 import functools
@@ -15,32 +16,36 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import tyro
 
-# An option of settings, NAME=VALUE, may be given again, or with several settings behind it.
+# Values of an option that takes settings NAME=VALUE: one inner tuple each time that it is given.
 Settings = tuple[tuple[str, ...], ...]
-# Other names of options, or of those of one command. A layout may also be called a pattern, a lens
-# its intrinsics.
+# Aliases by parameter, or by `command.parameter` for one command alone.
 _ALIASES = {
     "out": ("-o",),
     "board": ("--pattern",),
     "lens": ("--intrinsics",),
     "undistort.rig": ("--lens", "--intrinsics"),
 }
-# These options take one value each time they are given.
+# Options that may be given several times, with one value each time: --board a --board b.
 REPEATED = ("board", "lens")
-# Of all commands: fields of `Job`.
+# Options that all commands share, with their help: the fields of `Job`.
 SHARED = {
     "json": "Print exactly one JSON object on stdout instead of text.",
     "quiet": "Show no progress on stderr.",
     "force": "Replace files of another kind.",
 }
+# Name, rest of the line, and help of a parameter.
 _DESCRIPTION = re.compile(r"^ {4}(\w+)(?: : (.*))?\n((?: {8}.*\n)+)", re.MULTILINE)
-_SLOT = re.compile(r"(.*?) ?(\([^()]*\))?")
+_METAVAR_AND_DEFAULT = re.compile(r"(.*?) ?(\([^()]*\))?")
 
 
 class Option(NamedTuple):
     """An option or an argument of a command, and how the help shows it.
 
-    name : of the parameter. typed : how it is typed, such as "--from"; "" for an argument.
+    name : name of the parameter.
+    typed : flag as the user types it, such as "--from"; "" for an argument.
+    kind : type of the parameter.
+    default_text : how the help shows the default.
+    text : help.
     """
 
     name: str
@@ -54,12 +59,12 @@ class Option(NamedTuple):
 
     @property
     def is_repeated(self) -> bool:
-        """True if the option is repeated for each value."""
+        """True if the option may be given several times."""
         is_tuple = typing.get_origin(self.kind) is tuple
         return is_tuple and (self.name in REPEATED or self.kind == Settings)
 
     def annotation(self) -> Any:
-        """The type with all that tyro reads and shows."""
+        """The type, annotated with flag, metavar, help and aliases for tyro."""
         argument = tyro.conf.arg(
             name=self.typed[2:] or None,
             metavar=self.metavar or None,
@@ -86,7 +91,7 @@ def list_options(command: Callable[..., Any]) -> tuple[Option, ...]:
         if name == "job":
             continue
         slot, text = described[name]
-        metavar, default_text = _SLOT.fullmatch(slot).groups()  # pyright: ignore
+        metavar, default_text = _METAVAR_AND_DEFAULT.fullmatch(slot).groups()  # pyright: ignore
         is_argument = parameter.kind is parameter.POSITIONAL_ONLY
         options.append(
             Option(
@@ -105,6 +110,7 @@ def list_options(command: Callable[..., Any]) -> tuple[Option, ...]:
 
 
 def _usual_metavar(kind: Any) -> str:
+    """Metavar of an option whose description has none."""
     kinds = typing.get_args(kind) if type(None) in typing.get_args(kind) else (kind,)
     if Path in kinds or tuple[Path, ...] in kinds:
         return "FILE"
@@ -120,6 +126,7 @@ def _usual_metavar(kind: Any) -> str:
 
 
 def _usual_default(default: Any) -> str:
+    """How the help shows a default; "" if tyro shows it."""
     if default is inspect.Parameter.empty:
         return "(required)"
     if default is None:

@@ -94,12 +94,12 @@ def names_of_comment(comment: str, count: int) -> list[str] | None:
 def ends_of_columns(
     names: Sequence[str], rows: Float[np.ndarray, "n c"], where: str
 ) -> Float[np.ndarray, "n 4"]:
-    """Rows x1 y1 x2 y2 of columns with these names, in the order of the ends.
+    """End points x1 y1 x2 y2 of segments, from a table whose columns have names.
 
-    where : the file and the line of the heading, for messages.
+    where : file and line of the heading, for messages.
 
-    Raises InputError, with the names that are known, for a heading that does not determine the
-    ends, and for a column that is neither read nor known to be left out.
+    Raises InputError if the heading does not determine the ends, or has a column of unknown
+    meaning. The message lists the known names.
     """
     columns = _columns_of(names, rows, where)
     if any(key in columns for key in _ENDS_OF_SEGMENT):

@@ -202,7 +202,10 @@ def _motions(
 
 
 def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
-    """Names of the steps of the head, without the board points."""
+    """Names of the parameters that all shots share: lenses, cameras, boards and their scales.
+
+    The shape of the board is left out.
+    """
     lens_parameters = problem.state.lenses.parameter_names
     lens_cameras = [
         cameras[int(np.flatnonzero(problem.parametrization.lens_of_camera == k)[0])]

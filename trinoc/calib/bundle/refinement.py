@@ -61,9 +61,9 @@ def refine(
 
     Parameters
     ----------
-    calibrated : result of a calibration, or a rig. The covariance of the rig is its Gaussian prior.
-        Without one the gauge (position, orientation and scale of the rig) stays fixed and is
-        reported in `gauge`.
+    calibrated : result of a calibration, or a rig. Its covariance is the Gaussian prior of the
+        cameras. A rig without covariance keeps its position, orientation and scale; `gauge` of
+        the result names them.
     matches : matched tracks, such as `Matches`. Cameras of the rig without matches are omitted.
     pose_model : estimated parameters of each pose. Default: those in the covariance; any rigid
         motion without one.

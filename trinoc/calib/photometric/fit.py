@@ -42,14 +42,15 @@ from trinoc.numerics.robust_loss import GemanMcClure
 _FIRST_NOISE = 0.01
 # numerical: damping of robust steps, and of the first least-squares step.
 _ROBUST_DAMPING, _FIRST_DAMPING = 1e-4, 1e-6
-# numerical: a fit ends if the next step promises a smaller gain of chi-square, which is the square
-# of the step in standard deviations. Single precision limits steps to .1 at 16 megapixels.
+# numerical: a fit ends if the predicted decrease of chi-square is smaller. It is the square of the
+# step in standard deviations: steps of .15 and .05. At 16 megapixels rounding in single precision
+# leaves steps of .1, and the number of steps ends the fit.
 _IDEAL_GAIN, _SMALL_GAIN = 0.15**2, 0.05**2
-# numerical: numbers of steps; the fit has converged after these.
+# numerical: largest numbers of steps, and of rounds that exclude outliers (`_GATES`).
 _IDEAL_STEPS, _GATES, _FIRST_STEPS, _MORE_STEPS, _LAST_STEPS = 8, 3, 5, 5, 3
 # numerical: rounds of freeing unknowns; a round ends early if no more are needed.
 _ROUNDS = 2
-# numerical: initial level of saturated paper over the saturation level.
+# numerical: initial level of saturated paper, as a multiple of the saturation level.
 _BLINDED = 1.15
 # numerical: largest share of ink and fewest pixels for the initial light of a block.
 _PAPER_SHARE, _FEWEST_PIXELS = 0.03, 10
@@ -67,8 +68,8 @@ def fit_ideal_camera(
     """
     size = scene.model.size
     all_unknowns = np.ones(size + IDEAL.size, dtype=bool)
-    # The spread of ink and the slopes of the light are fixed in the first steps: they would adapt
-    # to objects that cover the sheet.
+    # The first step estimates constant light, the second a plane, the third all: spread of ink and
+    # slopes of light would adapt to objects that cover the sheet.
     scales = scene.tuning.ideal_scales
     free = np.tile(all_unknowns, (len(scales), 1))
     spread, light = size + IDEAL.indices("spread_mm")[0], size + IDEAL.light[0]
@@ -150,6 +151,7 @@ def _fit_all_pixels(scene: PixelScene, fit_state: ImageFitState) -> ImageFitStat
         evidence = find_evidence(scene, fit_state)
         if not evidence.free.any():
             break
+        # After the last round they stay at their means; the covariance includes them.
         fit_state = fit_state.with_free(fit_state.free | evidence.free)
     return fit_state
 
@@ -259,7 +261,7 @@ def _evaluate(scene: PixelScene, state: ImageState, free: Bool[np.ndarray, "k"])
 
 
 def _empty_equations(state: ImageState, size: int) -> ArrowEquations:
-    """Zero equations with infinite cost: the next step is zero and is accepted."""
+    """Equations whose step is zero and always accepted, so that it only evaluates the model."""
     blocks = state.levels.shape[1]
     arrow = BlockArrow(
         np.zeros((size, size)),

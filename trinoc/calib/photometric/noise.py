@@ -31,13 +31,13 @@ class Saturation(NamedTuple):
 
 
 class ClippedMoments(NamedTuple):
-    """Moments of min(x, top) for a normal x.
+    """Mean and standard deviation of min(x, top) for a normal x.
 
     Fields
     ------
-    mean : expectation.
-    slope : its derivative by the mean of x.
-    sigma : standard deviation.
+    mean : expectation after clipping.
+    slope : derivative of `mean` with respect to the mean of x.
+    sigma : standard deviation after clipping.
     """
 
     mean: Float[ArrayLike, "n"]

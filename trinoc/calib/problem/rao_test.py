@@ -22,14 +22,15 @@ Group = TypeVar("Group")
 
 
 class RaoTest(NamedTuple):
-    """Score test of fixed parameters.
+    """Score test of fixed parameters: the effect of freeing them, computed without a new fit.
 
     Fields
     ------
     chi_square : reduction of the residuals' chi-square if the parameters were free.
     freedom : number of directions of the parameters that the residuals determine.
     step : (k,) change of the parameters if they were free.
-    covariance : (k, k) of the step, for residuals in sigmas; zero in undetermined directions.
+    covariance : (k, k) covariance of `step` if the residuals have a variance of 1; zero in
+        undetermined directions.
     """
 
     chi_square: float
