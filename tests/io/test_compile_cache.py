@@ -1,5 +1,6 @@
 """The compile cache is private, bounded, and can be switched off."""
 
+import contextlib
 import logging
 import os
 import stat
@@ -119,8 +120,18 @@ def test_entries_that_are_damaged_change_no_answer(tmp_path, poison):
 
 
 def test_a_kernel_that_another_process_has_just_removed_is_no_error(tmp_path, monkeypatch):
-    gone = tmp_path / "gone"
-    monkeypatch.setattr(type(tmp_path), "iterdir", lambda _: iter([gone]))
+    for name in "ab":
+        (tmp_path / name).write_bytes(b"x")
+    scandir = os.scandir
+
+    @contextlib.contextmanager
+    def scan_while_another_removes(folder):
+        with scandir(folder) as entries:
+            entries = list(entries)
+        (tmp_path / "a").unlink()
+        yield entries
+
+    monkeypatch.setattr(os, "scandir", scan_while_another_removes)
     assert enable_compile_cache(tmp_path) == tmp_path
 
 
@@ -134,6 +145,30 @@ def test_a_program_comes_back_whole_or_not_at_all(tmp_path):
     for damage in (b"", b"short", place.read_bytes()[:-1], place.read_bytes() + b"x"):
         place.write_bytes(damage)
         assert store.get("a") is None
+
+
+def test_the_programs_of_the_last_run_are_listed_in_the_order_of_their_use(tmp_path):
+    store = FolderStore(tmp_path)
+    for name in "abc":
+        store.put(name, name.encode())
+    run = FolderStore(tmp_path)
+    for name in "cab":
+        run.get(name)
+    run.list_used("calibrate")
+    assert list(FolderStore(tmp_path).last_used("calibrate")) == [b"c", b"a", b"b"]
+    assert not list(FolderStore(tmp_path).last_used("match"))
+    # A run that compiled nothing does not shorten the list.
+    FolderStore(tmp_path).list_used("calibrate")
+    assert len(list(FolderStore(tmp_path).last_used("calibrate"))) == 3
+
+
+@pytest.mark.parametrize("text", [b"", b"\xff\x00", b"../outside", b"a\nmissing", b"."])
+def test_a_damaged_list_of_programs_names_none(tmp_path, text):
+    (tmp_path / "outside").write_bytes(b"x" * 100)
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    FolderStore(folder)._list("match").write_bytes(text)
+    assert not list(FolderStore(folder).last_used("match"))
 
 
 def test_a_folder_that_is_gone_is_done_without(tmp_path):

@@ -11,7 +11,8 @@ from hypothesis import given, strategies as st
 from scipy import stats
 
 from trinoc.geometry import Pose
-from trinoc.numerics.programs import kept_jit, set_program_store
+from trinoc.numerics import programs
+from trinoc.numerics.programs import kept_jit, prefetch_programs, set_program_store
 from trinoc.numerics.tails import (
     chi_square_limit,
     chi_square_quantile,
@@ -64,6 +65,27 @@ def test_a_program_found_again_gives_the_same_bits(drawer, arguments) -> None:
         np.testing.assert_array_equal(one, other)
     assert isinstance(second, Pose)
     np.testing.assert_array_equal(second.cam_from_world, plain.cam_from_world)
+
+
+def test_a_prefetched_program_gives_the_same_bits(drawer, arguments) -> None:
+    compiled = kept_jit(line_up)(*arguments)
+    # A damaged program among them, and one that no function asks for, change nothing.
+    with prefetch_programs([b"damaged", *drawer.values()]):
+        (content,) = drawer.values()
+        assert content in programs._prefetched
+        loaded = kept_jit(line_up)(*arguments)
+        assert content not in programs._prefetched
+    assert not programs._prefetched
+    np.testing.assert_array_equal(loaded.cam_from_world, compiled.cam_from_world)
+
+
+def test_a_program_whose_prefetch_failed_is_compiled(drawer, arguments) -> None:
+    compiled = kept_jit(line_up)(*arguments)
+    (name,) = drawer
+    drawer[name] = b"damaged"
+    with prefetch_programs(drawer.values()):
+        again = kept_jit(line_up)(*arguments)
+    np.testing.assert_array_equal(again.cam_from_world, compiled.cam_from_world)
 
 
 def test_other_arguments_and_settings_are_other_programs(drawer, arguments) -> None:

@@ -153,17 +153,17 @@ def _run(command: Callable[..., Outcome], call: inspect.BoundArguments) -> int:
     # Small LAPACK calls are many times slower when their threads fight over busy cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-    from trinoc.io.compile_cache import enable_compile_cache
+    from trinoc.io.compile_cache import compile_cache_for
 
     job: Job = call.arguments["job"]
     set_up_logging(quiet=job.quiet)
     if sys.stderr.isatty():  # a person waits
         LOGGER.info("loading")
     compile_quickly()
-    enable_compile_cache()
     try:
-        expect_options(call)
-        outcome = command(*call.args, **call.kwargs).with_files()
+        with compile_cache_for(command.__name__):
+            expect_options(call)
+            outcome = command(*call.args, **call.kwargs).with_files()
     except TrinocError as error:
         return _report_failure(job, str(error), status=2 if isinstance(error, UsageError) else 1)
     except BrokenPipeError:

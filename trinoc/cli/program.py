@@ -23,7 +23,7 @@ def run() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _hide_warnings()
     # Imports and traces make what stays: looking through it so often takes a tenth of a command.
-    gc.set_threshold(50_000, 20, 20)
+    gc.set_threshold(500_000, 20, 20)
     try:
         for ending in ("SIGTERM", "SIGHUP"):
             if hasattr(signal, ending):
@@ -32,6 +32,8 @@ def run() -> int:
 
         status = main()
         sys.stdout.flush()
+        # Python collects garbage three times while it ends: a tenth of a command.
+        gc.freeze()
     except KeyboardInterrupt:
         print("trinoc: Interrupted: files that were not finished are not there.", file=sys.stderr)
         return INTERRUPTED

@@ -12,6 +12,7 @@ import platform
 import stat
 import sys
 import warnings
+from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -78,6 +79,31 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
     return folder
 
 
+@contextlib.contextmanager
+def compile_cache_for(task: str) -> Iterator[None]:
+    """Context with the compile cache, in which the programs of the last run load in advance.
+
+    Parameters
+    ----------
+    task : str
+        Name under which the programs that this run uses are listed for the next run, such as the
+        name of a command.
+    """
+    from trinoc.numerics.programs import prefetch_programs, set_program_store
+
+    folder = enable_compile_cache()
+    if folder is None:
+        yield
+        return
+    store = FolderStore(folder)
+    set_program_store(store)
+    try:
+        with prefetch_programs(store.last_used(task)):
+            yield
+    finally:
+        store.list_used(task)
+
+
 def log_compiling(is_kept: bool, seconds: float) -> None:
     """Log that something compiles, which is `is_kept` or not, after so many seconds of it.
 
@@ -119,16 +145,19 @@ def _is_private(folder: Path) -> bool:
 def _forget_oldest(folder: Path) -> None:
     """Keep the folder under MOST_BYTES. JAX can, too, but only with a further package."""
     files = []
-    for file in folder.iterdir():
-        # Another process may be doing the same.
-        with contextlib.suppress(FileNotFoundError):
-            files.append((file.stat(), file))
-    files = [(status, file) for status, file in files if stat.S_ISREG(status.st_mode)]
+    with os.scandir(folder) as entries:  # twice as fast as Path.iterdir
+        for entry in entries:
+            # Another process may be doing the same.
+            with contextlib.suppress(FileNotFoundError):
+                if entry.is_file(follow_symlinks=False):
+                    files.append((entry.stat(follow_symlinks=False), entry.path))
     size = sum(status.st_size for status, _ in files)
+    if size <= MOST_BYTES:
+        return
     for status, file in sorted(files, key=lambda pair: pair[0].st_mtime):
         if size <= MOST_BYTES:
             break
-        file.unlink(missing_ok=True)
+        Path(file).unlink(missing_ok=True)
         size -= status.st_size
 
 
@@ -142,18 +171,19 @@ class FolderStore:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._surroundings = ""
+        # Programs read or written, in the order of their first use; the values mean nothing.
+        self._used: dict[Path, None] = {}
 
     def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:
         """The content, if it is there and whole."""
         try:
             path = self._place(name, modules)
-            content = path.read_bytes()
-            # The youngest are kept when the folder grows too large.
-            os.utime(path)
+            content = _read_whole(path)
         except (OSError, LookupError):
             return None
-        digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-        return content if hashlib.sha256(content).digest() == digest else None
+        if content is not None:
+            self._used[path] = None
+        return content
 
     def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
         """Keep it where the disk allows and where the modules have sources."""
@@ -162,6 +192,28 @@ class FolderStore:
             with atomic_write(path) as file:
                 file.write(hashlib.sha256(content).digest())
                 file.write(content)
+            self._used[path] = None
+
+    def last_used(self, task: str) -> Iterator[bytes]:
+        """Contents of the programs that the last run of a task used, in the order of use."""
+        try:
+            names = self._list(task).read_text(encoding="utf-8").split()
+        except (OSError, ValueError):
+            return
+        for name in names:
+            with contextlib.suppress(OSError):
+                content = _read_whole(self._folder / Path(name).name)
+                if content is not None:
+                    yield content
+
+    def list_used(self, task: str) -> None:
+        """Write the list of the programs that this store has returned or kept in this run."""
+        if self._used:
+            with contextlib.suppress(OSError, InputError), atomic_write(self._list(task)) as file:
+                file.write("\n".join(path.name for path in self._used).encode())
+
+    def _list(self, task: str) -> Path:
+        return self._folder / f"trinoc-used-by-{task}"
 
     def _place(self, name: str, modules: frozenset[str]) -> Path:
         # Only where a program is wanted: it costs some hundredths of a second.
@@ -169,6 +221,15 @@ class FolderStore:
         key = f"{self._surroundings} {digest_sources(modules)} {name}"
         digest = hashlib.sha256(key.encode()).hexdigest()
         return self._folder / f"trinoc-{digest}"
+
+
+def _read_whole(path: Path) -> bytes | None:
+    """Content of a program's file without its digest, or None if the content is damaged."""
+    content = path.read_bytes()
+    # The youngest are kept when the folder grows too large.
+    os.utime(path)
+    digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+    return content if hashlib.sha256(content).digest() == digest else None
 
 
 def surroundings() -> str:

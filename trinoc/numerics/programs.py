@@ -16,7 +16,8 @@ import pickle
 import re
 import secrets
 import threading
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -90,9 +91,34 @@ class _KeptProgram(NamedTuple):
     result: Any
 
 
+class _StoredProgram(NamedTuple):
+    """A program as the store keeps it, pickled.
+
+    Attributes
+    ----------
+    executable : bytes
+        The program, as JAX serializes it.
+    inputs, outputs : int
+        Number of arrays that the program takes and returns.
+    result : bytes
+        Pickled value with the tree structure of the function's result: structures themselves cannot
+        be pickled.
+    uses_lapack : bool
+        True if the program calls LAPACK.
+    """
+
+    executable: bytes
+    inputs: int
+    outputs: int
+    result: bytes
+    uses_lapack: bool
+
+
 # The store, if any, and the programs that each kept function has loaded from it.
 _stores: list[ProgramStore | None] = [None]
 _loaded: list[dict[Hashable, _KeptProgram | None]] = []
+# Executables that a thread loads, by the content of the store.
+_prefetched: dict[bytes, Future[Callable[[list[Any]], list[Any]]]] = {}
 
 
 def set_program_store(store: ProgramStore | None) -> ProgramStore | None:
@@ -213,7 +239,6 @@ def _load_or_compile(
     """Load the program from the store, or compile and store it; None if it cannot be stored."""
     from jax.experimental import serialize_executable
 
-    in_tree = jax.tree.structure(((leaves,), {}))
     try:
         name, modules = _name(function, caller, key)
     except (pickle.PicklingError, TypeError, AttributeError):
@@ -221,14 +246,12 @@ def _load_or_compile(
     content = store.get(name, modules)
     if content is not None:
         try:
-            payload, like, with_lapack = pickle.loads(content)
-            if with_lapack:
+            prefetched = _prefetched.pop(content, None)
+            executable = _load_executable(content) if prefetched is None else prefetched.result()
+            stored: _StoredProgram = pickle.loads(content)
+            if stored.uses_lapack:
                 _make_lapack_ready()
-            values, result = jax.tree.flatten(like)
-            out_tree = jax.tree.structure(values)
-            return _KeptProgram(
-                serialize_executable.deserialize_and_load(payload, in_tree, out_tree), result
-            )
+            return _KeptProgram(executable, jax.tree.structure(pickle.loads(stored.result)))
         except Exception:
             pass
     results: list[Any] = []
@@ -247,13 +270,54 @@ def _load_or_compile(
         # Custom calls of a loaded program must exist: only LAPACK's do.
         calls = set(re.findall(r'custom_call_target="([^"]*)"', compiled.as_text() or ""))
         if all(call.startswith(_LAPACK) for call in calls):
-            # A value with the result's structure: tree structures themselves cannot be pickled.
             like = jax.tree.unflatten(result, range(result.num_leaves))
-            payload = serialize_executable.serialize(compiled)[0]
-            store.put(name, _pickle_known_classes((payload, like, bool(calls)))[0], modules)
+            stored = _StoredProgram(
+                executable=serialize_executable.serialize(compiled)[0],
+                inputs=len(leaves),
+                outputs=result.num_leaves,
+                result=_pickle_known_classes(like)[0],
+                uses_lapack=bool(calls),
+            )
+            store.put(name, pickle.dumps(stored, protocol=5), modules)
     except Exception:
         pass
     return _KeptProgram(compiled, result)
+
+
+@contextlib.contextmanager
+def prefetch_programs(contents: Iterable[bytes]) -> Iterator[None]:
+    """Context in which a thread loads stored programs before a function asks for them.
+
+    XLA links a program for up to 0.4 s without Python's lock, while the main thread imports modules
+    and detects patterns. A program that no function asks for, or that cannot be loaded, is ignored.
+
+    Parameters
+    ----------
+    contents : iterable of bytes
+        Contents of the store, in the order in which they will be needed.
+    """
+    # Imports of the thread could wait for those of the main thread.
+    from jax.experimental import serialize_executable  # noqa: F401
+
+    thread = ThreadPoolExecutor(1, thread_name_prefix="trinoc-prefetch")
+    for content in contents:
+        _prefetched[content] = thread.submit(_load_executable, content)
+    try:
+        yield
+    finally:
+        # After an early error nobody waits for the rest.
+        thread.shutdown(wait=False, cancel_futures=True)
+        _prefetched.clear()
+
+
+def _load_executable(content: bytes) -> Callable[[list[Any]], list[Any]]:
+    """Load the executable of a stored program. No module of trinoc is imported for it."""
+    from jax.experimental import serialize_executable
+
+    stored: _StoredProgram = pickle.loads(content)
+    in_tree = jax.tree.structure((([0] * stored.inputs,), {}))
+    out_tree = jax.tree.structure([0] * stored.outputs)
+    return serialize_executable.deserialize_and_load(stored.executable, in_tree, out_tree)
 
 
 @functools.cache
