@@ -256,6 +256,7 @@ def test_a_defect_in_one_frame_is_that_frame_s_alone(recording, tmp_path, monkey
         ({"frames_per_file": 4}, "frames_per_file"),
         ({"find": {"arcs": True}}, "find"),
         ({"depth_range_mm": (1.0, 2.0)}, "depth_range_mm"),
+        ({"sigma_px": 2.0}, "sigma_px"),
         ({"ending": ".parquet"}, "ending"),
     ],
 )
@@ -265,6 +266,15 @@ def test_results_of_something_else_are_not_mixed(recording, tmp_path, quick, cha
     with pytest.raises(InputError, match=f'differ in "{said}"'):
         match(recording, tmp_path / "out", **changed)
     assert contents(tmp_path / "out") == before
+
+
+def test_sigma_px_applies_to_every_frame(recording):
+    segments = {v: trinoc.load_segments(recording / "frames" / f"0_{v}.csv") for v in RIG.names}
+    (result,) = parts.match_part_frames({"0": segments}, RIG, sigma_px=0.25)
+    expected = trinoc.match_segments(segments, RIG, sigma_px=0.25)
+    np.testing.assert_allclose(result.matches.covariance_mm2, expected.covariance_mm2, rtol=1e-9)
+    with_own_sigmas = trinoc.match_segments(segments, RIG)
+    assert not np.allclose(result.matches.covariance_mm2, with_own_sigmas.covariance_mm2, rtol=0.1)
 
 
 def test_a_second_program_on_the_same_job_is_refused(recording, tmp_path, quick, monkeypatch):

@@ -70,6 +70,7 @@ def match_recording(
     *,
     template: str | None = None,
     find: Mapping[str, Any] | None = None,
+    sigma_px: float | None = None,
     depth_range_mm: tuple[float, float] | None = None,
     shard: tuple[int, int] = (1, 1),
     frames_per_file: int = 16,
@@ -97,7 +98,7 @@ def match_recording(
         Default: usual templates are tried.
     find : mapping, optional
         Options of `find_segments`.
-    depth_range_mm : (near, far), optional
+    sigma_px, depth_range_mm : optional
         As in `match_segments`.
     shard : (i, n)
         Job i of n, from 1, computes every n-th file of results. Jobs may run at the same time in
@@ -136,6 +137,7 @@ def match_recording(
         "frames_per_file": frames_per_file,
         "threads_at_most": threads_at_most,
         "memory_gb": memory_gb,
+        "sigma_px": sigma_px,
     }
     for name, value in options.items():
         if value is not None and not real_number(value, name) > 0:
@@ -147,7 +149,7 @@ def match_recording(
     rig = rig.take(source.views)
     parts = share_parts(cut_into_parts(source.frames, frames_per_file), shard)
     ending = ending or _existing_ending(Path(out)) or frames_ending()
-    job = MatchingJob(source.folder.resolve(), rig, dict(find or {}), depth_range_mm)
+    job = MatchingJob(source.folder.resolve(), rig, dict(find or {}), depth_range_mm, sigma_px)
     description = _description(source, job, frames_per_file, ending)
     memory = half_of_memory() if memory_gb is None else memory_gb * 1e9
     with open_results(Path(out), shard, description, ending) as folder:
@@ -227,6 +229,8 @@ def _description(
         "depth_range_mm": None if work.depth_range_mm is None else list(work.depth_range_mm),
         "frames_per_file": frames_per_file,
         "ending": ending,
+        # Folders of results from before this option have no such key.
+        **({} if work.sigma_px is None else {"sigma_px": work.sigma_px}),
     }
 
 

@@ -24,6 +24,7 @@ class MatchingJob(NamedTuple):
     rig: Rig
     find: Mapping[str, Any]
     depth_range_mm: tuple[float, float] | None
+    sigma_px: float | None = None
 
 
 def part_results(
@@ -45,7 +46,9 @@ def part_results(
             segments[frame.name] = str(error).replace(f"{work.folder}{os.sep}", "")
         except Exception as error:
             segments[frame.name] = matcher_failure(error)
-    return match_part_frames(segments, work.rig, depth_range_mm=work.depth_range_mm)
+    return match_part_frames(
+        segments, work.rig, sigma_px=work.sigma_px, depth_range_mm=work.depth_range_mm
+    )
 
 
 def frame_segments(work: MatchingJob, frame: Frame) -> dict[str, Segments]:

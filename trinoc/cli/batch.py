@@ -30,6 +30,7 @@ def batch(
     frames_per_file: int = 16,
     workers: str | None = None,
     memory_gb: float | None = None,
+    sigma_px: float | None = None,
     depth_range_mm: tuple[float, float] = ANYWHERE,
     find: Settings = (),
     report: Path | None = None,
@@ -56,6 +57,8 @@ def batch(
         Dask scheduler, whose workers take their place.
     memory_gb : GB (default: half of the machine's)
         Memory that this process may take.
+    sigma_px : PX (default: that of each segment)
+        Standard deviation of the ends across the segments, the same for all.
     depth_range_mm : NEAR FAR (default: anywhere before them)
         Least and greatest depth of lines before every camera that sees them.
     find
@@ -70,7 +73,12 @@ def batch(
     settings, depths_mm = find_settings(find), depth_range(depth_range_mm)
     threads, scheduler = _workers(workers)
     part = _shard(shard)
-    for name, value in (("frames-per-file", frames_per_file), ("memory-gb", memory_gb)):
+    positive = {
+        "frames-per-file": frames_per_file,
+        "memory-gb": memory_gb,
+        "sigma-px": sigma_px,
+    }
+    for name, value in positive.items():
         if value is not None and not value > 0:
             raise UsageError(f"--{name} is {value:g}: give more than 0.")
 
@@ -83,6 +91,7 @@ def batch(
             out,
             template=template,
             find=settings,
+            sigma_px=sigma_px,
             depth_range_mm=depths_mm,
             shard=part,
             frames_per_file=frames_per_file,

@@ -170,13 +170,18 @@ def _sweep(target: Path) -> None:
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a UTF-8 text file as `atomic_write` does."""
+    expect_whole_characters(text, path)
+    with atomic_write(path) as file:
+        file.write(text.encode("utf-8"))
+
+
+def expect_whole_characters(text: str, path: str | os.PathLike[str]) -> None:
+    """Raise InputError if a text for the file contains surrogates."""
     if has_half_characters(text):
         raise InputError(
             f"{path} was not written: a name or text in it holds half a character (a surrogate), "
             "which no file can hold: correct it."
         )
-    with atomic_write(path) as file:
-        file.write(text.encode("utf-8"))
 
 
 def has_half_characters(text: str) -> bool:

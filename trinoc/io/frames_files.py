@@ -13,7 +13,7 @@ import numpy as np
 
 from trinoc.errors import InputError, expect_path
 from trinoc.io.arrays_npz import MOST_BYTES
-from trinoc.io.atomic import atomic_write
+from trinoc.io.atomic import atomic_write, expect_whole_characters
 from trinoc.io.frames_table import (
     OF_TRACKS,
     Frames,
@@ -75,6 +75,8 @@ def load_frames(path: str | os.PathLike[str]) -> list[FrameMatches]:
 
 def _write_parquet(frames: Frames, path: Path) -> None:
     pyarrow, parquet = _pyarrow(path)
+    texts = [array.ravel() for array in list_arrays(frames).values() if array.dtype.kind == "U"]
+    expect_whole_characters("".join(text for array in texts for text in array), path)
     columns = {"frame": pyarrow.array(np.repeat(frames.frame, frames.tracks).tolist())}
     columns["frame"] = columns["frame"].cast(pyarrow.string())
     for name, array in frames.columns.items():

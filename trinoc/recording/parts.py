@@ -14,6 +14,7 @@ def match_part_frames(
     segments: Mapping[str, Mapping[str, Segments] | str],
     rig: Rig,
     *,
+    sigma_px: float | None = None,
     depth_range_mm: tuple[float, float] | None = None,
 ) -> list[FrameMatches]:
     """Match the frames of a part.
@@ -24,7 +25,7 @@ def match_part_frames(
         For each frame, the segments of its views, or a sentence on why it has none.
     rig : Rig
         The cameras.
-    depth_range_mm : (near, far), optional
+    sigma_px, depth_range_mm : optional
         As in `match_segments`.
 
     Returns
@@ -37,7 +38,12 @@ def match_part_frames(
 
     def match_all(names: Sequence[str]) -> list[FrameMatches]:
         try:
-            batch = match_many([usable[name] for name in names], rig, depth_range_mm=depth_range_mm)
+            batch = match_many(
+                [usable[name] for name in names],
+                rig,
+                sigma_px=sigma_px,
+                depth_range_mm=depth_range_mm,
+            )
         except Exception as error:
             if len(names) == 1:
                 return [FrameMatches(names[0], matcher_failure(error), None)]

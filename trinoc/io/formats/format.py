@@ -28,6 +28,7 @@ PIXEL_PITCH = "pixel pitch"
 WORLD = "world"
 LENSES = "lenses"
 NAMES = "names"
+ORDER = "order"
 TRACKS = "tracks"
 DETAILS = "details"
 LOSSES = {
@@ -36,6 +37,7 @@ LOSSES = {
     WORLD: "where the world is: the first camera becomes its origin",
     LENSES: "the lenses",
     NAMES: "the names of the cameras",
+    ORDER: "the order of the cameras: files are read in the order of their names",
     TRACKS: "the fragments in the pictures, and which segments they are of",
     DETAILS: "polarity, contrast, junctions and chains",
 }
@@ -55,6 +57,8 @@ def _has(value: object, loss: str) -> bool:
         case Rig() if loss == WORLD:
             pose = np.asarray(value.cameras[0].cam_from_world)
             return not np.array_equal(pose, np.eye(3, 4))
+        case Rig() if loss == ORDER:
+            return list(value.names) != sorted(value.names)
         case Rig():
             return True
         case Intrinsics():

@@ -16,7 +16,7 @@ from trinoc.geometry.intrinsics import Intrinsics
 from trinoc.geometry.pose import Pose
 from trinoc.geometry.rig import Rig
 from trinoc.io.atomic import write_text
-from trinoc.io.formats.format import COVARIANCE, METRE_MM, PIXEL_PITCH, Format, Lenses
+from trinoc.io.formats.format import COVARIANCE, METRE_MM, ORDER, PIXEL_PITCH, Format, Lenses
 from trinoc.io.formats.keys import Keys
 from trinoc.io.formats.lens_rows import LensNumbers, LensRow, list_lens_numbers, make_lens
 from trinoc.io.formats.motions import motion, rotation_of_vector, rotation_vector
@@ -128,7 +128,7 @@ mrcal = Format(
     place="file or folder",
     endings=(ENDING,),
     unit_mm=METRE_MM,
-    loses=(COVARIANCE, PIXEL_PITCH),
+    loses=(COVARIANCE, PIXEL_PITCH, ORDER),
     write=write_mrcal,
     read=read_mrcal,
     keys={"a file": KEYS},
