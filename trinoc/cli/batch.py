@@ -37,38 +37,38 @@ def batch(
     out: Path = Path("matches"),
     job: Job,
 ) -> Outcome:
-    """Match every frame of a recording. Stopped or killed, the same command goes on.
+    """Match every frame of a recording. After an interruption, the same command continues.
 
     Parameters
     ----------
     frames : FOLDER|TABLE.csv
-        A folder of pictures (or segments), or a CSV table: a column frame, and a column of file
-        names for each camera.
+        A folder of images or segment files, or a CSV table with a column "frame" and one column of
+        file names for each camera.
     rig
-        The cameras, as `trinoc calibrate` writes them; a frame needs a file of each.
-    template : (default: found by itself)
-        How the files are named: {frame}_{camera}.png, {camera}/{frame}.tif, with * for anything.
+        The calibrated cameras, as `trinoc calibrate` writes them. A frame needs a file for each.
+    template : (default: usual templates are tried)
+        Pattern of the file names: {frame}_{camera}.png or {camera}/{frame}.tif; * is any text.
     shard : I/N
-        Job I of N, which does each N-th file of results; jobs may run at once in one folder.
+        Compute part I of N. The parts may run at the same time in one folder of results.
     frames_per_file
-        Frames that are matched together and stand in one file of results.
+        Number of frames that are matched together and written to one file.
     workers : N|tcp://... (default: all cores)
-        Processes of this machine, at most, or threads for short recordings; or the address of a
-        Dask scheduler, whose workers take their place.
+        Largest number of processes on this machine (threads for short recordings), or the address
+        of a Dask scheduler.
     memory_gb : GB (default: half of the machine's)
-        Memory that this process may take.
+        Memory that this process may use.
     sigma_px : PX (default: that of each segment)
-        Standard deviation of the ends across the segments, the same for all.
-    depth_range_mm : NEAR FAR (default: anywhere before them)
-        Least and greatest depth of lines before every camera that sees them.
+        Standard deviation of the segments' end points across the segment, the same for all.
+    depth_range_mm : NEAR FAR (default: any depth in front of the cameras)
+        Smallest and largest depth of the lines, in front of every camera that sees them.
     find
-        How segments are found, by the options of `trinoc segments`: tolerance_px=1.6,
-        false_alarms=1, least_contrast=7, arcs=no, response=linear.
+        Options of the segment detector, as in `trinoc segments`: tolerance_px=1.6, false_alarms=1,
+        least_contrast=7, arcs=no, response=linear.
     report
-        Also write an HTML report here: verdict, cameras, residuals and uncertainty over the field,
-        and what was matched.
+        Write an HTML report to this file, too: verdict, cameras, residuals, uncertainty over the
+        field, and matches.
     out : FOLDER
-        The folder of results.
+        Folder of the results.
     """
     settings, depths_mm = find_settings(find), depth_range(depth_range_mm)
     threads, scheduler = _workers(workers)

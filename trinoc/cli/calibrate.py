@@ -39,50 +39,51 @@ def calibrate(
     accept_suspect: bool = False,
     job: Job,
 ) -> Outcome:
-    """Calibrate cameras from one picture of the printed sheet each.
+    """Calibrate cameras from one image each of the printed sheet.
 
     Parameters
     ----------
     images : NAME=IMG
-        The picture that each camera took of the sheet, such as upper=upper.png left=left.png.
+        The image of the sheet from each camera, such as upper=upper.png left=left.png.
     board
         Layout of the sheet (JSON), as `trinoc pattern` writes it.
     lens : FILE (or --lens-mm)
-        camera.json or rig.json of all cameras, or NAME=camera.json.
+        Calibrated lenses: camera.json or rig.json for all cameras, or NAME=camera.json for each.
     lens_mm : FOCAL WIDTH HEIGHT (or --lens)
-        The lens of all cameras as data sheets have it: focal length, width and height of a pixel,
-        in mm. It may be off by 1 % in focal length, 2 % of the picture's width in the principal
-        point, and one pixel of distortion at the corner, unless --sigma has lens=0.
+        Data sheet of the lens of all cameras: focal length, width and height of one pixel, in mm.
+        The calibration assumes standard deviations of 1 % for the focal length, 2 % of the image
+        width for the principal point, and one pixel of distortion at the image corner, unless
+        --sigma has lens=0.
     print_scale : X Y (default: not measured)
-        Measured over nominal length of the sheet's two scale bars.
+        Scale of the print: measured length over nominal length of the two scale bars.
     sigma
-        Standard deviations of what is not exact, 0 for what is: print_scale=0.002 (of both bars, or
-        X,Y; 0.0005 if measured), flatness_mm=0.3 (of the sheet at its edge), aim_mm=20 (from the
-        sheet's origin to the optical axes, with the pose model aimed; 0 as in the paper), lens=0
-        (for a lens that is exactly what is said of it).
+        Standard deviations of what is not exact; 0 means exact. print_scale=0.002 (both bars, or
+        X,Y; 0.0005 if measured), flatness_mm=0.3 (of the sheet at its edge), aim_mm=20 (distance of
+        the optical axes from the origin of the sheet, with the pose model aimed; 0 as in the
+        paper), lens=0 (the given lens is exact).
     method
-        pixels: the grey levels of each picture count where its circles agree; points: the circles
-        alone.
+        points: fit the circles alone. pixels: fit the grey levels of each image, too, and use them
+        if they agree with the circles.
     bayer
-        The pictures are raw mosaics of these colours: each pixel is fitted as it is.
+        The images are raw Bayer mosaics of this layout. Every pixel is used without demosaicing.
     response
-        Of the cameras: how grey levels stand for light. fit: linear, until the edges of the sheet
-        refute it, then as they show it.
-    orientation : upright|RIG (default: refuse)
-        Which way round a sheet lies that looks the same turned: upright, where X points right in
-        every picture, or as the cameras of an earlier rig.json saw it.
+        Response of the cameras: grey level as a function of light. fit: linear, or the response
+        that the sheet's edges show if they contradict a linear one.
+    orientation : upright|RIG (default: refuse ambiguous sheets)
+        Orientation of a sheet that looks the same after a rotation. upright: X points to the right
+        in every image. RIG: as an earlier rig.json has it.
     pose_model
-        aimed: the optical axis meets the origin of the sheet; aim-free: where it meets the sheet is
-        free.
+        aimed: the optical axis passes through the origin of the sheet. aim-free: the point where
+        the axis meets the sheet is estimated.
     dry_run
-        Read and check everything, say what would be done, and write nothing.
+        Read and check all inputs, report what the command would do, and write nothing.
     report
-        Also write an HTML report here: verdict, cameras, residuals and uncertainty over the field,
-        and what was matched.
+        Write an HTML report to this file, too: verdict, cameras, residuals, uncertainty over the
+        field, and matches.
     out
-        Where the rig goes.
+        File of the calibrated rig.
     accept_suspect
-        Write the rig also where the calibration of a camera is SUSPECT; the file then says so.
+        Write the rig even if the calibration of a camera is SUSPECT. The file records the status.
     """
     sigmas = read_settings("--sigma", sigma, SIGMA)
     files = named_files(images)

@@ -37,40 +37,40 @@ def calibrate_rig(
     out: Path = Path("rig.json"),
     job: Job,
 ) -> Outcome:
-    """Calibrate lenses and cameras together from many shots of a board that is moved about.
+    """Calibrate lenses and poses of several cameras from many shots of a moving board.
 
     Parameters
     ----------
     shots : NAME=FOLDER
-        The folder of each camera's pictures, or a pattern in quotes, such as left=left/
-        right='right_*.png'. Pictures of equal names are of one moment.
+        Folder of images of each camera, or a pattern in quotes, such as left=left/
+        right='right_*.png'. Images with the same file name belong to the same shot.
     board
-        Layout of the board (JSON), as `trinoc pattern` writes it: sheet or board. Given several
-        times for boards that are fixed to each other; how they are is found.
+        Layout of the board (JSON), as `trinoc pattern` writes it. Give it several times for boards
+        that are fixed to each other; their relative poses are estimated.
     lens_model
-        Model of the lenses. The default is brown_conrady, or rational or kannala_brandt where that
-        would fold a picture. kannala_brandt is for fisheyes; auto takes the one that the shots call
-        for, splined the best one corrected by B-splines.
-    distortion : N (default: all determined)
-        Number of coefficients of that model.
+        Lens model. Default: brown_conrady; rational or kannala_brandt if brown_conrady would fold
+        the image. kannala_brandt is for fisheye lenses. auto: the model that fits the shots best.
+        splined: that model with a correction by B-splines.
+    distortion : N (default: all that the shots determine)
+        Number of distortion coefficients.
     method
-        Fit the places that the detector found, or go on to the grey levels near every edge of a
-        sheet of circles or a chessboard.
+        points: fit the corners or circles that the detector found. pixels: fit also the grey levels
+        near the edges of a sheet of circles or of a chessboard.
     same_lens
-        All cameras have one lens, such as pictures of one camera moved about.
-    lens : FILE (default: lenses are found)
-        Known lenses, held or fitted under their file's covariance: camera.json or rig.json of all
-        cameras, or NAME=camera.json.
+        All cameras share one lens, for example if one camera took all images.
+    lens : FILE (default: lenses are estimated)
+        Calibrated lenses: camera.json or rig.json for all cameras, or NAME=camera.json for each.
+        They are fixed, or estimated with the covariance in the file as a prior.
     world : NAME (default: a shot)
-        The shot whose board, or the camera whose frame, is the world.
+        World frame: the board in this shot, or this camera.
     sigma
-        Standard deviations of what is not exact, 0 for what is: print_scale=0.002 (of the board's
-        scale, or X,Y), flatness_mm=0.3 (of the board's warp).
+        Standard deviations of what is not exact; 0 means exact. print_scale=0.002 (of the board's
+        size, or X,Y), flatness_mm=0.3 (of the board's surface).
     report
-        Also write an HTML report here: verdict, cameras, residuals and uncertainty over the field,
-        and what was matched.
+        Write an HTML report to this file, too: verdict, cameras, residuals, uncertainty over the
+        field, and matches.
     out
-        Where the rig goes.
+        File of the calibrated rig.
     """
     systematics = print_systematics(read_settings("--sigma", sigma, BOARD_SIGMA))
     for shot in shots:

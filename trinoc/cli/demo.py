@@ -32,14 +32,14 @@ def demo(
     keep_inputs: bool = False,
     job: Job,
 ) -> Outcome:
-    """Calibrate three bundled pictures, match a scene of blocks, and write a report.
+    """Calibrate with three bundled images, match a scene of blocks, and write a report.
 
     Parameters
     ----------
     out : DIR
-        The folder for report.html, rig.json and matches.npz; made where it is not there.
+        Folder for report.html, rig.json and matches.npz. It is created if it does not exist.
     keep_inputs
-        Also leave the pictures and the sheet there, and print the commands that make each result.
+        Also write the images and the sheet to the folder, and print the command for each result.
     """
     from trinoc.match.tracks.reliability import assess_matches
     from trinoc.report.parameter_table import parameter_errors

@@ -32,30 +32,30 @@ def evaluate(
     Parameters
     ----------
     matches
-        Matches of `trinoc match`.
+        Matches, as `trinoc match` writes them.
     truth
-        The known shape: edges (csv, json), OBJ, polylines (txt), or truth.json of a made scene.
+        The known shape: edges (csv, json), OBJ, polylines (txt), or truth.json of a rendered scene.
     rig
-        The cameras; their covariance joins that of the segments.
+        The calibrated cameras. Their covariance is added to that of the segments.
     form
-        What is compared: tracks one by one; joined to straight lines; these carried to the corners
-        they meet in; or the edges of the wire frame. All but tracks need --rig.
+        What is compared: single tracks; straight lines joined from tracks; these lines extended to
+        their corners; or the edges of the wire frame. All but tracks need --rig.
     stage
-        Which tracks are compared: all, or those that three views show.
+        Compare all tracks, or only those of three views.
     least_posterior
-        Compare only tracks of this probability or more.
+        Compare only tracks with at least this posterior probability.
     within_mm
-        Distances at which precision and completeness are given.
+        Distances at which precision and completeness are computed.
     unit_mm
-        Length of one unit of the known shape's file.
+        Length in mm of one unit in the file of the known shape.
     crease_deg
-        Faces of an OBJ that turn by more than this meet in an edge.
+        Smallest angle between two faces of an OBJ whose common side is an edge.
     grey_step
-        An edge of a made scene with a smaller step of grey levels counts as not shown.
+        Smallest step in grey levels of an edge of a rendered scene; fainter edges are ignored.
     align
-        First lay the segments on the shape by a rigid motion; figures are then those after it.
+        Align the segments with the shape by a rigid motion before the comparison.
     out
-        Where the numbers go, as a table of one row.
+        Table with one row of results.
     """
     if not within_mm:
         raise UsageError("--within-mm has no distance: give one or more, or leave it out.")

@@ -31,32 +31,31 @@ def export(
     every_s: float = 0.0,
     job: Job,
 ) -> Outcome:
-    """Write files of trinoc for another tool (--to), or read its files or videos (--from).
+    """Convert files of trinoc for another tool (--to), or files of another tool or videos (--from).
 
     Parameters
     ----------
     files : FILE|NAME=VIDEO
-        With --to, a file of trinoc: rig.json, camera.json or an npz. With --from, the other tool's
-        file or folder; with --from video, that of each camera.
+        With --to, a file of trinoc: rig.json, camera.json or an npz file. With --from, the file or
+        folder of the other tool. With --from video, the video of each camera.
     to : FORMAT
         Cameras: opencv, ros, kalibr, colmap, colmap-text, mrcal, matlab, nerfstudio, anipose,
         caliscope, multical, mc-calib, easymocap, tf. Matches: ply, obj, gltf, dxf, csv, parquet,
         limap. Wire frames, rims: ply, obj, gltf, dxf, and json for wire frames. Segments: lsd,
         elsed, limap-segments.
     from_ : FORMAT
-        The same of cameras and segments, and metashape; or video, whose frames become pictures.
+        The same formats of cameras and segments, and metashape. video: extract frames as images.
     out : OUT
-        Where it goes: with --to, a file, or a new folder for formats of several files; with --from,
-        rig.json, camera.json for a lens alone, segments.npz for segments, a new folder for frames.
+        Output. With --to, a file, or a new folder for formats of several files. With --from,
+        rig.json, camera.json for a single lens, segments.npz, or a new folder for frames.
     unit_mm : MM (default: of the format)
-        Length in mm of one unit of the other tool's file, such as 1000 for metres; by default that
-        of the format.
+        Length in mm of one unit of the other tool's file, such as 1000 for metres.
     names : A,B,C (default: of the file)
-        With --from: names for the cameras, with commas between, in the order of the file.
+        With --from: names of the cameras, in the order of the file, separated by commas.
     lens : FILE (for --from tf)
-        The lenses of a file that holds poses alone: rig.json, or NAME=camera.json for each.
+        Lenses for a file that has poses only: rig.json, or NAME=camera.json for each camera.
     every_s
-        With --from video: one frame in so many seconds; 0 takes every frame.
+        With --from video: interval between extracted frames in seconds. 0 extracts every frame.
     """
     if (to is None) == (from_ is None):
         raise UsageError("Give the other tool's format: --to, to write it, or --from, to read.")

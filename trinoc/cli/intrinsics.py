@@ -28,31 +28,31 @@ def intrinsics(
     out: Path = Path("camera.json"),
     job: Job,
 ) -> Outcome:
-    """Find focal length, principal point and distortion from several pictures of a board.
+    """Calibrate the lens of one camera from several images of a board.
 
     Parameters
     ----------
     images : IMG
-        Pictures by one camera at one zoom and focus, the board held differently in each.
+        Images from one camera at fixed zoom and focus, with the board in a different pose in each.
     board
-        Layout of the board (JSON), as `trinoc pattern` writes it: sheet or board. Given several
-        times for boards that are fixed to each other.
+        Layout of the board (JSON), as `trinoc pattern` writes it. Give it several times for boards
+        that are fixed to each other.
     lens_model
-        Model of the lens. The default is brown_conrady, or rational or kannala_brandt where that
-        would fold the picture. auto takes the one that the pictures call for, splined the best one
-        corrected by B-splines, for a lens that no polynomial describes.
-    distortion : N (default: all determined)
-        Number of coefficients of that model; of brown_conrady, of k1, k2, p1, p2, k3.
+        Lens model. Default: brown_conrady; rational or kannala_brandt if brown_conrady would fold
+        the image. auto: the model that fits the images best. splined: that model with a correction
+        by B-splines, for a lens that no polynomial describes.
+    distortion : N (default: all that the images determine)
+        Number of distortion coefficients; for brown_conrady, of k1, k2, p1, p2, k3.
     pixel_pitch_mm : WIDTH HEIGHT (optional)
-        Width and height of a pixel in mm; both, also where they are equal.
+        Width and height of a pixel in mm. Give both, even if they are equal.
     hold : principal-point|aspect... (default: none)
-        What is not fitted: principal-point is held in the middle of the picture, aspect (the ratio
-        of both focal lengths) at that of the pixels.
+        Parameters that are fixed. principal-point: at the image centre. aspect: ratio of the two
+        focal lengths, from the pixel size.
     method
-        Fit the places that the detector found, or go on to the grey levels near every edge of a
-        sheet of circles or a chessboard.
+        points: fit the corners or circles that the detector found. pixels: fit also the grey levels
+        near the edges of a sheet of circles or of a chessboard.
     out
-        Where the lens goes.
+        File of the calibrated lens.
     """
     if not images:
         raise UsageError("No picture is given: give several pictures of the board.")

@@ -24,9 +24,9 @@ from trinoc.cli.settings import put_files_first, with_file
 from trinoc.errors import TrinocError
 
 DESCRIPTION = (
-    "Calibrate fixed cameras from one picture of a printed sheet each, and match line segments "
-    "across their pictures into 3-D segments with error bars. `trinoc COMMAND --help` explains a "
-    "command, `trinoc --version` says which trinoc this is and what it stands on."
+    "Calibrate fixed cameras from one image each of a printed sheet, and match line segments "
+    "across their images into 3-D segments with error bars. `trinoc COMMAND --help` explains a "
+    "command. `trinoc --version` prints the versions of trinoc and of its packages."
 )
 # Each command and the file of this package that has its function, which is called like it.
 COMMANDS = {

@@ -39,34 +39,34 @@ def match(
     out: Path = Path("matches.npz"),
     job: Job,
 ) -> Outcome:
-    """Match line segments across the pictures of a calibrated rig.
+    """Match line segments across the images of a calibrated rig.
 
     Parameters
     ----------
     images : NAME=FILE
-        For each camera its picture, or segments found before (npz), or a table x1 y1 x2 y2 (npy,
-        csv, txt) of any detector, whose heading may name other columns.
+        For each camera: an image, an npz file of segments, or a table of segments x1 y1 x2 y2 (npy,
+        csv, txt) from any detector. A header line may name more columns.
     rig
-        The cameras, as `trinoc calibrate` writes them.
+        The calibrated cameras, as `trinoc calibrate` writes them.
     steps : STEP... (default: none)
-        What to do after matching. pixels: place the lines by the grey levels of all their views,
-        which are more exact than segments. rims: find the circular rims of round bodies among the
-        chords of arcs, and add pieces of them. wireframe: put corners, edges and planar faces
-        together. Rims and a wire frame are written beside the matches.
+        Steps after matching. pixels: refine each line by the grey levels of all its views, which
+        are more accurate than segments. rims: find circular rims of round bodies among chords of
+        arcs. wireframe: build corners, edges and planar faces. Rims and a wire frame are written to
+        files beside the matches.
     sigma_px : PX (default: that of each segment)
-        Standard deviation of the ends across the segments, the same for all.
-    depth_range_mm : NEAR FAR (default: anywhere before them)
-        Least and greatest depth of lines before every camera that sees them.
+        Standard deviation of the segments' end points across the segment, the same for all.
+    depth_range_mm : NEAR FAR (default: any depth in front of the cameras)
+        Smallest and largest depth of the lines, in front of every camera that sees them.
     find
-        How segments are found, by the options of `trinoc segments`: tolerance_px=1.6,
-        false_alarms=1, least_contrast=7, arcs=no, response=linear.
+        Options of the segment detector, as in `trinoc segments`: tolerance_px=1.6, false_alarms=1,
+        least_contrast=7, arcs=no, response=linear.
     dry_run
-        Read and check everything, say what would be done, and write nothing.
+        Read and check all inputs, report what the command would do, and write nothing.
     report
-        Also write an HTML report here: verdict, cameras, residuals and uncertainty over the field,
-        and what was matched.
+        Write an HTML report to this file, too: verdict, cameras, residuals, uncertainty over the
+        field, and matches.
     out
-        Where the matches go.
+        File of the matches.
     """
     # Mistakes of usage come before any file is read.
     settings, depths_mm = find_settings(find), depth_range(depth_range_mm)

@@ -69,37 +69,37 @@ def pattern(
     out: Path = Path("pattern.json"),
     job: Job,
 ) -> Outcome:
-    """Make a sheet of circles and crossed lines, or a board: its layout, and drawings to print.
+    """Create a sheet of circles and crossed lines, or a board: its layout, and drawings to print.
 
     Parameters
     ----------
     layout : KIND|LAYOUT.json NAME=VALUE (default: sheet)
-        What to draw: the sheet of `trinoc calibrate`, or a board for `calibrate-rig`: chessboard,
-        charuco, aprilgrid; or a layout (JSON) that is there already. Behind the kind what else it
-        has, as in its layout: of a sheet pitch_mm=20 (between the centres of neighbouring circles)
-        radius_mm=6 line_style=stop|through|white (where a line of an odd grid meets a circle: it
-        stops before it, runs through it in black or in white); of a chessboard square_mm=20; of a
-        charuco board square_mm=20 marker_mm=15 dictionary=4x4_250 first=0 legacy=no inverted=no
-        (white for black) mirrored=no (as in a mirror, for the back of a two-sided board); of an
-        aprilgrid tag_mm=16 spacing=0.3 (gap over tag) dictionary=APRILTAG_36h11 first=0 border=2.
-        first is the number of the first marker, by which boards fixed to each other are told apart.
+        Kind of target: sheet for `trinoc calibrate`; chessboard, charuco or aprilgrid for
+        `calibrate-rig`; or an existing layout (JSON). Settings follow the kind. sheet: pitch_mm=20
+        (between the centres of neighbouring circles) radius_mm=6 line_style=stop|through|white (at
+        a circle, a line of an odd grid stops, or crosses the circle in black or in white).
+        chessboard: square_mm=20. charuco: square_mm=20 marker_mm=15 dictionary=4x4_250 first=0
+        legacy=no inverted=no (black and white exchanged) mirrored=no (mirror image, for the back of
+        a two-sided board). aprilgrid: tag_mm=16 spacing=0.3 (gap over tag size)
+        dictionary=APRILTAG_36h11 first=0 border=2. first is the id of the first marker; boards that
+        are fixed to each other need different ids.
     rows : N (default: 8)
-        Circles from top to bottom; even, so that no line meets a circle. Of a board, squares or
-        tags.
+        Number of circles from top to bottom; an even number, so that no line meets a circle. For a
+        board: number of squares or tags.
     columns : N (default: 8)
-        Circles from left to right; even, too. Of a board, squares or tags.
+        Number of circles from left to right; also even. For a board: number of squares or tags.
     camera
-        Choose number, pitch and radius of the circles for a camera: distance_mm=500 (from which it
-        looks at the sheet), field_deg=30 (that it sees from left to right: for a focal length f and
-        a sensor w wide, 2 atan(w / 2f)), size_px=1280,960 (of its pictures).
+        Choose number, pitch and radius of the circles for this camera: distance_mm=500 (camera to
+        sheet), field_deg=30 (horizontal field of view: 2 atan(w / 2f) for focal length f and sensor
+        width w), size_px=1280,960 (image size).
     paper
-        Paper of the drawings.
+        Paper size of the drawings.
     screen
-        For -o FILE.png, a screen as target: size_px=1920,1080 and diagonal_inch=24, or instead of
-        the diagonal pitch_mm=0.27, from one of its pixels to the next.
+        With -o FILE.png: the screen that shows the target, size_px=1920,1080 and diagonal_inch=24;
+        or pitch_mm=0.27, the distance between its pixels, in place of the diagonal.
     out
-        Where the layout goes, a .json. The drawings, .svg and .pdf, go beside it. A .png is the
-        picture for a screen, with its layout beside it.
+        File of the layout (.json). The drawings (.svg, .pdf) are written beside it. With .png:
+        image for a screen, with its layout beside it.
     """
     ending = out.suffix.lower()
     if ending not in (".json", ".png"):

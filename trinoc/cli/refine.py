@@ -22,27 +22,27 @@ def refine(
     out: Path = Path("refined.json"),
     job: Job,
 ) -> Outcome:
-    """Refine a rig jointly against its calibration and matched segments.
+    """Refine a rig by joint adjustment of its calibration and matched segments.
 
     Parameters
     ----------
     images : NAME=FILE (or --matches)
-        For each camera its picture of a scene, or segments found before (npz, npy, csv, txt):
-        these are matched here, and again with the refined rig until the matches stop changing.
+        For each camera: an image of a scene, or segments (npz, npy, csv, txt). They are matched
+        with the current rig, and again with each refined rig until the matches do not change.
     rig
-        The cameras, as `trinoc calibrate` writes them.
+        The calibrated cameras, as `trinoc calibrate` writes them.
     matches
-        The matches, as `trinoc match` writes them, which are taken as they are.
-    pose_model : (default: those the calibration knows)
-        What may change in each camera: aimed: pan, tilt, swing and distance; aim-free: where the
-        optical axis meets the sheet, too; rigid: any motion.
+        Matches, as `trinoc match` writes them. They are not matched again.
+    pose_model : (default: parameters with a covariance in the calibration)
+        Pose parameters that are refined. aimed: pan, tilt, swing and distance. aim-free: also the
+        point where the optical axis meets the sheet. rigid: all six.
     free_lens
-        Refine focal lengths and principal points too, also those that the calibration does not call
-        uncertain.
+        Refine focal lengths and principal points, too, even if the calibration has no covariance
+        for them.
     moved : NAME (default: none)
-        Cameras that were knocked since the calibration, whose old place no longer counts.
+        Cameras that have moved since the calibration. Their calibrated pose is not used as a prior.
     out
-        Where the refined rig goes: the cameras that the matches are of.
+        File of the refined rig, with the cameras that occur in the matches.
     """
     from trinoc.calib.bundle.result import RefineStatus
     from trinoc.recording.camera_aliases import camera_aliases
@@ -104,19 +104,19 @@ def check(
     out: Path | None = None,
     job: Job,
 ) -> Outcome:
-    """Say by how many sigma each camera has moved since its calibration, from a scene alone.
+    """Test from images of a scene if a camera has moved since the calibration.
 
     Parameters
     ----------
     images : NAME=FILE (or --matches)
-        For each camera its picture of a scene as it sees it now, or segments found before (npz,
-        npy, csv, txt): these are matched here, again and again, so that a large knock is found too.
+        For each camera: a current image of a scene, or segments (npz, npy, csv, txt). They are
+        matched repeatedly, so that large motions are found, too.
     rig
-        The cameras, as `trinoc calibrate` writes them.
+        The calibrated cameras, as `trinoc calibrate` writes them.
     matches
-        Matches of such a scene, as `trinoc match` writes them: enough for a small knock.
+        Matches of a current scene, as `trinoc match` writes them. They suffice for small motions.
     out
-        Where the corrected rig goes, if one camera has moved and the scene tells where it is now.
+        File of the corrected rig, if one camera has moved and the scene determines its new pose.
     """
     job.expect(trinoc.Rig, out)
     cameras = read_rig(rig)
@@ -144,14 +144,14 @@ def compare(
     *,
     job: Job,
 ) -> Outcome:
-    """Say what changed between two calibrations of a rig over a sheet that lay still.
+    """Report the differences between two calibrations of a rig with the same sheet pose.
 
     Parameters
     ----------
     rig : RIG.json
-        The rig now.
+        The later calibration.
     earlier : EARLIER.json
-        The rig before.
+        The earlier calibration.
     """
     from trinoc.calib.rig_check.comparison import compare_rigs
     from trinoc.report.report_table import text_table

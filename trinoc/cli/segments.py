@@ -24,26 +24,26 @@ def segments(
     out: Path = Path("segments.npz"),
     job: Job,
 ) -> Outcome:
-    """Find the line segments of a picture (Nevatia and Babu).
+    """Detect the line segments of an image (Nevatia and Babu).
 
     Parameters
     ----------
     image : IMG
-        The picture: PNG, TIFF or JPEG, 8 or 16 bit, grey or colour.
+        The image: PNG, TIFF or JPEG, 8 or 16 bit, grey or colour.
     tolerance_px
-        Coarsest deviation of an edge from a straight line.
+        Largest deviation of an edge from a straight line.
     false_alarms
-        How many segments noise alone may bring about in a picture.
+        Expected number of false segments in an image of noise.
     least_contrast
-        Fainter edges are left out; in grey levels of 0 to 255.
+        Smallest contrast of an edge, in grey levels of 0 to 255.
     arcs
-        Keep the chords of arcs, such as the rims of cylinders: more of the scene is seen, less
-        exactly.
+        Keep chords of arcs, such as rims of cylinders. They show more of the scene and are less
+        accurate.
     response : linear|srgb|NUMBER
-        How the cameras make grey levels of light: linear, srgb (nearly every camera that is not an
-        industrial one), or a number, 0 for linear, 1 for sRGB. Blurred edges are placed by it.
+        Response of the camera: linear, srgb (nearly all cameras that are not industrial ones), or a
+        number between, 0 for linear and 1 for sRGB. It corrects the position of blurred edges.
     out
-        Where the segments go.
+        File of the segments.
     """
     settings: dict[str, Any] = {
         "tolerance_px": tolerance_px,

@@ -23,21 +23,20 @@ def undistort(
     out: Path = Path("undistorted"),
     job: Job,
 ) -> Outcome:
-    """Make pictures as cameras without distortion take them, also turned until rows correspond.
+    """Remove lens distortion from images, and rectify image pairs.
 
     Parameters
     ----------
     images : NAME=FILE
-        For each camera its picture; or pictures of one lens.
+        The image of each camera, or several images of one lens.
     rig
-        The cameras, or the camera.json of one lens.
+        The calibrated cameras, or the camera.json of one lens.
     rectify
-        Also turn two cameras until a point has the same row in both pictures.
+        Rectify the images of two cameras: a scene point has the same row in both.
     alpha
-        How much of the field is kept, from 0, no black pixels, to 1, all of it.
+        Part of the field of view that is kept, from 0 (no black pixels) to 1 (all).
     out : FOLDER
-        The folder of the new pictures (PNG), their rig.json or camera.json, and maps for
-        cv2.remap.
+        Folder for the new images (PNG), their rig.json or camera.json, and maps for cv2.remap.
     """
     if not images:
         raise UsageError("No picture is given: write NAME=FILE for each camera.")

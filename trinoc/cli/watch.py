@@ -34,30 +34,30 @@ def watch(
     port: Literal["none", "open"] | int = 0,
     job: Job,
 ) -> Outcome:
-    """Judge pictures of a board as they arrive, say what to show next, and calibrate with them.
+    """Check images of a board as they arrive, advise on the next pose, and calibrate.
 
     Parameters
     ----------
     sources : [NAME=]FOLDER|CAMERA|VIDEO
-        A folder that pictures arrive in, or the number of a camera, such as 0, until Ctrl-C; or a
-        video. Of several cameras each with its name: left=0 right=1.
+        A folder of arriving images or a camera id such as 0, both until Ctrl-C; or a video. For
+        several cameras with names: left=0 right=1.
     board
         Layout of the sheet or board (JSON), as `trinoc pattern` writes it.
     every_s
-        Look so often, at the sharpest moment since.
+        Interval between checked images in seconds. The sharpest image of each interval is used.
     keep : FOLDER (default: beside the rig)
-        Keep shots that are good and new here, as PNG; those that are there count.
+        Folder for useful shots (PNG). Shots that are already there are used, too.
     report
-        Also write an HTML report here: verdict, cameras, residuals and uncertainty over the field,
-        and what was matched.
+        Write an HTML report to this file, too: verdict, cameras, residuals, uncertainty over the
+        field, and matches.
     out
-        Calibrate with what was kept, and write the rig here; of one camera without a name its
-        lens.
+        Calibrate with the useful shots, and write the rig to this file; for one camera without a
+        name, the lens.
     once
-        Judge the pictures that are there, and end.
+        Check the images that exist now, and end.
     port : N|open|none (default: a free one)
-        Of the page, on 127.0.0.1, which no other machine reaches; open: the browser shows it; none:
-        no page.
+        Port of the progress page on 127.0.0.1, which other machines cannot reach. open: also open
+        the page in a browser. none: no page.
     """
     if not 0 < every_s <= 3600:
         raise UsageError(f"--every-s is {every_s:g}: give seconds, such as 1.")
