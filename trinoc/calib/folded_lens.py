@@ -33,8 +33,8 @@ _WIDER_MODELS: tuple[type[AbstractLens], ...] = (Rational, KannalaBrandt)
 class FoldFindings(NamedTuple):
     """Result of the check of all lenses for folds.
 
-    Fields
-    ------
+    Attributes
+    ----------
     failure : sentence on the first lens that must not be used, with the remedy; None without one.
     notes : sentence on each lens that folds where nothing was observed.
     """

@@ -44,8 +44,8 @@ CAMERA = "camera"
 class _Points(AbstractTarget):
     """Points anywhere in space as a calibration target.
 
-    Fields
-    ------
+    Attributes
+    ----------
     centres_mm : (n, 3).
     """
 

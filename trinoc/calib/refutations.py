@@ -159,8 +159,8 @@ def _free_significant_groups(
 class ExactLensTests(NamedTuple):
     """Score tests of lenses that were assumed exact, from the shots.
 
-    Fields
-    ------
+    Attributes
+    ----------
     problem : the problem at its solution, with these lenses free.
     information : information of its shots.
     is_tested : (f,) whether each of `information.free` was fixed in the fit.

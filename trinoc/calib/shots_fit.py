@@ -72,8 +72,8 @@ _CX, _CY = (AFFINE_PARAMETERS.index(name) for name in ("cx_px", "cy_px"))
 class LensFreedom:
     """Fixed properties of the estimated lenses.
 
-    Fields
-    ------
+    Attributes
+    ----------
     distortion : number of coefficients; None for all that the shots determine.
     same_lens : whether all cameras share one lens.
     centred : whether the principal point is fixed at the middle of the image.
@@ -90,8 +90,8 @@ class LensFreedom:
 class ShotObservations:
     """Detections of a board in many shots, and the prior knowledge.
 
-    Fields
-    ------
+    Attributes
+    ----------
     detections : for each camera, by shot and number of the board.
     shots : names of all shots.
     target : the board.
@@ -159,8 +159,8 @@ class ShotObservations:
 class ShotsFit:
     """Fit of a rig to many shots.
 
-    Fields
-    ------
+    Attributes
+    ----------
     initial_rig : poses of cameras and boards at the start of the fit.
     fit : end of the fit.
     images_without_grey_levels : (camera, shot, reason) of images whose grey levels are not used.

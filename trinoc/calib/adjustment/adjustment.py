@@ -34,8 +34,8 @@ _ROUNDING = 1e-14
 class Adjustment:
     """Joint estimate of all cameras over one sheet from their observations and all priors.
 
-    Fields
-    ------
+    Attributes
+    ----------
     cameras : observations of the cameras, in the order of the views.
     priors : priors on sheet, lenses and aims.
     problem : problem at the estimate, with the used points and the factors of their sigmas.

@@ -22,8 +22,8 @@ _MOST_LISTED = 2
 class MeasurementAdvice(NamedTuple):
     """The measurement that reduces the cameras' sigmas most.
 
-    Fields
-    ------
+    Attributes
+    ----------
     subject : "lens" or "print".
     angle_now_deg, angle_then_deg : largest sigma of pan, tilt and swing of all cameras, now and
         after the measurement.

@@ -31,8 +31,8 @@ _ROUNDING = 1e-10
 class Unknown(NamedTuple):
     """One unknown with a prior, or several of one kind, as combinations of the free steps.
 
-    Fields
-    ------
+    Attributes
+    ----------
     kind : "focal length", "aspect", "principal point", "distortion", "aim", "print size", "print
         aspect", "bend", or "all".
     views : cameras of the unknown; none for the sheet.
@@ -47,8 +47,8 @@ class Unknown(NamedTuple):
 class PriorPull(NamedTuple):
     """Distance of one unknown from its prior.
 
-    Fields
-    ------
+    Attributes
+    ----------
     unknown : tested unknown.
     offset : (k,) fitted value minus prior mean, in the unit of the unknown.
     freedom : number of directions that the images determine.
@@ -117,8 +117,8 @@ def refuted_priors(adjustment: Adjustment) -> list[PriorPull]:
 class PriorSpace(NamedTuple):
     """Offsets of the free steps from their priors, and the expected covariance of these offsets.
 
-    Fields
-    ------
+    Attributes
+    ----------
     weights : (f,) inverse prior sigma of each step; 0 without a prior.
     offset : (f,) fitted steps minus prior means, in prior sigmas.
     expected : (f, f) P_0 - P in prior sigmas, the covariance of `offset`.

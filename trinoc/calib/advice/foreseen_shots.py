@@ -37,8 +37,8 @@ _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
 class Candidate(NamedTuple):
     """A shot that could be taken.
 
-    Fields
-    ------
+    Attributes
+    ----------
     camera : index of the camera in front of which the board is held.
     instruction : how to hold the board, in words.
     distance_mm : distance from the camera to the board.
@@ -117,8 +117,8 @@ def _describe_position(row: str, column: str) -> str:
 class ForeseenShot(NamedTuple):
     """Predicted information of a candidate.
 
-    Fields
-    ------
+    Attributes
+    ----------
     candidate : the shot.
     cameras : indices of the cameras that would detect the board.
     point_count : number of board points in all their images.

@@ -25,8 +25,8 @@ from trinoc.numerics.precision import in_float64
 class NextShot(NamedTuple):
     """The shot to take next.
 
-    Fields
-    ------
+    Attributes
+    ----------
     cameras : names of the cameras that would see the board.
     instruction : how to hold the board.
     world_from_board : (3, 4) pose of the board, mm.

@@ -20,8 +20,8 @@ PRINCIPAL_POINT_STEP_PX = 1000.0
 class CameraState(eqx.Module):
     """State of one camera. The states of a rig, or of many rigs, stack for `vmap`.
 
-    Fields
-    ------
+    Attributes
+    ----------
     pose : pose of the camera.
     lens : lens; of one model for all stacked cameras (`stack_states`).
     working_distance_mm : unit of length of a step, about the distance of the scene.

@@ -59,8 +59,8 @@ FIXED_SIGMA = 1e-3
 class FreeParameters(NamedTuple):
     """Estimated parameters, and the cameras whose prior still holds.
 
-    Fields
-    ------
+    Attributes
+    ----------
     pose_model : estimated parameters of each pose.
     intrinsics : whether focal lengths and principal points are estimated.
     trusted : names of the cameras whose prior holds.
@@ -232,8 +232,8 @@ def prior_information(
 class _Fit(NamedTuple):
     """End of the minimisation, and quantities evaluated there.
 
-    Fields
-    ------
+    Attributes
+    ----------
     cost, first_cost : by the loss of final width, at the end and at the start.
     squared : squared distance of every fragment, in sigmas.
     information : (k, k) on the cameras' steps; `sheet_information` is a part of it.

@@ -115,8 +115,8 @@ def line_from_two_views(
 class PriorEquations(NamedTuple):
     """Normal equations of the prior at given cameras.
 
-    Fields
-    ------
+    Attributes
+    ----------
     by_step : (k, k) derivatives of all public parameters by all cameras' steps.
     information, gradient : (k, k) and (k,) by these steps.
     """
@@ -129,8 +129,8 @@ class PriorEquations(NamedTuple):
 class PosePrior(NamedTuple):
     """Cost (x - x0)^T L (x - x0) of the public parameters x (degrees, mm, px).
 
-    Fields
-    ------
+    Attributes
+    ----------
     values : (v, p) prior mean x0.
     information : (k, k) L, the inverse of the covariance of x0; zeros for no prior.
     start : cameras relative to which small motions are measured.

@@ -65,8 +65,8 @@ class CamerasAndLines(NamedTuple):
 class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
     """Least-squares problem of lines in images with a robust loss and the cameras' prior.
 
-    Fields
-    ------
+    Attributes
+    ----------
     tracks : of three views or more; a line in two views has as many distances as unknowns.
     """
 

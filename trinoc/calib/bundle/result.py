@@ -27,8 +27,8 @@ class RefineStatus(enum.Enum):
 class RefineResult(Displayable, Value):
     """Cameras and lines refined together.
 
-    Fields
-    ------
+    Attributes
+    ----------
     status : how the refinement ended. If it is AMBIGUOUS, all fields but `rig` are those of the
         rejected solution.
     rig : refined cameras, with `parameters` and `covariance` if these are determined.

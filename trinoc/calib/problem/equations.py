@@ -28,8 +28,8 @@ from trinoc.numerics.robust_loss import AbstractRobustLoss
 class PointsProblem(AbstractArrowProblem):
     """Least-squares problem of board points observed by the cameras of a rig, with priors.
 
-    Fields
-    ------
+    Attributes
+    ----------
     parametrization : units, priors, and free unknowns.
     table : v observations.
     loss : robust loss of each observation's points, along a first axis of its fields.

@@ -8,8 +8,8 @@ from trinoc.numerics.values import Value
 class ImageQuality(Value):
     """Light, ink, blur and noise of one image of the sheet, from the fit to its grey levels.
 
-    Fields
-    ------
+    Attributes
+    ----------
     noise : standard deviation of the residuals, grey levels.
     noise_floor : the same in flat parts of the image, which no fit can go below; equal to `noise`
         if the noise depends on the grey level.

@@ -23,8 +23,8 @@ from trinoc.numerics.small_matrices import inverse_positive_definite
 class Information(NamedTuple):
     """Information of each shot on the head, with the pose of its board eliminated.
 
-    Fields
-    ------
+    Attributes
+    ----------
     shot_information : (s, h, h) information of each shot, without priors.
     gradients : (s, h) gradient of half of each shot's chi-square; with the prior's they sum to
         zero.
@@ -137,8 +137,8 @@ def _of_shots(
 class WhitenedViews(NamedTuple):
     """Whitened residuals of all observations, and their derivatives by every step of the head.
 
-    Fields
-    ------
+    Attributes
+    ----------
     jacobian : (v, 2n, h) of the whitened residuals, fixed steps included.
     residual : (v, 2n) predicted minus observed, in sigmas.
     """

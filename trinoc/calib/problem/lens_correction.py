@@ -81,8 +81,8 @@ def correction_sigmas_px(problem: Problem) -> Float[np.ndarray, "l"]:
 class LensCorrection(NamedTuple):
     """Size of the spline correction of one lens.
 
-    Fields
-    ------
+    Attributes
+    ----------
     lens : number of the lens.
     model : name of its core model.
     rms_px, largest_px : root mean square and largest value of the control points.

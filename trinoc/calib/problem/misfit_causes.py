@@ -50,8 +50,8 @@ class CauseKind(Enum):
 class MisfitCause(NamedTuple):
     """A pattern in the residuals.
 
-    Fields
-    ------
+    Attributes
+    ----------
     kind : kind of cause.
     camera : index of the camera with the pattern.
     amplitude_px : root mean square length of the pattern; for a moved camera, its shift.

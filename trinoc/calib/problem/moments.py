@@ -30,8 +30,8 @@ _FEWEST_SHOTS = 4
 class UnsynchronisedImage(NamedTuple):
     """An image with the board at another pose than in the other images of its shot.
 
-    Fields
-    ------
+    Attributes
+    ----------
     view : index of the observation.
     excess : D over its degrees of freedom, relative to its typical value in the shots.
     """
@@ -171,8 +171,8 @@ def _by_view(
 class ImagePoses(NamedTuple):
     """Poses of the board that fit each of v images alone, to first order.
 
-    Fields
-    ------
+    Attributes
+    ----------
     step : (v, 6) from the pose of the shot to that of the image.
     information : (v, 6, 6) of the step, by the present sigmas.
     jacobian_px : (v, n, 2, 6) derivative of the points' pixels by the step.

@@ -30,8 +30,8 @@ class World(NamedTuple):
 class NamedCovariance(NamedTuple):
     """Parameters of a rig in a world, in degrees, mm and px.
 
-    Fields
-    ------
+    Attributes
+    ----------
     names : "upper.pan_deg", ..., "upper.fx_px", ..., "board.scale_x", ...; for sets
         "board.NAME.turn_x_deg", ..., and "board.NAME.scale_x", ...
     values : (p,) values.

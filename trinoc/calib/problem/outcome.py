@@ -23,8 +23,8 @@ _LEAST_LEFT = 0.02
 class FitOutcome(NamedTuple):
     """Status and covariance at the end of a fit.
 
-    Fields
-    ------
+    Attributes
+    ----------
     status : how the fit ended.
     information : information of the shots.
     covariance : (f, f) of the free steps of the head; 0 for undetermined directions.

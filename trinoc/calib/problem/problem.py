@@ -26,8 +26,8 @@ _INDEPENDENT_SHARE = 1e-6
 class Problem(NamedTuple):
     """All inputs of a fit, or its solution.
 
-    Fields
-    ------
+    Attributes
+    ----------
     views : observations of the board.
     target : the board.
     state : unknowns at the start or at the end of a fit.
@@ -86,8 +86,8 @@ class Problem(NamedTuple):
 class SolvedProblem(NamedTuple):
     """Solution of a calibration problem with its covariance.
 
-    Fields
-    ------
+    Attributes
+    ----------
     problem : the problem at its solution.
     covariance : (f, f) covariance of the free steps of the head.
     variance_factor : variance factor of the shots' noise, which the covariance contains.
@@ -117,8 +117,8 @@ def lens_number(problem: Problem, number: int) -> AbstractLens:
 class FreeLensParameters(NamedTuple):
     """Lens of each camera, and the estimated parameters of each lens.
 
-    Fields
-    ------
+    Attributes
+    ----------
     lens_of_camera : (c,) index of each camera's lens.
     free : (l, q) mask of the estimated parameters.
     """

@@ -24,8 +24,8 @@ Group = TypeVar("Group")
 class RaoTest(NamedTuple):
     """Score test of fixed parameters: the effect of freeing them, computed without a new fit.
 
-    Fields
-    ------
+    Attributes
+    ----------
     chi_square : reduction of the residuals' chi-square if the parameters were free.
     freedom : number of directions of the parameters that the residuals determine.
     step : (k,) change of the parameters if they were free.
@@ -110,8 +110,8 @@ def score_test(
 class FixedScore(NamedTuple):
     """Score of all fixed parameters of a fit, with the fitted parameters eliminated.
 
-    Fields
-    ------
+    Attributes
+    ----------
     information : (k, k) information on the fixed parameters.
     gradient : (k,) gradient of half of chi-square.
     total_information : (k,) information on each parameter without the elimination.

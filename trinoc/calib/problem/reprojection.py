@@ -28,8 +28,8 @@ from trinoc.numerics.robust_loss import AbstractRobustLoss
 class BoardProjection(eqx.Module):
     """One camera and the board in front of it, at some state.
 
-    Fields
-    ------
+    Attributes
+    ----------
     lens : lens of the camera.
     cam_from_rig, rig_from_board : poses of camera and board.
     set_from_board : pose of the board in its set; None for a single board.
@@ -155,8 +155,8 @@ def whitened_residuals(
 class LinearisedObservation(eqx.Module):
     """Whitened residuals of one observation and their derivatives at a state.
 
-    Fields
-    ------
+    Attributes
+    ----------
     columns : (k,) columns of the head with an effect: m that move all points of the image, then
         those of the board points.
     jacobian : (n, 2, m + 6) by the m columns and by the pose of the shot's board, free or not.

@@ -52,8 +52,8 @@ def inliers(
 class RobustFit(NamedTuple):
     """Result of a robust fit.
 
-    Fields
-    ------
+    Attributes
+    ----------
     problem : at the solution, with the used points.
     converged : whether the last solve converged.
     rejected_images : (camera, shot, median error in px) of images with the board at another pose.

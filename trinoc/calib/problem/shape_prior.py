@@ -31,8 +31,8 @@ _HEIGHT_DEGREE, _PLANE_DEGREE = 4, 3
 class ShapePart(NamedTuple):
     """One part of the prior.
 
-    Fields
-    ------
+    Attributes
+    ----------
     name : name of the part.
     modes : (3n, w) displacement X, Y, Z in mm of n corners by each of w amplitudes with one
         variance.
@@ -47,8 +47,8 @@ class ShapePart(NamedTuple):
 class ShapePrior(NamedTuple):
     """All parts and the variances of their amplitudes.
 
-    Fields
-    ------
+    Attributes
+    ----------
     parts : parts of the prior.
     variance : (k,) variance of the amplitudes of each part.
     """

@@ -94,8 +94,8 @@ class WarpedBoard(AbstractSheet):
     mrcal, "Board deformation" in its formulation. Lengths along the board do not change
     (`bend_displacement_mm`), for glass and aluminium as for paper.
 
-    Fields
-    ------
+    Attributes
+    ----------
     half_mm : (b, 2) half the extent of each board, where its warp is zero.
     """
 
@@ -124,8 +124,8 @@ class WarpedBoard(AbstractSheet):
 class BentPaper(AbstractSheet):
     """Relative print size, relative lengths along X and Y, and height coefficients in mm.
 
-    Fields
-    ------
+    Attributes
+    ----------
     reference_radius_mm : distance from the origin at which each height term has the size of its
         coefficient.
     """

@@ -33,8 +33,8 @@ Method = Literal["pixels", "points"]
 class PictureFit:
     """Result of the fit to the grey levels of one image, or the reason why there is none.
 
-    Fields
-    ------
+    Attributes
+    ----------
     points : fitted positions, px, of each circle and of each piece of the crossed lines.
     quality : light, ink, blur and noise.
     note : reason why the grey levels cannot be used; None if they can.
@@ -55,8 +55,8 @@ class PictureFit:
 class SheetCamera:
     """Observations of the sheet by one camera, and the prior knowledge of the camera.
 
-    Fields
-    ------
+    Attributes
+    ----------
     name : name of the camera.
     detection : detected circles and lines.
     lens : intrinsics as given by the user.
@@ -110,8 +110,8 @@ class SheetCamera:
 class SheetPriors:
     """Priors on sheet, lenses and aims, and the pose parameters that the user wants.
 
-    Fields
-    ------
+    Attributes
+    ----------
     pose_model : wanted parameters of each pose.
     systematics : standard deviations of everything that is not exact.
     tuning : constants of the method.

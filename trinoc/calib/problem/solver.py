@@ -44,8 +44,8 @@ BLOCKS_THAT_CREEP = 100
 class ArrowEquations(NamedTuple):
     """Gauss-Newton equations at a state: `information` times the step is minus `gradient`.
 
-    Fields
-    ------
+    Attributes
+    ----------
     cost : cost of the state.
     information, gradient : J^T W J, and J^T W r (half the gradient of the cost), over the steps of
         the head (h,) and of the blocks (b, w).
@@ -118,8 +118,8 @@ class AbstractSeparableProblem(AbstractArrowProblem[State]):
 class Solution(eqx.Module, Generic[State]):
     """End of a descent.
 
-    Fields
-    ------
+    Attributes
+    ----------
     state, cost : best state and its cost.
     steps : number of tried steps.
     converged : whether the descent ended by its own criterion.
@@ -234,8 +234,8 @@ class Damping(NamedTuple):
 class ArrowStep(NamedTuple):
     """A proposed step.
 
-    Fields
-    ------
+    Attributes
+    ----------
     head, blocks : step of the head and of the blocks.
     promised : gain predicted by the equations.
     follows : whether each block takes part.
@@ -252,8 +252,8 @@ class ArrowDescent(optx.AbstractDescent):
 
     Its state is the present point with the equations there.
 
-    Fields
-    ------
+    Attributes
+    ----------
     retract : function of (state, head, blocks) that returns the state after a step.
     block_costs : function that returns the cost of each block of a state, for separate dampings;
         else None.
@@ -318,8 +318,8 @@ class WatchdogSearch(optx.AbstractSearch):
     al., "The watchdog technique for forcing convergence in algorithms for constrained optimization"
     (1982).
 
-    Fields
-    ------
+    Attributes
+    ----------
     first_damping : of the first step.
     atol : gain that ends the descent.
     is_separable : whether blocks have separate dampings.
@@ -370,8 +370,8 @@ class WatchdogSearch(optx.AbstractSearch):
 class _Progress(eqx.Module):
     """State of the minimiser.
 
-    Fields
-    ------
+    Attributes
+    ----------
     best, at_best : best state so far, and the equations there.
     here : present point of the descent.
     search : state of the search.
@@ -398,8 +398,8 @@ class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
     program contains it only once, after each step, so that it compiles faster. Without equations
     at the start, a first step of zero provides them.
 
-    Fields
-    ------
+    Attributes
+    ----------
     most_steps : largest number of steps.
     start : equations at the start. With them, steps with a small predicted gain are not tried.
     """

@@ -29,8 +29,8 @@ _AIM_STEPS = np.eye(POSE_SIZE)[4:]
 class RigState(eqx.Module):
     """Values of all unknowns.
 
-    Fields
-    ------
+    Attributes
+    ----------
     lenses : l lenses of one model, along the first axis of their fields.
     cam_from_rig : (c, 3, 4) pose of each camera.
     rig_from_board : (s, 3, 4) pose of the board in each shot; for a set, of the set's frame.
@@ -51,8 +51,8 @@ class RigState(eqx.Module):
 class Priors(eqx.Module):
     """Gaussian priors of the unknowns.
 
-    Fields
-    ------
+    Attributes
+    ----------
     lens_mean : (l, q) mean of each lens's parameters.
     lens_information : (l, q, q) their inverse covariance; zero without a prior.
     sheet_information : (w, w) inverse covariance of `RigState.sheet`, whose mean is 0.
@@ -72,8 +72,8 @@ class Priors(eqx.Module):
 class HeadSlices(NamedTuple):
     """Positions of the steps of each kind of unknown in the head, in their order.
 
-    Fields
-    ------
+    Attributes
+    ----------
     lenses : `lens_size` steps for each lens.
     cameras : POSE_SIZE steps for each camera's pose.
     boards : POSE_SIZE steps for the pose of each board in its set; none for a single board.
@@ -106,8 +106,8 @@ def _part(section: slice, number: int, size: int) -> slice:
 class Parametrization(eqx.Module):
     """Map from steps to changes of the unknowns, and which steps are free.
 
-    Fields
-    ------
+    Attributes
+    ----------
     lens_basis : (l, q, r) change of each lens's q parameters by its r steps: a diagonal of units,
         or the factor of a covariance, whose steps are in standard deviations.
     unit_mm : length of a unit step in translations.

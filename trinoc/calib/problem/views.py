@@ -31,8 +31,8 @@ NO_POINT = 1 << 30
 class SheetPoints(NamedTuple):
     """Points of the sheet and their pixels in one image.
 
-    Fields
-    ------
+    Attributes
+    ----------
     point_mm : (n, 2) on the drawing of the sheet, or (n, 3) in the board's frame if the board
         moved.
     uv_px : (n, 2) their pixels.
@@ -48,8 +48,8 @@ class SheetPoints(NamedTuple):
 class BoardObservation(NamedTuple):
     """Observation of the board in one image: one camera, one shot.
 
-    Fields
-    ------
+    Attributes
+    ----------
     camera, shot : indices of both.
     detection : detected board points with one labelling.
     used : (m,) whether each detected point is used.
@@ -119,8 +119,8 @@ class BoardObservation(NamedTuple):
 class ObservationTable(NamedTuple):
     """Observations as arrays. Rows whose `whitening` is 0 have no effect.
 
-    Fields
-    ------
+    Attributes
+    ----------
     camera, shot, board : (v,) indices of each observation.
     point : (v, n) index of each board point in the target; `NO_POINT` for pieces of lines.
     point_mm : (v, n, 3) position on the board.

@@ -32,8 +32,8 @@ from trinoc.numerics.values import Value
 class FixedParameterTest(NamedTuple):
     """Score test of one parameter group that the model fixes: would the residuals change it?
 
-    Fields
-    ------
+    Attributes
+    ----------
     name : "aim", "focal length", "aspect", "principal point" or "radial distortion".
     chi_square_drop : reduction of chi-square if the group were estimated.
     p_value : probability of such a reduction by noise alone.
@@ -75,8 +75,8 @@ class FixedParameterTest(NamedTuple):
 class CameraFit(Value):
     """Fit of one camera to its observations.
 
-    Fields
-    ------
+    Attributes
+    ----------
     residuals_px : (m, 2) predicted minus observed pixel of each circle, corner or point, over all
         images of the camera.
     used : (m,) whether each observation was used; the others are outliers.
@@ -130,8 +130,8 @@ class CalibrationResult(Displayable, Value):
     Every calibration returns this type: `calibrate`, `calibrate_rig`, `calibrate_intrinsics` (a rig
     of one camera in its own frame) and `calibrate_points` (a rig of one camera).
 
-    Fields
-    ------
+    Attributes
+    ----------
     solution : rig of all cameras whose parameters are determined; None without one. Read it as
         `rig`.
     status : how the fit of each camera ended, failed cameras included. Cameras that were fitted

@@ -25,8 +25,8 @@ _NO_AXIS_DEG = 1e-9
 class CameraPair:
     """Pose of a second camera relative to a first one, with sigmas.
 
-    Fields
-    ------
+    Attributes
+    ----------
     first, second : names of the cameras.
     second_from_first : (3, 4) rigid motion x_second = [R | t] x_first, mm. OpenCV's
         `stereoCalibrate` returns these as R and T.

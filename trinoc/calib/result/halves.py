@@ -12,8 +12,8 @@ class CrossValidation(NamedTuple):
 
     For a held-out shot only the pose of the board is fitted, to the image of one camera.
 
-    Fields
-    ------
+    Attributes
+    ----------
     shots : number of shots, each held out once.
     own_px : for each camera, the root mean square error with the board placed by the same camera,
         px. Includes the error of the lens model.
@@ -45,8 +45,8 @@ def _list_errors(errors_px: Mapping[str, float]) -> str:
 class FieldDifference(NamedTuple):
     """Difference between the pixels of the same points by the rigs of two halves of the shots.
 
-    Fields
-    ------
+    Attributes
+    ----------
     camera : name of the camera.
     distance_mm : (2,) distances of the points: that of the boards, and `AdviceTuning.farther` times
         that.
@@ -84,8 +84,8 @@ class FieldDifference(NamedTuple):
 class HalvesCheck(NamedTuple):
     """Difference between the rigs of two halves of the shots.
 
-    Fields
-    ------
+    Attributes
+    ----------
     ratio : root mean square normalised difference over all determined parameters. 1 for a correct
         model, larger if the model omits something.
     worst : name of the parameter with the largest normalised difference.

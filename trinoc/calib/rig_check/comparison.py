@@ -22,8 +22,8 @@ _LEAST_TAIL = 1e-304
 class CameraChange(NamedTuple):
     """Change of one camera since the earlier calibration.
 
-    Fields
-    ------
+    Attributes
+    ----------
     moved_mm : displacement of the centre of projection.
     turned_deg : angle of the rotation from the earlier to the new orientation.
     sigmas : significance of the change by both covariances; NaN if these are unknown.
@@ -46,8 +46,8 @@ class CameraChange(NamedTuple):
 class RigComparison(NamedTuple):
     """Changes of all cameras, swapped images, and sentences on both.
 
-    Fields
-    ------
+    Attributes
+    ----------
     cameras : change of each camera of both rigs, by name.
     swapped : pairs (name, earlier name) of cameras whose images are exchanged.
     sentences : sentences for the user; one sentence if nothing changed.

@@ -40,8 +40,8 @@ class CountedTracks(Protocol):
 class CameraMotion(Value):
     """Motion of one camera since the calibration, estimated from scene segments.
 
-    Fields
-    ------
+    Attributes
+    ----------
     name : name of the camera.
     sigmas : significance of the motion, as two-sided sigmas of a normal distribution.
     parameters : names, such as "pan_deg".
@@ -59,8 +59,8 @@ class CameraMotion(Value):
 class RigCheck(Value):
     """Result of the test whether a rig still stands as calibrated.
 
-    Fields
-    ------
+    Attributes
+    ----------
     motions : motion of each camera, on the assumption that no other camera moved.
     moved : names of the suspected cameras, the most significant first. Several names if freeing the
         first does not explain the scene.

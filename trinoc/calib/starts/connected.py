@@ -34,8 +34,8 @@ _TRIES, _SUBSET = 60, 4
 class ConnectedShots(NamedTuple):
     """Connected cameras and boards.
 
-    Fields
-    ------
+    Attributes
+    ----------
     cameras : groups of connected cameras, each with cam_from_rig of its members.
     boards : groups of connected boards, each with set_from_board of its members.
     links : relative poses of pairs of cameras.

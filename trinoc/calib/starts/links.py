@@ -25,8 +25,8 @@ Poses = dict[int, Pose]
 class Link(NamedTuple):
     """Relative pose of two cameras, or of two boards.
 
-    Fields
-    ------
+    Attributes
+    ----------
     second_from_first : the pose.
     shared : number of tested shots that show both.
     agreeing : number of these that agree on the pose.
@@ -150,8 +150,8 @@ def chain_links(links: Links, members: Iterable[int]) -> list[Poses]:
 class AgreedBoard(NamedTuple):
     """Sightings that agree on one pose of the board.
 
-    Fields
-    ------
+    Attributes
+    ----------
     members : (sighting, its labelling) of each.
     rig_from_board : the pose.
     outliers : sightings of the same shot that disagree, with their error in px.

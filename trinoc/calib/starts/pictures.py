@@ -31,8 +31,8 @@ Pictures = Sequence[Picture] | Mapping[str, Picture]
 class BoardDetections(NamedTuple):
     """Detections of the board, by camera and by name of the shot.
 
-    Fields
-    ------
+    Attributes
+    ----------
     shots : names of all shots, in order.
     detections : for each camera, by shot.
     failures : reason for each image (camera, shot) without a detection.

@@ -32,8 +32,8 @@ _ALONE = " of {} alone"
 class InitialRig(NamedTuple):
     """Start of the joint fit.
 
-    Fields
-    ------
+    Attributes
+    ----------
     cam_from_rig : (c, 3, 4) pose of each camera.
     set_from_board : (b, 3, 4) pose of each board of a set; the identity for one board.
     rig_from_board : (s, 3, 4) pose of the board in each shot, including images with poses of their

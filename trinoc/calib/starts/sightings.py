@@ -20,8 +20,8 @@ IN_PLACE = Pose(np.eye(3, 4))
 class Sighting(NamedTuple):
     """Detection of the board in one image, and its pose in front of the camera.
 
-    Fields
-    ------
+    Attributes
+    ----------
     camera, shot : indices.
     lens : first lens of the camera.
     detections : the detection with each labelling.
