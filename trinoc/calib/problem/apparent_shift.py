@@ -27,11 +27,19 @@ Shift = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, "n 2"]]
 def apparent_shift(
     problem: Problem, view: BoardObservation, flat_pose: Pose, flat_lens: AbstractLens
 ) -> Shift:
-    """Function from points of the drawing (mm) to their pixel shift: in this problem, minus as
-    flat.
+    """Return a function that computes the pixel shift of points on the sheet.
 
-    flat_pose, flat_lens : of the camera in front of the flat sheet. Positions near a board point
-        shift with it.
+    The shift is the pixel predicted by `problem`, with its bent board and its lens, minus the pixel
+    predicted for a flat board as drawn. The returned function takes points of the drawing, (n, 2)
+    in mm, and returns their shifts, (n, 2) in px. Each point gets the displacement of the nearest
+    board point.
+
+    Parameters
+    ----------
+    problem : solved problem.
+    view : observation; determines the camera and the shot.
+    flat_pose : pose of the camera relative to the flat sheet, for the second prediction.
+    flat_lens : lens for the second prediction.
     """
     state, parametrization = jax.tree.map(np.asarray, (problem.state, problem.parametrization))
     projection = board_projection(state, parametrization, view.camera, view.shot, view.board)

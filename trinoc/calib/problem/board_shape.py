@@ -41,7 +41,11 @@ _MOST_UPDATES = 12
 
 
 def with_board_shape(fit: RobustFit) -> RobustFit:
-    """Fit with every board point free, if the shots show displacements."""
+    """Fit again with a free 3-D displacement of every board point, if the residuals require it.
+
+    The given fit is returned unchanged if the displacements are not significant, if the new fit
+    does not converge, or if its focal lengths change too much.
+    """
     problem = fit.problem
     if len(problem.state.shape) or not _may_be_displaced(problem):
         return fit
@@ -68,9 +72,10 @@ def with_board_shape(fit: RobustFit) -> RobustFit:
 
 
 def _lenses_stay(before: Problem, after: Problem) -> bool:
-    """True if the focal lengths change little, by no more than a bent board explains.
+    """True if the focal lengths of two fits differ by less than a fixed ratio.
 
-    Images that hardly determine focal lengths let the shape change them arbitrarily.
+    If the images hardly determine the focal lengths, free displacements of the board points could
+    change the focal lengths arbitrarily.
     """
     ratio = np.asarray(after.state.lenses.focal_length_px) / np.asarray(
         before.state.lenses.focal_length_px
@@ -80,7 +85,11 @@ def _lenses_stay(before: Problem, after: Problem) -> bool:
 
 
 def _is_significant(freed: Problem) -> bool:
-    """True if free board points would reduce chi-square by more than chance."""
+    """True if free displacements of the board points reduce chi-square by more than noise would (F
+    ratio).
+
+    freed : problem with free displacements, evaluated at zero displacement.
+    """
     gain, chi_square = (
         float(part) for part in _chi_square_gain(freed.state, freed.parametrization, freed.table)
     )
@@ -97,13 +106,13 @@ def _is_significant(freed: Problem) -> bool:
 
 
 def _may_be_displaced(problem: Problem) -> bool:
-    """True if the board is uncertain and small enough."""
+    """True if the board is not assumed exact and has at most `_MOST_POINTS` board points."""
     first = problem.slices.sheets.start
     return bool(np.any(problem.free[first:])) and len(problem.target) <= _MOST_POINTS
 
 
 def _residual_mm(problem: Problem) -> float:
-    """Rms residual on the board, mm, at its distance."""
+    """Root mean square residual, converted from px to mm at the distance of the board."""
     focal_px = float(np.mean(np.asarray(problem.state.lenses.focal_length_px)))
     errors = np.concatenate(
         [each[view.rows_used] for view, each in zip(problem.views, errors_px(problem), strict=True)]
@@ -114,9 +123,11 @@ def _residual_mm(problem: Problem) -> float:
 def with_free_points(
     problem: Problem, shape_information: Float[np.ndarray, "m m"] | None = None
 ) -> Problem:
-    """Problem with free board points, starting as drawn.
+    """Problem in which each board point has a free 3-D displacement from the drawing, starting at
+    0.
 
-    shape_information : of the prior, 1/mm^2; a standard deviation of 1 mm unless given.
+    shape_information : prior information (inverse covariance) of the displacements, 1/mm^2.
+        Default: an independent standard deviation of 1 mm per coordinate.
     """
     points = len(problem.target)
     if shape_information is None:
@@ -131,7 +142,11 @@ def with_free_points(
 def _chi_square_gain(
     state: RigState, parametrization: Parametrization, table: ObservationTable
 ) -> tuple:
-    """Reduction of chi-square by free board points, to first order, and chi-square itself."""
+    """Return the predicted reduction of chi-square by free board points, and the present
+    chi-square.
+
+    The reduction is computed to first order, without a new fit.
+    """
     plain = GemanMcClure.from_scale(jnp.full(len(table.shot), jnp.inf))
     equations = PointsProblem(parametrization, table, plain).equations(state)
     gain = gauss_newton_gain(equations)
@@ -139,11 +154,14 @@ def _chi_square_gain(
 
 
 def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, ShapePrior]:
-    """Fit with the shape prior and the sigmas that its residuals show.
+    """Fit with the variances of the shape prior and the sigmas of the points estimated from the
+    residuals.
 
-    If the shots disagree by a variance factor F, the information of the prior is multiplied by F
-    against that of the residuals, because the noise that matters is that of whole shots. Otherwise
-    chance agreement of few shots would be mistaken for the board's shape.
+    Returns the fitted problem and the estimated prior.
+
+    Errors that the points of one shot share make the shots disagree by a variance factor F. The
+    prior information is then multiplied by F. Otherwise few shots that agree by chance would be
+    mistaken for the shape of the board.
     """
     factor = np.inf
     for _ in range(_MOST_UPDATES):
@@ -166,7 +184,11 @@ def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, 
 
 
 def shape_covariance(problem: Problem) -> tuple[float, Float[np.ndarray, "m m"]]:
-    """Variance factor of the shots, and posterior covariance of the shape with it, mm^2."""
+    """Variance factor of the shots, and posterior covariance of all board point displacements,
+    mm^2.
+
+    The covariance is multiplied by the variance factor.
+    """
     count, unit_mm = 3 * len(problem.target), float(problem.parametrization.unit_mm)
     information = compute_information(problem)
     factor = shot_scatter(information).variance_factor

@@ -20,10 +20,11 @@ _PRICE = 2.0
 
 
 def fix_undetermined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
-    """Fit with the determined coefficients free, and the names of the others, which are fixed at 0.
+    """Fix the lens coefficients that the observations do not determine at 0.
 
-    The dispensable coefficients of the lens model are fixed one after the other. None is fixed if
-    the remaining parameters are not determined either.
+    Returns the new fit and the names of the fixed coefficients. Coefficients are fixed one after
+    the other, in the order of the lens model's `dispensable`, until all remaining parameters are
+    determined. If that is not reached, the given fit is returned and no coefficient is fixed.
     """
     first_fit, fixed = fit, []
     lenses = fit.problem.state.lenses
@@ -42,7 +43,7 @@ def fix_undetermined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
 
 
 def free_of_lenses(problem: Problem) -> Bool[np.ndarray, "l q"]:
-    """Mask of the estimated parameters of each lens, (l, q)."""
+    """Mask of the estimated parameters, (l, q) for l lenses of q parameters."""
     return np.asarray(problem.free)[problem.slices.lenses].reshape(
         problem.parametrization.lens_shape
     ) > 0  # fmt: skip
@@ -51,9 +52,16 @@ def free_of_lenses(problem: Problem) -> Bool[np.ndarray, "l q"]:
 def fewest_coefficients(
     lens: AbstractLens, free: Sequence[str], covariance: Float[np.ndarray, "q q"]
 ) -> tuple[int, float]:
-    """Best number of coefficients, and the reduction of chi-square by the others (Wald test).
+    """Number of distortion coefficients with the best Akaike criterion.
 
-    free : names of the estimated coefficients. covariance : of all parameters of the lens.
+    Returns this number, and the increase of chi-square if all other coefficients were 0 (Wald
+    test).
+
+    Parameters
+    ----------
+    lens : fitted lens.
+    free : names of its estimated coefficients.
+    covariance : (q, q) covariance of all q parameters of the lens.
     """
     names, scores = lens.parameter_names, []
     for count in lens.coefficient_counts:

@@ -26,13 +26,13 @@ from trinoc.numerics.robust_loss import AbstractRobustLoss
 
 
 class PointsProblem(AbstractArrowProblem):
-    """Least-squares problem of board points observed by the cameras of a rig, with priors.
+    """Least-squares problem of a rig that observes board points, with priors.
 
     Attributes
     ----------
-    parametrization : units, priors, and free unknowns.
-    table : v observations.
-    loss : robust loss of each observation's points, along a first axis of its fields.
+    parametrization : units of the parameters, priors, and the mask of estimated parameters.
+    table : all v observations.
+    loss : robust loss for the points of each observation; its fields have a first axis of length v.
     """
 
     # numerical: state of about twenty shots.
@@ -43,7 +43,9 @@ class PointsProblem(AbstractArrowProblem):
     loss: AbstractRobustLoss
 
     def equations(self, state: RigState) -> ArrowEquations:
-        """Equations of all observations, weighted by the loss, with the priors."""
+        """Gauss-Newton equations at a state: all observations, weighted by the robust loss, and the
+        priors.
+        """
 
         def of_view(view: ObservationTable, loss: AbstractRobustLoss) -> tuple[Array, ...]:
             linearised = linearise(state, self.parametrization, view)
@@ -82,7 +84,9 @@ class PointsProblem(AbstractArrowProblem):
     def retract(
         self, state: RigState, head: Float[ArrayLike, "h"], blocks: Float[ArrayLike, "s 6"]
     ) -> RigState:
-        """State after a step."""
+        """State after a small change of the shared parameters (`head`) and of the board poses
+        (`blocks`).
+        """
         return retract(state, self.parametrization, head, blocks)
 
 
@@ -94,9 +98,14 @@ def sum_boards(
     block_information: Float[Array, "v m m"],
     gradient: Float[Array, "v m"],
 ) -> tuple[Float[Array, "s h 6"], Float[Array, "s 6 6"], Float[Array, "s 6"]]:
-    """Sums over each shot: coupling of board and head, information and gradient of the board.
+    """Sum the normal equations that involve the pose of the board, separately for each of s shots.
 
-    block_information, gradient : equations of each observation.
+    Returns the mixed block of shared parameters and board pose, the information of the board pose,
+    and the gradient with respect to the board pose.
+
+    columns : (v, k) indices of the shared parameters that each observation depends on.
+    block_information, gradient : normal equations of each observation: k shared parameters, then 6
+        of the board pose.
     """
     size, shot = columns.shape[1], jnp.asarray(table.shot)
     shots, heads = state.rig_from_board.shape[0], parametrization.free.shape[0]

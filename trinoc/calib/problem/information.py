@@ -21,18 +21,24 @@ from trinoc.numerics.small_matrices import inverse_positive_definite
 
 
 class Information(NamedTuple):
-    """Information of each shot on the head, with the pose of its board eliminated.
+    """Fisher information of the shots about the shared parameters of a calibration.
+
+    The h shared parameters are those of lenses, camera poses, board poses in a set, and board
+    shape, in local coordinates. The pose of the board in each of the s shots is eliminated (Schur
+    complement).
 
     Attributes
     ----------
     shot_information : (s, h, h) information of each shot, without priors.
-    gradients : (s, h) gradient of half of each shot's chi-square; with the prior's they sum to
-        zero.
-    board_by_head : (s, 6, h) derivative of each board's pose by the head.
-    board_covariance : (s, 6, 6) covariance of each board's pose for a known head.
-    free : (f,) free columns of the head.
-    prior : (f, f) prior information on lenses and board.
-    first_shape_step : first column of the board points in the head.
+    gradients : (s, h) gradient of half the chi-square of each shot. At a minimum, these gradients
+        and that of the priors sum to zero.
+    board_by_head : (s, 6, h) derivative of the board pose of each shot with respect to the shared
+        parameters.
+    board_covariance : (s, 6, 6) covariance of the board pose of each shot for exact shared
+        parameters.
+    free : (f,) indices of the estimated shared parameters.
+    prior : (f, f) information of the priors of the estimated parameters.
+    first_shape_step : index of the first shared parameter that is a displacement of a board point.
     tuning : constants of the fitted problem.
     """
 
@@ -47,11 +53,14 @@ class Information(NamedTuple):
 
     @property
     def observability(self) -> Observability:
-        """Determined directions of the free steps of the head."""
+        """Rank and covariance of all f estimated shared parameters."""
         return self.observability_of(np.ones(len(self.free), dtype=bool))
 
     def observability_of(self, rows: Bool[np.ndarray, "f"]) -> Observability:
-        """Determined directions of some of the free steps, with the others fixed."""
+        """Rank and covariance of the parameters selected by `rows`, if all others are fixed.
+
+        rows : (f,) mask of the estimated shared parameters.
+        """
         free = self.free[rows]
         information = (
             self.shot_information.sum(axis=0)[np.ix_(free, free)] + self.prior[np.ix_(rows, rows)]
@@ -62,13 +71,16 @@ class Information(NamedTuple):
         )
 
     def restrict_to(self, rows: Bool[np.ndarray, "f"]) -> "Information":
-        """Information on some of the free steps, with the others fixed."""
+        """Information about the parameters selected by `rows`, if all others are fixed.
+
+        rows : (f,) mask of the estimated shared parameters.
+        """
         prior = self.prior[np.ix_(rows, rows)]
         return self._replace(free=self.free[rows], prior=prior)
 
 
 def compute_information(problem: Problem) -> Information:
-    """Information at a problem's state."""
+    """Compute the information of all shots at the state of a problem."""
     shot_information, gradients, board_by_head, board_covariance, prior = (
         np.asarray(part)
         for part in _of_shots(problem.state, problem.parametrization, problem.table)
@@ -135,12 +147,13 @@ def _of_shots(
 
 
 class WhitenedViews(NamedTuple):
-    """Whitened residuals of all observations, and their derivatives by every step of the head.
+    """Whitened residuals of all observations and their Jacobian, as dense arrays.
 
     Attributes
     ----------
-    jacobian : (v, 2n, h) of the whitened residuals, fixed steps included.
-    residual : (v, 2n) predicted minus observed, in sigmas.
+    jacobian : (v, 2n, h) derivative of the residuals of v observations of n points with respect to
+        all h shared parameters, fixed ones included.
+    residual : (v, 2n) predicted minus observed pixel coordinates, in sigmas.
     """
 
     jacobian: Float[np.ndarray, "v m h"]
@@ -148,7 +161,7 @@ class WhitenedViews(NamedTuple):
 
 
 def whiten_views(problem: Problem) -> WhitenedViews:
-    """Whitened residuals and their dense derivatives, for problems of few observations."""
+    """Compute whitened residuals and their dense Jacobian. Only for problems of few observations."""
     columns, jacobian, residual = (
         np.asarray(part)[: len(problem.views)]
         for part in _whiten_views(problem.state, problem.parametrization, problem.table)

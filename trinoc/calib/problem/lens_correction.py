@@ -32,10 +32,10 @@ _LEAST_SIGMA_PX = 1e-3
 
 
 def with_correction(fit: RobustFit, sizes_px: Sequence[tuple[int, int]]) -> RobustFit:
-    """Fit with the lenses corrected by splines.
+    """Fit again with the polynomial lenses corrected by splines.
 
-    Points that seemed to be outliers may only have contradicted the core: all are used again,
-    except in rejected images.
+    The polynomial lens may have caused apparent outliers. The new fit therefore uses all points
+    again, except those of rejected images.
 
     sizes_px : (width, height) of the images of each lens.
     """
@@ -47,14 +47,22 @@ def with_correction(fit: RobustFit, sizes_px: Sequence[tuple[int, int]]) -> Robu
 
 
 def with_own_correction_sigmas(fit: RobustFit) -> RobustFit:
-    """Fit with the correction sigmas and the sigmas of the points that the residuals show."""
+    """Fit again, with the prior sigmas of the spline corrections and the point sigmas estimated
+    from the residuals.
+
+    A fit without splines is returned unchanged.
+    """
     if not correction_sigmas_px(fit.problem).any():
         return fit
     return finish_fit(_with_own_sigmas(fit.problem), fit.rejected_images)
 
 
 def add_splines(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Problem:
-    """Problem with splined lenses whose corrections are zero and free, without a prior."""
+    """Problem in which each lens has a spline correction. It starts at zero, and is free, without a
+    prior.
+
+    sizes_px : (width, height) of the images of each lens.
+    """
     lenses = [
         spline_lens(lens_number(problem, k), each)
         for k, each in enumerate(sizes_px[: problem.parametrization.lens_shape[0]])
@@ -63,8 +71,8 @@ def add_splines(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Proble
 
 
 def correction_sigmas_px(problem: Problem) -> Float[np.ndarray, "l"]:
-    """Prior standard deviation of each lens's correction over the image, px; 0 without a
-    correction.
+    """Prior standard deviation of the spline correction of each lens, px, (l,); 0 if a lens has
+    none.
     """
     last_information = np.asarray(problem.priors.lens_information)[:, -1, -1]
     model = type(problem.state.lenses)
@@ -83,10 +91,11 @@ class LensCorrection(NamedTuple):
 
     Attributes
     ----------
-    lens : number of the lens.
-    model : name of its core model.
-    rms_px, largest_px : root mean square and largest value of the control points.
-    sigma_px : prior standard deviation, which remains where nothing was observed.
+    lens : index of the lens.
+    model : name of the polynomial model that is corrected.
+    rms_px, largest_px : root mean square and largest absolute value of the spline's control points.
+    sigma_px : prior standard deviation of the correction. It applies where the image shows no board
+        point.
     """
 
     lens: int
@@ -97,7 +106,7 @@ class LensCorrection(NamedTuple):
 
 
 def measure_corrections(problem: Problem) -> list[LensCorrection]:
-    """Sizes of the corrections of all lenses that have one."""
+    """Size of the spline correction of each lens that has one."""
     corrections = []
     for k, sigma_px in enumerate(correction_sigmas_px(problem)):
         if sigma_px == 0.0:
@@ -111,12 +120,15 @@ def measure_corrections(problem: Problem) -> list[LensCorrection]:
 
 
 def _with_own_sigmas(problem: Problem) -> Problem:
-    """Fit with the correction sigmas of greatest evidence.
+    """Fit with the prior sigmas of the spline corrections that maximise the evidence.
 
-    The next estimate of each lens's variance is the chi-square of its control points under a prior
-    of 1 px, over the effective number of control points that the shots determine.
+    Iteration: the variance of a lens's prior is the sum of squares of its control points
+    (chi-square for a sigma of 1 px), divided by the effective number of control points that the
+    shots determine.
 
-    Source: D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4(3), 1992.
+    References
+    ----------
+    D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4(3), 1992.
     """
     for _ in range(MOST_ROUNDS):
         before = correction_sigmas_px(problem)
@@ -134,10 +146,12 @@ def _with_own_sigmas(problem: Problem) -> Problem:
 def assess_corrections(
     problem: Problem, sigma_px: Float[np.ndarray, "l"]
 ) -> tuple[Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
-    """Chi-square and effective number of control points of each lens's spline correction, (l,).
+    """Chi-square of the control points of each lens, and the number of control points determined,
+    (l,) each.
 
-    The chi-square is computed for a prior sigma of 1 px. The second result is the number of
-    control points that the shots determine, at the end of a fit with the priors `sigma_px`.
+    The chi-square is that of the control points under a prior sigma of 1 px. The number is the
+    effective number of control points that the shots determine in a fit with the prior sigmas
+    `sigma_px`.
     """
     information = compute_information(problem)
     covariance = np.nan_to_num(information.observability.covariance)
@@ -162,7 +176,7 @@ def assess_corrections(
 
 
 def _with_sigmas(problem: Problem, sigma_px: Float[np.ndarray, "l"]) -> Problem:
-    """Problem with spline priors of these sigmas; 0 for lenses that are fixed."""
+    """Problem with a spline prior of the given sigma for each lens; 0 for a lens that is fixed."""
     model = type(problem.state.lenses)
     assert issubclass(model, AbstractSplinedLens)
     inverse = np.divide(1.0, sigma_px**2, out=np.zeros_like(sigma_px), where=sigma_px > 0)
@@ -171,8 +185,10 @@ def _with_sigmas(problem: Problem, sigma_px: Float[np.ndarray, "l"]) -> Problem:
 
 
 def _first_sigmas_px(problem: Problem) -> Float[np.ndarray, "l"]:
-    """Rms residual of the polynomial fit, px, per fitted lens: initial sigma of the
-    spline prior.
+    """Initial sigma of each lens's spline prior, px: root mean square residual of the fit without
+    splines.
+
+    0 for lenses that are fixed.
     """
     count, size = problem.parametrization.lens_shape
     is_free = np.asarray(problem.free)[: count * size].reshape(count, size).any(axis=1)

@@ -39,7 +39,7 @@ _SMOOTH, _ABSORBED = 12, 6
 
 
 class CauseKind(Enum):
-    """Kinds of causes of large residuals."""
+    """Kind of cause of residuals that are larger than their sigmas."""
 
     LENS_MODEL = "lens model"
     BOARD_CHANGES = "board changes"
@@ -48,15 +48,16 @@ class CauseKind(Enum):
 
 
 class MisfitCause(NamedTuple):
-    """A pattern in the residuals.
+    """A systematic pattern in the residuals of one camera, which explains part of their size.
 
     Attributes
     ----------
     kind : kind of cause.
     camera : index of the camera with the pattern.
-    amplitude_px : root mean square length of the pattern; for a moved camera, its shift.
+    amplitude_px : root mean square length of the pattern in the image. For a moved camera: shift of
+        its image by the motion.
     noise_px : root mean square length of all residuals of the camera.
-    shot : for a moved camera, the first shot after the motion.
+    shot : for a moved camera, index of the first shot after the motion; else -1.
     """
 
     kind: CauseKind
@@ -67,7 +68,7 @@ class MisfitCause(NamedTuple):
 
 
 def find_causes(problem: Problem) -> list[MisfitCause]:
-    """Causes that explain a relevant share of the residuals, the largest first."""
+    """Find the causes that explain a relevant share of the residuals. The largest one comes first."""
     causes, poses, tuning = [], fit_image_poses(problem), problem.tuning.answer
     # Each image has its own pose, in case the cameras are not synchronised.
     errors = errors_about_image_poses_px(problem, poses)
@@ -109,10 +110,19 @@ def lens_pattern_px(
     size_px: tuple[int, int],
     named_ratio: float = TUNING.answer.named_ratio,
 ) -> float:
-    """Amplitude of the pattern that all images of one camera share, px; 0 if noise explains it.
+    """Root mean square length, px, of the residual pattern that all images of one camera have in
+    common.
 
-    The residuals are averaged over the cells of a grid, first in each image. The scatter between
-    the images is the noise of a cell's mean.
+    0 if noise explains the pattern. The image is divided into cells. Residuals are averaged in each
+    cell, first within each image, then over the images. The scatter of a cell's mean between images
+    is its noise.
+
+    Parameters
+    ----------
+    residuals : (m, 2) residuals of each image, px.
+    observed_px : (m, 2) pixels at which these residuals were observed.
+    size_px : (width, height) of the images.
+    named_ratio : F ratio below which noise explains the pattern.
     """
     cell_of = [
         np.minimum((pixels / size_px * _CELLS).clip(0), _CELLS - 1).astype(int)
@@ -144,10 +154,17 @@ def smooth_pattern_px(
     board_mm: Sequence[Float[np.ndarray, "_m 2"]],
     named_ratio: float = TUNING.answer.named_ratio,
 ) -> float:
-    """Amplitude of polynomials of second degree over the board, one per image; 0 if noise explains
-    them.
+    """Root mean square length, px, of a smooth residual pattern over the board that differs between
+    images.
 
-    Six of their twelve parameters are absorbed by the pose, and residuals do not show them.
+    In each image, u and v residuals are fitted by a polynomial of second degree in the board's X
+    and Y (12 parameters; the board pose absorbs 6 of them). 0 if noise explains the pattern.
+
+    Parameters
+    ----------
+    residuals : (m, 2) residuals of each image, px.
+    board_mm : (m, 2) positions of these points on the board.
+    named_ratio : ratio to the expectation under noise below which noise explains the pattern.
     """
     explained, unexplained, freedom, count = 0.0, 0.0, 0, 0
     for image_residuals, points in zip(residuals, board_mm, strict=True):
@@ -195,17 +212,19 @@ def _causes_of_moments(problem: Problem, poses: ImagePoses) -> list[MisfitCause]
 def change_point(
     shifts_px: Float[np.ndarray, "s 2"], moved_scatters: float = TUNING.answer.moved_scatters
 ) -> tuple[int, float] | None:
-    """First shot after a change of a camera's shifts, and the size of the change in px; None
-    without one.
+    """Find a single jump in a sequence of image shifts of one camera.
 
-    The change is a single jump that is far larger than the scatter on either side.
+    Returns the index of the first shot after the jump and the length of the jump, px. None if the
+    jump is not much larger than the scatter before and after it.
+
+    shifts_px : (s, 2) shift of the board's image in each shot, relative to the other cameras.
     """
     splits = range(_FEWEST_SHOTS, len(shifts_px) - _FEWEST_SHOTS + 1)
     if not splits:
         return None
 
     def parts(index: int) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "s 2"]]:
-        """Jump of the medians, and the deviations from the medians."""
+        """Median after a split minus median before it, and all deviations from these two medians."""
         sides = shifts_px[:index], shifts_px[index:]
         middles = [np.median(side, axis=0) for side in sides]
         return middles[1] - middles[0], np.concatenate([s - m for s, m in zip(sides, middles)])

@@ -28,12 +28,13 @@ _FEWEST_SHOTS = 4
 
 
 class UnsynchronisedImage(NamedTuple):
-    """An image with the board at another pose than in the other images of its shot.
+    """An image that shows the board at another pose than the other images of its shot.
 
     Attributes
     ----------
-    view : index of the observation.
-    excess : D over its degrees of freedom, relative to its typical value in the shots.
+    view : index of the observation in `Problem.views`.
+    excess : reduction of the shot's chi-square, per degree of freedom, if each of its images had
+        its own board pose; relative to the typical value of all shots.
     """
 
     view: int
@@ -41,10 +42,11 @@ class UnsynchronisedImage(NamedTuple):
 
 
 def find_unsynchronised_images(problem: Problem) -> list[UnsynchronisedImage]:
-    """Images to be removed from their shots, at the end of a robust fit.
+    """Find the images that were taken at another moment than the rest of their shot.
 
-    In a shot of three or more cameras, the image is removed without which the others agree best.
-    Sets of boards and shots of one camera are not tested.
+    In a shot of three or more images, the images are removed one by one whose removal makes the
+    others agree best. Sets of boards, and shots seen by one camera, are not tested. The problem is
+    one at the end of a robust fit.
     """
     images_by_shot, excess = _excesses(problem)
     excess_by_shot = {shot: excess(images) for shot, images in images_by_shot.items()}
@@ -69,9 +71,11 @@ def find_unsynchronised_images(problem: Problem) -> list[UnsynchronisedImage]:
 
 
 def typical_excess(problem: Problem) -> float:
-    """Median over the shots of D over its degrees of freedom, relative to that of noise alone.
+    """Ratio that shows whether the cameras of a rig are synchronised; 1 if they are.
 
-    1 for synchronised cameras and correct sigmas; 0 for too few shots.
+    D is the reduction of a shot's chi-square if each image had its own board pose. The ratio is the
+    median over all shots of D per degree of freedom, divided by its median under noise. It is 0 if
+    the problem has too few shots.
     """
     images_by_shot, excess = _excesses(problem)
     if len(images_by_shot) < _FEWEST_SHOTS:
@@ -80,7 +84,10 @@ def typical_excess(problem: Problem) -> float:
 
 
 def _typical(images_by_shot: dict[int, list[int]], excess_by_shot: dict[int, float]) -> float:
-    """Median of the shots' excesses, each over the median of its distribution under noise alone."""
+    """Median over all shots of a shot's excess, divided by the median of that excess under noise.
+
+    Both dictionaries have the index of the shot as key.
+    """
     ratios = []
     for shot, images in images_by_shot.items():
         freedom = POSE_SIZE * (len(images) - 1)
@@ -92,9 +99,11 @@ def _typical(images_by_shot: dict[int, list[int]], excess_by_shot: dict[int, flo
 def _excesses(
     problem: Problem,
 ) -> tuple[dict[int, list[int]], Callable[[list[int]], float]]:
-    """Images of each shot with several cameras, and a function for D over its degrees of freedom.
+    """Images of each shot with several cameras, and a function that computes the excess of images.
 
-    Empty for sets of boards.
+    The excess is the reduction of chi-square, per degree of freedom, if each image had its own
+    board pose. The function takes indices of images of one shot. The dictionary is empty for sets
+    of boards.
     """
     if len(problem.state.set_from_board):
         return {}, lambda _: 0.0
@@ -112,7 +121,9 @@ def _excesses(
 
 
 def images_of_shots(problem: Problem) -> dict[int, list[int]]:
-    """Indices of the used images, by shot."""
+    """Indices of the observations with used points, for each shot. The key is the index of the
+    shot.
+    """
     shots: dict[int, list[int]] = {}
     for k, view in enumerate(problem.views):
         if view.used.any():
@@ -123,24 +134,24 @@ def images_of_shots(problem: Problem) -> dict[int, list[int]]:
 def _pose_step(
     information: Float[np.ndarray, "*v 6 6"], gradient: Float[np.ndarray, "*v 6"]
 ) -> Float[np.ndarray, "*v 6"]:
-    """Gauss-Newton step of a pose; undetermined directions hardly move."""
+    """Gauss-Newton step of a pose from its normal equations. Undetermined directions hardly change."""
     scale = 1 / np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
     scaled = information * scale[..., :, None] * scale[..., None, :] + 1e-9 * np.eye(POSE_SIZE)
     return -scale * np.linalg.solve(scaled, (gradient * scale)[..., None])[..., 0]
 
 
 def _gain(information: Float[np.ndarray, "6 6"], gradient: Float[np.ndarray, "6"]) -> float:
-    """Decrease of chi-square by the step of a pose."""
+    """Decrease of chi-square by the Gauss-Newton step of a pose."""
     return -float(gradient @ _pose_step(information, gradient))
 
 
 def _pose_equations(
     problem: Problem,
 ) -> tuple[Float[np.ndarray, "v 6 6"], Float[np.ndarray, "v 6"]]:
-    """Information and gradient of the pose of the board in each image.
+    """Information and gradient of the board pose, from each of v images alone.
 
-    Points far from most points of their own image are outliers and have a small weight. The image
-    as a whole may lie anywhere.
+    Points far from the median residual of their own image are outliers and have a small weight. All
+    points of an image may have a large common residual.
     """
     count = len(problem.views)
     whitened = whitened_errors(problem)
@@ -169,13 +180,15 @@ def _by_view(
 
 
 class ImagePoses(NamedTuple):
-    """Poses of the board that fit each of v images alone, to first order.
+    """Board pose that fits each of v images alone, as a small change of the pose of its shot.
 
     Attributes
     ----------
-    step : (v, 6) from the pose of the shot to that of the image.
-    information : (v, 6, 6) of the step, by the present sigmas.
-    jacobian_px : (v, n, 2, 6) derivative of the points' pixels by the step.
+    step : (v, 6) change from the board pose of the shot to that of the image, in local coordinates.
+    information : (v, 6, 6) information (inverse covariance) of `step`, for the present point
+        sigmas.
+    jacobian_px : (v, n, 2, 6) derivative of the pixels of the n board points with respect to the
+        board pose.
     """
 
     step: Float[np.ndarray, "v 6"]
@@ -194,9 +207,10 @@ def fit_image_poses(problem: Problem) -> ImagePoses:
 def pose_jacobian_px(
     problem: Problem, point_mm: Sequence[Float[np.ndarray, "_n 3"]]
 ) -> Float[np.ndarray, "v n 2 6"]:
-    """Derivative of the pixels of board points by the pose of the board, for each image.
+    """Derivative of the pixels of board points with respect to the board pose of their shot, for
+    each image.
 
-    point_mm : points of each image on the board, (n, 3).
+    point_mm : (n, 3) points in each of v images, in the frame of the board.
     """
     count, table = len(problem.views), problem.table
     used = np.any(table.whitening != 0, axis=(-2, -1))
@@ -220,7 +234,10 @@ def _pose_jacobian(
 def errors_about_image_poses_px(
     problem: Problem, poses: ImagePoses
 ) -> list[Float[np.ndarray, "_m 2"]]:
-    """Residuals of each image about its own pose, without differences between moments, px."""
+    """Residuals of each image, px, if the image had its own best board pose, to first order.
+
+    They do not contain the motion of the board between the exposures of the cameras.
+    """
     return [
         errors + jacobian[: len(errors)] @ step
         for errors, jacobian, step in zip(errors_px(problem), poses.jacobian_px, poses.step)
@@ -230,10 +247,13 @@ def errors_about_image_poses_px(
 def pose_differences_px(
     problem: Problem, poses: ImagePoses
 ) -> dict[int, tuple[np.ndarray, Float[np.ndarray, "_s 2"]]]:
-    """Shots and shifts (px) of the board's image, for each camera but the first.
+    """Image shift that one camera has relative to the other cameras of the shot, for each camera
+    but the first.
 
-    A shift is the mean motion of the board points to the pose that fits this image alone, minus the
-    mean of the other cameras of the shot. It is small for synchronised cameras.
+    Returns, with the camera's index as key, the indices of its s shots and the shifts in px, (s,
+    2). Let m be the mean motion, in one image, of the board points from the board pose of the shot
+    to the pose that fits this image alone. The shift is m minus the mean of m over the other
+    cameras of the shot. It is small for synchronised cameras that did not move.
     """
     if len(problem.state.set_from_board):
         return {}
@@ -263,7 +283,11 @@ def pose_differences_px(
 
 
 def split_into_own_shots(problem: Problem, views: list[int]) -> Problem:
-    """Problem with these observations in new shots behind the others, in the given order."""
+    """Problem in which each of the given observations has a new shot of its own, so that its board
+    pose is free.
+
+    views : indices of the observations. The new shots follow the existing ones, in this order.
+    """
     boards = np.asarray(problem.state.rig_from_board)
     new_boards = boards[[problem.views[k].shot for k in views]]
     shots = problem.shots + len(views)

@@ -18,9 +18,11 @@ from trinoc.numerics.programs import kept_jit
 
 
 class World(NamedTuple):
-    """Frame of the world: that of the board in a shot, or of a camera.
+    """Reference frame of the result: the frame of the board in one shot, or the frame of one
+    camera.
 
-    One of both is given, as an array, so that another one does not compile again.
+    Exactly one field is not None: the index of the shot or of the camera. It is an array, so that
+    another index does not compile the program again.
     """
 
     shot: Int[np.ndarray, ""] | None
@@ -28,14 +30,14 @@ class World(NamedTuple):
 
 
 class NamedCovariance(NamedTuple):
-    """Parameters of a rig in a world, in degrees, mm and px.
+    """Values and covariance of the public parameters of a rig, in degrees, mm and px.
 
     Attributes
     ----------
-    names : "upper.pan_deg", ..., "upper.fx_px", ..., "board.scale_x", ...; for sets
+    names : "upper.pan_deg", ..., "upper.fx_px", ..., "board.scale_x", ... For a set of boards:
         "board.NAME.turn_x_deg", ..., and "board.NAME.scale_x", ...
-    values : (p,) values.
-    covariance : (p, p) covariance.
+    values : (p,) values of the parameters.
+    covariance : (p, p) covariance of the parameters.
     """
 
     names: tuple[str, ...]
@@ -51,12 +53,21 @@ def named_covariance(
     cameras: tuple[str, ...],
     world: World,
 ) -> NamedCovariance:
-    """Public parameters with the covariance of the head and of the world's board.
+    """Propagate the covariance of a fit to the public parameters, in degrees, mm and px.
 
-    variance_factor : of the board's covariance; that of the head already contains it.
+    If the world is the board of a shot and all cameras look at its plane Z = 0, poses are given as
+    pan, tilt, swing, distance and aim. Otherwise poses are rigid motions relative to the estimated
+    ones.
 
-    Poses are pan, tilt, swing, distance and aim if all cameras look at the plane Z = 0. Otherwise
-    they are rigid motions about their values.
+    Parameters
+    ----------
+    problem : problem at its solution.
+    information : information of the shots at the solution.
+    head_covariance : (f, f) covariance of the estimated shared parameters (lenses, cameras, board
+        shape).
+    variance_factor : factor of the board pose covariance. `head_covariance` already contains it.
+    cameras : names of the cameras.
+    world : reference frame of the poses.
     """
     _, over_sheet = poses_in_world(problem.state, world)
     is_over_sheet = world.shot is not None and np.isfinite(over_sheet).all()
@@ -98,9 +109,10 @@ def _poses_in_world(state: RigState, world: World) -> Float[ArrayLike, "c 3 4"]:
 def poses_in_world(
     state: RigState, world: World
 ) -> tuple[Float[ArrayLike, "c 3 4"], Float[ArrayLike, "c 6"]]:
-    """Poses cam_from_world (c, 3, 4) of all cameras, and their parameters over the sheet (c, 6).
+    """Poses cam_from_world of all c cameras, (c, 3, 4), and their parameters, (c, 6).
 
-    The parameters are NaN for a camera that does not look at the sheet.
+    The parameters are pan, tilt, swing (rad), distance and aim (mm); NaN for a camera that does not
+    look at the sheet.
     """
     poses = _poses_in_world(state, world)
     return poses, jax.vmap(lambda pose: Pose(pose).parameters)(poses)
@@ -109,9 +121,10 @@ def poses_in_world(
 def undetermined_rows(
     problem: Problem, information: Information, names: tuple[str, ...], world: World
 ) -> np.ndarray:
-    """Mask of the named parameters that an undetermined direction changes, (p,).
+    """Mask, (p,), of the public parameters that the observations do not determine.
 
-    The pose of the camera that is the world is exact.
+    names : names of the p parameters. The pose of a camera that is itself the world is always
+        determined.
     """
     parametrization, slices = problem.parametrization, problem.slices
     head_undetermined = np.zeros(len(parametrization.free), dtype=bool)
@@ -135,7 +148,11 @@ def undetermined_rows(
 def _parameters(
     state: RigState, parametrization: Parametrization, world: World, *, model: PoseModel
 ) -> tuple[Array, Array, Array]:
-    """Values of all named parameters, and their derivatives by a step of head and boards."""
+    """Values of the p public parameters, and their Jacobians.
+
+    The Jacobians are those with respect to the shared parameters, (p, h), and to the board poses of
+    the shots, (p, s, 6).
+    """
     start = _poses_in_world(state, world)
 
     def values(head: Array, boards: Array) -> Array:

@@ -21,14 +21,17 @@ _LEAST_LEFT = 0.02
 
 
 class FitOutcome(NamedTuple):
-    """Status and covariance at the end of a fit.
+    """Status and covariance of a finished fit.
 
     Attributes
     ----------
     status : how the fit ended.
-    information : information of the shots.
-    covariance : (f, f) of the free steps of the head; 0 for undetermined directions.
-    variance_factor : variance factor of the shots' noise, which the covariance contains.
+    information : information of the shots about the shared parameters (lenses, cameras, board
+        shape).
+    covariance : (f, f) covariance of the f estimated shared parameters; 0 in undetermined
+        directions. It contains `variance_factor`.
+    variance_factor : variance of the noise that the shots show, relative to that of the point
+        sigmas; 1 unless significantly larger.
     """
 
     status: Status
@@ -38,7 +41,7 @@ class FitOutcome(NamedTuple):
 
 
 def assess_fit(fit: RobustFit) -> FitOutcome:
-    """Outcome of a fit; its covariance is enlarged if the shots disagree."""
+    """Determine status and covariance of a fit. The covariance is enlarged if the shots disagree."""
     information = compute_information(fit.problem)
     if fit.lenses_fixed:
         information = with_gradients_after_step(information)
@@ -56,9 +59,11 @@ def assess_fit(fit: RobustFit) -> FitOutcome:
 
 
 def with_gradients_after_step(information: Information) -> Information:
-    """Information with the gradients, to first order, after a fit of all free steps.
+    """Information whose gradients are, to first order, those after a fit of all estimated
+    parameters.
 
-    If parameters were fixed, the gradients do not sum to zero. Their common part is no scatter.
+    In a fit with some parameters fixed, the gradients of the shots do not sum to zero. Their sum
+    shows the offset of the fixed parameters, not the scatter of the shots.
     """
     free = information.free
     covariance = np.nan_to_num(information.observability.covariance)
@@ -68,9 +73,10 @@ def with_gradients_after_step(information: Information) -> Information:
 
 
 def exact_prior_information(information: Information) -> Float[np.ndarray, "f f"]:
-    """Prior information without that on the board's shape.
+    """Information of the priors without that of the board point displacements, (f, f).
 
-    The prior of the shape was estimated from residuals and is enlarged with them.
+    The prior of the displacements was estimated from the residuals. It is therefore enlarged with
+    their variance factor.
     """
     is_exact = information.free < information.first_shape_step
     return information.prior * np.outer(is_exact, is_exact)
@@ -82,17 +88,20 @@ def blend_with_jackknife(
     information: Information,
     factor: float,
 ) -> Float[np.ndarray, "f f"]:
-    """Covariance of a fit whose shots disagree, by the disagreement in each direction.
+    """Covariance of a fit whose shots disagree: weighted mean of two estimates.
 
-    A factor F enlarges all sigmas equally. But a board that bends differently in every shot, for
-    instance, moves focal lengths more than poses. The jackknife over shots J shows each direction
-    separately, but with noise, since shots are few; it is singular for fewer shots S than
-    parameters p of lenses and cameras. As in Bayes' theorem with an inverse Wishart prior, both are
-    weighted by their degrees of freedom:
+    The first estimate is F C: covariance C times variance factor F. F is the same in all
+    directions. In reality, a board that bends differently in every shot, for instance, changes
+    focal lengths more than poses. The second estimate is the jackknife over the shots, J. It shows
+    each direction separately, but is noisy for few shots. J is singular if the number of shots S is
+    below the number p of lens and camera parameters. The weights are degrees of freedom, as in
+    Bayes' theorem with an inverse Wishart prior:
 
         (p F C + (S - 1) J) / (p + S - 1)
 
-    enlarged : F C, except for the prior. covariance : C.
+    enlarged : (f, f) F C, in which the exact priors are not enlarged.
+    covariance : (f, f) C.
+    factor : F.
     """
     parameters = int(np.sum(information.free < information.first_shape_step))
     shots = int(np.sum(np.any(information.gradients != 0, axis=1)))
@@ -106,15 +115,20 @@ def blend_with_jackknife(
 def jackknife_covariance(
     covariance: Float[np.ndarray, "f f"], information: Information, factor: float
 ) -> Float[np.ndarray, "f f"]:
-    """Covariance of a fit by the changes d_s of the solution without one shot s.
+    """Jackknife covariance of a fit: scatter of the solutions that omit one shot each.
+
+    d_s is the change of the solution without shot s:
 
         (S - 1) / S sum_s d_s d_s^T + C P C,    d_s = (H - H_s)^-1 g_s
 
-    H is the information of everything, H_s and g_s are information and gradient of one shot. P is
-    the prior information; the noise of its part on the board's shape is multiplied by `factor`.
+    H is the total information, H_s and g_s are the information and gradient of shot s, S is the
+    number of shots and C is `covariance`. P is the information of the priors; its part for board
+    point displacements is multiplied by `factor`.
 
-    Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with
-    multi-stage samples" (2002), estimator CR3.
+    References
+    ----------
+    Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage
+    samples" (2002), estimator CR3.
     """
     free, prior = information.free, information.prior
     used = np.flatnonzero(np.any(information.gradients != 0, axis=1))
@@ -136,11 +150,15 @@ def jackknife_covariance(
 
 
 class ShotScatter(NamedTuple):
-    """Scatter of the shots' gradients.
+    """Scatter of the chi-square gradients of the shots, compared with its expectation.
 
-    factor : variance of the gradients over that expected from the sigmas of the board points.
-    sigma : standard deviation of the factor for a true value of 1.
-    largest_sigmas : deviation from 1, in sigmas, above which the shots contradict a factor of 1.
+    Attributes
+    ----------
+    factor : observed variance of the gradients, divided by the variance expected from the point
+        sigmas.
+    sigma : standard deviation of `factor` if its true value is 1.
+    largest_sigmas : deviation of `factor` from 1, in units of `sigma`, above which it is
+        significant.
     """
 
     factor: float
@@ -149,22 +167,26 @@ class ShotScatter(NamedTuple):
 
     @property
     def variance_factor(self) -> float:
-        """Factor of the covariance: `factor` if the shots contradict 1, else 1."""
+        """Factor by which to multiply a covariance: `factor` if it is significantly above 1, else
+        1.
+        """
         return self.factor if self.factor > 1.0 + self.largest_sigmas * self.sigma else 1.0
 
 
 def shot_scatter(
     information: Information, fixed: Bool[np.ndarray, "f"] | None = None
 ) -> ShotScatter:
-    """Variance factor of the shots, with the board's shape fixed.
+    """Test whether the shots scatter more than the point sigmas explain.
 
-    Free board points would follow the noise of each point and hide the scatter of lenses and
-    cameras.
+    Let g_s and H_s be the gradient and information of shot s, and H the total information:
 
-    fixed : (f,) mask of `information.free` that the fit fixed. The gradients are those
-        after the step that frees them.
+        E(sum_s g_s^T H^-1 g_s) = sum_s tr(H^-1 H_s) - sum_s tr((H^-1 H_s)^2)
 
-    sum_s g_s^T H^-1 g_s has the expectation sum_s tr H^-1 H_s - sum_s tr (H^-1 H_s)^2.
+    The displacements of the board points are fixed in this test. They would follow the noise of
+    each point and hide the scatter of lenses and cameras.
+
+    fixed : (f,) mask of the parameters that the fit fixed. The gradients are then computed for the
+        solution in which these parameters are free, to first order.
     """
     is_rig = information.free < information.first_shape_step
     free, shot_information = information.free[is_rig], information.shot_information
@@ -191,7 +213,10 @@ def shot_scatter(
 def enlarge_covariance(
     covariance: Float[np.ndarray, "f f"], factor: float, prior: Float[np.ndarray, "f f"]
 ) -> Float[np.ndarray, "f f"]:
-    """Covariance of a fit with `factor` times the noise variance and an unchanged prior
-    information.
+    """Covariance, (f, f), after the noise variance was multiplied by `factor`, with unchanged
+    priors.
+
+    covariance : (f, f) covariance for a factor of 1.
+    prior : (f, f) information of the priors.
     """
     return factor * covariance - (factor - 1.0) * covariance @ prior @ covariance

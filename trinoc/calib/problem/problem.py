@@ -24,18 +24,19 @@ _INDEPENDENT_SHARE = 1e-6
 
 
 class Problem(NamedTuple):
-    """All inputs of a fit, or its solution.
+    """Calibration problem: all inputs of a fit. After the fit, `state` is the solution.
 
     Attributes
     ----------
-    views : observations of the board.
+    views : observations of the board, one for each camera and shot.
     target : the board.
-    state : unknowns at the start or at the end of a fit.
-    parametrization : units, priors, and free unknowns.
-    shots : number of shots; arrays have more rows.
-    sigma_factor : (c,) factor of the board points' sigmas, for each camera.
+    state : values of all unknowns, before or after the fit.
+    parametrization : units of the parameters, priors, and the mask of estimated parameters.
+    shots : number of shots. Arrays with an axis of shots are padded and may be longer.
+    sigma_factor : (c,) factor by which the point sigmas of each camera are multiplied.
     shape_dof : effective number of board-shape parameters determined by the residuals.
-    lens_dof : effective number of parameters of lenses with a prior determined by the residuals.
+    lens_dof : effective number of lens parameters determined by the residuals, of lenses with a
+        prior.
     tuning : constants of the method for every step of the fit.
     """
 
@@ -51,12 +52,17 @@ class Problem(NamedTuple):
 
     @property
     def slices(self) -> HeadSlices:
-        """Index range of each kind of unknown in the head (the unknowns that shots share)."""
+        """Index range of each kind of unknown in the vector of shared parameters.
+
+        Shared parameters are those of lenses, camera poses, board poses in a set, and board shape.
+        """
         return self.parametrization.slices
 
     @property
     def free(self) -> Float[ArrayLike, "h"]:
-        """1 for free steps of the head, 0 for fixed ones."""
+        """Mask of the h shared parameters (lenses, cameras, board shape): 1 if estimated, 0 if
+        fixed.
+        """
         return self.parametrization.free
 
     @property
@@ -71,12 +77,14 @@ class Problem(NamedTuple):
 
     @property
     def image_sizes_px(self) -> dict[int, tuple[int, int]]:
-        """(width, height) of each camera's images."""
+        """(width, height) of each camera's images; the key is the index of the camera."""
         return {view.camera: view.detection.image_size_px for view in self.views}
 
     @property
     def table(self) -> ObservationTable:
-        """Observations as arrays, whitened by sigmas times their factors."""
+        """Observations as padded arrays. Residuals are whitened by point sigmas times all sigma
+        factors.
+        """
         table = observation_table(self.views, self.target)
         factor = self.sigma_factor[np.asarray(table.camera)]
         factor[: len(self.views)] *= [view.sigma_ratio for view in self.views]
@@ -89,8 +97,10 @@ class SolvedProblem(NamedTuple):
     Attributes
     ----------
     problem : the problem at its solution.
-    covariance : (f, f) covariance of the free steps of the head.
-    variance_factor : variance factor of the shots' noise, which the covariance contains.
+    covariance : (f, f) covariance of the f estimated shared parameters (lenses, cameras, board
+        shape).
+    variance_factor : variance of the noise that the shots show, relative to that of the point
+        sigmas. The covariance contains it.
     """
 
     problem: Problem
@@ -99,7 +109,7 @@ class SolvedProblem(NamedTuple):
 
 
 def cam_from_board(state: RigState, view: BoardObservation) -> Pose:
-    """Pose of an observed board in the frame of its camera."""
+    """Pose of the board of one observation in the frame of the observing camera."""
     pose = Pose(np.asarray(state.cam_from_rig)[view.camera])
     pose @= Pose(np.asarray(state.rig_from_board)[view.shot])
     return (
@@ -110,17 +120,17 @@ def cam_from_board(state: RigState, view: BoardObservation) -> Pose:
 
 
 def lens_number(problem: Problem, number: int) -> AbstractLens:
-    """One of the stacked lenses of the state."""
+    """Lens with index `number` of the problem's state."""
     return jax.tree.map(lambda leaf: np.asarray(leaf)[number], problem.state.lenses)
 
 
 class FreeLensParameters(NamedTuple):
-    """Lens of each camera, and the estimated parameters of each lens.
+    """Assignment of lenses to cameras, and the estimated parameters of each lens.
 
     Attributes
     ----------
     lens_of_camera : (c,) index of each camera's lens.
-    free : (l, q) mask of the estimated parameters.
+    free : (l, q) mask of the estimated parameters of l lenses with q parameters each.
     """
 
     lens_of_camera: np.ndarray
@@ -128,10 +138,13 @@ class FreeLensParameters(NamedTuple):
 
 
 def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
-    """Problem with these parameters of the lenses free, and fixed coefficients at 0.
+    """Problem in which exactly the masked lens parameters are estimated.
 
-    Fixed coefficients keep their values in a lens that is fixed as a whole, in a lens with a
-    covariance, and if the model never fits them.
+    Distortion coefficients that are not estimated are set to 0. They keep their values in three
+    cases: all parameters of the lens are fixed, the lens has a prior, or the model never estimates
+    the coefficient.
+
+    free : (l, q) mask of the estimated parameters of l lenses.
     """
     head = np.array(problem.free)
     head[problem.slices.lenses] = free.astype(float).ravel()
@@ -149,7 +162,7 @@ def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
 
 
 def with_fixed_aspect(problem: Problem) -> Problem:
-    """Problem in which fx and fy of each fitted lens change in proportion."""
+    """Problem in which the ratio fx / fy of every estimated lens is fixed at its present value."""
     fx, fy = AFFINE_PARAMETERS.index("fx_px"), AFFINE_PARAMETERS.index("fy_px")
     free = np.array(problem.free)
     lens_free = free[problem.slices.lenses].reshape(problem.parametrization.lens_shape)
@@ -162,8 +175,9 @@ def with_fixed_aspect(problem: Problem) -> Problem:
 
 
 def has_lens_prior(priors: Priors) -> Bool[np.ndarray, "l"]:
-    """Mask of the lenses with a prior from a covariance, (l,). Priors of splines have a
-    mean of 0.
+    """Mask, (l,), of the lenses whose prior comes from a given covariance.
+
+    The priors of spline corrections do not count; their mean is 0.
     """
     means_and_information = zip(
         np.asarray(priors.lens_mean), np.asarray(priors.lens_information), strict=True
@@ -174,17 +188,20 @@ def has_lens_prior(priors: Priors) -> Bool[np.ndarray, "l"]:
 
 
 def with_priors(problem: Problem, **values: ArrayLike) -> Problem:
-    """Problem with other values of fields of `Priors`."""
+    """Problem in which some fields of its `Priors` are replaced. values : new arrays, by field
+    name.
+    """
     priors = dataclasses.replace(problem.priors, **values)
     parametrization = dataclasses.replace(problem.parametrization, priors=priors)
     return problem._replace(parametrization=parametrization)
 
 
 def with_lens_prior(problem: Problem, number: int, factor: Float[np.ndarray, "k r"]) -> Problem:
-    """Problem with a Gaussian prior of one lens around its present value.
+    """Problem with a Gaussian prior of one lens. The prior mean is the present value of the lens.
 
-    factor : L of the covariance L L^T of its first k parameters. Parameters without variance are
-        fixed.
+    number : index of the lens.
+    factor : (k, r) factor L of the covariance L L^T of the first k lens parameters. A parameter of
+        variance 0 is fixed.
     """
     covariance = factor @ factor.T
     rows = np.flatnonzero(np.diag(covariance) > 0)
@@ -209,10 +226,13 @@ def with_lens_prior(problem: Problem, number: int, factor: Float[np.ndarray, "k 
 def with_wider_lenses(
     problem: Problem, lenses: Sequence[AbstractLens], image_sizes_px: Sequence[tuple[int, int]]
 ) -> Problem:
-    """Problem with lenses of a model whose parameters begin with the present ones.
+    """Problem with lenses of a more general model, whose first parameters are the present ones.
 
-    The additional parameters are free and without a prior, except in lenses that are fixed as a
-    whole.
+    The additional parameters are estimated without a prior. If all parameters of a lens are fixed,
+    its additional ones are fixed, too.
+
+    lenses : lenses of the more general model.
+    image_sizes_px : (width, height) of the images of each lens.
     """
     count, size = problem.parametrization.lens_shape
     added_count = len(lenses[0].parameter_names) - size
@@ -249,24 +269,28 @@ def with_fixed_sheet(problem: Problem) -> Problem:
 
 
 def with_fixed_head(problem: Problem) -> Problem:
-    """Problem with lenses, cameras and board fixed; only the pose of the board in each shot is
-    free.
+    """Problem in which only the board pose of each shot is estimated.
+
+    Lenses, camera poses and board shape are fixed.
     """
     return with_free_head(problem, np.zeros(len(problem.free)))
 
 
 def with_free_head(problem: Problem, free: Float[np.ndarray, "h"]) -> Problem:
-    """Problem with other free steps of the head. free : (h,) 1 if free, else 0."""
+    """Problem with another mask of estimated shared parameters (lenses, cameras, board shape).
+
+    free : (h,) 1 for an estimated parameter, 0 for a fixed one.
+    """
     parametrization = dataclasses.replace(problem.parametrization, free=free)
     return problem._replace(parametrization=parametrization)
 
 
 def basis_of_scales(scale: Float[np.ndarray, "l q"]) -> Float[np.ndarray, "l q q"]:
-    """`Parametrization.lens_basis` with one step for each parameter, (l, q, q)."""
+    """Diagonal `Parametrization.lens_basis`, (l, q, q), from the scale of each lens parameter."""
     return scale[:, :, None] * np.eye(scale.shape[1])[None]
 
 
 def stack_problem_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:
-    """Lenses of one model along a first axis, in double precision."""
+    """Stack lenses of one model along a new first axis, in double precision."""
     plain = partial(jax.tree.map, partial(np.asarray, dtype=np.float64))
     return stack_lenses([plain(lens) for lens in lenses])

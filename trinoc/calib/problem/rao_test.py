@@ -22,15 +22,16 @@ Group = TypeVar("Group")
 
 
 class RaoTest(NamedTuple):
-    """Score test of fixed parameters: the effect of freeing them, computed without a new fit.
+    """Rao's score test of fixed parameters: the predicted effect of estimating them, without a new
+    fit.
 
     Attributes
     ----------
-    chi_square : reduction of the residuals' chi-square if the parameters were free.
-    freedom : number of directions of the parameters that the residuals determine.
-    step : (k,) change of the parameters if they were free.
-    covariance : (k, k) covariance of `step` if the residuals have a variance of 1; zero in
-        undetermined directions.
+    chi_square : predicted reduction of the residuals' chi-square if the parameters were estimated.
+    freedom : number of directions of these parameters that the residuals determine.
+    step : (k,) predicted change of the k parameters.
+    covariance : (k, k) covariance of `step` for residuals of variance 1; 0 in undetermined
+        directions.
     """
 
     chi_square: float
@@ -40,26 +41,32 @@ class RaoTest(NamedTuple):
 
     @property
     def p_value(self) -> float:
-        """Probability of such a reduction by noise; uniformly distributed if the fixed values are
-        right.
+        """Probability that noise of variance 1 reduces chi-square at least as much.
+
+        It is uniformly distributed if the fixed values are right.
         """
         return float(chi_square_tail(self.chi_square, self.freedom)) if self.freedom else 1.0
 
     def with_noise(self, variance: float) -> "RaoTest":
-        """Test for residuals with this noise variance, in squared sigmas."""
+        """The same test for residuals whose noise has this variance, in squared point sigmas."""
         return self._replace(
             chi_square=self.chi_square / variance, covariance=variance * self.covariance
         )
 
     def noise_variance(self, squared: float, freedom: float) -> float:
-        """Variance of the residuals if the fixed parameters were free.
+        """Variance of the residuals after the predicted reduction of chi-square.
 
-        squared, freedom : sum of the squared residuals of the fit, and its degrees of freedom.
+        squared : sum of the squared residuals of the fit.
+        freedom : degrees of freedom of that sum.
         """
         return max(squared - self.chi_square, 1e-12 * squared) / (freedom - self.freedom)
 
     def f_test_p_value(self, squared: float, freedom: float) -> float:
-        """`p_value` with the noise variance estimated from the residuals (F test)."""
+        """p-value of an F test, in which the noise variance is estimated from the residuals.
+
+        squared : sum of the squared residuals of the fit.
+        freedom : degrees of freedom of that sum.
+        """
         if not self.freedom or freedom - self.freedom < 1:
             return 1.0
         return self.p_value_with_noise(
@@ -67,18 +74,24 @@ class RaoTest(NamedTuple):
         )
 
     def p_value_with_noise(self, variance: float, freedom: float) -> float:
-        """`p_value` with a noise variance that was estimated with so many degrees of freedom."""
+        """p-value of an F test for a given estimate of the noise variance.
+
+        freedom : degrees of freedom of that estimate.
+        """
         ratio = self.chi_square / max(self.freedom, 1) / variance
         return float(scipy.special.fdtrc(self.freedom, freedom, ratio)) if self.freedom else 1.0
 
 
 def detectable_sigmas(chance: float, freedom: int, power: float = TUNING.answer.power) -> float:
-    """Size of an error, in sigmas, that a test detects with this power.
+    """Size of an error, in sigmas, that a chi-square test detects with probability `power`.
 
     chance : significance level of the test.
+    freedom : degrees of freedom of the test.
 
+    References
+    ----------
     W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic Commission,
-    1968, by the noncentral chi-square distribution.
+    1968 (noncentral chi-square distribution).
     """
     limit = scipy.special.chdtri(freedom, chance)
     return float(np.sqrt(scipy.special.chndtrinc(limit, freedom, 1.0 - power)))
@@ -89,10 +102,15 @@ def score_test(
     gradient: Float[np.ndarray, "k"],
     total_information: Float[np.ndarray, "k"],
 ) -> RaoTest:
-    """Score test from information and gradient with the fitted parameters eliminated.
+    """Score test of k fixed parameters from their normal equations.
 
-    information : (k, k) on the fixed parameters. gradient : (k,) of half of chi-square.
-        total_information : (k,) on each parameter without the elimination; sets the scale.
+    Parameters
+    ----------
+    information : (k, k) information about the fixed parameters, with the estimated parameters
+        eliminated.
+    gradient : (k,) gradient of half of chi-square, with the estimated parameters eliminated.
+    total_information : (k,) diagonal of the information without the elimination. It scales the
+        parameters, so that rounding errors are recognised.
     """
     scale = np.sqrt(np.maximum(total_information, 1e-300))
     shares, directions = np.linalg.eigh(information / np.outer(scale, scale))
@@ -108,15 +126,16 @@ def score_test(
 
 
 class FixedScore(NamedTuple):
-    """Score of all fixed parameters of a fit, with the fitted parameters eliminated.
+    """Normal equations of the k fixed parameters of a fit, with the estimated parameters
+    eliminated.
 
     Attributes
     ----------
-    information : (k, k) information on the fixed parameters.
-    gradient : (k,) gradient of half of chi-square.
-    total_information : (k,) information on each parameter without the elimination.
-    squared, freedom : sum of the squared residuals, and its degrees of freedom.
-    are_exact : whether the residuals are rounding errors, which contradict nothing.
+    information : (k, k) information about the fixed parameters.
+    gradient : (k,) gradient of half of chi-square with respect to the fixed parameters.
+    total_information : (k,) diagonal of the information without the elimination.
+    squared, freedom : sum of the squared residuals of the fit, and its degrees of freedom.
+    are_exact : whether the residuals are only rounding errors. No test is then significant.
     """
 
     information: Float[np.ndarray, "k k"]
@@ -127,34 +146,39 @@ class FixedScore(NamedTuple):
     are_exact: bool
 
     def test(self, columns: Sequence[int]) -> RaoTest:
-        """Score test of some of the parameters. columns : their indices."""
+        """Score test of the fixed parameters with these indices, the others remaining fixed."""
         rows = np.asarray(columns)
         return score_test(
             self.information[np.ix_(rows, rows)], self.gradient[rows], self.total_information[rows]
         )
 
     def p_value(self, test: RaoTest) -> float:
-        """Probability of a test's reduction by noise, with the noise of the residuals."""
+        """p-value of a test from `test` (F test, with the noise variance of the residuals)."""
         return 1.0 if self.are_exact else test.f_test_p_value(self.squared, self.freedom)
 
     def noise_variance(self, test: RaoTest) -> float:
-        """Variance of the residuals if the tested parameters were free."""
+        """Variance of the residuals if the tested parameters were estimated."""
         return test.noise_variance(self.squared, self.freedom)
 
     def rank(self, test: RaoTest) -> tuple[float, float]:
-        """Sort key of tests; the most significant test has the smallest key.
+        """Sort key of a test; the most significant test has the smallest key.
 
-        The key is the p-value, then the negative reduction per direction, for p-values that
-        underflow.
+        The key is the p-value. If p-values are equal, for instance 0 by underflow, the negative
+        reduction of chi-square per direction decides.
         """
         return self.p_value(test), -test.chi_square / max(test.freedom, 1)
 
     def strongest(self, groups: Mapping[Group, Sequence[int]]) -> Group | None:
-        """Group of parameters with the most significant test. groups : columns of each."""
+        """Key of the parameter group with the most significant test; None without a group.
+
+        groups : indices of the fixed parameters of each group.
+        """
         return min(groups, key=lambda group: self.rank(self.test(groups[group])), default=None)
 
     def with_freed(self, columns: Sequence[int]) -> "FixedScore":
-        """Score after these parameters were freed, to first order."""
+        """Normal equations after the parameters with these indices were estimated, too, to first
+        order.
+        """
         test = self.test(columns)
         return self._replace(
             information=self.information
@@ -166,9 +190,11 @@ class FixedScore(NamedTuple):
 
 
 def is_refuted(p_value: float, tests: int, limit: float = TUNING.answer.chance) -> bool:
-    """True if a score test is significant after the Bonferroni correction.
+    """True if the most significant of several tests is significant (Bonferroni correction).
 
-    p_value : of the most significant test. tests : their number. limit : largest p-value of all.
+    p_value : smallest p-value.
+    tests : number of tests.
+    limit : significance level of all tests together.
     """
     return p_value * tests < limit
 
@@ -176,11 +202,12 @@ def is_refuted(p_value: float, tests: int, limit: float = TUNING.answer.chance) 
 def score_of_fixed(
     information: Information, fixed: Bool[np.ndarray, "f"]
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Score of fixed parameters as (information, gradient, total_information) of `FixedScore`.
+    """Information, gradient and total information of fixed parameters, as in `FixedScore`.
 
-    fixed : (f,) mask of `information.free` that was fixed.
+    The prior of the board is excluded, so that a test is valid for any board.
 
-    The prior on the board is excluded: a test then holds for any board.
+    information : information of the shots, with the tested parameters among the `information.free`.
+    fixed : (f,) mask of `information.free` that is tested; the others are eliminated.
     """
     rows = information.free
     total = information.shot_information.sum(axis=0)[np.ix_(rows, rows)]
@@ -206,10 +233,16 @@ def score_of_residuals(
     root: Float[np.ndarray, "f f"],
     freedom: float,
 ) -> FixedScore:
-    """Score of fixed unknowns from residuals in sigmas with `freedom` degrees of freedom.
+    """Normal equations of k fixed unknowns, from residuals and Jacobians.
 
-    extra, base : derivatives of the residuals by the fixed and by the fitted unknowns.
-    root : R of the information R^T R on the fitted unknowns, with priors and other images.
+    Parameters
+    ----------
+    extra : (n, k) derivative of the residuals with respect to the fixed unknowns.
+    residual : (n,) residuals of the fit, in sigmas.
+    base : (n, f) derivative of the residuals with respect to the f estimated unknowns.
+    root : (f, f) R of the information R^T R about the estimated unknowns. It includes priors and
+        other images.
+    freedom : degrees of freedom of the residuals.
     """
     fitted = scipy.linalg.solve_triangular(root, base.T @ extra, trans=1)
     return FixedScore(
@@ -223,12 +256,9 @@ def score_of_residuals(
 
 
 def rao_test(information: Information, tested: Bool[np.ndarray, "f"]) -> RaoTest:
-    """Score test of some of the free parameters, as if they had been fixed and the others fitted.
+    """Score test of some parameters, as if they had been fixed and all others estimated.
 
     tested : (f,) mask of `information.free` that is tested.
-
-    The effect of the others is eliminated from gradient and covariance. For k parameters, fewer
-    than k directions may remain.
     """
     return score_test(*score_of_fixed(information, tested))
 
@@ -236,11 +266,12 @@ def rao_test(information: Information, tested: Bool[np.ndarray, "f"]) -> RaoTest
 def rational_lens_test(
     problem: Problem, image_sizes_px: Sequence[tuple[int, int]], variance_factor: float
 ) -> RaoTest:
-    """Score test of the rational lens at the end of a fit of Brown and Conrady's lens.
+    """Score test of the coefficients k4, k5, k6 of the rational lens model, which a fit fixed at 0.
 
-    The latter is the rational lens with k4 = k5 = k6 = 0.
-
+    problem : problem at the end of a fit of the Brown-Conrady model. That model is the rational
+        model with k4 = k5 = k6 = 0.
     image_sizes_px : (width, height) of the images of each lens.
+    variance_factor : noise variance of the residuals, in squared point sigmas.
     """
     model, count = lens_model("rational"), problem.parametrization.lens_shape[0]
     lenses = [widen_lens(lens_number(problem, k), model) for k in range(count)]
@@ -250,10 +281,12 @@ def rational_lens_test(
 
 
 def wider_lens_test(problem: Problem, wider: Problem, variance_factor: float) -> RaoTest:
-    """Score test of the additional lens parameters of `wider`, which has them fixed at their
-    default.
+    """Score test of the lens parameters that a more general lens model adds.
 
-    wider : the same problem `with_wider_lenses`.
+    problem : problem at the end of a fit.
+    wider : the same problem after `with_wider_lenses`; the additional parameters have default
+        values.
+    variance_factor : noise variance of the residuals, in squared point sigmas.
     """
     information = compute_information(wider)
     _, size = problem.parametrization.lens_shape

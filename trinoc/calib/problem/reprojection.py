@@ -26,14 +26,15 @@ from trinoc.numerics.robust_loss import AbstractRobustLoss
 
 
 class BoardProjection(eqx.Module):
-    """One camera and the board in front of it, at some state.
+    """Lens, poses and board shape that determine the pixels of one observation.
 
     Attributes
     ----------
     lens : lens of the camera.
-    cam_from_rig, rig_from_board : poses of camera and board.
+    cam_from_rig : pose of the camera.
+    rig_from_board : pose of the board; for a set of boards, pose of the set.
     set_from_board : pose of the board in its set; None for a single board.
-    shape : (w,) parameters of the board's sheet.
+    shape : (w,) print and bend parameters of the board (`AbstractSheet`).
     """
 
     lens: AbstractLens
@@ -45,10 +46,10 @@ class BoardProjection(eqx.Module):
     def retract(
         self, parametrization: Parametrization, step: Float[ArrayLike, "k"]
     ) -> "BoardProjection":
-        """Camera and board after a step.
+        """Projection after a small change of its parameters.
 
-        step : (k,) of the lens, the camera, the board in its set, the sheet, and the board in the
-            shot.
+        step : (k,) change, in this order: lens, camera pose, board pose in its set, print and bend,
+            board pose in the shot.
         """
         terms, unit = len(parametrization.sheet_model.names), parametrization.unit_mm
         poses = [POSE_SIZE] * (2 if self.set_from_board is None else 3)
@@ -73,7 +74,10 @@ class BoardProjection(eqx.Module):
     ) -> Float[ArrayLike, "2"]:
         """Pixel of a point of the drawing.
 
-        displacement_mm : of the point from its position on the sheet.
+        point_mm : the point on the drawing.
+        displacement_mm : its displacement from the position that print and bend predict.
+        sheet : model of print and bend.
+        board : index of the board in a set.
         """
         point = sheet.point(point_mm, self.shape, board) + sheet.size(self.shape) * displacement_mm
         if self.set_from_board is not None:
@@ -85,7 +89,7 @@ class BoardProjection(eqx.Module):
 def board_projection(
     state: RigState, parametrization: Parametrization, camera: Any, shot: Any, board: Any
 ) -> BoardProjection:
-    """Camera and board of one observation. The indices may be traced."""
+    """Projection of one observation. The indices of camera, shot and board may be traced by JAX."""
     return BoardProjection(
         jax.tree.map(lambda leaf: leaf[parametrization.lens_of_camera[camera]], state.lenses),
         state.cam_from_rig[camera],
@@ -104,13 +108,24 @@ def predict_points(
     radius_mm: Float[ArrayLike, "n"],
     step: Float[ArrayLike, "k"] | None = None,
 ) -> Float[Array, "n 2"]:
-    """Predicted pixels of board points, (n, 2), optionally after a step.
+    """Predict the pixels of board points, (n, 2), optionally after a small change of the
+    parameters.
 
-    displacement_mm : of each point from its position on the sheet. radius_mm : of the circle, the
-        centre of whose image is predicted; 0 for a corner.
+    Parameters
+    ----------
+    projection : lens, poses and board shape.
+    parametrization : units of the parameters.
+    board : index of the board in a set.
+    point_mm : positions on the drawing.
+    displacement_mm : displacement of each point from the position that print and bend predict.
+    radius_mm : radius of each circle; 0 for a corner. For a circle, the centre of its elliptical
+        image is predicted, which is not the image of its centre.
+    step : (k,) small change of the parameters, as in `BoardProjection.retract`.
 
-    The centre of a circle's image is not the image of its centre. The offset between them is
-    constant during a step: it changes a thousand times less than the points.
+    Notes
+    -----
+    The offset between both centres of a circle is constant during a step. It changes a thousand
+    times less than the points.
     """
     stepped = projection if step is None else projection.retract(parametrization, step)
     sheet = parametrization.sheet_model
@@ -137,14 +152,14 @@ def predict_points(
 def residuals_px(
     state: RigState, parametrization: Parametrization, table: ObservationTable
 ) -> Float[Array, "v n 2"]:
-    """Predicted minus observed pixels of all board points, (v, n, 2)."""
+    """Predicted minus observed pixels of all n board points in v observations, (v, n, 2)."""
     return jax.vmap(lambda view: _residuals(state, parametrization, view))(table)
 
 
 def whitened_residuals(
     state: RigState, parametrization: Parametrization, table: ObservationTable
 ) -> Float[Array, "v n 2"]:
-    """Residuals of all board points in units of their sigmas, (v, n, 2); zero for unused points."""
+    """Predicted minus observed pixels in units of their sigmas, (v, n, 2); 0 for unused points."""
 
     def of_view(view: ObservationTable) -> Array:
         return _whiten(view.whitening, _residuals(state, parametrization, view)[..., None])[..., 0]
@@ -153,17 +168,21 @@ def whitened_residuals(
 
 
 class LinearisedObservation(eqx.Module):
-    """Whitened residuals of one observation and their derivatives at a state.
+    """Whitened residuals of one observation and their Jacobian.
+
+    The observation depends on k shared parameters (lenses, cameras, board shape). The first m of
+    these move all points of the image. The others are displacements of single board points.
 
     Attributes
     ----------
-    columns : (k,) columns of the head with an effect: m that move all points of the image, then
-        those of the board points.
-    jacobian : (n, 2, m + 6) by the m columns and by the pose of the shot's board, free or not.
-    by_points : derivatives by board points: (n, 2, 3) by each point's own displacement for
-        independent errors, else (n, 2, k - m) by all.
+    columns : (k,) indices of these parameters in the vector of all shared parameters.
+    jacobian : (n, 2, m + 6) derivative with respect to the m parameters and to the 6 of the board
+        pose, whether estimated or not.
+    by_points : derivative with respect to board point displacements. Shape (n, 2, 3), each point's
+        own displacement, if the points have independent errors; else (n, 2, k - m), all
+        displacements.
     point : (n,) index of each board point.
-    residual : (n, 2) predicted minus observed.
+    residual : (n, 2) predicted minus observed pixels, in sigmas.
     """
 
     columns: Array
@@ -174,13 +193,13 @@ class LinearisedObservation(eqx.Module):
 
     @property
     def is_own(self) -> Float[Array, "n p"]:
-        """1 if a row belongs to the board point of a column, else 0."""
+        """Matrix (n, p) with 1 if observed point n is board point p, else 0."""
         count = (len(self.columns) - self.jacobian.shape[-1] + POSE_SIZE) // 3
         return (self.point[:, None] == jnp.arange(count)[None]).astype(self.jacobian.dtype)
 
     @property
     def by_all_points(self) -> Float[Array, "n 2 p"]:
-        """Derivatives by the displacements of all board points."""
+        """Derivative of the residuals with respect to the displacements of all board points."""
         is_own = self.is_own
         if self.by_points.shape[-1] == 3 * is_own.shape[1]:
             return self.by_points
@@ -190,9 +209,10 @@ class LinearisedObservation(eqx.Module):
     def weigh(
         self, parametrization: Parametrization, loss: AbstractRobustLoss
     ) -> tuple[Float[Array, "k k"], Float[Array, "k"]]:
-        """J^T W J and J^T W r by the free steps of the head, then of the board.
+        """Information J^T W J and gradient J^T W r of this observation.
 
-        W is the weight of each point by the loss.
+        The order is: k shared parameters, then 6 of the board pose. Entries of fixed parameters are
+        0. W is the weight of each point from the robust loss.
         """
         board_free, first = (
             jnp.full(POSE_SIZE, parametrization.boards_free),
@@ -236,8 +256,9 @@ class LinearisedObservation(eqx.Module):
 def linearise(
     state: RigState, parametrization: Parametrization, view: ObservationTable
 ) -> LinearisedObservation:
-    """Linearise the residuals of one observation (a row of a table) by all steps that move its
-    points.
+    """Linearise the residuals of one observation with respect to all parameters that it depends on.
+
+    view : one row of an observation table.
     """
     point_count, poses = len(state.shape), 3 if len(state.set_from_board) else 2
     basis = jnp.asarray(parametrization.lens_basis)[parametrization.lens_of_camera[view.camera]]
@@ -280,7 +301,11 @@ def _residuals(
     step: Float[ArrayLike, "k"] | None = None,
     displacement_mm: Float[ArrayLike, "3"] | None = None,
 ) -> Float[Array, "n 2"]:
-    """Predicted minus observed pixels, after a step and a displacement common to all points."""
+    """Predicted minus observed pixels, optionally after a change of the parameters.
+
+    step : (k,) change, as in `BoardProjection.retract`.
+    displacement_mm : additional displacement, the same for all points.
+    """
     # Pieces of lines, and all points of a board that is as drawn, have no displacement.
     no_displacement = len(state.shape)
     shape = jnp.concatenate([jnp.asarray(state.shape), jnp.zeros((1, 3), view.uv_px.dtype)])
@@ -299,7 +324,9 @@ def _residuals(
 
 
 def _whiten(whitening: Float[ArrayLike, "g k k"], columns: Float[ArrayLike, "n 2 c"]) -> Array:
-    """Columns (n, 2, c) in px in units of sigmas."""
+    """Multiply each column (n, 2) of c columns, in px, by the whitening matrix. The result is in
+    sigmas.
+    """
     grouped = columns.reshape(*whitening.shape[:2], columns.shape[-1])
     # Unused points may lie where the lens has no image.
     is_used = jnp.any(whitening != 0, axis=1)[..., None]
@@ -310,7 +337,7 @@ def _whiten(whitening: Float[ArrayLike, "g k k"], columns: Float[ArrayLike, "n 2
 def _by_control(
     state: RigState, parametrization: Parametrization, view: ObservationTable
 ) -> Float[Array, "n 2 k"]:
-    """Derivative of all points of an image by the control points of its splined lens."""
+    """Derivative of the predicted pixels with respect to the control points of a splined lens."""
     assert isinstance(state.lenses, AbstractSplinedLens)
     cores = eqx.tree_at(lambda s: s.lenses, state, jax.vmap(lambda lens: lens.core)(state.lenses))
     of_core_px = _residuals(cores, parametrization, view) + view.uv_px

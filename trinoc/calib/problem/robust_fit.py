@@ -29,7 +29,7 @@ _residuals = kept_jit(residuals_px)
 
 
 def robust_scale(whitened: Float[np.ndarray, "m 2"]) -> float:
-    """Standard deviation of whitened errors, from their median length; at least 1."""
+    """Robust standard deviation of whitened errors, from their median length; at least 1."""
     if not len(whitened):
         return 1.0
     return max(1.0, float(np.median(np.linalg.norm(whitened, axis=1))) / _MEDIAN_LENGTH)
@@ -40,24 +40,26 @@ def inliers(
     scale: float | None = None,
     gate: float = TUNING.problem.gate,
 ) -> Bool[np.ndarray, "m"]:
-    """Mask of the points whose error noise explains, (m,).
+    """Mask, (m,), of the points whose whitened error is at most `gate` standard deviations long.
 
-    scale : standard deviation of the errors; their own `robust_scale` unless given.
-    gate : largest accepted error, in standard deviations.
+    whitened : errors in units of their sigmas.
+    scale : standard deviation of the whitened errors. Default: their `robust_scale`.
     """
     scale = robust_scale(whitened) if scale is None else scale
     return np.linalg.norm(whitened, axis=1) <= gate * scale
 
 
 class RobustFit(NamedTuple):
-    """Result of a robust fit.
+    """Result of a robust fit of a calibration problem.
 
     Attributes
     ----------
-    problem : at the solution, with the used points.
-    converged : whether the last solve converged.
-    rejected_images : (camera, shot, median error in px) of images with the board at another pose.
-    chi_square, freedom : of the used points, with the enlarged sigmas.
+    problem : the problem at its solution; outliers are marked as unused.
+    converged : whether the last fit converged.
+    rejected_images : (camera index, shot index, median error in px) of each image that was rejected
+        as a whole. Such an image shows the board at another pose.
+    chi_square, freedom : chi-square of the used points with the final sigmas, and its degrees of
+        freedom.
     lenses_fixed : whether lenses and board were fixed at the values of another fit.
     """
 
@@ -70,16 +72,19 @@ class RobustFit(NamedTuple):
 
 
 def fit_robustly(problem: Problem) -> RobustFit:
-    """Fit with increasingly tight bounds on outliers, then without outliers, then with new sigmas.
+    """Fit a problem that has outliers, and estimate the sigmas of its points.
 
-    The sigmas of corners, which may be guesses, are estimated from each camera's residuals. Those
-    of circles are enlarged if the residuals contradict them.
+    1. Fits with a robust loss whose width decreases.
+    2. A fit without outliers.
+    3. A fit with sigmas from the residuals. The given sigmas of corners may be guesses: they are
+    replaced. The given sigmas of circles are only multiplied by a factor if the residuals
+    contradict them.
     """
     return fit_annealed(anneal(problem))
 
 
 def fit_annealed(problem: Problem) -> RobustFit:
-    """Robust fit of a problem after `anneal`."""
+    """Remove the outliers of a problem returned by `anneal`, estimate its sigmas, and fit again."""
     problem, rejected_images = drop_wrong_points(problem)
     problem, _ = fit_points(problem)
     return finish_fit(problem, rejected_images)
@@ -88,10 +93,12 @@ def fit_annealed(problem: Problem) -> RobustFit:
 def anneal(
     problem: Problem, suspects: Sequence[int] | None = None, first_damping: float | None = None
 ) -> Problem:
-    """Problem after fits that bound the influence of outliers increasingly tightly.
+    """Fit several times with a robust loss whose width decreases.
 
-    suspects : observations whose points are bounded, each by its own scatter. Default: all, by the
-        scatter of all.
+    suspects : indices of the observations with the robust loss. The width is a multiple of each
+        observation's own scatter. Default: all observations, with a multiple of their common
+        scatter.
+    first_damping : damping of the first step of each fit.
     """
     for factor in problem.tuning.problem.annealing:
         errors = _used_rows(problem, whitened_errors(problem))
@@ -105,11 +112,12 @@ def anneal(
 
 
 def fit_without_wrong_points(problem: Problem, suspects: Sequence[int]) -> tuple[Problem, bool]:
-    """Fit without the outliers of some observations; also returns whether it converged.
+    """Fit after removing the outliers of some observations. Returns the problem and whether it
+    converged.
 
-    No observation is removed as a whole.
+    No observation is rejected as a whole.
 
-    suspects : observations with errors above the gate at the state of the problem.
+    suspects : indices of the observations with errors above the gate.
     """
     problem, views = anneal(problem, suspects, LEAST_DAMPING), list(problem.views)
     errors = _used_rows(problem, whitened_errors(problem))
@@ -121,12 +129,12 @@ def fit_without_wrong_points(problem: Problem, suspects: Sequence[int]) -> tuple
 
 
 def finish_fit(problem: Problem, rejected_images: list[tuple[int, int, float]]) -> RobustFit:
-    """Robust fit with the sigmas that the residuals show, from a problem without outliers."""
+    """Estimate the point sigmas from the residuals, and fit again. The problem has no outliers."""
     return refit(with_sigma_factors(problem), rejected_images)
 
 
 def refit(problem: Problem, rejected_images: list[tuple[int, int, float]]) -> RobustFit:
-    """Fit with unchanged sigmas."""
+    """Fit the used points with their present sigmas, without a robust loss."""
     problem, converged = fit_points(problem)
     return end_of_fit(problem, converged, rejected_images)
 
@@ -134,7 +142,7 @@ def refit(problem: Problem, rejected_images: list[tuple[int, int, float]]) -> Ro
 def end_of_fit(
     problem: Problem, converged: bool, rejected_images: list[tuple[int, int, float]]
 ) -> RobustFit:
-    """Result of a fit that ended at the state of a problem."""
+    """Build the result of a fit whose solution is the state of a problem."""
     chi_square = float(np.sum(np.square(whitened_errors(problem))))
     return RobustFit(problem, converged, rejected_images, chi_square, degrees_of_freedom(problem))
 
@@ -144,10 +152,12 @@ def fit_points(
     outlier_scale: float | Float[np.ndarray, "_v"] = np.inf,
     first_damping: float | None = None,
 ) -> tuple[Problem, bool]:
-    """Problem at the end of one solve; also returns whether it converged.
+    """Minimise the cost of a problem once. Returns the problem at its solution, and whether it
+    converged.
 
-    outlier_scale : sigmas above which the influence of a point is bounded, for all or for each
-        observation.
+    outlier_scale : width of the robust loss, in sigmas; one value, or one for each observation.
+        Default: no robust loss.
+    first_damping : damping of the first step.
     """
     table = problem.table
     scale = np.full(len(table.shot), np.inf)
@@ -158,13 +168,16 @@ def fit_points(
 
 
 def whitened_errors(problem: Problem) -> Float[np.ndarray, "v n 2"]:
-    """Residuals in sigmas, (v, n, 2), padded as the table; zero for unused points."""
+    """Predicted minus observed pixels in sigmas, (v, n, 2), padded like the table; 0 for unused
+    points.
+    """
     return np.asarray(_whitened(problem.state, problem.parametrization, problem.table))
 
 
 def errors_px(problem: Problem) -> list[Float[np.ndarray, "_m 2"]]:
-    """Predicted minus observed pixels of all points of each observation; 0 along a line without
-    ends.
+    """Predicted minus observed pixels of the m points of each observation, used or not.
+
+    For a piece of a line, the component along the line is 0, since the image does not determine it.
     """
     table_errors = np.asarray(_residuals(problem.state, problem.parametrization, problem.table))
     return [
@@ -178,7 +191,7 @@ def errors_px(problem: Problem) -> list[Float[np.ndarray, "_m 2"]]:
 def _project_across(
     points: SheetPoints, errors: Float[np.ndarray, "m 2"]
 ) -> Float[np.ndarray, "m 2"]:
-    """Components of the errors in directions that the image determines."""
+    """Errors without their components in directions that the image does not determine."""
     columns = points.whitening.reshape(len(points.whitening), -1, 2)
     values, vectors = np.linalg.eigh(np.einsum("nmi,nmj->mij", columns, columns))
     determined = values > _LEAST_SHARE * values[:, -1:]
@@ -188,12 +201,12 @@ def _project_across(
 def _used_rows(
     problem: Problem, errors: Float[np.ndarray, "v n 2"]
 ) -> list[Float[np.ndarray, "_m 2"]]:
-    """Errors of the used detected points of each observation."""
+    """Errors of the used points of each observation, from a padded table of errors."""
     return [rows[: len(view.used)][view.used] for rows, view in zip(errors, problem.views)]
 
 
 def use_all_points(problem: Problem, rejected_images: list[tuple[int, int, float]]) -> Problem:
-    """Problem with every point used, except in rejected images."""
+    """Problem in which all points are used, except those of rejected images."""
     rejected = {(camera, shot) for camera, shot, _ in rejected_images}
     views = tuple(
         view
@@ -207,12 +220,14 @@ def use_all_points(problem: Problem, rejected_images: list[tuple[int, int, float
 def drop_wrong_points(
     problem: Problem, errors: Float[np.ndarray, "v n 2"] | None = None
 ) -> tuple[Problem, list[tuple[int, int, float]]]:
-    """Problem without outliers and without outlier images; also returns these.
+    """Mark outlier points, and all points of outlier images, as unused.
 
-    The gate of a point is a multiple of the scatter of its image. This scatter lies between that of
-    its camera and a few times that: a blurred image is noisier, but not wrong.
+    Returns the problem and the rejected images as (camera index, shot index, median error in px).
+    The largest accepted error is a multiple of the scatter of the image. The scatter of an image is
+    limited to between once and a few times that of its camera: a blurred image has more noise, but
+    is not wrong.
 
-    errors : residuals in sigmas; those of the problem's state unless given.
+    errors : residuals in sigmas. Default: those of the problem's state.
     """
     if errors is None:
         errors = whitened_errors(problem)
@@ -248,15 +263,17 @@ def with_sigma_factors(
     squared: Float[np.ndarray, "v"] | None = None,
     freedom: Float[np.ndarray, "v"] | None = None,
 ) -> Problem:
-    """Problem with sigmas multiplied by the scatter of each camera's and image's residuals.
+    """Estimate factors of the point sigmas, for each camera and each image, from the residuals.
 
-    squared : sum of the squared residuals of each observation, in sigmas; computed unless given.
-    freedom : their degrees of freedom; unless given, those of the whole fit, divided by numbers of
-        residuals.
+    The variance of an image is a weighted mean of its own variance and that of its camera, with
+    degrees of freedom as weights. The camera has the weight `ProblemTuning.image_prior`. This is
+    variance component estimation.
 
-    The variance of an image is the weighted mean of its own and its camera's variance, by degrees
-    of freedom; the camera's counts as `ProblemTuning.image_prior`. This is variance component
-    estimation.
+    Parameters
+    ----------
+    squared : (v,) sum of the squared residuals of each observation, in sigmas. Default: computed.
+    freedom : (v,) degrees of freedom of these sums. Default: those of the whole fit, distributed in
+        proportion to the numbers of residuals.
     """
     if squared is None:
         squared = np.asarray(np.sum(whitened_errors(problem) ** 2, axis=(1, 2)))
@@ -296,7 +313,10 @@ def with_sigma_factors(
 def _image_ratios(
     chi_square: Float[np.ndarray, "v"], freedom: Float[np.ndarray, "v"], tuning: ProblemTuning
 ) -> Float[np.ndarray, "v"]:
-    """Scatter of each image over that of its camera, within fixed bounds."""
+    """Scatter of each image divided by that of its camera, limited to fixed bounds, (v,).
+
+    chi_square, freedom : sum of squared residuals of each image, and its degrees of freedom.
+    """
     prior = tuning.image_prior
     typical = float(np.median(chi_square / np.maximum(freedom, 1e-9)))
     variance = (chi_square / max(typical, 1e-300) + prior) / (freedom + prior)
@@ -304,9 +324,10 @@ def _image_ratios(
 
 
 def degrees_of_freedom(problem: Problem) -> int:
-    """Number of residuals minus that of the estimated parameters.
+    """Number of residuals minus the number of estimated parameters.
 
-    Parameters with a prior (sheet, board points, lenses) count by `shape_dof` and `lens_dof`.
+    Parameters with a prior (print, bend, board points, lenses) count only as far as the residuals
+    determine them: `shape_dof` and `lens_dof`.
     """
     residuals = sum(view.coordinate_count for view in problem.views)
     shots = {view.shot for view in problem.views if view.used.any()}

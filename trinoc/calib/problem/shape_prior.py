@@ -29,14 +29,13 @@ _HEIGHT_DEGREE, _PLANE_DEGREE = 4, 3
 
 
 class ShapePart(NamedTuple):
-    """One part of the prior.
+    """One part of the prior of a board's shape: displacements that share one variance.
 
     Attributes
     ----------
     name : name of the part.
-    modes : (3n, w) displacement X, Y, Z in mm of n corners by each of w amplitudes with one
-        variance.
-    is_estimated : whether the variance is estimated from the images, or fixed.
+    modes : (3n, w) displacements X, Y, Z of n corners, mm, for a unit amplitude of each of w modes.
+    is_estimated : whether the variance of the amplitudes is estimated from the images, or fixed.
     """
 
     name: str
@@ -45,12 +44,12 @@ class ShapePart(NamedTuple):
 
 
 class ShapePrior(NamedTuple):
-    """All parts and the variances of their amplitudes.
+    """Gaussian prior of the displacements of all corners of a board: a sum of independent parts.
 
     Attributes
     ----------
     parts : parts of the prior.
-    variance : (k,) variance of the amplitudes of each part.
+    variance : (k,) variance of the mode amplitudes of each of k parts.
     """
 
     parts: tuple[ShapePart, ...]
@@ -58,26 +57,29 @@ class ShapePrior(NamedTuple):
 
     @property
     def covariance_mm2(self) -> Float[np.ndarray, "m m"]:
-        """Covariance of X, Y and Z of all corners."""
+        """Prior covariance of the X, Y and Z displacements of all corners, mm^2."""
         modes = np.hstack([part.modes for part in self.parts])
         spread = np.repeat(self.variance, [part.modes.shape[1] for part in self.parts])
         return (modes * spread) @ modes.T
 
     @property
     def information(self) -> Float[np.ndarray, "m m"]:
-        """Inverse of the covariance."""
+        """Inverse of `covariance_mm2`, 1/mm^2."""
         inverse = np.linalg.inv(self.covariance_mm2)
         return 0.5 * (inverse + inverse.T)
 
     def update(
         self, shape_mm: Float[np.ndarray, "n 3"], covariance_mm2: Float[np.ndarray, "m m"]
     ) -> "ShapePrior":
-        """Prior after one step of expectation maximisation.
+        """Prior with variances from one step of expectation maximisation.
 
-        shape_mm, covariance_mm2 : posterior mean and covariance of the shape under this prior.
+        shape_mm : (n, 3) posterior mean of the displacements under the present prior.
+        covariance_mm2 : (3n, 3n) their posterior covariance.
 
-        Source: Dempster, Laird and Rubin, "Maximum likelihood from incomplete data via the EM
-        algorithm" (1977), for components of variance.
+        References
+        ----------
+        Dempster, Laird and Rubin, "Maximum likelihood from incomplete data via the EM algorithm"
+        (1977), for components of variance.
         """
         information = self.information
         by_mean = information @ shape_mm.ravel()
@@ -93,9 +95,9 @@ class ShapePrior(NamedTuple):
         return self._replace(variance=np.maximum(variance, _SMALLEST_MM**2))
 
     def count_determined(self, covariance_mm2: Float[np.ndarray, "m m"]) -> float:
-        """Effective number of shape parameters that the images determine.
+        """Effective number of displacement coordinates that the images determine.
 
-        covariance_mm2 : posterior covariance of the shape.
+        covariance_mm2 : (3n, 3n) posterior covariance of the displacements.
         """
         return float(len(covariance_mm2) - np.sum(self.information * covariance_mm2))
 
@@ -103,9 +105,9 @@ class ShapePrior(NamedTuple):
 def shape_prior(
     target: AbstractTarget, spread_mm: float, tuning: CalibTuning = TUNING
 ) -> ShapePrior:
-    """Prior of a board, or a set of boards, before any image.
+    """Initial prior of the corner displacements of a board, or of a set of boards.
 
-    spread_mm : initial standard deviation of single corners and of each smooth amplitude.
+    spread_mm : initial standard deviation of the estimated parts: single corners and smooth modes.
     """
     flatness, shear = tuning.uncertainty.flatness_mm, tuning.problem.shear
     boards = [
@@ -134,10 +136,15 @@ def shape_prior(
 def _smooth_parts(
     xy_mm: Float[np.ndarray, "n 2"], first: int, total: int
 ) -> dict[str, Float[np.ndarray, "_ _w"]]:
-    """Smooth displacements of one board, by part; its corners begin with `first` of `total`.
+    """Modes of smooth displacements of one board, by the name of the prior's part.
 
-    Polynomials have a root mean square of 1 mm over the corners, `twist` has 1 mm at the board's
-    edges, `shear` has unit displacement per unit length.
+    "height" and "plane" are orthogonal polynomials with a root mean square of 1 mm over the
+    corners. "twist" is a displacement of 1 mm at the corners of the board. "shear" has a unit
+    displacement per unit length.
+
+    xy_mm : positions of the board's n corners.
+    first : index of its first corner among the corners of all boards.
+    total : number of corners of all boards.
     """
     count = len(xy_mm)
     middle = 0.5 * (xy_mm.max(axis=0) + xy_mm.min(axis=0))
@@ -175,8 +182,9 @@ def _smooth_parts(
 
 
 def _orthogonal(columns: Float[np.ndarray, "n k"], skipped: int) -> Float[np.ndarray, "n _w"]:
-    """Columns after the first `skipped`, orthogonal to all before them, with a root mean square of
-    1.
+    """Orthogonalise columns, scale them to a root mean square of 1, and drop the first `skipped`.
+
+    Columns that depend linearly on earlier ones are dropped, too.
     """
     basis, triangle = np.linalg.qr(columns)
     size = np.abs(np.diag(triangle))

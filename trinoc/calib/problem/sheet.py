@@ -25,31 +25,33 @@ from trinoc.numerics.precision import ArrayLike, ScalarLike
 def bend_displacement_mm(
     heights_mm: Sequence[ArrayLike], slopes: Sequence[Float[ArrayLike, "2"]], first_degree: int = 2
 ) -> Float[ArrayLike, "2"]:
-    """Displacement in the plane of a position on a bent sheet that does not stretch.
+    """Displacement within the plane of a point of a bent sheet that does not stretch.
 
     Parameters
     ----------
-    heights_mm : the homogeneous parts z_m of the height at the position, by ascending degree m.
-    slopes : the gradient of each part by the position.
+    heights_mm : homogeneous parts z_m of the sheet's height at the point, by ascending degree m.
+    slopes : gradient of each part with respect to the position, (2,).
     first_degree : m of the first part.
 
     Returns
     -------
-    The displacement u = -sum_mn n (n - 1) / ((m + n - 1) (m + n - 2)) z_n grad z_m, mm.
+    The displacement, mm:
+
+        u = -sum_mn n (n - 1) / ((m + n - 1) (m + n - 2)) z_n grad z_m
 
     Notes
     -----
-    A surface of height z keeps all lengths to second order in its slopes g = grad z where the
-    symmetric part of grad u is -1/2 g g^T. For a developable surface, u is the path integral of
-    E. Cesaro and V. Volterra of this strain from the origin, here along the straight line and term
-    by term. Bent along X alone, it is u_x = -1/2 int (dz/dx)^2 dx and u_y = 0; a roll in any
-    direction is equally exact. A sheet that bends in two directions must stretch; this form then
-    keeps the lengths of the straight lines through the origin.
+    Let z be the height of the surface and g = grad z. Lengths are kept to second order in g if the
+    symmetric part of grad u is -1/2 g g^T. For a developable surface, u is the path integral of E.
+    Cesaro and V. Volterra of this strain from the origin. Here it is evaluated along the straight
+    line, term by term. For a bend along X alone, u_x = -1/2 int (dz/dx)^2 dx and u_y = 0. A roll in
+    any direction is equally exact. A sheet that bends in two directions must stretch. The formula
+    then keeps the lengths of straight lines through the origin.
 
     References
     ----------
-    V. Volterra, "Sur l'equilibre des corps elastiques multiplement connexes", Annales
-    scientifiques de l'Ecole Normale Superieure 24, 1907.
+    V. Volterra, "Sur l'equilibre des corps elastiques multiplement connexes", Annales scientifiques
+    de l'Ecole Normale Superieure 24, 1907.
     """
     degrees = range(first_degree, first_degree + len(heights_mm))
     total = jnp.zeros(2)
@@ -61,9 +63,11 @@ def bend_displacement_mm(
 
 
 class AbstractSheet(eqx.Module):
-    """Model of print and bend of a board.
+    """Model of the print scale and the bend of a board.
 
-    `names` : names of its parameters for one board, such as "scale_x".
+    Attributes
+    ----------
+    names : names of the w parameters of one board, such as "scale_x".
     """
 
     names: eqx.AbstractClassVar[tuple[str, ...]]
@@ -75,28 +79,38 @@ class AbstractSheet(eqx.Module):
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """Position of a point of the drawing on the printed and bent board, mm."""
+        """Position of a point of the drawing on the printed and bent board, in the frame of the
+        board, mm.
+
+        point_mm : the point on the drawing.
+        shape : (w,) parameters of the board.
+        board : index of the board in a set.
+        """
 
     def size(self, shape: Float[ArrayLike, "w"]) -> ScalarLike:
-        """Size of the board relative to its drawing.
+        """Size of the printed board relative to its drawing.
 
-        Displacements of single board points scale with it, so that their prior does not pull at the
-        size.
+        Displacements of single board points are multiplied by this size. Their prior therefore has
+        no effect on the size.
         """
         return 1.0
 
 
 class WarpedBoard(AbstractSheet):
-    """Print scales along X and Y (relative, minus one), and the rise of the middle along both in
-    mm.
+    """Model of a stiff board: print scales and a parabolic warp along X and Y.
 
-    The rise is w_x (1 - x^2) + w_y (1 - y^2), with x and y relative to half the board. Source:
-    mrcal, "Board deformation" in its formulation. Lengths along the board do not change
-    (`bend_displacement_mm`), for glass and aluminium as for paper.
+    The four parameters are the relative errors of the print scale along X and Y, and the rise of
+    the middle of the board above its edges, w_x and w_y, mm. The height at (x, y), relative to half
+    the board, is w_x (1 - x^2) + w_y (1 - y^2). Lengths along the surface do not change
+    (`bend_displacement_mm`).
 
     Attributes
     ----------
-    half_mm : (b, 2) half the extent of each board, where its warp is zero.
+    half_mm : (b, 2) half the extent of each board along X and Y; the warp is zero there.
+
+    References
+    ----------
+    mrcal, "Board deformation" in its formulation.
     """
 
     names: ClassVar[tuple[str, ...]] = ("scale_x", "scale_y", "warp_x_mm", "warp_y_mm")
@@ -112,7 +126,7 @@ class WarpedBoard(AbstractSheet):
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """Position with print scale, rise and displacement by the bend."""
+        """Position after print scale, rise, and displacement within the plane by the bend."""
         half_mm = jnp.asarray(self.half_mm)[board]
         share = point_mm[:2] / half_mm
         height = -shape[2:] @ (share * share)
@@ -122,11 +136,14 @@ class WarpedBoard(AbstractSheet):
 
 
 class BentPaper(AbstractSheet):
-    """Relative print size, relative lengths along X and Y, and height coefficients in mm.
+    """Model of paper on a table: print scales, and a height polynomial of degree 2 to 4.
+
+    The parameters are the relative error of the print size, the relative errors along X and Y, and
+    the coefficients of the height in mm.
 
     Attributes
     ----------
-    reference_radius_mm : distance from the origin at which each height term has the size of its
+    reference_radius_mm : distance from the origin at which each term of the height equals its
         coefficient.
     """
 
@@ -145,7 +162,7 @@ class BentPaper(AbstractSheet):
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """Position of a point of the drawing on the bent paper, mm."""
+        """Position after print scale, height, and displacement within the plane by the bend."""
         scaled = point_mm[:2] / self.reference_radius_mm
         power = {"": jnp.ones_like(scaled[0])}
         for term in ("X", "Y", *self.height_terms):
@@ -174,7 +191,16 @@ class BentPaper(AbstractSheet):
         flatness_mm: float,
         height_shares: tuple[float, float, float] = TUNING.problem.height_shares,
     ) -> Float[np.ndarray, "w"]:
-        """Standard deviations of `names`: relative lengths, then mm."""
+        """Prior standard deviations of the parameters, in the order of `names`.
+
+        Parameters
+        ----------
+        print_size : of the relative print size.
+        print_lengths : of the relative errors along X and Y.
+        flatness_mm : typical height of the sheet.
+        height_shares : standard deviation of the height terms of degree 2, 3 and 4, divided by
+            `flatness_mm`.
+        """
         shares: dict[int, float] = dict(zip((2, 3, 4), height_shares, strict=True))
         heights = [shares[len(term)] * flatness_mm for term in cls.height_terms]
         return np.array([print_size, *print_lengths, *heights])

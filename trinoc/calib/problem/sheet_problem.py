@@ -31,13 +31,14 @@ Method = Literal["pixels", "points"]
 
 @dataclass(frozen=True, eq=False)
 class PictureFit:
-    """Result of the fit to the grey levels of one image, or the reason why there is none.
+    """Result of the fit to the grey levels of one image, or the reason why the fit failed.
 
     Attributes
     ----------
-    points : fitted positions, px, of each circle and of each piece of the crossed lines.
-    quality : light, ink, blur and noise.
-    note : reason why the grey levels cannot be used; None if they can.
+    points : fitted pixels of each circle and of each piece of the crossed lines, with their
+        information; None after a failure.
+    quality : light, ink, blur and noise of the image.
+    note : sentence with the reason of a failure; None after success.
     is_processed : whether software has sharpened the image.
     """
 
@@ -53,24 +54,24 @@ class PictureFit:
 
 @dataclass(frozen=True, eq=False)
 class SheetCamera:
-    """Observations of the sheet by one camera, and the prior knowledge of the camera.
+    """Input of the adjustment for one camera: its observations of the sheet and its lens.
 
     Attributes
     ----------
     name : name of the camera.
     detection : detected circles and lines.
-    lens : intrinsics as given by the user.
-    lens_factor : (k, r) L of the covariance L L^T of the first k lens parameters; None for an exact
-        lens.
-    pose : start of the fit.
+    lens : intrinsics given by the user.
+    lens_factor : (k, r) factor L of the covariance L L^T of the first k lens parameters; None if
+        the lens is assumed exact.
+    pose : initial pose, cam_from_world.
     image : (h, w) grey levels; None if only circles are used.
-    grey_level_fit : fit to these grey levels.
-    grey_level_points : points from the grey levels, used instead of circle centres; None if circle
-        centres are used.
-    ink_spread_mm : distance by which ink extends beyond the drawing of each circle.
-    agreement : probability of so large a difference between circles and grey levels; NaN without
-        grey levels.
-    scatter : factor of the sigmas of its circles.
+    grey_level_fit : result of the fit to the grey levels of `image`.
+    grey_level_points : points fitted to the grey levels, which are used instead of the circle
+        centres; None if the circle centres are used.
+    ink_spread_mm : distance by which ink extends beyond the drawn edge of each circle.
+    agreement : p-value of the test that circle centres and grey levels give the same pose; NaN
+        without grey levels. A small value means that they contradict each other.
+    scatter : factor by which the sigmas of the circle centres are multiplied.
     """
 
     name: str
@@ -91,29 +92,31 @@ class SheetCamera:
         return "points" if self.grey_level_points is None else "pixels"
 
     def by_pixels(self) -> "SheetCamera":
-        """Camera with its grey-level points if they exist, else with its circles."""
+        """Copy that uses the grey-level points if they exist, else the circle centres."""
         return replace(self, grey_level_points=self.grey_level_fit and self.grey_level_fit.points)
 
     @property
     def largest_point_count(self) -> int:
-        """Upper bound of the number of grey-level points: circles, and pieces of the lines."""
+        """Upper bound of the number of grey-level points: one for each circle and each piece of the
+        lines.
+        """
         count = 0 if self.grey_level_points is None else len(self.grey_level_points.point_mm)
         return max(len(self.detection) + 4 * LINE_PIECES, count)
 
     @property
     def promoted_lens(self) -> AbstractLens:
-        """Lens in a model with distortion."""
+        """The camera's lens in a lens model with distortion coefficients, which may be 0."""
         return promote_lens(self.lens.lens)
 
 
 @dataclass(frozen=True)
 class SheetPriors:
-    """Priors on sheet, lenses and aims, and the pose parameters that the user wants.
+    """Priors of sheet, lenses and aims, and the pose model.
 
     Attributes
     ----------
-    pose_model : wanted parameters of each pose.
-    systematics : standard deviations of everything that is not exact.
+    pose_model : pose parameters that the user requested.
+    systematics : standard deviations of the errors of sheet, lenses and aims.
     tuning : constants of the method.
     """
 
@@ -122,25 +125,27 @@ class SheetPriors:
     tuning: CalibTuning = TUNING
 
     def __post_init__(self) -> None:
-        """Raise InputError for another type, or a sigma that is negative or not finite."""
+        """Raise `InputError` if `systematics` has another type, or a sigma is negative or not
+        finite.
+        """
         check_kind(self.systematics, Systematics, "knowledge of the sheet", "trinoc.Systematics")
         self.systematics.check()
 
     @property
     def aim_is_fixed(self) -> bool:
-        """True if the optical axes meet the origin exactly."""
+        """True if the optical axes are assumed to meet the origin of the sheet exactly."""
         return self.pose_model is PoseModel.AIMED and not self.systematics.aim_sigma_mm
 
     @property
     def fitted_model(self) -> PoseModel:
-        """Estimated parameters of each pose."""
+        """Pose parameters that the fit estimates. With an uncertain aim, they include the aim."""
         if self.pose_model is PoseModel.AIMED and self.systematics.aim_sigma_mm:
             return PoseModel.AIM_FREE
         return self.pose_model
 
     @property
     def aim_sigma_mm(self) -> float:
-        """Standard deviation of the prior on each aim, mm; 0 for none."""
+        """Prior standard deviation of each aim coordinate, mm; 0 if the aim has no prior."""
         return self.systematics.aim_sigma_mm if self.pose_model is PoseModel.AIMED else 0.0
 
 
@@ -149,9 +154,9 @@ def sheet_problem(
     target: AbstractTarget,
     priors: SheetPriors,
 ) -> Problem:
-    """Calibration problem of cameras over one sheet, at its start.
+    """Calibration problem of cameras over one sheet, at its initial values.
 
-    The sheet is flat, as drawn, and lies on the plane Z = 0.
+    Initially the sheet is flat and as drawn. It lies on the plane Z = 0.
     """
     count, systematics, model = len(cameras), priors.systematics, priors.fitted_model
     padded = [cameras[min(k, count - 1)] for k in range(pad_count(count, CAMERAS_AT_ONCE))]
@@ -232,8 +237,13 @@ def sheet_problem(
 def _lens_prior(
     factor: Float[np.ndarray, "k r"], scale: Float[np.ndarray, "q"]
 ) -> tuple[Float[np.ndarray, "q q"], Float[np.ndarray, "q q"], Float[np.ndarray, "q"]]:
-    """Basis of one-sigma steps along a covariance's directions, its information, and the free
-    steps.
+    """Parametrization of a lens by the principal axes of its prior covariance L L^T.
+
+    Returns the basis, (q, q), whose r columns are one-sigma changes of the q lens parameters; the
+    information of the prior, (q, q); and the mask of estimated axes, (q,).
+
+    factor : (k, r) L, for the first k parameters.
+    scale : (q,) typical change of each lens parameter.
     """
     parameters, steps = factor.shape
     size = len(scale)
@@ -252,7 +262,7 @@ def _are_one_lens(cameras: Sequence[SheetCamera]) -> bool:
 
 
 def _camera_distance_mm(camera: SheetCamera, target: AbstractTarget) -> float:
-    """Distance from a camera's centre to the mean of its observed points, mm."""
+    """Distance from the camera's centre of projection to the mean of its observed board points, mm."""
     middle = np.zeros(3)
     points_mm = _points_mm(camera, target)
     middle[: points_mm.shape[1]] = points_mm.mean(axis=0)

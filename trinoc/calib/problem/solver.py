@@ -42,14 +42,18 @@ BLOCKS_THAT_CREEP = 100
 
 
 class ArrowEquations(NamedTuple):
-    """Gauss-Newton equations at a state: `information` times the step is minus `gradient`.
+    """Gauss-Newton equations J^T W J x = -J^T W r of a least-squares problem, and its cost.
+
+    The unknowns are h shared parameters (`head`) and b blocks of w parameters each. Blocks are
+    coupled only through the shared parameters, so that J^T W J is a block arrow.
 
     Attributes
     ----------
-    cost : cost of the state.
-    information, gradient : J^T W J, and J^T W r (half the gradient of the cost), over the steps of
-        the head (h,) and of the blocks (b, w).
-    details : other results of the evaluation; a descent returns those of the last evaluated state.
+    cost : cost at the state where the equations were computed.
+    information : J^T W J.
+    gradient : J^T W r, half the gradient of the cost, for shared parameters (h,) and blocks (b, w).
+    details : additional results of the evaluation; a descent returns those of the last evaluated
+        state.
     """
 
     cost: Float[ArrayLike, ""]
@@ -59,11 +63,15 @@ class ArrowEquations(NamedTuple):
 
 
 class AbstractArrowProblem(eqx.Module, Generic[State]):
-    """A robust least-squares problem over states that are PyTrees of arrays.
+    """Robust least-squares problem with h shared parameters and b blocks of w parameters each.
 
-    Fixed unknowns have no information and no gradient, and `retract` ignores their step.
+    A state is a PyTree of arrays. Fixed unknowns have zero information and gradient, and `retract`
+    ignores their change.
 
-    `optimized_from` : size of a state above which optimizing the program pays off.
+    Attributes
+    ----------
+    first_damping : damping of the first step, relative to the diagonal of the equations.
+    optimized_from : number of values in a state above which the compiler optimises the program.
     """
 
     first_damping: ClassVar[float] = 1e-3
@@ -71,61 +79,63 @@ class AbstractArrowProblem(eqx.Module, Generic[State]):
 
     @abstractmethod
     def equations(self, state: State) -> ArrowEquations:
-        """Equations at a state, weighted by the loss, with the priors.
+        """Gauss-Newton equations at a state, weighted by the robust loss, with the priors.
 
-        Their cost, the robust chi-square of observations and priors, decides on a step.
+        Their cost is the robust chi-square of observations and priors. It decides whether a step is
+        accepted.
         """
 
     @abstractmethod
     def retract(self, state: State, head: Float[Array, "h"], blocks: Float[Array, "b w"]) -> State:
-        """State after a step in the local coordinates at `state`; a step of zero leaves it
-        unchanged.
+        """State after a small change of shared parameters (`head`) and blocks. A change of 0 has no
+        effect.
         """
 
 
 class Costs(NamedTuple):
-    """Parts of the cost: that of the head alone, and that of each block."""
+    """Cost of a state in parts: the part of the shared parameters, and the part of each block."""
 
     head: Float[ArrayLike, ""]
     blocks: Float[ArrayLike, "b"]
 
     @property
     def total(self) -> Float[ArrayLike, ""]:
-        """Sum of all parts."""
+        """Sum of all parts of the cost."""
         return self.head + jnp.sum(self.blocks)
 
 
 class AbstractSeparableProblem(AbstractArrowProblem[State]):
-    """A problem of many blocks with separate dampings.
+    """Least-squares problem whose blocks have separate dampings.
 
-    A single diverging block would otherwise stop all others. A block does not move if its step
-    raises its cost.
+    With one common damping, a single diverging block would stop all others. A block does not change
+    in a step that would increase its cost.
     """
 
     @abstractmethod
     def costs(self, state: State) -> Costs:
-        """Parts of the cost."""
+        """Cost of a state, in parts."""
 
     def block_costs(self, state: State) -> Float[ArrayLike, "b"]:
-        """Costs of the blocks."""
+        """Cost of each block, (b,)."""
         return self.costs(state).blocks
 
     def cost(self, state: State) -> Float[ArrayLike, ""]:
-        """Total cost."""
+        """Total cost of a state."""
         return self.costs(state).total
 
 
 class Solution(eqx.Module, Generic[State]):
-    """End of a descent.
+    """Result of a minimisation.
 
     Attributes
     ----------
-    state, cost : best state and its cost.
-    steps : number of tried steps.
-    converged : whether the descent ended by its own criterion.
-    promised : predicted gain of the next step.
-    details : those of the equations at `state`, if `has_details`.
-    has_details : whether the last evaluated state is the best one.
+    state, cost : state of least cost, and its cost.
+    steps : number of evaluated steps.
+    converged : whether the convergence criterion was met.
+    promised : predicted decrease of the cost by one more step.
+    details : additional results of the last evaluated state. They belong to `state` only if
+        `has_details`.
+    has_details : whether the last evaluated state is `state`.
     """
 
     state: State
@@ -140,14 +150,14 @@ class Solution(eqx.Module, Generic[State]):
 def solve(
     problem: AbstractArrowProblem[State], state: State, first_damping: ScalarLike | None = None
 ) -> Solution[State]:
-    """Return the state of least cost near a start.
+    """Minimise the cost of a problem from an initial state.
 
-    first_damping : of the first step, relative to the diagonal of the equations; by default that of
-        the problem. `LEAST_DAMPING` gives the Gauss-Newton method, for starts near the minimum.
-        Then weakly determined directions move at once.
+    Undetermined directions keep their initial values. The result cannot be differentiated: JAX
+    raises an error, because a state has more numbers than degrees of freedom.
 
-    Undetermined directions keep their start. Differentiation raises an error: a state has more
-    numbers than degrees of freedom.
+    first_damping : damping of the first step, relative to the diagonal of the equations. Default:
+        that of the problem. `LEAST_DAMPING` gives the Gauss-Newton method, for a start near the
+        minimum; weakly determined directions then change from the first step on.
     """
     damping = problem.first_damping if first_damping is None else first_damping
     run = _solve_many if count_numbers(state) >= problem.optimized_from else _solve_few
@@ -163,14 +173,14 @@ def descend(
     atol: ScalarLike = CONVERGED_GAIN,
     most_steps: Int[ArrayLike, ""] | int = MOST_STEPS,
 ) -> Solution[State]:
-    """Return the best state after steps from a start, as part of a compiled program.
+    """Minimise the cost of a problem from an initial state, inside a compiled program.
 
     Parameters
     ----------
-    start : equations at the state if available. With an infinite cost, the first step is always
-        accepted. No step is then tried whose predicted gain is below `atol`; without `start`, the
-        last step is tried before the descent ends.
-    atol : gain that ends the descent.
+    start : equations at the initial state, if they are available. The descent then ends without
+        another evaluation as soon as the predicted gain is below `atol`. If their cost is infinite,
+        the first step is always accepted.
+    atol : decrease of the cost that counts as convergence.
     most_steps : largest number of steps.
     """
 
@@ -220,25 +230,25 @@ _solve_many = kept_jit(_solve, optimized_from=0)  # numerical: see above
 
 @jax.jit
 def _equations(problem: AbstractArrowProblem[State], state: State) -> ArrowEquations:
-    """Equations at a state; traced once for the whole descent."""
+    """Equations at a state. `jit` makes JAX trace them only once for a descent."""
     return problem.equations(state)
 
 
 class Damping(NamedTuple):
-    """Damping of the head, and of each block."""
+    """Damping of the shared parameters (`head`), and damping of each block."""
 
     head: Float[ArrayLike, ""]
     blocks: Float[ArrayLike, "b"]
 
 
 class ArrowStep(NamedTuple):
-    """A proposed step.
+    """A proposed change of all unknowns.
 
     Attributes
     ----------
-    head, blocks : step of the head and of the blocks.
-    promised : gain predicted by the equations.
-    follows : whether each block takes part.
+    head, blocks : change of the shared parameters and of the blocks.
+    promised : decrease of the cost that the equations predict.
+    follows : (b,) whether each block changes in this step.
     """
 
     head: Float[Array, "h"]
@@ -248,14 +258,14 @@ class ArrowStep(NamedTuple):
 
 
 class ArrowDescent(optx.AbstractDescent):
-    """Damped Gauss-Newton step of a block arrow.
+    """Computes damped Gauss-Newton steps for optimistix, from equations that are a block arrow.
 
-    Its state is the present point with the equations there.
+    Its state is the present state of the unknowns and the equations there.
 
     Attributes
     ----------
-    retract : function of (state, head, blocks) that returns the state after a step.
-    block_costs : function that returns the cost of each block of a state, for separate dampings;
+    retract : function of (state, head, blocks) that returns the state after a change.
+    block_costs : function that returns the cost of each block, if blocks have separate dampings;
         else None.
     """
 
@@ -263,16 +273,18 @@ class ArrowDescent(optx.AbstractDescent):
     block_costs: Callable[..., Any] | None
 
     def init(self, y: Any, f_info_struct: Any) -> Any:
-        """Equations with an infinite cost and without information."""
+        """State before the first step: equations with an infinite cost and zero information."""
         zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), f_info_struct)
         return y, zeros._replace(cost=jnp.full_like(zeros.cost, jnp.inf), details=None)
 
     def query(self, y: Any, f_info: ArrowEquations, state: Any) -> Any:
-        """Set the point of the next step, with the equations there."""
+        """Set the state and the equations from which the next step is computed."""
         return y, f_info
 
     def step(self, step_size: Any, state: Any) -> tuple[ArrowStep, optx.RESULTS]:
-        """Step with the damping `step_size`; blocks whose cost it would raise do not move."""
+        """Compute a step. `step_size` is the damping. Blocks whose cost the step would increase do
+        not change.
+        """
         y, equations = state
         solver = BlockArrowSolver(step_size.head + FLOOR_DAMPING, step_size.blocks)
         factored, gradient = solver.init(equations.information, {}), equations.gradient
@@ -298,10 +310,14 @@ class ArrowDescent(optx.AbstractDescent):
 
 
 class _SearchState(NamedTuple):
-    """State of the search.
+    """State of `WatchdogSearch`.
 
-    damping : of the next step. tried : the step that is evaluated. risen : whether the present
-        point is above the best state. done : whether the descent may end.
+    Attributes
+    ----------
+    damping : damping of the next step.
+    tried : step that is being evaluated.
+    risen : whether the present state has a higher cost than the best state.
+    done : whether the descent may end.
     """
 
     damping: Damping
@@ -311,18 +327,22 @@ class _SearchState(NamedTuple):
 
 
 class WatchdogSearch(optx.AbstractSearch):
-    """Accept steps that reduce the cost, and near the minimum one that raises it if the next
-    compensates.
+    """Accepts or rejects steps, and adapts the damping, for optimistix.
 
-    A successful step divides the damping by ten, another one multiplies it. Source: Chamberlain et
-    al., "The watchdog technique for forcing convergence in algorithms for constrained optimization"
-    (1982).
+    A step that reduces the cost is accepted, and the damping is divided by 10. Near the minimum,
+    one step that increases the cost is accepted, too, if the next step then falls below the best
+    cost. All other steps are rejected, and the damping is multiplied by 10.
 
     Attributes
     ----------
-    first_damping : of the first step.
-    atol : gain that ends the descent.
+    first_damping : damping of the first step.
+    atol : decrease of the cost that counts as convergence.
     is_separable : whether blocks have separate dampings.
+
+    References
+    ----------
+    Chamberlain et al., "The watchdog technique for forcing convergence in algorithms for
+    constrained optimization" (1982).
     """
 
     first_damping: Float[ArrayLike, ""]
@@ -330,7 +350,7 @@ class WatchdogSearch(optx.AbstractSearch):
     is_separable: bool = eqx.field(static=True)
 
     def init(self, y: Any, f_info_struct: Any) -> _SearchState:
-        """State before the first step: a step of zero with no predicted gain."""
+        """State before the first step: a step of zero, with no predicted decrease of the cost."""
         head, blocks = (jnp.zeros(part.shape, part.dtype) for part in f_info_struct.gradient)
         step = ArrowStep(head, blocks, jnp.zeros(()), jnp.ones(len(blocks), bool))
         damping, no = jnp.asarray(self.first_damping), jnp.asarray(False)
@@ -345,9 +365,10 @@ class WatchdogSearch(optx.AbstractSearch):
         f_eval_info: ArrowEquations,
         state: _SearchState,
     ) -> tuple[Any, Bool[Array, ""], optx.RESULTS, _SearchState]:
-        """Return (next damping, whether the tried state is accepted, success, state of the search).
+        """Decide on an evaluated step. Returns (next damping, whether it is accepted, success,
+        search state).
 
-        f_info, f_eval_info : equations at the best state, and at the tried one.
+        f_info, f_eval_info : equations at the best state, and at the evaluated state.
         """
         damping, step, risen, _ = state
         gain = f_info.cost - f_eval_info.cost
@@ -368,16 +389,16 @@ class WatchdogSearch(optx.AbstractSearch):
 
 
 class _Progress(eqx.Module):
-    """State of the minimiser.
+    """State of `ArrowMinimiser`.
 
     Attributes
     ----------
-    best, at_best : best state so far, and the equations there.
-    here : present point of the descent.
+    best, at_best : state of least cost so far, and the equations there.
+    here : present state of the unknowns, with the equations there.
     search : state of the search.
-    step : next step to try.
-    steps : number of tried steps.
-    is_best : whether the last tried state is the best one.
+    step : next step to evaluate.
+    steps : number of evaluated steps.
+    is_best : whether the last evaluated state is the best one.
     done : whether the descent has ended.
     """
 
@@ -392,16 +413,16 @@ class _Progress(eqx.Module):
 
 
 class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
-    """Minimiser that combines a descent and a search.
+    """Levenberg-Marquardt minimiser for optimistix, from `ArrowDescent` and `WatchdogSearch`.
 
-    The minimised function returns its cost together with its `ArrowEquations`. The compiled
-    program contains it only once, after each step, so that it compiles faster. Without equations
-    at the start, a first step of zero provides them.
+    The minimised function returns the cost and the `ArrowEquations`. The compiled program evaluates
+    it at one place only, after each step, and therefore compiles faster.
 
     Attributes
     ----------
     most_steps : largest number of steps.
-    start : equations at the start. With them, steps with a small predicted gain are not tried.
+    start : equations at the initial state. Without them, a first step of zero computes them. With
+        them, a step with a small predicted decrease of the cost is not evaluated.
     """
 
     descent: ArrowDescent
@@ -415,7 +436,7 @@ class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
     norm: ClassVar[Callable[[PyTree], Float[Array, ""]]] = staticmethod(optx.max_norm)
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Progress:
-        """State at the start, with the first step if equations are given."""
+        """State before the first step. The first step is computed if the equations are given."""
         point, search = self.descent.init(y, aux_struct), self.search.init(y, aux_struct)
         step, done = search.tried, jnp.asarray(False)
         if self.start is not None:
@@ -426,7 +447,7 @@ class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
         return _Progress(y, point[1], point, search, step, jnp.asarray(0), done, done)
 
     def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, ArrowEquations]:
-        """Evaluate a step, and propose the next one."""
+        """Evaluate the proposed step, accept or reject it, and propose the next one."""
         tried = self.descent.retract(y, state.step.head, state.step.blocks)
         _, evaluated = fn(tried, args)
         evaluated_equations = evaluated._replace(details=None)
@@ -446,7 +467,7 @@ class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
         return point[0], progress, evaluated
 
     def terminate(self, fn, y, args, options, state, tags) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """True if the descent has ended; it failed if no cost was finite."""
+        """True if the descent has ended. The result is an error if no evaluated cost was finite."""
         failed = state.done & ~jnp.isfinite(state.at_best.cost)
         result = optx.RESULTS.where(failed, optx.RESULTS.nonfinite, optx.RESULTS.successful)
         return state.done, result
@@ -454,7 +475,7 @@ class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
     def postprocess(
         self, fn, y, aux, args, options, state, tags, result
     ) -> tuple[Any, ArrowEquations, dict[str, Any]]:
-        """Best state, and the equations of the last evaluated state."""
+        """Return the state of least cost, and the equations of the last evaluated state."""
         return state.best, aux, {}
 
 
@@ -463,7 +484,7 @@ def _where(condition: Bool[ArrayLike, ""], yes: Any, no: Any) -> Any:
 
 
 def gauss_newton_gain(equations: ArrowEquations) -> Float[Array, ""]:
-    """Predicted reduction of the cost by an undamped step, with linearised residuals."""
+    """Decrease of the cost that an undamped Gauss-Newton step would give if residuals were linear."""
     solver = BlockArrowSolver(FLOOR_DAMPING)
     solved = lx.linear_solve(equations.information, equations.gradient, solver, throw=False).value
     (head, blocks), (head_gradient, block_gradient) = solved, equations.gradient

@@ -39,10 +39,23 @@ def start_problem(
     set_from_board: Float[np.ndarray, "b 3 4"] | None = None,
     tuning: CalibTuning = TUNING,
 ) -> Problem:
-    """Problem at its start. The first camera, and the first board of a set, are fixed.
+    """Build the calibration problem of a rig from initial lenses and poses.
 
-    image_sizes_px : (width, height) of the images of each lens. set_from_board : pose of each board
-        of a set.
+    The frame of the rig is that of the first camera, whose pose is fixed. The pose of the first
+    board of a set is fixed, too.
+
+    Parameters
+    ----------
+    views : observations of the board.
+    target : the board, or the set of boards.
+    lenses : initial lenses, of one model.
+    cam_from_rig : (c, 3, 4) initial pose of each camera.
+    rig_from_board : (s, 3, 4) initial pose of the board in each shot.
+    image_sizes_px : (width, height) of the images of each lens.
+    freedom : lens of each camera, and the estimated lens parameters.
+    systematics : standard deviations of the errors of the board.
+    set_from_board : (b, 3, 4) initial pose of each board in a set.
+    tuning : constants of the method.
     """
     members = list_boards(target)
     in_set = np.zeros((0, 3, 4))
@@ -98,10 +111,11 @@ def start_problem(
 def _sheet_prior(
     systematics: Systematics, boards: int
 ) -> tuple[Float[np.ndarray, "w w"], Float[np.ndarray, "w"]]:
-    """Information on scales and warps, and which of these are free because they are not exact.
+    """Prior information of the print scales and warps of all boards, and the mask of the uncertain
+    ones.
 
-    All boards of a set have the same size error, as from one printer. Scales along X and Y, and
-    warps, are independent for each board.
+    The print size has one error, common to all boards of a set, as from one printer. The errors of
+    the scales along X and Y, and the warps, are independent for each board.
     """
     terms = len(WarpedBoard.names)
     size = np.zeros((terms, terms))

@@ -4,7 +4,7 @@ import enum
 
 
 class Status(enum.Enum):
-    """Status of the fit of one camera; the value is the sentence for the user."""
+    """Status of the fit of one camera. The value of each member is the sentence for the user."""
 
     CONVERGED = "The fit converged and its parameters are determined."
     SUSPECT = "The fit converged, but its residuals contradict the model: see the notes."

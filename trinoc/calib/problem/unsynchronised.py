@@ -49,9 +49,9 @@ _MOST_INFLUENCE = 9.0
 
 
 def fit_images_apart(fit: RobustFit) -> RobustFit | None:
-    """Fit lenses and board with a pose of the board for each image, and the cameras fixed.
+    """Fit lenses and board shape, with a separate board pose for each image and fixed camera poses.
 
-    Returns None if the cameras are synchronised.
+    Returns None if the cameras are synchronised, or if grey levels are used.
     """
     problem = fit.problem
     if any(view.grey_level_points is not None for view in problem.views):
@@ -75,16 +75,20 @@ def fit_images_apart(fit: RobustFit) -> RobustFit | None:
 
 
 def fit_with_motion(images_fit: RobustFit, shots_fit: RobustFit) -> RobustFit | None:
-    """Estimate the cameras from the shots, with the motion between images as a random effect.
+    """Estimate camera poses from shots in which the board moves between the exposures.
+
+    The motion of the board is a random effect: it adds a correlated error to the points of each
+    image. Its covariance is estimated from the shots.
 
     Parameters
     ----------
-    images_fit : fit with a pose of the board for each image; gives lenses, board and sigmas.
-    shots_fit : fit with one pose for each shot; gives the start of the cameras.
+    images_fit : fit with a separate board pose for each image; gives lenses, board shape and
+        sigmas.
+    shots_fit : fit with one board pose for each shot; gives the initial camera poses.
 
     Returns
     -------
-    The fit; None if no shot has two used images, which would show the motion.
+    The fit. None if no shot has two used images, so that the motion cannot be estimated.
     """
     images_problem, shots = images_fit.problem, shots_fit.problem
     state = eqx.tree_at(
@@ -116,7 +120,9 @@ def fit_with_motion(images_fit: RobustFit, shots_fit: RobustFit) -> RobustFit | 
 
 
 def _errors_in_sigmas(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "v n 2"]:
-    """Residuals of each image about its own pose, in sigmas as detected, (v, n, 2)."""
+    """Residuals of each image about its own best board pose, in detected sigmas without factors,
+    (v, n, 2).
+    """
     table = problem.table
     errors = np.zeros(np.shape(table.uv_px))
     for k, about_pose in enumerate(errors_about_image_poses_px(problem, poses)):
@@ -125,12 +131,14 @@ def _errors_in_sigmas(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, 
 
 
 def _sigma_multiplier(problem: Problem, view: BoardObservation) -> float:
-    """Factor of the sigmas of an image's points."""
+    """Factor by which the detected sigmas of an image's points are multiplied."""
     return float(problem.sigma_factor[view.camera]) * view.sigma_ratio
 
 
 def _reduced_chi_square(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "v"]:
-    """Reduced chi-square of each image about its own pose, by the present sigmas, (v,)."""
+    """Reduced chi-square of each image about its own best board pose, with the present sigmas,
+    (v,).
+    """
     squared = np.sum(_errors_in_sigmas(problem, poses) ** 2, axis=(1, 2))
     return np.array(
         [
@@ -143,10 +151,12 @@ def _reduced_chi_square(problem: Problem, poses: ImagePoses) -> Float[np.ndarray
 
 
 def _with_motion(problem: Problem) -> Problem:
-    """Problem with the errors of each image's points correlated by the motion of its board.
+    """Problem in which the motion of the board between exposures correlates the errors of an
+    image's points.
 
-    Points are taken at the pose of their image, and the motion is subtracted to first order. They
-    stay valid for other lenses and cameras.
+    Points are predicted at the board pose of their own image. The motion from the shot's pose to
+    this pose is subtracted from the observed pixels to first order, so that they remain valid for
+    other lenses and cameras.
     """
     poses = fit_image_poses(problem)
     motion = _motion_covariance(problem, poses)
@@ -175,9 +185,11 @@ def _with_motion(problem: Problem) -> Problem:
 def _moved_points_mm(
     problem: Problem, view: BoardObservation, step: Float[np.ndarray, "6"]
 ) -> Float[np.ndarray, "m 3"]:
-    """Points of the board in one image, after `step` from its pose in the shot to the image's.
+    """Detected board points, (m, 3) in mm, at the board pose of their own image.
 
-    The frame is that of the board at the shot's pose, mm, (m, 3).
+    They are given in the frame of the board at the pose of the shot.
+
+    step : change from the board pose of the shot to that of the image, in local coordinates.
     """
     from_board = np.asarray(problem.state.rig_from_board[view.shot])
     after = np.asarray(step_motion(from_board, step, problem.parametrization.unit_mm))
@@ -192,7 +204,13 @@ def _correlated_whitening(
     jacobian_px: Float[np.ndarray, "n 2 6"],
     motion: Float[np.ndarray, "6 6"],
 ) -> Float[np.ndarray, "k k"]:
-    """W with W^T W the inverse of noise and motion covariance together; 0 for unused points."""
+    """Whitening matrix W of an image's points: W^T W is the inverse covariance of noise plus
+    motion.
+
+    factor : factor of the detected sigmas.
+    jacobian_px : derivative of the pixels with respect to the board pose.
+    motion : covariance of the board's motion. Rows of unused points are 0.
+    """
     rows = np.flatnonzero(view.used)
     covariance = np.zeros((2 * len(rows), 2 * len(rows)))
     for number, row in enumerate(rows):
@@ -207,10 +225,12 @@ def _correlated_whitening(
 
 
 def _motion_covariance(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "6 6"]:
-    """Covariance of the board's motion between the exposures of two cameras of a shot, (6, 6).
+    """Covariance, (6, 6), of the change of the board pose between one image of a shot and the true
+    shot.
 
-    The unit is that of steps of the pose. It is estimated from pairs of poses; the pairs with the
-    largest differences have bounded weight.
+    It is in local coordinates of the pose. It is estimated from the pose differences between pairs
+    of images of a shot, minus the noise of these poses. Pairs with large differences have a bounded
+    weight.
     """
     differences, noises = [], []
     for first, *others in images_of_shots(problem).values():

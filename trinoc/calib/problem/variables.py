@@ -27,17 +27,17 @@ _AIM_STEPS = np.eye(POSE_SIZE)[4:]
 
 
 class RigState(eqx.Module):
-    """Values of all unknowns.
+    """Values of all unknowns of a calibration problem.
 
     Attributes
     ----------
-    lenses : l lenses of one model, along the first axis of their fields.
+    lenses : l lenses of one model, stacked along the first axis of their fields.
     cam_from_rig : (c, 3, 4) pose of each camera.
-    rig_from_board : (s, 3, 4) pose of the board in each shot; for a set, of the set's frame.
+    rig_from_board : (s, 3, 4) pose of the board in each shot; for a set of boards, pose of the set.
     set_from_board : (b, 3, 4) pose of each board in its set; no rows for a single board.
-    sheet : (b * w,) parameters of each board's `AbstractSheet`.
-    shape : (p, 3) displacement of each board point from the drawing with its `sheet`, X, Y and Z in
-        mm; no rows without displacements.
+    sheet : (b * w,) print and bend parameters of each board (`AbstractSheet`).
+    shape : (p, 3) X, Y and Z displacement of each board point from the position that `sheet`
+        predicts, mm; no rows if points are not displaced.
     """
 
     lenses: AbstractLens
@@ -49,17 +49,17 @@ class RigState(eqx.Module):
 
 
 class Priors(eqx.Module):
-    """Gaussian priors of the unknowns.
+    """Gaussian priors of the unknowns. Information is inverse covariance, and 0 without a prior.
 
     Attributes
     ----------
-    lens_mean : (l, q) mean of each lens's parameters.
-    lens_information : (l, q, q) their inverse covariance; zero without a prior.
-    sheet_information : (w, w) inverse covariance of `RigState.sheet`, whose mean is 0.
-    shape_information : (3p, 3p) inverse covariance of `RigState.shape`, whose mean is 0; no rows
-        without displacements.
-    aim_information : (c,) inverse variance, 1/mm^2, of each coordinate of the intersection of an
-        optical axis with Z = 0; its mean is the origin.
+    lens_mean : (l, q) mean of the parameters of each lens.
+    lens_information : (l, q, q) information of the parameters of each lens.
+    sheet_information : (b * w, b * w) information of `RigState.sheet`; its mean is 0.
+    shape_information : (3p, 3p) information of `RigState.shape`; its mean is 0. No rows if points
+        are not displaced.
+    aim_information : (c,) information, 1/mm^2, of each coordinate of a camera's aim: the
+        intersection of its optical axis with Z = 0. The mean is the origin.
     """
 
     lens_mean: Float[ArrayLike, "l q"]
@@ -70,16 +70,18 @@ class Priors(eqx.Module):
 
 
 class HeadSlices(NamedTuple):
-    """Positions of the steps of each kind of unknown in the head, in their order.
+    """Index range of each kind of unknown in the vector of shared parameters, in this order.
+
+    Shared parameters are the unknowns that all shots have in common, in local coordinates.
 
     Attributes
     ----------
-    lenses : `lens_size` steps for each lens.
-    cameras : POSE_SIZE steps for each camera's pose.
-    boards : POSE_SIZE steps for the pose of each board in its set; none for a single board.
-    sheets : steps of the print and bend of each board.
-    points : 3 steps for each board point.
-    lens_size : steps of one lens.
+    lenses : `lens_size` parameters of each lens.
+    cameras : POSE_SIZE parameters of each camera pose.
+    boards : POSE_SIZE parameters of the pose of each board in its set; none for a single board.
+    sheets : print and bend parameters of each board.
+    points : 3 displacements of each board point.
+    lens_size : number of parameters of one lens.
     """
 
     lenses: slice
@@ -90,11 +92,11 @@ class HeadSlices(NamedTuple):
     lens_size: int
 
     def lens(self, number: int) -> slice:
-        """Steps of one lens."""
+        """Index range of the lens with index `number`."""
         return _part(self.lenses, number, self.lens_size)
 
     def camera(self, number: int) -> slice:
-        """Steps of one camera's pose."""
+        """Index range of the pose of the camera with index `number`."""
         return _part(self.cameras, number, POSE_SIZE)
 
 
@@ -104,21 +106,25 @@ def _part(section: slice, number: int, size: int) -> slice:
 
 
 class Parametrization(eqx.Module):
-    """Map from steps to changes of the unknowns, and which steps are free.
+    """Local coordinates of the unknowns: scales, priors, and the mask of estimated parameters.
+
+    A small change of the unknowns is a vector of h shared parameters (lenses, camera poses, board
+    poses in a set, board shape) and 6 parameters of the board pose of each shot.
 
     Attributes
     ----------
-    lens_basis : (l, q, r) change of each lens's q parameters by its r steps: a diagonal of units,
-        or the factor of a covariance, whose steps are in standard deviations.
-    unit_mm : length of a unit step in translations.
+    lens_basis : (l, q, r) change of the q parameters of each lens for a unit change of its r local
+        coordinates. It is either diagonal, or the factor of a covariance, with local coordinates in
+        standard deviations.
+    unit_mm : length that corresponds to a unit change of a translation.
     sheet_model : model of print and bend of a board.
-    sheet_scale : (w,) change of `RigState.sheet` for a unit step.
+    sheet_scale : (b * w,) change of `RigState.sheet` for a unit change of its local coordinates.
     lens_of_camera : (c,) index of each camera's lens.
-    free : (h,) 1 for free steps of the head, 0 for fixed ones.
-    boards_free : 1 if the boards of the shots move, 0 if they are fixed.
+    free : (h,) 1 for an estimated shared parameter, 0 for a fixed one.
+    boards_free : 1 if the board poses of the shots are estimated, 0 if they are fixed.
     priors : priors of the unknowns.
-    pose_model : parametrization of camera steps: RIGID, or AIM_FREE over a fixed sheet.
-    has_circles : whether some board point is a circle.
+    pose_model : local coordinates of camera poses: RIGID, or AIM_FREE over a fixed sheet.
+    has_circles : whether some board points are circles.
     """
 
     lens_basis: Float[ArrayLike, "l q r"]
@@ -134,15 +140,15 @@ class Parametrization(eqx.Module):
 
     @property
     def lens_shape(self) -> tuple[int, int]:
-        """Number of lenses, and number of steps of each."""
+        """Number of lenses, and number of local coordinates of each lens."""
         lenses, _, steps = self.lens_basis.shape
         return lenses, steps
 
     @property
     def lens_scale(self) -> Float[ArrayLike, "l q"]:
-        """Change of each lens parameter for a step of 1, (l, q).
+        """Change of each lens parameter for a unit change of its local coordinate, (l, q).
 
-        Only if every step changes one parameter.
+        Only valid if `lens_basis` is diagonal.
         """
         return self.lens_basis.diagonal(axis1=1, axis2=2)
 
@@ -153,7 +159,7 @@ class Parametrization(eqx.Module):
 
     @property
     def slices(self) -> HeadSlices:
-        """Positions of the steps of each kind of unknown in the head."""
+        """Index range of each kind of unknown in the vector of shared parameters."""
         lenses, lens_size = self.lens_shape
         sizes = (
             lenses * lens_size,
@@ -175,10 +181,12 @@ class Parametrization(eqx.Module):
 def head_columns(
     parametrization: Parametrization, camera: Int[ArrayLike, ""], board: Int[ArrayLike, ""]
 ) -> Int[Array, "k"]:
-    """Columns of the head whose steps move the board points of one image.
+    """Indices, (k,), of the shared parameters on which the pixels of one observation depend.
 
-    These are the steps of the camera's lens and pose, of the board's pose in its set, of its sheet,
-    and of all board points.
+    The order is: lens of the camera, pose of the camera, pose of the board in its set, print and
+    bend of the board, displacements of all board points.
+
+    camera, board : indices of both.
     """
     slices, terms = parametrization.slices, len(parametrization.sheet_model.names)
     size = slices.lens_size
@@ -198,7 +206,10 @@ def step_motion(
     unit_mm: Float[ArrayLike, ""],
     model: PoseModel = PoseModel.RIGID,
 ) -> Float[ArrayLike, "3 4"]:
-    """Rigid motion after a step of `Pose.retract`."""
+    """Rigid motion after a small change of its local coordinates (`Pose.retract`).
+
+    step : (6,) change. unit_mm : length of a unit change of the translation.
+    """
     return Pose(motion).retract(step, model, unit_mm).cam_from_world
 
 
@@ -208,7 +219,11 @@ def retract(
     head: Float[ArrayLike, "h"],
     boards: Float[ArrayLike, "s 6"],
 ) -> RigState:
-    """State after a step of the free unknowns."""
+    """Change all estimated unknowns by a small step.
+
+    head : (h,) change of the shared parameters (lenses, cameras, board shape).
+    boards : (s, 6) change of the board pose of each shot.
+    """
     head, slices = head * parametrization.free, parametrization.slices
     unit_mm = parametrization.unit_mm
 
@@ -233,7 +248,10 @@ def retract(
 
 
 class Prior(NamedTuple):
-    """Chi-square of the priors, half its gradient and half its Hessian by the steps of the head."""
+    """Chi-square of the priors (`cost`), half its gradient and half its Hessian (`information`).
+
+    The derivatives are those with respect to the h shared parameters.
+    """
 
     cost: Float[ArrayLike, ""]
     gradient: Float[ArrayLike, "h"]
@@ -241,7 +259,9 @@ class Prior(NamedTuple):
 
 
 def evaluate_prior(state: RigState, parametrization: Parametrization) -> Prior:
-    """Prior at a state: of lenses, aims, sheets and displacements of board points."""
+    """Evaluate the priors of lenses, aims, print and bend, and board point displacements at a
+    state.
+    """
     unit_mm, cameras = parametrization.unit_mm, parametrization.lens_of_camera.shape[0]
     priors, slices, free = parametrization.priors, parametrization.slices, parametrization.free
     parameters = jax.vmap(lambda lens: jnp.asarray(lens.parameters))(state.lenses)
@@ -278,6 +298,11 @@ def _gaussian(
     precision: Float[ArrayLike, "n n"],
     by_step: Float[ArrayLike, "n m"],
 ) -> Prior:
-    """Gaussian prior. offset : from its mean. by_step : derivative of the values by a step."""
+    """Evaluate one Gaussian prior.
+
+    offset : (n,) values minus their prior mean.
+    precision : (n, n) inverse covariance of the values.
+    by_step : (n, m) derivative of the values with respect to their local coordinates.
+    """
     weighted = precision @ offset
     return Prior(offset @ weighted, by_step.T @ weighted, by_step.T @ precision @ by_step)

@@ -29,15 +29,15 @@ NO_POINT = 1 << 30
 
 
 class SheetPoints(NamedTuple):
-    """Points of the sheet and their pixels in one image.
+    """Points of the sheet with their pixels in one image, fitted to the grey levels.
 
     Attributes
     ----------
-    point_mm : (n, 2) on the drawing of the sheet, or (n, 3) in the board's frame if the board
-        moved.
-    uv_px : (n, 2) their pixels.
-    whitening : (2n, 2n) root R of the joint information R^T R of all pixels, which may be singular.
-        Rows of zeros have no information.
+    point_mm : (n, 2) positions on the drawing. If the board moved: (n, 3) positions in the frame of
+        the board.
+    uv_px : (n, 2) pixels of the points.
+    whitening : (2n, 2n) root R of the information R^T R of all pixel coordinates. The information
+        may be singular; unused rows of R are 0.
     """
 
     point_mm: Float[np.ndarray, "*v n _d"]
@@ -46,22 +46,25 @@ class SheetPoints(NamedTuple):
 
 
 class BoardObservation(NamedTuple):
-    """Observation of the board in one image: one camera, one shot.
+    """Observation of a board in one image: one camera, one shot.
+
+    A shot is the set of images that all cameras take at one moment.
 
     Attributes
     ----------
-    camera, shot : indices of both.
-    detection : detected board points with one labelling.
-    used : (m,) whether each detected point is used.
-    grey_level_points : points from the fit to the grey levels, which replace the detection. They
-        are used unless `used` is all false.
+    camera, shot : indices of the camera and the shot.
+    detection : detected board points (circle centres or corners), with one assignment to the board.
+    used : (m,) whether each detected point is used; outliers are not.
+    grey_level_points : points from the fit to the grey levels, used instead of the detected points.
+        None are used if `used` is all False.
     board : index of the board in a set.
-    ink_spread_mm : distance by which the ink extends beyond the drawing of each circle.
-    spare_rows : additional rows of the table for grey-level points of a later fit, so that both
+    ink_spread_mm : distance by which the ink extends beyond the drawn edge of each circle.
+    spare_rows : number of empty table rows reserved for a later fit to grey levels, so that both
         fits use one compiled program.
-    sigma_ratio : scatter of the image's points over that of its camera; multiplies their sigmas.
-    has_motion_errors : whether `grey_level_points` are the detected points with errors correlated
-        by the motion of the board between the images of a shot.
+    sigma_ratio : scatter of this image's points divided by that of its camera. The point sigmas are
+        multiplied by it.
+    has_motion_errors : whether `grey_level_points` are in fact the detected points, with errors
+        that the board's motion between the images of a shot correlates.
     """
 
     camera: int
@@ -76,10 +79,10 @@ class BoardObservation(NamedTuple):
     has_motion_errors: bool = False
 
     def without_motion(self) -> "BoardObservation":
-        """The observation with its detected points and their own errors only.
+        """Copy with the detected points and their independent errors, without the errors of board
+        motion.
 
-        Errors that the motion of the board adds are removed, so that the image can have its own
-        pose of the board.
+        The image can then have its own board pose.
         """
         return (
             self._replace(grey_level_points=None, has_motion_errors=False)
@@ -89,7 +92,7 @@ class BoardObservation(NamedTuple):
 
     @property
     def row_count(self) -> int:
-        """Number of table rows of this observation."""
+        """Number of points of this observation, used or not."""
         points = (
             self.detection.centres_px
             if self.grey_level_points is None
@@ -99,14 +102,16 @@ class BoardObservation(NamedTuple):
 
     @property
     def rows_used(self) -> Bool[np.ndarray, "_r"]:
-        """Mask of the used rows, (r,)."""
+        """Mask, (r,), of the points that are used: detected points, or grey-level points if these
+        exist.
+        """
         if self.grey_level_points is None:
             return self.used
         return np.any(self.grey_level_points.whitening != 0, axis=0)[::2] & self.used.any()
 
     @property
     def coordinate_count(self) -> int:
-        """Number of pixel coordinates that the used points contribute."""
+        """Number of pixel coordinates of the used points that carry information."""
         if self.grey_level_points is None:
             return 2 * int(self.used.sum())
         return (
@@ -117,18 +122,19 @@ class BoardObservation(NamedTuple):
 
 
 class ObservationTable(NamedTuple):
-    """Observations as arrays. Rows whose `whitening` is 0 have no effect.
+    """Observations as padded arrays: v observations of n points each.
 
     Attributes
     ----------
-    camera, shot, board : (v,) indices of each observation.
-    point : (v, n) index of each board point in the target; `NO_POINT` for pieces of lines.
-    point_mm : (v, n, 3) position on the board.
+    camera, shot, board : (v,) indices of camera, shot and board of each observation.
+    point : (v, n) index of each board point in the target; `NO_POINT` for a piece of a line.
+    point_mm : (v, n, 3) position of each point on the drawing.
     radius_mm : (v, n) radius of the circle; 0 for a corner.
-    uv_px : (v, n, 2) observed centre of the circle's image, or corner.
-    whitening : (v, g, k, k) W with W^T W the inverse covariance of each of g groups of points; 0
-        for unused points. Shape (n, 2, 2) for independent errors; (1, 2n, 2n) for joint errors, as
-        from grey levels.
+    uv_px : (v, n, 2) observed pixel of the corner, or of the centre of the circle's elliptical
+        image.
+    whitening : (v, g, k, k) matrix W of each of g groups of points; W^T W is the inverse
+        covariance. It is 0 for unused points and padding. Shape (v, n, 2, 2) for independent errors
+        of the points; (v, 1, 2n, 2n) for correlated errors, as from grey levels.
     """
 
     camera: Int[ArrayLike, "v"]
@@ -142,12 +148,12 @@ class ObservationTable(NamedTuple):
 
 
 def shot_capacity(shots: int) -> int:
-    """Padded number of shots in the arrays of a state."""
+    """Padded length of the shot axis for this number of shots."""
     return shots if shots == 1 else pad_count(shots, FEWEST_SHOTS)
 
 
 def pad_count(count: int, fewest: int) -> int:
-    """Smallest number of the form 2^k or 3 * 2^k, at least `fewest`, that is not below `count`."""
+    """Round a count up to at least `fewest` and to the form 2^k or 3 * 2^k."""
     power = 1 << max(count - 1, 0).bit_length()
     return max(fewest, 3 * power // 4 if count <= 3 * power // 4 else power)
 
@@ -155,7 +161,9 @@ def pad_count(count: int, fewest: int) -> int:
 def observation_table(
     views: Sequence[BoardObservation], target: AbstractTarget
 ) -> ObservationTable:
-    """Convert observations to arrays, padded to a few sizes so that programs compile once."""
+    """Convert observations to arrays, padded to few different sizes so that programs rarely compile
+    again.
+    """
     rows = max(bucket(max(view.row_count for view in views), smallest=_FEWEST_PLACES), 1)
     is_joint = any(view.grey_level_points is not None for view in views)
     wide_rows = bucket(
@@ -210,8 +218,9 @@ def observation_table(
 def find_circles(
     point_mm: Float[np.ndarray, "m 2"], target: AbstractTarget
 ) -> Int[np.ndarray, "m"]:
-    """Index of the circle that contains each position, or of the nearest corner; `NO_POINT` for
-    others.
+    """Index of the circle that contains each position; `NO_POINT` if no circle does.
+
+    On a board of corners: index of the nearest corner.
     """
     distance, nearest = point_tree(target.centres_mm).query(point_mm)
     radius = target.radius_mm[nearest]
@@ -219,7 +228,7 @@ def find_circles(
 
 
 def whitening_of_covariance(covariance: Float[np.ndarray, "m 2 2"]) -> Float[np.ndarray, "m 2 2"]:
-    """Whitening W of each covariance, W^T W = covariance^-1, in closed form, (m, 2, 2)."""
+    """Matrix W of each 2 x 2 covariance with W^T W = covariance^-1, (m, 2, 2)."""
     a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     first = np.sqrt(a)
     slope = b / first

@@ -12,10 +12,10 @@ _ROUNDING = 1e-12
 
 
 def drop_wrong_circles(problem: Problem) -> Problem:
-    """Problem without circles whose grey-level position disagrees with the rig.
+    """Remove circles whose grey-level position is an outlier with respect to the fitted rig.
 
-    The gate is a multiple of the scatter of all circles of the camera. Circles that were outliers
-    as points stay excluded.
+    The largest accepted error is a multiple of the scatter of all circles of the camera. Circles
+    that were outliers in the fit to detected points remain excluded.
     """
     errors, views = errors_px(problem), list(problem.views)
     for camera in range(problem.cameras):
@@ -46,7 +46,10 @@ def drop_wrong_circles(problem: Problem) -> Problem:
 
 
 def discount_points(points: SheetPoints, rows: np.ndarray) -> SheetPoints:
-    """Points without the information of some of them, which may lie anywhere."""
+    """Points of which some carry no information any more. Their pixels are marginalised out.
+
+    rows : indices of the discounted points.
+    """
     size = len(points.whitening)
     removed = np.zeros(size, dtype=bool)
     removed[np.concatenate([2 * rows, 2 * rows + 1])] = True
@@ -68,7 +71,7 @@ def _has_grey_level_points(view: BoardObservation) -> bool:
 
 
 def _circles(view: BoardObservation, problem: Problem) -> np.ndarray:
-    """Indices of the points that are circles and have information."""
+    """Indices of the grey-level points of an observation that are circles and carry information."""
     assert view.grey_level_points is not None
     is_circle = find_circles(view.grey_level_points.point_mm, problem.target) != NO_POINT
     return np.flatnonzero(is_circle & view.rows_used)
@@ -77,7 +80,7 @@ def _circles(view: BoardObservation, problem: Problem) -> np.ndarray:
 def _in_sigmas(
     points: SheetPoints | None, errors: Float[np.ndarray, "n 2"], rows: np.ndarray
 ) -> Float[np.ndarray, "m 2"]:
-    """Errors of some points in units of their own sigmas."""
+    """Errors of the points `rows`, along the principal axes of their covariance, in sigmas, (m, 2)."""
     assert points is not None
     information = points.whitening.T @ points.whitening
     covariance = np.linalg.pinv(information, _ROUNDING, hermitian=True)
