@@ -161,7 +161,9 @@ class WhitenedViews(NamedTuple):
 
 
 def whiten_views(problem: Problem) -> WhitenedViews:
-    """Compute whitened residuals and their dense Jacobian. Only for problems of few observations."""
+    """Compute whitened residuals and their dense Jacobian. Only for problems of few
+    observations.
+    """
     columns, jacobian, residual = (
         np.asarray(part)[: len(problem.views)]
         for part in _whiten_views(problem.state, problem.parametrization, problem.table)

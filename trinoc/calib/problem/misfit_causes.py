@@ -68,7 +68,9 @@ class MisfitCause(NamedTuple):
 
 
 def find_causes(problem: Problem) -> list[MisfitCause]:
-    """Find the causes that explain a relevant share of the residuals. The largest one comes first."""
+    """Find the causes that explain a relevant share of the residuals. The largest one
+    comes first.
+    """
     causes, poses, tuning = [], fit_image_poses(problem), problem.tuning.answer
     # Each image has its own pose, in case the cameras are not synchronised.
     errors = errors_about_image_poses_px(problem, poses)
@@ -224,7 +226,9 @@ def change_point(
         return None
 
     def parts(index: int) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "s 2"]]:
-        """Median after a split minus median before it, and all deviations from these two medians."""
+        """Median after a split minus median before it, and all deviations from these
+        two medians.
+        """
         sides = shifts_px[:index], shifts_px[index:]
         middles = [np.median(side, axis=0) for side in sides]
         return middles[1] - middles[0], np.concatenate([s - m for s, m in zip(sides, middles)])

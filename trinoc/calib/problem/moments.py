@@ -134,7 +134,9 @@ def images_of_shots(problem: Problem) -> dict[int, list[int]]:
 def _pose_step(
     information: Float[np.ndarray, "*v 6 6"], gradient: Float[np.ndarray, "*v 6"]
 ) -> Float[np.ndarray, "*v 6"]:
-    """Gauss-Newton step of a pose from its normal equations. Undetermined directions hardly change."""
+    """Gauss-Newton step of a pose from its normal equations. Undetermined directions
+    hardly change.
+    """
     scale = 1 / np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
     scaled = information * scale[..., :, None] * scale[..., None, :] + 1e-9 * np.eye(POSE_SIZE)
     return -scale * np.linalg.solve(scaled, (gradient * scale)[..., None])[..., 0]

@@ -41,7 +41,9 @@ class FitOutcome(NamedTuple):
 
 
 def assess_fit(fit: RobustFit) -> FitOutcome:
-    """Determine status and covariance of a fit. The covariance is enlarged if the shots disagree."""
+    """Determine status and covariance of a fit. The covariance is enlarged if the
+    shots disagree.
+    """
     information = compute_information(fit.problem)
     if fit.lenses_fixed:
         information = with_gradients_after_step(information)

@@ -262,7 +262,9 @@ def _are_one_lens(cameras: Sequence[SheetCamera]) -> bool:
 
 
 def _camera_distance_mm(camera: SheetCamera, target: AbstractTarget) -> float:
-    """Distance from the camera's centre of projection to the mean of its observed board points, mm."""
+    """Distance from the camera's centre of projection to the mean of its observed
+    board points, mm.
+    """
     middle = np.zeros(3)
     points_mm = _points_mm(camera, target)
     middle[: points_mm.shape[1]] = points_mm.mean(axis=0)

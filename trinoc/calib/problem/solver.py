@@ -484,7 +484,9 @@ def _where(condition: Bool[ArrayLike, ""], yes: Any, no: Any) -> Any:
 
 
 def gauss_newton_gain(equations: ArrowEquations) -> Float[Array, ""]:
-    """Decrease of the cost that an undamped Gauss-Newton step would give if residuals were linear."""
+    """Decrease of the cost that an undamped Gauss-Newton step would give if residuals
+    were linear.
+    """
     solver = BlockArrowSolver(FLOOR_DAMPING)
     solved = lx.linear_solve(equations.information, equations.gradient, solver, throw=False).value
     (head, blocks), (head_gradient, block_gradient) = solved, equations.gradient

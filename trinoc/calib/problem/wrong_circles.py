@@ -80,7 +80,9 @@ def _circles(view: BoardObservation, problem: Problem) -> np.ndarray:
 def _in_sigmas(
     points: SheetPoints | None, errors: Float[np.ndarray, "n 2"], rows: np.ndarray
 ) -> Float[np.ndarray, "m 2"]:
-    """Errors of the points `rows`, along the principal axes of their covariance, in sigmas, (m, 2)."""
+    """Errors of the points `rows`, along the principal axes of their covariance, in
+    sigmas, (m, 2).
+    """
     assert points is not None
     information = points.whitening.T @ points.whitening
     covariance = np.linalg.pinv(information, _ROUNDING, hermitian=True)
