@@ -32,20 +32,26 @@ _ROUNDING = 1e-14
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """Joint estimate of all cameras over one sheet from their observations and all priors.
+    """Joint least-squares estimate of all cameras over one sheet, with priors of sheet, lenses and
+    aims.
+
+    The estimated parameters are lenses, camera poses, and print and bend of the sheet, in local
+    coordinates.
 
     Attributes
     ----------
-    cameras : observations of the cameras, in the order of the views.
-    priors : priors on sheet, lenses and aims.
-    problem : problem at the estimate, with the used points and the factors of their sigmas.
-    whitened : whitened residuals of the v views there, and their derivatives by all steps.
-    root : (f, f) upper triangular R of the information R^T R of the free steps, with the priors.
-        Rigs of many shots form the information itself (`problem.information`), since a root would
-        be too large. Here that would lose half of the digits: for the demo's images R has a
-        condition number of 5e6, and variances from the inverse of R^T R are wrong by up to 0.8 %.
-    reduced_chi_square : (v,) of the points, before their sigmas were enlarged.
-    freedom : (v,) degrees of freedom of the same; 0 below 1.
+    cameras : observations of each of v cameras. A camera is addressed by its index `view` in this
+        tuple.
+    priors : priors of sheet, lenses and aims.
+    problem : problem at the solution, with outliers marked as unused and the factors of the point
+        sigmas.
+    whitened : whitened residuals at the solution and their Jacobian.
+    root : (f, f) upper triangular R of the information R^T R of all f estimated parameters, priors
+        included. It is computed directly by a QR decomposition of the Jacobian, because R^T R would
+        lose half of the digits.
+    reduced_chi_square : (v,) chi-square of each camera's points divided by `freedom`, before the
+        point sigmas were enlarged; NaN if `freedom` is 0.
+    freedom : (v,) degrees of freedom of each camera's points; 0 if below 1.
     converged : whether the last fit converged.
     """
 
@@ -60,32 +66,34 @@ class Adjustment:
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Indices of the free steps of the head, (f,)."""
+        """Indices, (f,), of the estimated parameters among all parameters of the problem."""
         return np.flatnonzero(self.problem.free)
 
     @cached_property
     def covariance(self) -> Float[np.ndarray, "f f"]:
-        """Covariance of the free steps, (f, f); 0 along undetermined directions."""
+        """Covariance, (f, f), of the estimated parameters; 0 in undetermined directions."""
         inverse = _inverse(self.root)
         return inverse @ inverse.T
 
     @property
     def model(self) -> PoseModel:
-        """Estimated parameters of each pose."""
+        """Pose model: the parameters of each pose that are estimated."""
         return self.priors.fitted_model
 
     @property
     def used(self) -> list[np.ndarray]:
-        """Masks of the used circles, (m,) for each camera."""
+        """Mask, (m,), of the used circles of each camera; outliers are not used."""
         return [view.used for view in self.problem.views]
 
     @property
     def sigma_factors(self) -> Float[np.ndarray, "v"]:
-        """Factor of each camera's sigmas, (v,); 1 if its points scatter by their sigmas."""
+        """Factor, (v,), by which the point sigmas of each camera were multiplied; 1 if the sigmas
+        are right.
+        """
         return np.asarray(self.problem.sigma_factor)[: len(self.problem.views)]
 
     def pose(self, view: int) -> Pose:
-        """Pose of a camera."""
+        """Estimated pose of a camera, cam_from_world."""
         return Pose(np.asarray(self.problem.state.cam_from_rig)[view])
 
     def lens(self, view: int) -> AbstractLens:
@@ -93,16 +101,18 @@ class Adjustment:
         return lens_number(self.problem, self._lens_of(view))
 
     def distance_mm(self, view: int) -> float:
-        """Distance from a camera to the sheet along its axis, mm."""
+        """Distance from the camera's centre of projection to the sheet along the
+        optical axis, mm.
+        """
         return float(self.pose(view).distance_mm)
 
     def rows(self, view: int) -> np.ndarray:
-        """Indices of a camera's pose among the free steps."""
+        """Indices of a camera's pose parameters among the f estimated parameters."""
         return self._rows_in(self.problem.slices.camera(view))
 
     def lens_steps(self, view: int) -> Float[np.ndarray, "r"]:
-        """Estimated minus stated lens along each direction of its prior, in sigmas of the prior,
-        (r,).
+        """Estimated minus given lens along each principal axis of its prior, in sigmas of the
+        prior, (r,).
         """
         number = self._lens_of(view)
         change = np.asarray(self.lens(view).parameters) - self.problem.priors.lens_mean[number]
@@ -112,7 +122,7 @@ class Adjustment:
         return steps
 
     def lens_rows(self, view: int) -> np.ndarray:
-        """Indices of a camera's lens among the free steps."""
+        """Indices of a camera's lens parameters among the f estimated parameters."""
         return self._rows_in(self.problem.slices.lens(self._lens_of(view)))
 
     def _lens_of(self, view: int) -> int:
@@ -122,8 +132,9 @@ class Adjustment:
         return np.flatnonzero((self.free >= part.start) & (self.free < part.stop))
 
     def pose_root(self, view: int) -> Float[np.ndarray, "p p"]:
-        """R of the information R^T R of one camera's pose, with all other unknowns eliminated, (p,
-        p).
+        """Upper triangular R, (p, p), of the information R^T R of one camera's pose.
+
+        All other estimated parameters are eliminated.
         """
         rows = self.rows(view)
         others = np.delete(np.arange(len(self.root)), rows)
@@ -131,27 +142,35 @@ class Adjustment:
         return _triangle(self.root[:, last])[len(others) :, len(others) :]
 
     def observability(self, view: int, sigma_factor: float = 1.0) -> Observability:
-        """Parameters of one camera's pose that are determined, with all other unknowns eliminated.
+        """Rank and covariance of the pose parameters of one camera, with all other parameters
+        eliminated.
 
-        sigma_factor : divisor of the sigmas of all observations.
+        sigma_factor : number by which the sigmas of all observations are divided before.
         """
         largest = largest_sigmas(self.model, self.distance_mm(view))
         root = sigma_factor * self.pose_root(view)
         return observability_of_root(root, self.degrees_by_step(view), largest)
 
     def covariance_with(self, weights: Float[np.ndarray, "f"]) -> Float[np.ndarray, "f f"]:
-        """Covariance with one more prior on each free step, (f, f). weights : inverse sigmas of the
-        priors.
+        """Covariance, (f, f), if each estimated parameter had one more independent prior.
+
+        weights : (f,) inverse sigma of each additional prior; 0 for none.
         """
         inverse = _inverse(_triangle(np.concatenate([self.root, np.diag(weights)])))
         return inverse @ inverse.T
 
     def parameters(self, view: int) -> Float[np.ndarray, "p"]:
-        """Pan, tilt and swing in rad, distance in mm, and the aim in mm if it is free, (p,)."""
+        """Pose parameters of one camera, (p,): pan, tilt, swing in rad, distance in mm, and the aim
+        in mm.
+
+        The aim is missing if it is fixed.
+        """
         return np.asarray(self.pose(view).parameters)[: self.model.size]
 
     def degrees_by_step(self, view: int) -> Float[np.ndarray, "p p"]:
-        """Derivative of `parameters`, in degrees and mm, by a step of the pose, (p, p)."""
+        """Jacobian, (p, p), of the pose parameters in degrees and mm with respect to local
+        coordinates.
+        """
         return degrees_by_step(self.pose(view), self.problem.parametrization.unit_mm, self.model)
 
 
@@ -162,17 +181,21 @@ def adjust(
     start: Adjustment | None = None,
     first_damping: float | None = LEAST_DAMPING,
 ) -> Adjustment:
-    """Adjust all cameras together, without outliers.
+    """Adjust all cameras over one sheet together. Outlier circles are excluded.
+
+    If the residuals of a camera are larger than its point sigmas, these are enlarged and the
+    cameras are fitted again.
 
     Parameters
     ----------
-    start : adjustment of the same cameras with other observations. The new one continues from its
-        estimate and omits its outliers: outliers are determined only once.
-    first_damping : of the first fit. Circles give a start so near that undamped steps converge.
-
-    Notes
-    -----
-    If the points of a camera scatter more than their sigmas, these are enlarged in a second fit.
+    cameras : observations of each camera.
+    target : the sheet.
+    priors : priors of sheet, lenses and aims.
+    start : earlier adjustment of the same cameras with other observations. The new adjustment
+        starts from its estimate and excludes the same outliers. Default: initial poses of the
+        cameras; outliers are searched.
+    first_damping : damping of the first step of the first fit. Initial poses from circles are so
+        accurate that undamped steps converge.
     """
     problem = sheet_problem(cameras, target, priors)
     if start is not None:
@@ -204,7 +227,7 @@ def adjust(
 
 
 def _root(problem: Problem, whitened: WhitenedViews) -> Float[np.ndarray, "f f"]:
-    """R of the information R^T R of the free steps, with the priors, (f, f)."""
+    """R, (f, f), of the information R^T R of the estimated parameters, priors included."""
     free = np.flatnonzero(problem.free)
     rows = whitened.jacobian[..., free].reshape(-1, len(free))
     priors = np.diag(prior_weights(problem)[free])
@@ -212,7 +235,7 @@ def _root(problem: Problem, whitened: WhitenedViews) -> Float[np.ndarray, "f f"]
 
 
 def prior_weights(problem: Problem) -> Float[np.ndarray, "h"]:
-    """Inverse prior sigma of each step of the head, (h,); 0 without a prior."""
+    """Inverse prior sigma of each parameter in local coordinates, (h,); 0 without a prior."""
     slices, priors, scale = problem.slices, problem.priors, problem.parametrization.sheet_scale
     weights = np.zeros(len(problem.free))
     # A step of a lens or of the sheet is a standard deviation of its prior.
@@ -230,7 +253,7 @@ def _triangle(rows: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "k k"]:
 
 
 def _inverse(root: Float[np.ndarray, "f f"]) -> Float[np.ndarray, "f f"]:
-    """Inverse of R, zero along undetermined directions."""
+    """Pseudo-inverse of R, which is 0 in undetermined directions."""
     scale = np.maximum(np.linalg.norm(root, axis=0), 1e-300)
     left_vectors, values, right_vectors = np.linalg.svd(root / scale)
     is_determined = values > _ROUNDING * values.max(initial=0.0)
@@ -244,7 +267,9 @@ def _inverse(root: Float[np.ndarray, "f f"]) -> Float[np.ndarray, "f f"]:
 def _chi_squares(
     problem: Problem, whitened: WhitenedViews, root: Float[np.ndarray, "f f"]
 ) -> tuple[Float[np.ndarray, "v"], Float[np.ndarray, "v"]]:
-    """Chi-square of each camera and its degrees of freedom; values below 1 are set to 0."""
+    """Chi-square of each camera, and its degrees of freedom, (v,) each; degrees below 1 are set to
+    0.
+    """
     free = np.flatnonzero(problem.free)
     fitted = np.sum((whitened.jacobian[..., free] @ _inverse(root)) ** 2, axis=(1, 2))
     freedom = np.array([view.coordinate_count for view in problem.views]) - fitted

@@ -32,11 +32,23 @@ _NEIGHBOURS = 1.2
 def choose_observations(
     view: int, camera: SheetCamera, by_circles: Adjustment, by_pixels: Adjustment
 ) -> SheetCamera:
-    """Choose the observations of one camera: its grey levels, or its circles if those are
-    misleading.
+    """Choose whether a camera uses its grey levels or its circle centres.
 
-    camera : with its grey-level points, if these could be fitted.
-    by_circles, by_pixels : adjustment of all cameras by circles, and by such grey levels.
+    Grey levels are used if they give the same pose as the circles, or if their residuals agree with
+    their sigmas. Images that software has sharpened must fulfil both conditions in some cases.
+
+    Parameters
+    ----------
+    view : index of the camera.
+    camera : the camera with its grey-level points, or with its circles if the grey levels had no
+        fit.
+    by_circles : adjustment of all cameras by circle centres.
+    by_pixels : adjustment of all cameras by grey levels.
+
+    Returns
+    -------
+    The camera with the chosen observations, the p-value of the comparison, and the factor of its
+    sigmas.
     """
     has_pixels, agreement = camera.method == "pixels", float("nan")
     if has_pixels:
@@ -63,15 +75,15 @@ def choose_observations(
 
 
 def _has_open_model(adjustment: Adjustment) -> bool:
-    """True if lens or sheet are estimated along with the poses."""
+    """True if lenses or sheet are estimated together with the poses."""
     slices, weights = adjustment.problem.slices, prior_weights(adjustment.problem)
     return bool(weights[slices.lenses].any() or weights[slices.sheets].any())
 
 
 def _are_displaced(by_circles: Adjustment, view: int) -> bool:
-    """True if neighbouring circles share errors, as under glare.
+    """True if neighbouring circles have similar errors, for instance because of glare.
 
-    Then their blocks scatter, or their residuals are correlated.
+    The test uses `scatter_of_blocks` and `autocorrelation_of_circles`.
     """
     tuning = by_circles.problem.tuning.answer
     if scatter_of_blocks(by_circles, view) > tuning.largest_scatter:
@@ -81,10 +93,11 @@ def _are_displaced(by_circles: Adjustment, view: int) -> bool:
 
 
 def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
-    """Scatter of the blocks of a camera's circles relative to that of independent errors; at least
-    1.
+    """Block jackknife: by how much larger the pose error is than independent circle errors explain.
 
-    Independent errors have the sigmas of the camera's detection.
+    The sheet is divided into blocks. The pose is estimated without each block in turn. Returns the
+    root mean square of these changes of the pose, divided by its expectation for independent errors
+    with the detected sigmas; at least 1.
     """
     pose_steps, problem = adjustment.rows(view), adjustment.problem
     jacobian = adjustment.whitened.jacobian[view][:, adjustment.free]
@@ -108,8 +121,13 @@ def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
 
 
 def autocorrelation_of_circles(adjustment: Adjustment, view: int) -> float:
-    """Correlation of the residuals of neighbouring circles, over its sigma for independent errors.
+    """Correlation between the residuals of neighbouring circles, divided by its sigma (Moran's
+    statistic).
 
+    It is a standard normal variable if the circles have independent errors.
+
+    References
+    ----------
     P. A. P. Moran, "Notes on continuous stochastic phenomena", Biometrika 37, 1950.
     """
     used = np.flatnonzero(adjustment.used[view])
@@ -127,7 +145,11 @@ def autocorrelation_of_circles(adjustment: Adjustment, view: int) -> float:
 
 
 def _blocks(circle_mm: np.ndarray, used: np.ndarray, blocks: int) -> list[np.ndarray]:
-    """Rows of the used circles in each block of the sheet; `blocks` along each side."""
+    """Indices of the used circles in each rectangular block of the sheet.
+
+    blocks : number of blocks along each side of the sheet. Blocks without a used circle are
+        omitted.
+    """
     low, high = circle_mm.min(axis=0), circle_mm.max(axis=0)
     cell = np.floor((circle_mm - low) / (high - low + 1e-9) * blocks).astype(int)
     number = np.where(used, cell[:, 0] * blocks + cell[:, 1], -1)
@@ -135,10 +157,14 @@ def _blocks(circle_mm: np.ndarray, used: np.ndarray, blocks: int) -> list[np.nda
 
 
 def probability_of_agreement(by_circles: Adjustment, by_pixels: Adjustment, view: int) -> float:
-    """Probability of so large a difference between both poses of one camera if both models are
-    right.
+    """p-value of the test that circles and grey levels give the same pose of one camera (Hausman
+    test).
 
-    Sheet and lens are fixed at the values of the grey levels.
+    Sheet and lens are fixed at the values of the grey-level adjustment. A small value means that
+    one of both models is wrong.
+
+    by_circles, by_pixels : adjustments of all cameras by circles and by grey levels.
+    view : index of the camera.
     """
     pose_steps = by_circles.free[by_circles.rows(view)]
     circles_at_pixels = whiten_views(by_circles.problem._replace(state=by_pixels.problem.state))
@@ -158,11 +184,16 @@ def difference_of_estimates(
     by_pixels: Float[np.ndarray, "m p"],
     least_difference: float = TUNING.adjustment.least_difference,
 ) -> float:
-    """Chi-square, with p degrees of freedom, of the circles' estimate minus that of the grey
-    levels.
+    """Squared Mahalanobis distance between the pose from circles and the pose from grey levels.
 
-    residual : of the circles in sigmas, at the pose of the grey levels. by_circles, by_pixels :
-        derivatives of both by the pose.
+    If both models are right, it has a chi-square distribution with p degrees of freedom.
+
+    Parameters
+    ----------
+    residual : (n,) residuals of the circles at the pose from grey levels, in sigmas.
+    by_circles : (n, p) derivative of the circles' residuals with respect to the pose.
+    by_pixels : (m, p) derivative of the grey-level residuals with respect to the pose.
+    least_difference : smallest variance of the difference, in units of the variance from circles.
     """
     root = np.asarray(np.linalg.qr(by_circles, mode="r"))
     step = np.linalg.solve(root.T, by_circles.T @ residual)

@@ -20,15 +20,16 @@ _MOST_LISTED = 2
 
 
 class MeasurementAdvice(NamedTuple):
-    """The measurement that reduces the cameras' sigmas most.
+    """The additional measurement (of the lens or of the print) that would reduce the sigmas most.
 
     Attributes
     ----------
     subject : "lens" or "print".
-    angle_now_deg, angle_then_deg : largest sigma of pan, tilt and swing of all cameras, now and
+    angle_now_deg, angle_then_deg : largest sigma of pan, tilt and swing of all cameras, before and
         after the measurement.
-    distance_now_mm, distance_then_mm : the same for the distance.
-    tuning : least gain that counts, and the assumed improvement of the prior.
+    distance_now_mm, distance_then_mm : largest sigma of the distance of all cameras, before and
+        after the measurement.
+    tuning : least reduction that is reported, and the assumed improvement of the prior.
     """
 
     subject: str
@@ -40,7 +41,9 @@ class MeasurementAdvice(NamedTuple):
 
     @property
     def gains(self) -> tuple[tuple[str, float, float, str], ...]:
-        """(quantity, sigma now, sigma then, unit) of quantities that gain enough."""
+        """(quantity, sigma before, sigma after, unit) of each quantity whose sigma would shrink
+        enough.
+        """
         quantities = (
             ("angles", self.angle_now_deg, self.angle_then_deg, "deg"),
             ("distances", self.distance_now_mm, self.distance_then_mm, "mm"),
@@ -52,18 +55,23 @@ class MeasurementAdvice(NamedTuple):
 def advise_measurement(
     adjustments: Sequence[Adjustment], systematics: Systematics
 ) -> MeasurementAdvice | None:
-    """Return the assumption that causes most of the sigmas; None if the images cause more.
+    """Find the prior (lens or print) whose uncertainty contributes most to the sigmas of the
+    cameras.
 
     Parameters
     ----------
-    adjustments : adjustments of groups of cameras that share nothing.
-    systematics : priors of these adjustments. A print whose bars were measured is not advised
-        again.
+    adjustments : adjustments of independent groups of cameras.
+    systematics : priors of these adjustments. Measuring the print is not advised if its size is
+        exact.
+
+    Returns
+    -------
+    The advice. None if a better lens or print would not reduce the sigmas much.
 
     Notes
     -----
-    A narrower prior adds rows to the root of the information (Golub and Van Loan, Matrix
-    Computations, 6.5): nothing is fitted again.
+    The effect of a narrower prior is predicted by adding rows to the root of the information (Golub
+    and Van Loan, Matrix Computations, 6.5), without a new fit.
     """
     now = np.concatenate([_sigmas(adjustment, adjustment.covariance) for adjustment in adjustments])
     if not now.all():
@@ -96,7 +104,9 @@ def advise_measurement(
 def find_undetectable_errors(
     tests: Iterable[FixedParameterTest],
 ) -> tuple[list[FixedParameterTest], FixedParameterTest | None]:
-    """Find errors of an exact lens or aim that the images cannot show and that move a camera far.
+    """Find the errors of lens and aim that would move a camera far and that the images cannot show.
+
+    Only lens parameters and aims that are assumed exact are considered.
 
     Parameters
     ----------
@@ -104,8 +114,8 @@ def find_undetectable_errors(
 
     Returns
     -------
-    The lens errors that move a camera most, and the error of the aim (None if it is small). Errors
-    that move no camera by more than a few of its sigmas are omitted.
+    The tests of the lens errors that would move a camera most, and the test of the aim or None.
+    Errors that would move every camera by less than a few of its sigmas are omitted.
     """
     worst: dict[str, FixedParameterTest] = {}
     for test in tests:
@@ -120,7 +130,10 @@ def find_undetectable_errors(
 
 
 def _covariance(adjustment: Adjustment, subject: str) -> Float[np.ndarray, "f f"]:
-    """Covariance with the prior sigmas of the lens, or of the print, divided by `better_known`."""
+    """Covariance, (f, f), if the prior sigmas of one subject were divided by `better_known`.
+
+    subject : "lens" or "print".
+    """
     slices = adjustment.problem.slices
     better = np.zeros(len(adjustment.problem.free))
     narrower = np.sqrt(adjustment.problem.tuning.answer.better_known**2 - 1)
@@ -135,7 +148,7 @@ def _covariance(adjustment: Adjustment, subject: str) -> Float[np.ndarray, "f f"
 def _sigmas(
     adjustment: Adjustment, covariance: Float[np.ndarray, "f f"]
 ) -> Float[np.ndarray, "v 4"]:
-    """Sigmas of each camera's pan, tilt and swing (degrees) and distance (mm)."""
+    """Sigmas of pan, tilt, swing (degrees) and distance (mm) of each camera, (v, 4)."""
     sigmas = []
     for view in range(len(adjustment.used)):
         rows = adjustment.rows(view)

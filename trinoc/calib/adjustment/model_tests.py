@@ -21,7 +21,9 @@ _ASPECT = np.array([-0.5, 0.5])
 
 
 def run_fixed_parameter_tests(adjustment: Adjustment, view: int) -> list[FixedParameterTest]:
-    """Run all score tests for one camera; the most significant one comes first."""
+    """Score tests of all fixed parameters of one camera's lens and aim. The smallest p-value comes
+    first.
+    """
     problem, by_head = adjustment.problem, adjustment.whitened.jacobian[view]
     pose, aim_is_fixed = problem.slices.camera(view).start, adjustment.priors.aim_is_fixed
     columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_fixed else {}
@@ -55,8 +57,17 @@ def _test(
     view: int,
     unit: float,
 ) -> FixedParameterTest | None:
-    """Test of one parameter group; None if the residuals cannot separate it from the fitted
-    parameters.
+    """Score test of one group of k fixed parameters.
+
+    Returns None if the residuals cannot distinguish the group from the estimated parameters.
+
+    Parameters
+    ----------
+    name : name of the group.
+    extra : (n, k) derivative of the residuals with respect to the group.
+    score : normal equations of the group.
+    adjustment, view : adjustment, and index of the camera.
+    unit : change of the parameters, in their public unit, for a unit of `extra`.
     """
     test = score.test(range(extra.shape[1]))
     if test.freedom < extra.shape[1]:
@@ -90,10 +101,12 @@ def _test(
 def motion_by_extra(
     extra: Float[np.ndarray, "n k"], adjustment: Adjustment, view: int
 ) -> Float[np.ndarray, "p k"]:
-    """Steps of a camera's pose for a unit of each fixed unknown, (p, k).
+    """Change of one camera's pose for a unit error of each of k fixed parameters, (p, k).
 
-    R from `Adjustment.pose_root` times a step is the step in sigmas: |R step|^2 is the squared
-    Mahalanobis distance of the pose.
+    The pose is in local coordinates. With R from `Adjustment.pose_root`, |R change| is the length
+    of the change in sigmas (Mahalanobis distance).
+
+    extra : (n, k) derivative of the residuals with respect to the fixed parameters.
     """
     base = adjustment.whitened.jacobian[view][:, adjustment.free]
     step = -adjustment.covariance @ (base.T @ extra)

@@ -29,14 +29,16 @@ _ROUNDING = 1e-10
 
 
 class Unknown(NamedTuple):
-    """One unknown with a prior, or several of one kind, as combinations of the free steps.
+    """A quantity with a prior, such as a focal length, as a linear function of the estimated
+    parameters.
 
     Attributes
     ----------
     kind : "focal length", "aspect", "principal point", "distortion", "aim", "print size", "print
         aspect", "bend", or "all".
-    views : cameras of the unknown; none for the sheet.
-    by_step : (k, f) derivative by the free steps: relative, px, or mm.
+    views : indices of the cameras whose lens or aim it is; empty for the sheet.
+    by_step : (k, f) derivative of its k components with respect to the f estimated parameters. The
+        unit of the components is px or mm, or they are relative.
     """
 
     kind: str
@@ -45,16 +47,17 @@ class Unknown(NamedTuple):
 
 
 class PriorPull(NamedTuple):
-    """Distance of one unknown from its prior.
+    """Difference between the estimate of a quantity and the mean of its prior, with a test.
 
     Attributes
     ----------
-    unknown : tested unknown.
-    offset : (k,) fitted value minus prior mean, in the unit of the unknown.
-    freedom : number of directions that the images determine.
-    p_value : probability of so large a distance if model and priors are right.
-    partners : unknowns that the images cannot separate from it and that are equally far off.
-    largest_sigmas : distance, in sigmas, above which the prior is contradicted.
+    unknown : the tested quantity.
+    offset : (k,) estimate minus prior mean, in the unit of the quantity.
+    freedom : number of directions of the quantity that the images determine.
+    p_value : probability of an equal or larger difference if model and priors are right.
+    partners : other contradicted quantities that the images cannot distinguish from this one. Only
+        one of them need be wrong.
+    largest_sigmas : number of sigmas above which the prior is contradicted.
     """
 
     unknown: Unknown
@@ -66,37 +69,40 @@ class PriorPull(NamedTuple):
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """The unknown and its partners."""
+        """The tested quantity and its `partners`."""
         return (self.unknown, *self.partners)
 
     @property
     def views(self) -> frozenset[int]:
-        """Indices of the cameras whose lens or aim is wrong; empty if the sheet may be wrong
-        instead.
+        """Indices of the cameras whose given lens or aim is wrong.
+
+        Empty if the sheet may be wrong instead.
         """
         if not all(unknown.views for unknown in self.unknowns):
             return frozenset()
         return frozenset(view for unknown in self.unknowns for view in unknown.views)
 
     def concerns_aim(self, view: int) -> bool:
-        """True if the aim of a camera may be wrong."""
+        """True if the wrong quantity may be the aim of the camera with index `view`."""
         return any(unknown.kind == "aim" and view in unknown.views for unknown in self.unknowns)
 
     @property
     def sigmas(self) -> float:
-        """Two-sided deviation of a standard normal variable with the same probability."""
+        """Difference in sigmas: two-sided deviation of a standard normal variable with the same
+        p-value.
+        """
         return float(normal_limit(max(0.5 * self.p_value, 1e-300)))
 
     @property
     def is_refuted(self) -> bool:
-        """True if the images contradict the stated value of the unknown."""
+        """True if the images contradict the prior of the quantity."""
         return self.sigmas > self.largest_sigmas
 
 
 def refuted_priors(adjustment: Adjustment) -> list[PriorPull]:
-    """Unknowns whose priors the images contradict, the farthest first.
+    """Quantities whose priors the images contradict, with the largest contradiction first.
 
-    Unknowns that cannot be separated are one entry, as its `partners`.
+    Quantities that the images cannot distinguish are one entry; all but one are its `partners`.
     """
     space = PriorSpace.of(adjustment)
     pulls = [space.pull(unknown) for unknown in unknowns_with_priors(adjustment)]
@@ -115,13 +121,15 @@ def refuted_priors(adjustment: Adjustment) -> list[PriorPull]:
 
 
 class PriorSpace(NamedTuple):
-    """Offsets of the free steps from their priors, and the expected covariance of these offsets.
+    """Differences of all estimated parameters from their prior means, with their expected
+    covariance.
 
     Attributes
     ----------
-    weights : (f,) inverse prior sigma of each step; 0 without a prior.
-    offset : (f,) fitted steps minus prior means, in prior sigmas.
-    expected : (f, f) P_0 - P in prior sigmas, the covariance of `offset`.
+    weights : (f,) inverse prior sigma of each parameter; 0 without a prior.
+    offset : (f,) estimate minus prior mean of each parameter, in prior sigmas.
+    expected : (f, f) covariance of `offset` if model and priors are right: prior covariance minus
+        posterior covariance, in prior sigmas.
     tuning : limits of the tests.
     """
 
@@ -132,7 +140,7 @@ class PriorSpace(NamedTuple):
 
     @classmethod
     def of(cls, adjustment: Adjustment) -> "PriorSpace":
-        """Offsets and covariance at the end of an adjustment."""
+        """Compute differences and expected covariance from an adjustment."""
         weights = prior_weights(adjustment.problem)[adjustment.free]
         posterior = weights[:, None] * adjustment.covariance * weights
         expected = np.diag((weights > 0).astype(float)) - posterior
@@ -140,7 +148,7 @@ class PriorSpace(NamedTuple):
         return cls(weights, weights * _offsets(adjustment), expected, tuning)
 
     def pull(self, unknown: Unknown) -> PriorPull:
-        """Distance of one unknown from its prior."""
+        """Test the difference of one quantity from its prior mean."""
         combinations = self._determined(unknown)
         squared, freedom = float(np.sum((combinations @ self.offset) ** 2)), len(combinations)
         p_value = float(chi_square_tail(squared, freedom)) if freedom else 1.0
@@ -153,11 +161,14 @@ class PriorSpace(NamedTuple):
         )
 
     def are_inseparable(self, first: PriorPull, second: PriorPull) -> bool:
-        """True if the images determine only one combination of two unknowns, and both are equally
-        far off.
+        """True if the images cannot decide which of two contradicted quantities is wrong.
 
-        Uses the largest canonical correlation of both in P_0 - P (H. Hotelling, "Relations between
-        two sets of variates", Biometrika 28, 1936).
+        The images then determine only one combination of both, and both have similar differences in
+        sigmas. The criterion is the largest canonical correlation in `expected`.
+
+        References
+        ----------
+        H. Hotelling, "Relations between two sets of variates", Biometrika 28, 1936.
         """
         largest = self.tuning.inseparable
         if second.sigmas < largest * first.sigmas:
@@ -167,12 +178,18 @@ class PriorSpace(NamedTuple):
         return bool(np.linalg.norm(across, 2) > largest)
 
     def _by_sigma(self, unknown: Unknown) -> Float[np.ndarray, "k f"]:
-        """Derivative of an unknown by the steps with a prior, in prior sigmas, (k, f)."""
+        """Derivative, (k, f), of a quantity with respect to the parameters in prior sigmas.
+
+        Columns of parameters without a prior are 0.
+        """
         has_prior = self.weights > 0
         return np.where(has_prior, unknown.by_step / np.where(has_prior, self.weights, 1.0), 0.0)
 
     def _determined(self, unknown: Unknown) -> Float[np.ndarray, "r f"]:
-        """Combinations of an unknown that the images determine, with unit covariance, (r, f)."""
+        """Linear combinations, (r, f), of a quantity's components that the images determine.
+
+        They are scaled to unit expected covariance.
+        """
         by_sigma = self._by_sigma(unknown)
         scale = np.linalg.norm(by_sigma, axis=1)
         unit = by_sigma[scale > 0] / scale[scale > 0, None]
@@ -185,7 +202,7 @@ class PriorSpace(NamedTuple):
 
 
 def unknowns_with_priors(adjustment: Adjustment) -> list[Unknown]:
-    """Every tested unknown: of the lenses, of the aims, of the sheet, and all together."""
+    """All quantities that are tested: those of lenses, aims and sheet, and all of them together."""
     size = len(adjustment.free)
     weights = prior_weights(adjustment.problem)[adjustment.free]
     unknowns = [*_of_lenses(adjustment), *_of_aims(adjustment), *_of_sheet(adjustment)]
@@ -194,7 +211,7 @@ def unknowns_with_priors(adjustment: Adjustment) -> list[Unknown]:
 
 
 def _offsets(adjustment: Adjustment) -> Float[np.ndarray, "f"]:
-    """Free steps minus their prior means, (f,); 0 without a prior."""
+    """Estimate minus prior mean of each parameter in local coordinates, (f,); 0 without a prior."""
     problem = adjustment.problem
     head_offset, parametrization = np.zeros(len(problem.free)), problem.parametrization
     head_offset[problem.slices.sheets] = (
@@ -259,9 +276,10 @@ def _of_sheet(adjustment: Adjustment) -> list[Unknown]:
 
 
 def list_kinds(pull: PriorPull) -> tuple[str, ...]:
-    """Kinds of an unknown and its partners, one for each lens, aim, and the sheet.
+    """Kinds of a contradicted quantity and its partners, without repetition.
 
-    Partners of one lens share one wrong statement.
+    Of several quantities of one lens, only the first is listed: one wrong lens explains all of
+    them.
     """
     by_owner: dict[tuple[str, tuple[int, ...]], str] = {}
     for unknown in pull.unknowns:

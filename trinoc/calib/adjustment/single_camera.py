@@ -29,9 +29,12 @@ def fit_single_camera(
     image: Float[np.ndarray, "h w"] | None = None,
     tuning: CalibTuning = TUNING,
 ) -> Adjustment | None:
-    """Fit one camera to its circles, with sheet and lens exact; None if it has no first pose.
+    """Fit one camera to its detected circles, with sheet and lens assumed exact.
 
-    image : grey levels, if these will be fitted later.
+    Returns None if no initial pose can be computed.
+
+    model : estimated parameters of the pose.
+    image : grey levels, if a later fit will use them; they are not used here.
     """
     rays = unproject_pixels(lens.lens, detection.centres_px)
     circle_mm = pattern.centres_mm[detection.circle_index]
@@ -60,14 +63,16 @@ _aimed = jax.jit(lambda pose: pose.aim_at_origin())
 
 
 def _misfit(fit: Adjustment) -> float:
-    """Robust scale of the whitened residuals; infinite without an estimate."""
+    """Robust standard deviation of the whitened residuals; infinite if they are not finite."""
     if not fit.converged or not np.isfinite(fit.whitened.residual).all():
         return np.inf
     return robust_scale(fit.whitened.residual[0].reshape(-1, 2)[: len(fit.used[0])])
 
 
 def observe_single_camera(fit: Adjustment | None) -> tuple[Status, Observability]:
-    """Status of the fit of one camera, and the parameters that its circles determine."""
+    """Status of a fit from `fit_single_camera`, and the pose parameters that its
+    circles determine.
+    """
     nothing = Observability(0, np.zeros((0, 0)), ())
     if fit is None or not fit.converged:
         return Status.NOT_CONVERGED, nothing

@@ -42,9 +42,17 @@ def field_differences(
     covariance: Float[np.ndarray, "f f"],
     cameras: tuple[str, ...],
 ) -> tuple[FieldDifference, ...]:
-    """Differences of all cameras.
+    """Difference between the pixels predicted by two halves of the shots, over each camera's image.
 
-    covariance : of the difference of the halves, on the free head.
+    One rigid motion is removed, since the halves may have different frames.
+
+    Parameters
+    ----------
+    problem : problem at the solution for all shots.
+    halves : solutions for the two halves.
+    covariance : (f, f) covariance of the difference of both solutions, for the estimated parameters
+        of lenses, cameras and board.
+    cameras : names of the cameras.
     """
     fields = [_image_field(problem, k) for k in range(len(cameras))]
     points = np.stack([field.points for field in fields])
@@ -73,10 +81,14 @@ def field_differences(
 
 
 class _Field(NamedTuple):
-    """Grid of a camera's image, and points on its rays.
+    """Grid of n pixels in one camera's image, and 3-D points on their rays.
 
-    uv_px : (n, 2) pixels. has_ray : (n,) whether the lens has a ray. distance_mm : (2,) distances.
-        points : (2, n, 3) in the rig's frame.
+    Attributes
+    ----------
+    uv_px : (n, 2) pixels of the grid.
+    has_ray : (n,) whether the lens has a ray for the pixel.
+    distance_mm : (2,) distances of the points from the camera.
+    points : (2, n, 3) points at each distance, in the frame of the rig, mm.
     """
 
     uv_px: Float[np.ndarray, "n 2"]
@@ -113,8 +125,10 @@ def _image_field(problem: Problem, camera: int) -> _Field:
 def _derivatives(
     state: RigState, parametrization: Parametrization, points: ArrayLike
 ) -> tuple[Array, Array]:
-    """Derivatives of the pixels (c, 2, n, 2) of each camera's points by a motion of all, and by the
-    head.
+    """Derivatives of the predicted pixels, (c, 2, n, 2), of each camera's points.
+
+    The first is with respect to one rigid motion of all points, (6,). The second is with respect to
+    lenses, cameras and board, (h,).
     """
     still = jnp.zeros((state.rig_from_board.shape[0], POSE_SIZE))
 
@@ -130,7 +144,7 @@ def _derivatives(
 
 
 def _images(state: RigState, parametrization: Parametrization, points: ArrayLike) -> ArrayLike:
-    """Predicted pixels of each camera's points (c, 2, n, 3), (c, 2, n, 2)."""
+    """Predicted pixels, (c, 2, n, 2), of the points (c, 2, n, 3) of each of c cameras."""
 
     def of_camera(pose: ArrayLike, number: ArrayLike, camera_points: ArrayLike) -> ArrayLike:
         lens = jax.tree.map(lambda leaf: leaf[number], state.lenses)
@@ -146,7 +160,7 @@ def _images(state: RigState, parametrization: Parametrization, points: ArrayLike
 
 
 def _move(points: ArrayLike, step: ArrayLike, parametrization: Parametrization) -> ArrayLike:
-    """All points after one rigid motion."""
+    """Apply one rigid motion, (6,) in local coordinates, to all points."""
     motion = Pose(step_motion(jnp.eye(3, 4), step, parametrization.unit_mm))
     return jax.vmap(motion.transform)(points.reshape(-1, 3)).reshape(points.shape)
 
@@ -160,10 +174,18 @@ def _alignment(
     covariance: Float[np.ndarray, "f f"],
     has_weight: Bool[np.ndarray, "r"],
 ) -> tuple[Float[np.ndarray, "6 r"], Float[np.ndarray, "r f"]]:
-    """Linear map from differences to the motion that explains most of them, and the reduced
-    derivatives.
+    """Weighted least-squares map from pixel differences to the rigid motion that explains most of
+    them.
 
-    In the second round each point is weighted by its variance after the first.
+    Returns this map, (6, r), and the derivatives `by_head` with this motion removed, (r, f). The
+    weights are inverse variances, computed in a second round.
+
+    Parameters
+    ----------
+    by_rig : (r, 6) derivative of r pixel coordinates with respect to a rigid motion of all points.
+    by_head : (r, f) their derivative with respect to the estimated parameters.
+    covariance : (f, f) covariance of these parameters.
+    has_weight : (r,) whether a coordinate is used.
     """
     weight, alignment, reduced = has_weight.astype(float), np.zeros_like(by_rig.T), by_head
     for _ in range(_ALIGNMENTS):
@@ -183,7 +205,9 @@ def _align_half(
     has_ray: Bool[np.ndarray, "c 2 n 2"],
     alignment: Float[np.ndarray, "6 r"],
 ) -> Float[np.ndarray, "r"]:
-    """Pixels of the points by one half, after its alignment."""
+    """Pixels predicted by one half of the shots, (r,), after the rigid motion that fits
+    `reference_px` best.
+    """
     for _ in range(_MOVES):
         difference_px = (
             np.asarray(_jitted_images(half, parametrization, points))[has_ray] - reference_px

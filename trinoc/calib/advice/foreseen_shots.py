@@ -35,14 +35,14 @@ _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
 
 
 class Candidate(NamedTuple):
-    """A shot that could be taken.
+    """A possible next shot: a pose of the board in front of one camera.
 
     Attributes
     ----------
-    camera : index of the camera in front of which the board is held.
-    instruction : how to hold the board, in words.
-    distance_mm : distance from the camera to the board.
-    rig_from_board : pose of the board.
+    camera : index of this camera.
+    instruction : text that describes how to hold the board.
+    distance_mm : distance from the camera to the middle of the board.
+    rig_from_board : pose of the board in the frame of the rig.
     """
 
     camera: int
@@ -52,7 +52,11 @@ class Candidate(NamedTuple):
 
 
 def candidate_shots(problem: Problem) -> list[Candidate]:
-    """Board at nine positions of every camera's image, at two distances, tilted or not."""
+    """Possible next shots: board poses in front of every camera.
+
+    They are all combinations of nine positions in the image, the distances of `AdviceTuning.fills`,
+    and five tilts.
+    """
     rules, members = problem.tuning.advice, list_boards(problem.target)
     names = board_names(problem.target)
     set_from_board = [Pose(pose_matrix) for pose_matrix in np.asarray(problem.state.set_from_board)]
@@ -84,7 +88,7 @@ def candidate_shots(problem: Problem) -> list[Candidate]:
 
 
 def _distance_mm(target: AbstractTarget, lens: AbstractLens, side_px: float) -> float:
-    """Distance at which the longer side of the board has a given length in pixels."""
+    """Distance at which the longer side of the board is imaged `side_px` pixels long, mm."""
     extent = np.max(np.ptp(target.centres_mm, axis=0) + 2.0 * np.max(target.radius_mm))
     return float(np.max(lens.focal_length_px) * extent / side_px)
 
@@ -96,7 +100,11 @@ def _hold(
     tilt_axes: tuple[float, float],
     tilt_deg: float,
 ) -> Pose:
-    """Pose of a board whose middle lies on a ray and that faces the camera, after a tilt."""
+    """Pose, cam_from_board, of a tilted board that faces the camera and whose middle lies on a ray.
+
+    ray : unit vector in the frame of the camera.
+    tilt_axes : x and y component of the tilt's rotation axis.
+    """
     axis = np.cross([0.0, 0.0, 1.0], ray)
     sine = float(np.linalg.norm(axis))
     toward_ray = cv2.Rodrigues(axis / max(sine, 1e-12) * np.arctan2(sine, ray[2]))[0]
@@ -115,15 +123,16 @@ def _describe_position(row: str, column: str) -> str:
 
 
 class ForeseenShot(NamedTuple):
-    """Predicted information of a candidate.
+    """A possible next shot with its predicted information.
 
     Attributes
     ----------
-    candidate : the shot.
+    candidate : board pose of the shot.
     cameras : indices of the cameras that would detect the board.
-    point_count : number of board points in all their images.
+    point_count : number of board points detected in all images of the shot.
     sigma_px : root mean square sigma of these points.
-    information : (f, f) on the free steps of the head, with the pose of the board eliminated.
+    information : (f, f) information about the estimated parameters of lenses, cameras and board,
+        with the board pose of the shot eliminated.
     """
 
     candidate: Candidate
@@ -134,10 +143,11 @@ class ForeseenShot(NamedTuple):
 
 
 def foresee_shots(problem: Problem, candidates: list[Candidate]) -> list[ForeseenShot]:
-    """Predicted information of those candidates whose own camera would detect the board.
+    """Predict the information of possible next shots, from simulated detections.
 
-    Points have the sigmas of those observed so far. Candidates are evaluated in portions of the
-    present numbers of observations and shots, so that no program compiles again.
+    Candidates that their own camera would not detect are omitted. Points get the mean sigmas of the
+    existing shots. Candidates are processed in groups as large as the present problem, so that no
+    program compiles again.
     """
     sigma_px, shots = point_sigma_px(problem), []
     lenses = [lens_number(problem, int(k)) for k in problem.parametrization.lens_of_camera]
@@ -172,7 +182,9 @@ def foresee_shots(problem: Problem, candidates: list[Candidate]) -> list[Foresee
 
 
 def point_sigma_px(problem: Problem) -> Float[np.ndarray, "c"]:
-    """Standard deviation per axis of a board point in each camera, with its factors, (c,)."""
+    """Root mean square sigma per axis of the board points of each camera, px, (c,), with sigma
+    factors.
+    """
     precision, count = np.zeros(problem.cameras), np.zeros(problem.cameras)
     for view, whitening in zip(problem.views, np.asarray(problem.table.whitening)):
         precision[view.camera] += np.sum(whitening**2)
@@ -183,8 +195,9 @@ def point_sigma_px(problem: Problem) -> Float[np.ndarray, "c"]:
 def _pose_candidates(
     problem: Problem, candidates: list[Candidate], sigma_px: np.ndarray
 ) -> Problem:
-    """Problem with these candidates as its shots, with every board point observed at
-    pixel (0, 0).
+    """Problem whose shots are the candidates, with every board point observed at pixel (0, 0).
+
+    Its residuals are therefore the predicted pixels.
     """
     sizes, boards = problem.image_sizes_px, np.array(problem.state.rig_from_board)
     boards[: len(candidates)] = [
@@ -214,8 +227,12 @@ def _pose_candidates(
 def _with_visible(
     problem: Problem, view: BoardObservation, lens: AbstractLens, fold_rad: float, uv_px: np.ndarray
 ) -> BoardObservation:
-    """Observation with the points (n, 2) inside the image, if the board would be
-    detected at all.
+    """Observation in which only the points inside the image are used.
+
+    No point is used if too few are visible for a detection.
+
+    fold_rad : angle from the optical axis at which the lens folds the image.
+    uv_px : (n, 2) predicted pixels.
     """
     if not view.used.any():
         return view

@@ -27,24 +27,34 @@ _LEAST_SHARE = 1e-10
 
 
 class HalfFit(NamedTuple):
-    """Fit to one half of the shots, and the shots of the other half."""
+    """Fit to one half of the shots.
+
+    Attributes
+    ----------
+    problem : problem at the solution; only the shots of this half are used.
+    converged : whether the fit converged.
+    held_out : indices of the shots of the other half.
+    """
 
     problem: Problem
     converged: bool
     held_out: frozenset[int]
 
     def full_information(self) -> Information | None:
-        """Information of this half; None if it does not determine all free parameters."""
+        """Information of the shots of this half. None if they do not determine all estimated
+        parameters.
+        """
         information = compute_information(self.problem)
         full = information.observability.rank == len(information.free)
         return information if full else None
 
 
 def cross_validate(problem: Problem, cameras: tuple[str, ...]) -> CrossValidation | None:
-    """Errors of every second shot by the fit to the others, and vice versa.
+    """Two-fold cross-validation: residuals in every second shot for lenses and cameras from the
+    others.
 
-    Lenses, cameras and board are fitted without the held-out shots; outliers are those of the whole
-    fit. None if a half does not determine the rig.
+    In a held-out shot only the board pose is fitted, to the image of one camera. Outliers are those
+    of the fit to all shots. Returns None if one half does not determine the rig.
     """
     same_camera: dict[str, list[np.ndarray]] = {name: [] for name in cameras}
     other_camera: dict[str, list[np.ndarray]] = {name: [] for name in cameras}
@@ -70,7 +80,7 @@ def cross_validate(problem: Problem, cameras: tuple[str, ...]) -> CrossValidatio
 
 
 def fit_halves(problem: Problem) -> Iterator[HalfFit]:
-    """Fits of the problem to every second shot, then to the others."""
+    """Yield the fit to every second shot, then the fit to the remaining shots."""
     shots = list_used_shots(problem)
     for remainder in (0, 1):
         end, converged = fit_points(keep_shots(problem, shots[remainder::2]))
@@ -78,14 +88,16 @@ def fit_halves(problem: Problem) -> Iterator[HalfFit]:
 
 
 def list_used_shots(problem: Problem) -> list[int]:
-    """Shots with a used board point."""
+    """Indices of the shots that have at least one used board point."""
     return sorted({view.shot for view in problem.views if view.used.any()})
 
 
 def keep_shots(
     problem: Problem, shots: Collection[int], cameras: Collection[int] | None = None
 ) -> Problem:
-    """Problem with only the observations of these shots, and optionally these cameras."""
+    """Problem in which only the observations of some shots, and optionally of some cameras, are
+    used.
+    """
     views = tuple(
         view
         if view.shot in shots and (cameras is None or view.camera in cameras)
@@ -106,10 +118,12 @@ def _rms_px(errors: Mapping[str, list[np.ndarray]]) -> dict[str, float]:
 def compare_halves(
     problem: Problem, cameras: tuple[str, ...], variance_factor: float
 ) -> HalvesCheck | None:
-    """Compare every second shot with the others; None if a half does not determine the rig.
+    """Compare the rigs fitted to two halves of the shots, in sigmas and in pixels.
 
-    The board is fixed at the shape of the whole fit, since both halves share it. variance_factor :
-    by which the covariance of the whole fit was enlarged.
+    Returns None if one half does not determine the rig. The board shape is fixed at that of the fit
+    to all shots, since both halves show the same board.
+
+    variance_factor : factor by which the noise variance of the fit to all shots was multiplied.
     """
     if len(list_used_shots(problem)) < FEWEST_SHOTS:
         return None
@@ -145,11 +159,15 @@ def covariance_of_difference(
     prior: Float[np.ndarray, "f f"],
     variance_factor: float,
 ) -> Float[np.ndarray, "f f"]:
-    """Covariance of the difference of two fits to different data with one common prior.
+    """Covariance, (f, f), of the difference of two estimates from different data with one common
+    prior.
 
-    first, second : their covariances C_1, C_2. prior : its information P. Each fit has independent
-        noise of covariance f C_i (P^-1 - C_i) P. The prior's error, contained in the shares C_i P,
-        leaves (C_1 - C_2) P (C_1 - C_2).
+    With noise variance factor s, estimate i has an independent noise covariance of s C_i (P^-1 -
+    C_i) P. The error of the common prior adds (C_1 - C_2) P (C_1 - C_2).
+
+    first, second : covariances C_1 and C_2 of the estimates for a factor of 1.
+    prior : information P of the prior.
+    variance_factor : s.
     """
     shared = first @ prior @ second
     enlarged = [
@@ -161,8 +179,10 @@ def covariance_of_difference(
 def _squared_mahalanobis(
     difference: Float[np.ndarray, "f"], covariance: Float[np.ndarray, "f f"]
 ) -> tuple[int, float]:
-    """Number of directions in which the halves can differ, and their squared
-    Mahalanobis distance.
+    """Number of directions in which two halves can differ, and the squared Mahalanobis distance in
+    them.
+
+    Directions that a common prior fixes are omitted.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
@@ -172,7 +192,10 @@ def _squared_mahalanobis(
 
 
 def find_steps_to_half(problem: Problem, end: Problem) -> np.ndarray:
-    """Step of the head from the whole fit to that of a half."""
+    """Difference between two solutions in local coordinates, (h,): `end` minus `problem`.
+
+    Only lenses, cameras and board poses in a set are compared; the board shape is 0.
+    """
     parametrization, lenses = problem.parametrization, range(problem.parametrization.lens_shape[0])
     whole_lenses, half_lenses = (
         np.stack([lens_number(fitted, k).parameters for k in lenses]) for fitted in (problem, end)
@@ -193,7 +216,11 @@ def find_steps_to_half(problem: Problem, end: Problem) -> np.ndarray:
 def _motions(
     before: Float[ArrayLike, "n 3 4"], after: Float[ArrayLike, "n 3 4"]
 ) -> Float[ArrayLike, "n 6"]:
-    """Rotation about each camera's axes, and displacement of its centre."""
+    """Rotation vector about the axes of each camera, rad, and displacement of its centre, mm, (n,
+    6).
+
+    before, after : two poses of each of n cameras.
+    """
 
     def motion(start: ArrayLike, end: ArrayLike) -> ArrayLike:
         return Pose(end).model_parameters(PoseModel.RIGID, Pose(start))
@@ -202,9 +229,10 @@ def _motions(
 
 
 def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
-    """Names of the parameters that all shots share: lenses, cameras, boards and their scales.
+    """Names of all parameters that the shots have in common: lenses, cameras, boards in a set,
+    sheets.
 
-    The shape of the board is left out.
+    Displacements of single board points are omitted.
     """
     lens_parameters = problem.state.lenses.parameter_names
     lens_cameras = [

@@ -23,19 +23,21 @@ from trinoc.numerics.precision import in_float64
 
 
 class NextShot(NamedTuple):
-    """The shot to take next.
+    """The shot to take next, and its predicted effect.
 
     Attributes
     ----------
     cameras : names of the cameras that would see the board.
-    instruction : how to hold the board.
+    instruction : text that describes how to hold the board.
     world_from_board : (3, 4) pose of the board, mm.
-    parameter : lens parameter that would gain most; None if all lenses are fixed.
-    error_now_px : largest error of lenses and rig over all candidate shots: root mean square error
-        of the shot's corners, with its board placed as well as possible.
-    error_then_px : the same with this shot added.
-    sigma_now, sigma_then : standard deviations of the lenses' parameters, by name; infinite if
-        undetermined.
+    parameter : name of the lens parameter whose sigma would shrink most; None if all lenses are
+        fixed.
+    error_now_px : largest prediction error over all candidate shots: root mean square pixel error
+        of a shot's board points due to errors of lenses and cameras, with the board pose fitted to
+        them.
+    error_then_px : `error_now_px` after this shot was added.
+    sigma_now, sigma_then : standard deviations of the lens parameters, by name, before and after
+        the shot; infinite if undetermined.
     """
 
     cameras: tuple[str, ...]
@@ -49,7 +51,7 @@ class NextShot(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Instruction and gain as one sentence."""
+        """Sentence for the user with the instruction and the predicted effect."""
         name = self.parameter
         if name is not None and not np.isfinite(self.sigma_now[name]):
             sigma = self.sigma_then[name]
@@ -68,7 +70,14 @@ class NextShot(NamedTuple):
 
 
 class _BestShot(NamedTuple):
-    """A shot, the covariance of the head with it, and the largest errors before and after."""
+    """The best candidate, and its predicted effect.
+
+    Attributes
+    ----------
+    shot : the candidate.
+    covariance : (f, f) covariance of lenses, cameras and board after the shot.
+    error_now_px, error_then_px : largest prediction error over all candidates, before and after it.
+    """
 
     shot: ForeseenShot
     covariance: Float[np.ndarray, "f f"]
@@ -78,22 +87,23 @@ class _BestShot(NamedTuple):
 
 @in_float64
 def next_shot(result: CalibrationResult) -> NextShot | None:
-    """Return the shot that reduces the largest error of lenses and cameras most.
+    """Return the shot that would reduce the largest error of lenses and cameras most.
 
-    Candidates are shots of the board at nine positions of each camera's image, at two distances,
-    tilted in four directions or not.
+    Candidates are board poses in front of each camera: nine positions in its image, several
+    distances, square to the camera or tilted in four directions.
 
     Parameters
     ----------
-    result : of `calibrate_rig` or `calibrate_intrinsics`; its parameters need not be determined.
+    result : result of `calibrate_rig` or `calibrate_intrinsics`. Its parameters need not be
+        determined.
 
     Returns
     -------
-    The shot; None if no camera would see it.
+    The shot. None if no camera would detect the board in any candidate.
 
     Raises
     ------
-    InputError : a result of another calibration, or of a fit that did not converge.
+    InputError : the result comes from another calibration, or its fit did not converge.
     """
     check_kind(result, CalibrationResult, "result", "what calibrate_rig returns")
     end = result.solved_problem
@@ -134,7 +144,11 @@ def next_shot(result: CalibrationResult) -> NextShot | None:
 
 
 def _instruction(candidate: Candidate, names: Sequence[str], cameras: Sequence[str]) -> str:
-    """Instruction for holding the board, in words. names : of the cameras that would see it."""
+    """Text that describes how to hold the board.
+
+    names : names of the cameras that would see the board.
+    cameras : names of all cameras.
+    """
     if len(cameras) == 1:
         return f"hold the board {candidate.instruction.replace('its image', 'the image')}"
     *others, last = names
@@ -147,10 +161,9 @@ def _instruction(candidate: Candidate, names: Sequence[str], cameras: Sequence[s
 
 
 def weakly_known_covariance(information: Information) -> Float[np.ndarray, "f f"]:
-    """Covariance of the free steps with a weak prior, so that undetermined directions have a
-    variance.
+    """Covariance, (f, f), of the estimated parameters with an additional weak prior.
 
-    Rounding may give an undetermined direction a negative information.
+    The prior gives undetermined directions a finite variance.
     """
     free = information.free
     observed = information.shot_information.sum(axis=0)[np.ix_(free, free)] + information.prior
@@ -162,7 +175,11 @@ def weakly_known_covariance(information: Information) -> Float[np.ndarray, "f f"
 def _best_shot(
     problem: Problem, covariance: Float[np.ndarray, "f f"], variance_factor: float
 ) -> _BestShot | None:
-    """Best of the candidates in `candidate_shots`; None if no camera would detect the board."""
+    """Choose the best of `candidate_shots`. None if no camera would detect the board in any of
+    them.
+
+    covariance : (f, f) covariance of lenses, cameras and board from the present shots.
+    """
     shots = foresee_shots(problem, candidate_shots(problem))
     if not shots:
         return None
@@ -176,7 +193,7 @@ def _best_shot(
 
 
 def shot_error_px(shot: ForeseenShot, covariance: Float[np.ndarray, "f f"]) -> float:
-    """Root mean square error, px, of the shot's points by a rig of this covariance."""
+    """Root mean square pixel error of the points of a shot, for a rig with this covariance."""
     variance = float(np.sum(shot.information * covariance))
     return shot.sigma_px * float(np.sqrt(max(variance, 0.0) / shot.point_count))
 
@@ -184,7 +201,10 @@ def shot_error_px(shot: ForeseenShot, covariance: Float[np.ndarray, "f f"]) -> f
 def add_shot(
     covariance: Float[np.ndarray, "f f"], shot: ForeseenShot, variance_factor: float
 ) -> Float[np.ndarray, "f f"]:
-    """Covariance with a shot added, whose noise has the variance factor of the other shots."""
+    """Predicted covariance, (f, f), after a shot was added.
+
+    variance_factor : noise variance of the shots relative to that of the point sigmas.
+    """
     gained = covariance @ (shot.information / variance_factor)
     after = np.linalg.solve(np.eye(len(covariance)) + gained, covariance)
     return 0.5 * (after + after.T)
@@ -193,7 +213,10 @@ def add_shot(
 def _lens_sigmas(
     problem: Problem, covariance: Float[np.ndarray, "f f"], cameras: tuple[str, ...]
 ) -> dict[str, float]:
-    """Standard deviations of the free lens parameters without splines, as "camera.fx_px"."""
+    """Standard deviation of each estimated lens parameter, by name such as "camera.fx_px".
+
+    Spline coefficients are omitted.
+    """
     names, scale = head_names(problem, cameras), np.ravel(problem.parametrization.lens_scale)
     free = np.flatnonzero(problem.free)
     lens_columns = free[free < len(scale)]

@@ -20,19 +20,20 @@ _LEAST_TAIL = 1e-304
 
 
 class CameraChange(NamedTuple):
-    """Change of one camera since the earlier calibration.
+    """Change of one camera between two calibrations.
 
     Attributes
     ----------
     moved_mm : displacement of the centre of projection.
-    turned_deg : angle of the rotation from the earlier to the new orientation.
-    sigmas : significance of the change by both covariances; NaN if these are unknown.
-    moved : whether the change exceeds the noise.
-    field_px : root mean square distance, over the image, between the pixels of the same points in
-        both rigs. The points are as far from the camera as the origin of the world. NaN for images
-        of different size, and for a camera at the origin.
-    field_sigmas : `field_px` over its standard deviation by both covariances; 1 on average for
-        equal rigs, NaN if these are unknown.
+    turned_deg : angle of the rotation between both orientations.
+    sigmas : significance of the change, from the covariances of both calibrations; NaN without
+        them.
+    moved : whether the change is significant.
+    field_px : root mean square distance, over the image, between the pixels of the same 3-D points
+        in both calibrations. The points are as far from the camera as the origin of the world. NaN
+        if the image sizes differ, or if the camera is at the origin.
+    field_sigmas : root mean square of these distances divided by their standard deviations; 1 on
+        average if the camera did not change, NaN without covariances.
     """
 
     moved_mm: float
@@ -44,13 +45,14 @@ class CameraChange(NamedTuple):
 
 
 class RigComparison(NamedTuple):
-    """Changes of all cameras, swapped images, and sentences on both.
+    """Comparison of two calibrations of a rig.
 
     Attributes
     ----------
-    cameras : change of each camera of both rigs, by name.
-    swapped : pairs (name, earlier name) of cameras whose images are exchanged.
-    sentences : sentences for the user; one sentence if nothing changed.
+    cameras : change of each camera that both rigs have, by name.
+    swapped : pairs (name, other name): the camera stands at the earlier pose of the other camera,
+        so that their images were probably exchanged.
+    sentences : sentences for the user. There is always at least one.
     """
 
     cameras: dict[str, CameraChange]
@@ -64,21 +66,23 @@ def compare_rigs(
     *,
     tuning: CalibTuning = TUNING,
 ) -> RigComparison:
-    """Find the cameras that moved since an earlier calibration over the same sheet position.
+    """Compare a calibration with an earlier one over the same sheet, to find cameras that moved.
+
+    The sheet must not have moved in between, since it defines the world.
 
     Parameters
     ----------
-    result, earlier : the new and the earlier calibration, or their rigs.
+    result, earlier : new and earlier calibration, or their rigs.
     tuning : constants of calibration; a benchmark or a study changes them.
 
     Returns
     -------
-    The change of each camera in both rigs.
+    The change of each camera that both rigs have.
 
     Notes
     -----
-    Errors that both rigs share, for instance those of one sheet or one lens, cancel in the change.
-    The sigmas nevertheless contain them: they are upper bounds.
+    Errors that both calibrations have in common, for instance those of the same sheet or lens,
+    cancel in the change. The sigmas nevertheless contain them and are therefore upper bounds.
     """
     now = result.rig if isinstance(result, CalibrationResult) else result
     before = earlier.rig if isinstance(earlier, CalibrationResult) else earlier
@@ -113,7 +117,7 @@ def compare_rigs(
 
 
 def _subject(names: Sequence[str]) -> tuple[str, str]:
-    """Subject and verb of a sentence on one or several cameras."""
+    """Subject and verb for a sentence about one or several cameras."""
     return (f'Camera "{names[0]}"', "is") if len(names) == 1 else (list_names(names), "are")
 
 
@@ -128,7 +132,10 @@ def _change(now: Rig, before: Rig, name: str, tuning: CalibTuning) -> CameraChan
 
 
 def _change_over_field(now: Rig, before: Rig, name: str) -> tuple[float, float]:
-    """Root mean square change over the image of the earlier camera, in px and in sigmas."""
+    """Root mean square change of pixels over the image of one camera, in px and in sigmas.
+
+    now, before : new and earlier rig. name : name of the camera.
+    """
     one, other = now[name], before[name]
     distance_mm = float(np.linalg.norm(other.centre_world_mm))
     if one.image_size_px != other.image_size_px or not distance_mm > 0:
@@ -150,7 +157,9 @@ def _change_over_field(now: Rig, before: Rig, name: str) -> tuple[float, float]:
 
 
 def _displacement_and_rotation(first: Camera, second: Camera) -> tuple[float, float]:
-    """Distance of two centres in mm, and angle between two rotations in degrees."""
+    """Distance between the centres of two cameras, mm, and angle between their orientations,
+    degrees.
+    """
     distance = float(np.linalg.norm(first.centre_world_mm - second.centre_world_mm))
     matrix = np.asarray(first.pose.rotation) @ np.asarray(second.pose.rotation).T
     turn = scipy.spatial.transform.Rotation.from_matrix(matrix)
@@ -158,7 +167,7 @@ def _displacement_and_rotation(first: Camera, second: Camera) -> tuple[float, fl
 
 
 def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
-    """Significance of the change of a camera's parameters; NaN if the sigmas are unknown."""
+    """Significance, in sigmas, of the change of a camera's parameters; NaN without covariances."""
     keys = [f"{name}.{parameter}" for parameter in PARAMETER_NAMES]
     keys = [key for key in keys if key in now.parameters and key in before.parameters]
     if not keys:
@@ -174,7 +183,9 @@ def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
 
 
 def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
-    """Two-sided deviation of a standard normal variable with the same tail probability."""
+    """Convert a chi-square to sigmas: two-sided standard normal deviation of the same tail
+    probability.
+    """
     tail = float(chi_square_tail(chi_square, freedom))
     # Beyond the smallest numbers the degrees of freedom hardly matter; no change is 0, not -0.
     return abs(float(normal_limit(tail / 2) if tail > _LEAST_TAIL else np.sqrt(chi_square)))
@@ -183,7 +194,9 @@ def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
 def _find_swaps(
     now: Rig, before: Rig, names: list[str], tuning: CalibTuning
 ) -> tuple[tuple[str, str], ...]:
-    """Pairs (name, other) of cameras that stand at the earlier pose of another camera."""
+    """Pairs (name, other name) of cameras that are much nearer to the earlier pose of another
+    camera.
+    """
     swaps = []
     for name in names:
         gaps_mm = {other: _gap(now[name], before[other]) for other in names}
@@ -194,6 +207,9 @@ def _find_swaps(
 
 
 def _gap(first: Camera, second: Camera) -> float:
-    """Change of a camera as one length, mm: displacement plus rotation at the camera's distance."""
+    """Difference of two poses as one length, mm: displacement plus rotation angle times distance.
+
+    The distance is that of the second camera from the origin.
+    """
     moved_mm, turned_deg = _displacement_and_rotation(first, second)
     return moved_mm + float(np.radians(turned_deg)) * float(np.linalg.norm(second.centre_world_mm))

@@ -29,24 +29,28 @@ from trinoc.numerics.values import Value
 
 @runtime_checkable
 class CountedTracks(Protocol):
-    """Tracks with the share of the images that they explain, such as `Matches`."""
+    """Protocol of matches that report which share of the segments they explain, such
+    as `Matches`.
+    """
 
     @property
     def share_in_three_views(self) -> float:
-        """Share of segments on reliable tracks of three views, in the view where it is smallest."""
+        """Share of a view's segments that are on reliable tracks of three views; smallest of all
+        views.
+        """
         ...
 
 
 class CameraMotion(Value):
-    """Motion of one camera since the calibration, estimated from scene segments.
+    """Motion of one camera since the calibration, estimated from the segments of a scene.
 
     Attributes
     ----------
     name : name of the camera.
     sigmas : significance of the motion, as two-sided sigmas of a normal distribution.
-    parameters : names, such as "pan_deg".
-    change : (p,) change of the parameters, scene minus calibration, in degrees and mm.
-    sigma : (p,) standard deviation of the change, with the errors of both.
+    parameters : names of the pose parameters, such as "pan_deg".
+    change : (p,) present value minus calibrated value of each parameter, in degrees and mm.
+    sigma : (p,) standard deviation of `change`; contains the errors of scene and calibration.
     """
 
     name: str = eqx.field(static=True)
@@ -57,18 +61,18 @@ class CameraMotion(Value):
 
 
 class RigCheck(Value):
-    """Result of the test whether a rig still stands as calibrated.
+    """Result of `check_rig`: the cameras that moved since the calibration.
 
     Attributes
     ----------
-    motions : motion of each camera, on the assumption that no other camera moved.
-    moved : names of the suspected cameras, the most significant first. Several names if freeing the
-        first does not explain the scene.
-    refined : rig with the suspected camera corrected by the segments. None if nothing moved, or if
-        more moved than segments can correct.
+    motions : estimated motion of each camera under the assumption that only this camera moved.
+    moved : names of the cameras that are suspected to have moved, the most significant one first.
+        There are several if the motion of one camera does not explain the scene.
+    refined : rig with the corrected pose of the moved camera. None if no camera moved, or if
+        several moved, which segments cannot correct.
     conclusive : whether the scene is sufficient for a decision. If not, an empty `moved` proves
         nothing.
-    suspect_sigmas : significance above which a motion is suspected.
+    suspect_sigmas : significance above which a camera is suspected.
     """
 
     motions: tuple[CameraMotion, ...]
@@ -78,7 +82,9 @@ class RigCheck(Value):
     suspect_sigmas: float = eqx.field(static=True, default=TUNING.rig_check.suspect_sigmas)
 
     def summary(self) -> str:
-        """Verdict, significance for each camera, and the motion of a suspected camera, as text."""
+        """Text with the conclusion, the significance for each camera, and the motion of suspected
+        cameras.
+        """
         if not self.conclusive:
             return (
                 "The scene is not sufficient to decide whether a camera moved: too few lines agree "
@@ -115,20 +121,25 @@ def check_rig(
     match_again: Matcher | Sequence[Matcher] | None = None,
     tuning: CalibTuning = TUNING,
 ) -> RigCheck:
-    """Test by the segments of a scene whether each camera still stands as calibrated.
+    """Test from the segments of a scene whether a camera moved since the calibration.
 
     Parameters
     ----------
-    rig : rig with the covariance of its calibration, against which motion is measured.
+    rig : calibrated rig with its covariance. Motion is measured relative to this rig.
     matches : matched tracks, such as `Matches`.
-    match_again : matchers as in `refine`. They detect also a knock that hid most of the scene from
-        the matcher: unless most of the scene is on reliable tracks of three views without a
-        significant motion, it is matched again with each camera free.
+    match_again : functions that match with a given rig, as in `refine`. With them, the test also
+        detects a motion so large that most of the scene is no longer matched. Then the scene is
+        matched again with each camera free. This is skipped if most of the scene is on reliable
+        tracks of three views and no motion is significant.
     tuning : constants of calibration; a benchmark or a study changes them.
+
+    Returns
+    -------
+    The motion of each camera, and the names of the cameras that moved.
 
     Raises
     ------
-    CalibrationError : the rig has no covariance, or fewer than three cameras see the scene. Lines
+    CalibrationError : the rig has no covariance, or the tracks have fewer than three cameras. Lines
         in two views agree with any motion.
     """
     check_kind(rig, Rig, "rig", A_RIG)
@@ -177,7 +188,10 @@ def _is_at_rest(
     freed: Mapping[str, RefineResult],
     tuning: CalibTuning,
 ) -> bool:
-    """True if the rig as calibrated explains most of the scene, and no motion is significant."""
+    """True if the rig as calibrated explains most of the scene, and no motion is significant.
+
+    freed : rig refined with one camera free, by the name of the camera.
+    """
     limits = tuning.rig_check
     return (
         isinstance(matches, CountedTracks)
@@ -205,9 +219,9 @@ def _motions(
     tuning: CalibTuning,
     best: RefineResult | None = None,
 ) -> tuple[tuple[CameraMotion, ...], dict[str, RefineResult]]:
-    """Motion of each camera if only it moved, and the rig refined with that camera free.
+    """Motion of each camera if only this camera moved, and the rig refined with this camera free.
 
-    best : refinement with the best matching; gives each camera one more start.
+    best : refinement with the best matches so far; used as an additional initial value.
     """
     at_rest = refine(rig, matches, tuning=tuning)
     freed = {name: _free_cameras(best, rig, matches, (name,), tuning) for name in rig.names}
@@ -225,8 +239,9 @@ def _free_cameras(
     names: tuple[str, ...],
     tuning: CalibTuning,
 ) -> RefineResult:
-    """Rig refined with some cameras free, from the calibrated rig and from that of `best`; the
-    cheaper.
+    """Refine a rig with the cameras `names` free, and return the result of least cost.
+
+    The initial values are the calibrated rig and, if given, the rig of `best`.
     """
     freed = refine(rig, matches, moved=names, tuning=tuning)
     if best is None:
@@ -251,8 +266,9 @@ def _motion(
 
 
 def _significance(fixed: RefineResult, freed: RefineResult, noise: float) -> float:
-    """Significance, in sigmas, of the chi-square reduction when one more camera is freed.
+    """Significance, in sigmas, of the reduction of chi-square by freeing one more camera.
 
+    fixed, freed : refinements before and after.
     noise : factor of the segments' sigmas, by which both chi-squares are scaled.
     """
     gain = max(fixed.chi_square[0] - freed.chi_square[0], 0.0) / noise**2
@@ -260,6 +276,6 @@ def _significance(fixed: RefineResult, freed: RefineResult, noise: float) -> flo
 
 
 def _pose_rows(result: RefineResult) -> list[int]:
-    """Rows of the pose parameters; a knock does not change a lens."""
+    """Indices of the pose parameters in `result.parameters`. Lens parameters are omitted."""
     parameters = [parameter.rpartition(".")[2] for parameter in result.parameters]
     return [row for row, parameter in enumerate(parameters) if parameter not in AFFINE_PARAMETERS]
