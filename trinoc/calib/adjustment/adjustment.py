@@ -145,7 +145,7 @@ class Adjustment:
         """Rank and covariance of the pose parameters of one camera, with all other parameters
         eliminated.
 
-        sigma_factor : number by which the sigmas of all observations are divided before.
+        sigma_factor : the sigmas of all observations are divided by this number first.
         """
         largest = largest_sigmas(self.model, self.distance_mm(view))
         root = sigma_factor * self.pose_root(view)

@@ -63,7 +63,7 @@ _aimed = jax.jit(lambda pose: pose.aim_at_origin())
 
 
 def _misfit(fit: Adjustment) -> float:
-    """Robust standard deviation of the whitened residuals; infinite if they are not finite."""
+    """Robust standard deviation of the whitened residuals; infinite if the fit did not converge."""
     if not fit.converged or not np.isfinite(fit.whitened.residual).all():
         return np.inf
     return robust_scale(fit.whitened.residual[0].reshape(-1, 2)[: len(fit.used[0])])

@@ -18,15 +18,18 @@ PRINCIPAL_POINT_STEP_PX = 1000.0
 
 
 class CameraState(eqx.Module):
-    """State of one camera. The states of a rig, or of many rigs, stack for `vmap`.
+    """One camera during a refinement: pose, lens, and the parameters that are refined.
+
+    The states of several cameras can be stacked along a first axis, for `vmap`.
 
     Attributes
     ----------
     pose : pose of the camera.
-    lens : lens; of one model for all stacked cameras (`stack_states`).
-    working_distance_mm : unit of length of a step, about the distance of the scene.
-    pose_model : pose parameters that a step changes.
-    with_intrinsics : whether a step changes focal lengths and principal point, too.
+    lens : lens of the camera. Stacked cameras have lenses of one model (`stack_states`).
+    working_distance_mm : length that corresponds to a unit change of a translation; about the
+        distance of the scene.
+    pose_model : refined parameters of the pose.
+    with_intrinsics : whether focal lengths and principal point are refined, too.
     """
 
     pose: Pose
@@ -37,19 +40,19 @@ class CameraState(eqx.Module):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the public parameters, in the order of `parameters`."""
+        """Names of the refined parameters, in the order of `parameters`."""
         return self.pose_model.parameter_names + (AFFINE_PARAMETERS if self.with_intrinsics else ())
 
     @property
     def matrix_px(self) -> Float[ArrayLike, "3 4"]:
-        """Projection matrix K [R | t] for undistorted pixels, (3, 4)."""
+        """Projection matrix K [R | t], (3, 4), which maps world points to undistorted pixels."""
         return self.lens.matrix @ self.pose.cam_from_world
 
     def retract(self, delta: Float[ArrayLike, "p"]) -> "CameraState":
-        """Camera after a small step; a step of zero leaves it unchanged.
+        """Camera after a small change of its p local coordinates.
 
-        All entries have similar scales: radians, shares of `working_distance_mm`, shares of the
-        focal length, and thousands of pixels of the principal point.
+        All local coordinates have similar scales: rad, translation / `working_distance_mm`,
+        relative change of the focal lengths, and 1000 px for the principal point.
         """
         count = self.pose_model.size
         pose = self.pose.retract(delta[:count], self.pose_model, self.working_distance_mm)
@@ -63,9 +66,9 @@ class CameraState(eqx.Module):
         )
 
     def parameters(self, origin: "CameraState") -> Float[ArrayLike, "p"]:
-        """Values of the named parameters, in degrees, millimetres and pixels.
+        """Values of the refined parameters, (p,), in degrees, mm and px.
 
-        Rigid motions are relative to `origin`.
+        Rigid motions are relative to the pose of `origin`.
         """
         values = self.pose.model_parameters(self.pose_model, origin.pose)
         values = jnp.concatenate([jnp.degrees(values[:3]), values[3:]])
@@ -74,7 +77,7 @@ class CameraState(eqx.Module):
         return values
 
     def d_parameters_d_delta(self, origin: "CameraState") -> Float[ArrayLike, "p p"]:
-        """Jacobian of `parameters` with respect to a step, (p, p)."""
+        """Jacobian, (p, p), of `parameters` with respect to the local coordinates of `retract`."""
         zero = jnp.zeros(len(self.names))
         return jax.jacfwd(lambda delta: self.retract(delta).parameters(origin))(zero)
 
@@ -82,7 +85,7 @@ class CameraState(eqx.Module):
 def camera_state(
     camera: Camera, pose_model: PoseModel, *, with_intrinsics: bool = False
 ) -> CameraState:
-    """State of a camera before refinement."""
+    """State of a calibrated camera before its refinement."""
     centre = camera.centre_world_mm
     xp = array_namespace(centre)
     rigid = pose_model is PoseModel.RIGID
@@ -92,7 +95,10 @@ def camera_state(
 
 
 def stack_states(states: Sequence[CameraState]) -> CameraState:
-    """Several cameras along a new first axis. Raises InputError if their lenses do not stack."""
+    """Stack several cameras along a new first axis.
+
+    Raises `InputError` if their lenses are not of one model.
+    """
     lens = stack_lenses([state.lens for state in states])
     with_first_lens = [
         eqx.tree_at(lambda state: state.lens, state, states[0].lens) for state in states
@@ -104,7 +110,7 @@ def stack_states(states: Sequence[CameraState]) -> CameraState:
 
 
 def camera_of_state(state: CameraState, start: Camera) -> Camera:
-    """Camera of a refined state; properties that are not refined come from `start`."""
+    """Convert a refined state to a camera. Properties that are not refined are those of `start`."""
     if not state.with_intrinsics:
         return Camera(start.intrinsics, state.pose)
     start_lens, refined = start.intrinsics.lens, state.lens

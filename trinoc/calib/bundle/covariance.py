@@ -38,10 +38,15 @@ AIMED_GAUGE = "orientation and scale of the whole rig"
 
 
 class DeterminedPart(NamedTuple):
-    """Rank and covariance of the cameras' steps, and the name of the undetermined directions.
+    """Rank, covariance and gauge of the refined camera parameters.
 
-    The covariance is that of the determined directions (the pseudo-inverse in scaled coordinates):
-    the inner constraints of a free network.
+    Attributes
+    ----------
+    rank : number of determined directions.
+    covariance : (k, k) covariance in the determined directions (pseudo-inverse in scaled
+        coordinates, the inner constraints of a free network); 0 in the others.
+    gauge : description of the undetermined directions, such as the scale of the rig; empty if there
+        are none.
     """
 
     rank: int
@@ -52,10 +57,15 @@ class DeterminedPart(NamedTuple):
 def determined_part(
     information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
 ) -> DeterminedPart:
-    """Rank, covariance and gauge from the reduced information of all cameras' steps.
+    """Separate determined from undetermined directions of the refined camera parameters.
 
-    sheet_information : the sheet's part of it. Its weak directions (correlated errors of lens and
-        distance) are no gauge, so directions are compared in units of the sheet's sigmas.
+    Parameters
+    ----------
+    information : (k, k) information about the local coordinates of all cameras, with the lines
+        eliminated and the calibration prior included.
+    sheet_information : (k, k) part of it from the calibration prior. Directions in which the prior
+        is weak (correlated errors of lens and distance) are not undetermined. Directions are
+        therefore compared in sigmas of this prior.
     """
     units = _units(information, sheet_information)
     scaled_information = units.T @ information @ units
@@ -75,7 +85,10 @@ def determined_part(
 def _units(
     information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
 ) -> Float[np.ndarray, "k k"]:
-    """Steps of one sigma of the sheet's prior where it has one; else independent steps."""
+    """Changes of the camera parameters, (k, k), of one sigma of the calibration prior each.
+
+    Parameters without a prior have independent units.
+    """
     units = np.diag(1 / _positive_root(np.diag(information)))
     has_prior = np.flatnonzero(np.diag(sheet_information) > 0)
     if len(has_prior):
@@ -89,9 +102,7 @@ def _units(
 
 
 def _positive_root(diagonal: Float[np.ndarray, "k"]) -> Float[np.ndarray, "k"]:
-    """Square root with a positive minimum, so that undetermined directions do not
-    divide by zero.
-    """
+    """Square root with a positive minimum, so that no division by zero occurs."""
     return np.sqrt(np.maximum(diagonal, 1e-30 * diagonal.max() or 1.0))
 
 
@@ -101,7 +112,22 @@ def segment_and_errors(
     covariance_px2: Float[ArrayLike, "v 4 4"],
     seen: Bool[ArrayLike, "v"],
 ) -> tuple[Float[ArrayLike, "2 3"], Float[ArrayLike, "6 6"], Float[ArrayLike, "6 k"]]:
-    """Ends (mm), independent covariance (mm^2), and Jacobian of the ends by all cameras' steps."""
+    """Triangulate a 3-D segment from its images, and propagate the errors of images and cameras.
+
+    A fragment is the part of a detected segment that shows this 3-D segment.
+
+    Parameters
+    ----------
+    cameras : v stacked cameras.
+    fragments_px : (v, 2, 2) both ends of the fragment in each view.
+    covariance_px2 : (v, 4, 4) covariance of these ends.
+    seen : (v,) whether the segment is observed in each view.
+
+    Returns
+    -------
+    The ends, (2, 3) in mm; their covariance for exact cameras, (6, 6) in mm^2; and the Jacobian of
+    the ends, (6, k), with respect to the local coordinates of all cameras.
+    """
     fragments_px = jnp.where(seen[:, None, None], fragments_px, 0.0)
     identity = jnp.eye(4, dtype=covariance_px2.dtype)
     covariance_px2 = jnp.where(seen[:, None, None], covariance_px2, identity[None])
@@ -134,11 +160,21 @@ def segment_factor(
     cameras_trace: float,
     tuning: CalibTuning,
 ) -> tuple[float, Bool[np.ndarray, "t v"]]:
-    """Factor of the segments' sigmas, and the fragments that it is estimated from.
+    """Estimate the factor by which the stated sigmas of the fragments must be multiplied.
 
-    cameras_trace : trace of the segments' share in the cameras' estimate. Only tracks that fit as a
-        whole are used. A track with n views has 2 n - 4 redundant distances; two views have none.
-        With less than one in total the stated sigmas are kept.
+    Only tracks all of whose fragments are inliers are used. A track with n views has 2 n - 4
+    redundant distances. If the total redundancy is below 1, the factor is 1.
+
+    Parameters
+    ----------
+    squared : (t, v) squared distance of each fragment from its line, in stated sigmas.
+    seen : (t, v) whether each track is observed in each view.
+    cameras_trace : number of camera parameters that the fragments determine. It reduces the
+        redundancy.
+
+    Returns
+    -------
+    The factor, and the mask (t, v) of the inlier fragments.
     """
     # Limit for the two distances of a fragment's ends.
     inlier_squared = chi_square_limit(tuning.bundle.outlier_chance, 2)
@@ -157,10 +193,13 @@ def segment_factor(
 
 
 def sheet_factor(chi_square: float, redundancy: float, tuning: CalibTuning) -> float:
-    """Factor of the sheet's sigmas, from its own fit and from the change of the cameras by
-    segments.
+    """Estimate the factor by which the stated sigmas of the calibration must be multiplied.
 
-    With little redundancy the stated sigmas are kept: a factor from a few numbers would be noise.
+    It is sqrt(chi_square / redundancy), or 1 if the redundancy is small.
+
+    chi_square : chi-square of the calibration's fit, plus that of the change of the cameras by the
+        refinement.
+    redundancy : degrees of freedom of both together.
     """
     if redundancy < tuning.bundle.fewest_for_sheet:
         return 1.0

@@ -57,14 +57,16 @@ FIXED_SIGMA = 1e-3
 
 
 class FreeParameters(NamedTuple):
-    """Estimated parameters, and the cameras whose prior still holds.
+    """The parameters that a refinement estimates, and the cameras that keep their prior.
 
     Attributes
     ----------
     pose_model : estimated parameters of each pose.
     intrinsics : whether focal lengths and principal points are estimated.
-    trusted : names of the cameras whose prior holds.
-    aim_fixed : whether the aims of these are fixed, because the sheet's prior has no error of them.
+    trusted : names of the cameras whose calibrated pose is used as a prior. The others may have
+        moved.
+    aim_fixed : whether the aims of the trusted cameras are fixed, because the calibration assumed
+        them exact.
     lens_fixed : whether lenses without a prior are fixed.
     """
 
@@ -75,7 +77,7 @@ class FreeParameters(NamedTuple):
     lens_fixed: bool = False
 
     def fixes_all_aims_of(self, rig: Rig) -> bool:
-        """True if no aim of a rig can change, so that the result need not contain aims."""
+        """True if the aims of all cameras of a rig are fixed. The result then contains no aims."""
         return self.aim_fixed and set(self.trusted) >= set(rig.names)
 
 
@@ -87,11 +89,17 @@ def joint_estimate(
     calibrated: CalibrationResult | Rig,
     tuning: CalibTuning,
 ) -> RefineResult:
-    """Estimate cameras and lines jointly, with the covariance of `sheet_rig` as the prior.
+    """Estimate cameras and lines together by maximum likelihood, with the calibration as a prior.
 
-    rig : start of the estimate.
-    lines : observations; their cameras are those of `rig`, in the same order.
-    calibrated : calibration whose residuals tell whether the sheet's sigmas hold.
+    Parameters
+    ----------
+    rig : initial cameras.
+    sheet_rig : calibrated rig; its values and covariance are the prior.
+    lines : fragments of each line in the images. Their views are the cameras of `rig`, in the same
+        order.
+    choice : estimated parameters.
+    calibrated : result of the calibration, whose residuals show whether its sigmas are right.
+    tuning : constants of the method.
     """
     tracks, lines_mm = _pad_tracks(lines)
     start = CamerasAndLines(_cameras(rig, choice), lines_mm)
@@ -155,8 +163,10 @@ def joint_estimate(
 def squared_distances_with_rig(
     rig: Rig, lines: LineObservations, choice: FreeParameters
 ) -> Float[np.ndarray, "t v"]:
-    """Squared distances, in sigmas, of fragments from the lines that they determine with a rig, (t,
-    v).
+    """Squared distance, (t, v), of each fragment from its line triangulated with a given rig, in
+    sigmas.
+
+    Infinite if it cannot be computed.
     """
     distances = _squared_distances_from_segments(_cameras(rig, choice), _pad_tracks(lines)[0])
     squared = np.asarray(distances)[: len(lines)]
@@ -164,7 +174,9 @@ def squared_distances_with_rig(
 
 
 def _pad_tracks(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarray, "t 2 3"]]:
-    """Fragments and lines, padded to a number of tracks with a compiled program."""
+    """Fragments and initial lines of all tracks, padded to few different lengths for compiled
+    programs.
+    """
     seen = lines.seen[:, :, None, None]
     # Unobserved fragments may contain anything: replace them by values with finite derivatives.
     fragments = np.where(seen, lines.fragments_px, np.array([[0.0, 0.0], [1.0, 0.0]]))
@@ -196,12 +208,15 @@ def _cameras(rig: Rig, choice: FreeParameters) -> CameraState:
 def prior_information(
     rig: Rig, parameters: tuple[str, ...], choice: FreeParameters
 ) -> Float[np.ndarray, "k k"]:
-    """Prior information matrix of the trusted cameras and of all lenses, (k, k).
+    """Information (inverse covariance), (k, k), of the prior of all refined camera parameters.
 
-    It is the inverse of their covariance. A camera that was knocked has no prior on its pose, only
-    on its lens.
+    Cameras that may have moved have a prior on the lens only, not on the pose.
 
-    parameters : names of the parameters of each camera.
+    Parameters
+    ----------
+    rig : calibrated rig with its covariance.
+    parameters : names of the refined parameters of each camera.
+    choice : cameras that keep their prior, and fixed parameters.
     """
     names = [f"{camera}.{name}" for camera in rig.names for name in parameters]
     information = np.zeros((len(names), len(names)))
@@ -230,15 +245,24 @@ def prior_information(
 
 
 class _Fit(NamedTuple):
-    """End of the minimisation, and quantities evaluated there.
+    """Solution of the minimisation, and quantities computed there. k is the number of camera
+    parameters.
 
     Attributes
     ----------
-    cost, first_cost : by the loss of final width, at the end and at the start.
-    squared : squared distance of every fragment, in sigmas.
-    information : (k, k) on the cameras' steps; `sheet_information` is a part of it.
-    by_step, values : Jacobian and values of the public parameters.
-    fragment_covariance_mm2, by_cameras : of the segments' ends, by the stated noise.
+    cameras : refined cameras, stacked.
+    converged : whether the minimisation converged.
+    cost, first_cost : robust cost, with the final width of the loss, at the end and at the start.
+    squared : (t, v) squared distance of each fragment from its line, in sigmas.
+    information : (k, k) information of lines and prior about the cameras' local coordinates.
+    sheet_information : (k, k) part of it from the calibration prior.
+    sheet_chi_square : squared Mahalanobis distance between refined and calibrated cameras.
+    by_step : (k, k) Jacobian of the public parameters with respect to the local coordinates.
+    values : (v, p) public parameters of each camera.
+    ends_mm : (t, 2, 3) ends of the 3-D segments.
+    fragment_covariance_mm2 : (t, 6, 6) covariance of the ends for exact cameras and the stated
+        noise.
+    by_cameras : (t, 6, k) Jacobian of the ends with respect to the cameras' local coordinates.
     """
 
     cameras: CameraState
@@ -265,10 +289,10 @@ def _fit(
     loss: GemanMcClure,
     widenings: Float[ArrayLike, "r"],
 ) -> _Fit:
-    """Minimum under a loss that narrows step by step, as one program.
+    """Minimise the cost several times with a robust loss whose width decreases, in one program.
 
-    The loss is `widenings` times as wide from round to round; costs are those of `loss` itself.
-    Without convergence, the result is the start.
+    `loss` is the final loss; `widenings` are the factors of its width in each round. If the last
+    round does not converge, the result is the initial state.
     """
     start = jax.tree.map(jnp.asarray, start)
     parameters = jax.vmap(lambda camera, origin: camera.parameters(origin))
@@ -309,10 +333,10 @@ def _fit(
 
 
 def _restore_scale(start: CamerasAndLines, end: CamerasAndLines) -> CamerasAndLines:
-    """Rig and lines scaled so that the spread of the centres is that of the start.
+    """Scale rig and lines so that the spread of the camera centres is that of the initial rig.
 
-    Without a sheet the scale is not observable and stays exactly as it was. Cameras that aim at the
-    origin still do.
+    Without a calibration prior the images do not determine the scale, which must not change.
+    Cameras that aim at the origin still aim at the origin.
     """
 
     def centres_and_spread(cameras: CameraState) -> tuple[Array, Array]:
@@ -341,7 +365,9 @@ def _squared_distances_from_segments(
 
 
 def _residuals_of_sheet(calibrated: CalibrationResult | Rig) -> tuple[float, float]:
-    """Chi-square and redundancy of the calibration's fits; zero if unknown."""
+    """Chi-square of the calibration's fit and its degrees of freedom; (0, 0) if only a rig is
+    given.
+    """
     if isinstance(calibrated, Rig):
         return 0.0, 0.0
     fits = calibrated.fits.values()
@@ -356,9 +382,12 @@ def log_posterior(
     sheet_chi_square: float,
     loss: GemanMcClure,
 ) -> float:
-    """Log posterior of cameras and tracks, relative to the sheet's estimate without tracks.
+    """Log posterior of cameras and tracks, relative to the calibrated cameras without any track.
 
-    squared : squared distances of the fragments from their lines in sigmas. loss : bounds them.
+    squared : (t, v) squared distance of each fragment from its line, in sigmas.
+    seen : (t, v) whether each track is observed in each view.
+    sheet_chi_square : squared Mahalanobis distance between refined and calibrated cameras.
+    loss : robust loss, which bounds the cost of a wrong fragment.
     """
     costs = np.where(seen, loss.rho(squared), 0.0).sum(axis=1)
     gains = (seen.sum(axis=1) - 2) * loss.ceiling - costs

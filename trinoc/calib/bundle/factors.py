@@ -34,7 +34,7 @@ ANGLES = 3
 
 
 def complete_basis(direction: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2 3"]:
-    """Two unit vectors that complete a direction to an orthogonal basis, (2, 3)."""
+    """Two unit vectors, (2, 3), orthogonal to a direction and to each other."""
     axis = direction / jnp.sqrt(direction @ direction)
     # The coordinate axis with the largest angle to the direction cannot be parallel to it.
     across = jnp.eye(3)[jnp.argmin(jnp.abs(axis))]
@@ -46,7 +46,10 @@ def complete_basis(direction: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2 3"]:
 def retract_line(
     anchors_mm: Float[ArrayLike, "2 3"], offsets_mm: Float[ArrayLike, "4"]
 ) -> Float[ArrayLike, "2 3"]:
-    """Anchors of a line after four offsets (two across the line at each anchor), (2, 3)."""
+    """Move a line that is given by two anchor points on it.
+
+    Each anchor is moved by two offsets perpendicular to the line. Returns the new anchors, (2, 3).
+    """
     return anchors_mm + offsets_mm.reshape(2, 2) @ complete_basis(anchors_mm[1] - anchors_mm[0])
 
 
@@ -56,9 +59,17 @@ def line_residual(
     fragment_px: Float[ArrayLike, "2 2"],
     covariance_px2: Float[ArrayLike, "4 4"],
 ) -> Float[ArrayLike, "2"]:
-    """Signed distances of a fragment's ends from the image of the line, whitened, in sigmas, (2,).
+    """Signed distances, (2,), of a fragment's two ends from the image of a line, whitened to
+    sigmas.
 
-    They are measured in undistorted pixels, where the line is straight.
+    The distances are measured in undistorted pixels, where the image of the line is straight.
+
+    Parameters
+    ----------
+    camera : the observing camera.
+    anchors_mm : (2, 3) two points on the line.
+    fragment_px : (2, 2) ends of the fragment.
+    covariance_px2 : (4, 4) covariance of these ends.
     """
     image = jax.vmap(project_by_matrix, (None, 0))(camera.matrix_px, anchors_mm)
     line = line_through(image[0], image[1])
@@ -70,8 +81,9 @@ def line_residual(
 def whiten_across(
     fragment_px: Float[ArrayLike, "2 2"], covariance_px2: Float[ArrayLike, "4 4"]
 ) -> Float[ArrayLike, "2 2"]:
-    """W with W S W^T = I for the covariance S of the ends' distances across the
-    fragment, (2, 2).
+    """Whitening matrix W, (2, 2), of the errors of a fragment's ends perpendicular to the fragment.
+
+    W S W^T = I for the covariance S of these two errors.
     """
     direction = fragment_px[1] - fragment_px[0]
     direction = direction / jnp.sqrt(direction @ direction)
@@ -93,10 +105,11 @@ def line_from_two_views(
     fragments_px: Float[ArrayLike, "v 2 2"],
     seen: Bool[ArrayLike, "v"],
 ) -> Float[ArrayLike, "2 3"]:
-    """Anchors of a line in two views: the intersection of the planes of its two fragments, (2, 3).
+    """Line through the two interpretation planes of a track with two views, as two points, (2, 3).
 
-    They are the points of that line nearest to `anchors_mm`. A line in more views, or with
-    coincident planes, stays unchanged.
+    The interpretation plane of a fragment contains the camera's centre and the fragment. The
+    returned points are those of the line nearest to `anchors_mm`. A line with more views, or with
+    coincident planes, is returned unchanged.
     """
 
     def plane(camera: CameraState, fragment_px: ArrayLike) -> ArrayLike:
@@ -113,12 +126,13 @@ def line_from_two_views(
 
 
 class PriorEquations(NamedTuple):
-    """Normal equations of the prior at given cameras.
+    """Normal equations of the calibration prior at some cameras.
 
     Attributes
     ----------
-    by_step : (k, k) derivatives of all public parameters by all cameras' steps.
-    information, gradient : (k, k) and (k,) by these steps.
+    by_step : (k, k) Jacobian of all public camera parameters with respect to their local
+        coordinates.
+    information, gradient : (k, k) and (k,) normal equations in local coordinates.
     """
 
     by_step: Float[ArrayLike, "k k"]
@@ -127,13 +141,15 @@ class PriorEquations(NamedTuple):
 
 
 class PosePrior(NamedTuple):
-    """Cost (x - x0)^T L (x - x0) of the public parameters x (degrees, mm, px).
+    """Gaussian prior of all refined camera parameters x, in degrees, mm and px.
+
+    Its cost is (x - x0)^T L (x - x0).
 
     Attributes
     ----------
-    values : (v, p) prior mean x0.
-    information : (k, k) L, the inverse of the covariance of x0; zeros for no prior.
-    start : cameras relative to which small motions are measured.
+    values : (v, p) prior mean x0: the calibrated parameters.
+    information : (k, k) L, the inverse of the prior covariance; 0 without a prior.
+    start : calibrated cameras, relative to which rigid motions are measured.
     """
 
     values: Float[ArrayLike, "v p"]
@@ -141,25 +157,31 @@ class PosePrior(NamedTuple):
     start: CameraState
 
     def difference(self, cameras: CameraState) -> Float[ArrayLike, "k"]:
-        """x - x0, (k,), with angles modulo a full turn."""
+        """Parameters minus prior mean, x - x0, (k,). Differences of angles lie between -180 and 180
+        degrees.
+        """
         values = jax.vmap(lambda camera, start: camera.parameters(start))(cameras, self.start)
         difference = values - self.values
         turns = (difference[:, :ANGLES] + 180) % 360 - 180
         return difference.at[:, :ANGLES].set(turns).reshape(-1)
 
     def cost(self, cameras: CameraState) -> Float[ArrayLike, ""]:
-        """Squared Mahalanobis distance of the cameras from the sheet's estimate."""
+        """Squared Mahalanobis distance between these cameras and the calibrated cameras."""
         difference = self.difference(cameras)
         return difference @ self.information @ difference
 
     def normal_equations(self, cameras: CameraState) -> PriorEquations:
-        """Normal equations by the step of the cameras."""
+        """Normal equations of the prior in the local coordinates of the cameras."""
         by_step = d_parameters_d_delta(cameras, self.start)
         weighted = by_step.T @ self.information
         return PriorEquations(by_step, weighted @ by_step, weighted @ self.difference(cameras))
 
 
 def d_parameters_d_delta(cameras: CameraState, start: CameraState) -> Float[ArrayLike, "k k"]:
-    """Block-diagonal Jacobian of all public parameters by all cameras' steps, (k, k)."""
+    """Block-diagonal Jacobian, (k, k), of all public camera parameters with respect to local
+    coordinates.
+
+    start : cameras relative to which rigid motions are measured.
+    """
     blocks = jax.vmap(lambda camera, origin: camera.d_parameters_d_delta(origin))(cameras, start)
     return jax.scipy.linalg.block_diag(*blocks)

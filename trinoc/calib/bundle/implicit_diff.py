@@ -33,7 +33,7 @@ STEP_TOLERANCE, MOST_NEWTON_STEPS = 1e-9, 8
 
 
 class Offsets(NamedTuple):
-    """Steps of all cameras (k,) and of all lines (t, 4) in local coordinates at one point."""
+    """Small changes of all cameras, (k,), and of all lines, (t, 4), in local coordinates."""
 
     cameras: Float[ArrayLike, "k"]
     lines: Float[ArrayLike, "t 4"]
@@ -46,24 +46,28 @@ def refine_differentiably(
     prior: PosePrior,
     loss: AbstractRobustLoss,
 ) -> tuple[CameraState, Float[ArrayLike, "t 2 3"]]:
-    """Cameras and lines of least cost, differentiable by `tracks` and `prior`.
+    """Refine cameras and lines, as a function that JAX can differentiate.
+
+    Derivatives with respect to `tracks` and `prior` come from the implicit function theorem. Use it
+    in double precision, inside `jit` and `grad`.
 
     Parameters
     ----------
-    cameras, anchors_mm : start of the cameras and of the lines, (t, 2, 3). Derivatives by the start
-        are zero, since the minimum does not depend on it.
+    cameras : initial cameras, stacked.
+    anchors_mm : (t, 2, 3) initial lines, as two points each. Derivatives with respect to initial
+        values are zero, because the minimum does not depend on them.
     tracks : fragments of the lines.
-    prior : prior of the cameras, which must determine the gauge, as a sheet does.
-    loss : robust loss of the fragments' distances.
+    prior : prior of the cameras. It must determine position, orientation and scale of the rig.
+    loss : robust loss of the distances between fragments and lines.
 
     Returns
     -------
-    The refined cameras and anchors.
+    The refined cameras and lines.
 
     Notes
     -----
-    A line that is at no minimum of its own (a wrong match on the flank of the loss) is treated as
-    fixed. For use under `jit` and `grad`, in double precision.
+    The cost of a wrong match may have no minimum in the four coordinates of its line. Such a line
+    is treated as fixed.
     """
     problem = JointProblem(tracks.in_three_views(), prior, loss)
     start = CamerasAndLines(cameras, jnp.asarray(anchors_mm))
@@ -84,6 +88,6 @@ def refine_differentiably(
 
 
 def _gradient_of_cost(offsets: Offsets, args: tuple[CamerasAndLines, JointProblem]) -> Offsets:
-    """Gradient of half the cost by an offset of cameras and lines."""
+    """Gradient of half the cost with respect to small changes of cameras and lines at `offsets`."""
     minimum, problem = args
     return jax.grad(lambda move: 0.5 * problem.cost(minimum.retract(*move)))(offsets)

@@ -31,10 +31,14 @@ from trinoc.numerics.small_matrices import log_determinant_positive_definite
 
 
 class FragmentTable(NamedTuple):
-    """Fragments of all tracks, padded, in pixels of the image, with the covariance of their ends.
+    """Fragments (parts of detected segments) of t tracks in v views, padded.
 
-    A padding track has no observation. Unobserved fragments contain numbers with finite
-    derivatives.
+    Attributes
+    ----------
+    fragments_px : (t, v, 2, 2) ends of each fragment, in pixels of the original image. Unobserved
+        fragments contain arbitrary finite numbers.
+    covariance_px2 : (t, v, 4, 4) covariance of these ends.
+    seen : (t, v) whether each track is observed in each view; all False for padding.
     """
 
     fragments_px: Float[ArrayLike, "t v 2 2"]
@@ -42,13 +46,15 @@ class FragmentTable(NamedTuple):
     seen: Bool[ArrayLike, "t v"]
 
     def in_three_views(self) -> "FragmentTable":
-        """Table without the tracks in fewer than three views, which agree with any cameras."""
+        """Table in which tracks with fewer than three views are unobserved. Such tracks fit any
+        cameras.
+        """
         enough = jnp.sum(self.seen, axis=1) >= 3
         return self._replace(seen=self.seen & enough[:, None])
 
 
 class CamerasAndLines(NamedTuple):
-    """Unknowns: cameras, and lines by two anchor points each."""
+    """Unknowns of a refinement: v stacked cameras and t lines, each given by two points on it."""
 
     cameras: CameraState
     anchors_mm: Float[ArrayLike, "t 2 3"]
@@ -56,18 +62,23 @@ class CamerasAndLines(NamedTuple):
     def retract(
         self, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "t 4"]
     ) -> "CamerasAndLines":
-        """State after a step of all cameras and lines in the local coordinates here."""
+        """State after small changes of all cameras (`head`) and all lines (`blocks`) in local
+        coordinates.
+        """
         views = self.cameras.working_distance_mm.shape[0]
         cameras = jax.vmap(CameraState.retract)(self.cameras, head.reshape(views, -1))
         return CamerasAndLines(cameras, jax.vmap(retract_line)(self.anchors_mm, blocks))
 
 
 class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
-    """Least-squares problem of lines in images with a robust loss and the cameras' prior.
+    """Least-squares problem of cameras and lines, with a robust loss and the calibration prior.
 
     Attributes
     ----------
-    tracks : of three views or more; a line in two views has as many distances as unknowns.
+    tracks : observed tracks, of three or more views. In two views a line has as many unknowns as
+        distances and does not constrain the cameras.
+    prior : calibration prior of the cameras.
+    loss : robust loss of the distance between fragment and line.
     """
 
     # Lines start near their minimum.
@@ -78,15 +89,15 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
     loss: AbstractRobustLoss
 
     def costs(self, state: CamerasAndLines) -> Costs:
-        """Chi-square of the prior, and the loss over the fragments of each track."""
+        """Cost in parts: chi-square of the prior, and robust cost of each track."""
         of_tracks = jnp.sum(self.loss.rho(squared_distances(state, self.tracks)), axis=1)
         return Costs(self.prior.cost(state.cameras), of_tracks)
 
     def equations(self, state: CamerasAndLines) -> ArrowEquations:
-        """Equations of all tracks, weighted by the loss, with the prior.
+        """Gauss-Newton equations of all tracks, weighted by the robust loss, and of the prior.
 
-        A line that its views do not determine (or padding) is omitted: it has no step, and its
-        fragments have no effect on the cameras.
+        Padding, and lines that their views do not determine, are omitted: these lines do not change
+        and have no effect on the cameras.
         """
         residual, by_camera, by_line = jax.vmap(_linearise_track, (None, 0, 0))(
             state.cameras, state.anchors_mm, self.tracks
@@ -118,11 +129,12 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
         )
 
     def line_information(self, state: CamerasAndLines) -> Float[ArrayLike, "k k"]:
-        """Information of the free lines on the cameras' steps (Gauss-Newton), (k, k).
+        """Gauss-Newton information, (k, k), of all tracks about the cameras, with the lines
+        eliminated.
 
-        It is the Schur complement of the equations, computed from their rows by projecting out
-        those of each line. Rounding in a difference of two informations would otherwise look like
-        information on the gauge.
+        It is computed by projecting the Jacobian onto the complement of each line's columns. The
+        equivalent Schur complement is a difference of large numbers. Its rounding errors would look
+        like information about undetermined directions.
         """
         residual, by_camera, by_line = jax.vmap(_linearise_track, (None, 0, 0))(
             state.cameras, state.anchors_mm, self.tracks
@@ -147,19 +159,24 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
     def retract(
         self, state: CamerasAndLines, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "t 4"]
     ) -> CamerasAndLines:
-        """State after a step."""
+        """State after small changes of all cameras (`head`) and all lines (`blocks`)."""
         return state.retract(head, blocks)
 
 
 def squared_distances(state: CamerasAndLines, tracks: FragmentTable) -> Float[ArrayLike, "t v"]:
-    """Squared Mahalanobis distance of every fragment, (t, v); 0 if unobserved."""
+    """Squared Mahalanobis distance of each fragment's ends from the image of its line, (t, v).
+
+    0 if the track is not observed in the view.
+    """
     by_view = jax.vmap(line_residual, (0, None, 0, 0))
     residual = jax.vmap(by_view, (None, 0, 0, 0))(*state, *tracks[:2])
     return jnp.where(tracks.seen, jnp.sum(jnp.square(residual), axis=-1), 0.0)
 
 
 def with_lines_of_two_views(state: CamerasAndLines, tracks: FragmentTable) -> CamerasAndLines:
-    """State with the lines in two views, which follow the cameras in closed form."""
+    """State in which lines with two views are computed from the cameras, by intersecting two
+    planes.
+    """
     lines_from_views = jax.vmap(line_from_two_views, (None, 0, 0, 0))
     return state._replace(anchors_mm=lines_from_views(*state, tracks.fragments_px, tracks.seen))
 
@@ -167,7 +184,11 @@ def with_lines_of_two_views(state: CamerasAndLines, tracks: FragmentTable) -> Ca
 def _linearise_track(
     cameras: CameraState, anchors_mm: Float[ArrayLike, "2 3"], track: FragmentTable
 ) -> tuple[Float[ArrayLike, "v 2"], Float[ArrayLike, "v 2 p"], Float[ArrayLike, "v 2 4"]]:
-    """Residuals of one track and their derivatives by the cameras' and the line's steps."""
+    """Whitened residuals of one track, (v, 2), and their derivatives.
+
+    The derivatives are those with respect to the observing camera, (v, 2, p), and to the line, (v,
+    2, 4), in local coordinates.
+    """
 
     def one_view(
         camera: CameraState, fragment_px: ArrayLike, covariance_px2: ArrayLike, seen: ArrayLike

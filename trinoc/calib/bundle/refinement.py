@@ -33,10 +33,12 @@ MOST_ROUNDS = 8
 
 @runtime_checkable
 class MatchedTracks(Protocol):
-    """Tracks of fragments, such as `Matches`."""
+    """Protocol of matches that provide the observations of their lines, such as `Matches`."""
 
     def line_observations(self) -> LineObservations:
-        """Tracks as observations of lines."""
+        """Fragments of each track in the images, with their covariance and the
+        triangulated lines.
+        """
         ...
 
 
@@ -57,26 +59,26 @@ def refine(
     start: Rig | None = None,
     tuning: CalibTuning = TUNING,
 ) -> RefineResult:
-    """Refine cameras and 3-D lines by maximum likelihood, from a sheet's calibration and matches.
+    """Refine cameras and 3-D lines together by maximum likelihood, from a calibration and matches.
 
     Parameters
     ----------
     calibrated : result of a calibration, or a rig. Its covariance is the Gaussian prior of the
-        cameras. A rig without covariance keeps its position, orientation and scale; `gauge` of
-        the result names them.
+        cameras. If a rig has no covariance, its position, orientation and scale do not change;
+        `gauge` of the result describes them.
     matches : matched tracks, such as `Matches`. Cameras of the rig without matches are omitted.
-    pose_model : estimated parameters of each pose. Default: those in the covariance; any rigid
-        motion without one.
-    free_lens : whether focal lengths and principal points are estimated. Default: those in the
-        covariance, with their prior.
-    moved : names of cameras that were knocked since. They have no prior on the pose and need not
-        aim at the sheet's origin.
-    match_again : function that matches with a rig, for example `lambda rig:
+    pose_model : estimated parameters of each pose. Default: the parameters in the covariance;
+        without a covariance, "rigid".
+    free_lens : whether focal lengths and principal points are estimated. Default: only if they are
+        in the covariance, with this prior.
+    moved : names of cameras that were knocked since the calibration. Their poses have no prior, and
+        they need not aim at the origin of the sheet.
+    match_again : function that matches with a given rig, for example `lambda rig:
         trinoc.match_segments(segments, rig)`. It is called with each refined rig until the tracks
-        stop changing. A round that lowers the log posterior is rejected. After a large knock give
-        several functions, the most tolerant first (a larger `sigma_px`): each refines the rig for
-        the next.
-    start : start of the cameras, if it is not their calibrated poses.
+        stop changing. A round that lowers the log posterior is rejected. After a large motion of a
+        camera, give several functions, the most tolerant one first (with a larger `sigma_px`). Each
+        function then starts from the rig refined with the previous one.
+    start : initial rig, if it differs from the calibrated one.
     tuning : constants of calibration; a benchmark or a study changes them.
 
     Returns
@@ -86,7 +88,7 @@ def refine(
     Raises
     ------
     InputError : matches and rig do not belong together.
-    CalibrationError : no track is left.
+    CalibrationError : there is no track.
     """
     rig = calibrated.rig if isinstance(calibrated, CalibrationResult) else calibrated
     check_kind(rig, Rig, "rig", A_RIG)
@@ -128,7 +130,7 @@ def refine(
 
 
 class _Refinement(NamedTuple):
-    """Inputs that are the same in all rounds of matching."""
+    """Inputs that all rounds of matching and refining have in common."""
 
     calibrated: CalibrationResult | Rig
     sheet_rig: Rig
@@ -136,12 +138,14 @@ class _Refinement(NamedTuple):
     tuning: CalibTuning
 
     def refine_matches(self, rig: Rig, matches: MatchedTracks | LineObservations) -> RefineResult:
-        """Refinement of given matches, from the cameras of a rig."""
+        """Refine given matches. `rig` contains the initial cameras."""
         lines = _observations_of_rig(matches, rig)
         return joint_estimate(rig, self.sheet_rig, lines, self.choice, self.calibrated, self.tuning)
 
     def match_and_refine(self, rig: Rig, match: Matcher) -> RefineResult | None:
-        """Refinement of the matches that a rig gives; None without tracks or convergence."""
+        """Match with a rig, and refine the matches. None without tracks, or if the fit does not
+        converge.
+        """
         lines = _line_observations(match(rig))
         if len(lines) == 0:
             return None
@@ -149,7 +153,10 @@ class _Refinement(NamedTuple):
         return None if result.status is RefineStatus.NOT_CONVERGED else result
 
     def refine_from(self, rig: Rig, matchers: Sequence[Matcher]) -> RefineResult | None:
-        """Most probable rig after all matchers, one after the other."""
+        """Match and refine with each matcher in turn, starting from a rig.
+
+        Returns the last result. None if the last matcher gave none.
+        """
         result = None
         for match in matchers:
             result = self.match_and_refine(rig, match)
@@ -159,7 +166,7 @@ class _Refinement(NamedTuple):
         return result
 
     def repeat_while_better(self, best: RefineResult, match: Matcher) -> RefineResult:
-        """Refinement repeated with new matches while its log posterior increases."""
+        """Match and refine again as long as the log posterior increases."""
         history = [best.log_posterior]
         if best.status is RefineStatus.NOT_CONVERGED:
             return best
@@ -174,7 +181,7 @@ class _Refinement(NamedTuple):
 
 
 def more_probable(best: RefineResult, candidate: RefineResult | None) -> RefineResult:
-    """More probable of two results; the candidate if `best` did not converge."""
+    """Return the result with the larger log posterior; `candidate` if `best` did not converge."""
     if candidate is None:
         return best
     failed = best.status is RefineStatus.NOT_CONVERGED
@@ -195,7 +202,10 @@ def _line_observations(matches: MatchedTracks | LineObservations) -> LineObserva
 
 
 def rig_of_tracks(rig: Rig, matches: MatchedTracks | LineObservations) -> Rig:
-    """Cameras of the rig that observe the tracks. Raises InputError if the rig lacks one."""
+    """Rig of only the cameras that observe the tracks.
+
+    Raises `InputError` if one of these cameras is not in the rig.
+    """
     views = _line_observations(matches).views
     _expect_cameras(set(views) <= set(rig.names), views, rig)
     return rig.take(views)
@@ -227,10 +237,14 @@ def _observations_of_rig(matches: MatchedTracks | LineObservations, rig: Rig) ->
 
 
 def start_rigs(rig: Rig, moved: Collection[str], tuning: CalibTuning, *, aimed: bool) -> list[Rig]:
-    """Rigs with one camera turned about its x and y axes, in both directions.
+    """Alternative initial rigs, in which one camera is rotated about its x or y axis.
 
-    It is the last of the moved cameras, or of all. Empty if the sheet determines its orientation. A
-    camera that must stay `aimed` at the origin is moved around it instead.
+    There are four of them, for both directions of both axes. The rotated camera is the last one in
+    `moved`, or the last one of all. The list is empty if the calibration determines the orientation
+    of this camera well.
+
+    aimed : whether the camera must look at the origin of the sheet. It is then rotated about the
+        origin.
     """
     name = next(camera for camera in reversed(rig.names) if camera in moved or not moved)
     small_deg = tuning.bundle.known_share * tuning.bundle.turn_deg
@@ -253,9 +267,9 @@ def start_rigs(rig: Rig, moved: Collection[str], tuning: CalibTuning, *, aimed: 
 
 
 def _angle_sigmas_deg(rig: Rig, name: str) -> Float[np.ndarray, "3"]:
-    """Sigmas of pan, tilt and swing for a fixed lens, degrees; NaN if unknown.
+    """Sigmas of pan, tilt and swing of a camera for an exact lens, degrees, (3,); NaN if unknown.
 
-    An error of the lens changes the pose, too, but hides no line from the other cameras.
+    A lens error also changes the pose, but this change does not prevent correct matches.
     """
     angles = [f"{name}.{angle}_deg" for angle in ("pan", "tilt", "swing")]
     if not set(angles) <= set(rig.parameters):
@@ -272,7 +286,9 @@ def is_unambiguous(
     choice: FreeParameters,
     tuning: CalibTuning,
 ) -> bool:
-    """True if the best result is much more probable than all different results."""
+    """True if the best result is much more probable than every other result that
+    differs from it.
+    """
     return all(
         other.log_posterior * tuning.bundle.clear_factor < best.log_posterior
         or _separation_sigmas(best, other, choice) < tuning.bundle.same_sigmas
@@ -282,7 +298,11 @@ def is_unambiguous(
 
 
 def _separation_sigmas(best: RefineResult, other: RefineResult, choice: FreeParameters) -> float:
-    """Misfit, with the other rig, of the tracks that agree with the best rig, in sigmas."""
+    """Typical distance, in sigmas, of the best result's fragments from their lines, with the other
+    rig.
+
+    Only tracks that agree with the best rig are used. Small if both rigs are nearly equal.
+    """
     agree = (best.inlier == best.tracks.seen).all(axis=1) & (best.tracks.seen.sum(axis=1) > 2)
     if not agree.any():
         return 0.0

@@ -14,7 +14,7 @@ from trinoc.numerics.values import Value
 
 
 class RefineStatus(enum.Enum):
-    """Status of a joint refinement; the value is the sentence for the user."""
+    """Status of a joint refinement. The value of each member is the sentence for the user."""
 
     CONVERGED = "The refinement converged and all parameters are determined."
     GAUGE_FREE = (
@@ -25,31 +25,33 @@ class RefineStatus(enum.Enum):
 
 
 class RefineResult(Displayable, Value):
-    """Cameras and lines refined together.
+    """Result of a joint refinement of cameras and 3-D lines.
 
     Attributes
     ----------
-    status : how the refinement ended. If it is AMBIGUOUS, all fields but `rig` are those of the
-        rejected solution.
-    rig : refined cameras, with `parameters` and `covariance` if these are determined.
-    parameters : names such as "upper.pan_deg", the rows of `covariance`.
+    status : how the refinement ended. If it is AMBIGUOUS, `rig` is the unrefined rig, and all other
+        attributes are those of the rejected solution.
+    rig : refined cameras, with `parameters` and `covariance` if all parameters are determined.
+    parameters : names of the refined parameters, such as "upper.pan_deg".
     values : (p,) values of `parameters`, in degrees, mm and px.
-    covariance : (p, p) covariance; with a free gauge, that of the inner constraints.
-    lines : 3-D segments with independent and shared errors, one per track.
-    inlier : (t, v) fragments that agree with the refined rig and line.
-    distance_sigma : (t, v) distance of each fragment from its line in its sigmas; NaN if
+    covariance : (p, p) covariance of `parameters`. If some directions are undetermined, it is that
+        of the inner constraints (pseudo-inverse).
+    lines : 3-D segment of each track, with independent errors and errors from the cameras.
+    inlier : (t, v) whether each fragment (part of a detected segment) agrees with its refined line.
+    distance_sigma : (t, v) distance of each fragment from the image of its line, in sigmas; NaN if
         unobserved.
-    rank : number of determined directions of the cameras.
-    gauge : description of the undetermined directions; empty without any.
-    segment_sigma_factor : noise of the segments over their stated sigmas.
-    sheet_sigma_factor : the same for the sheet.
-    sheet_chi_square : squared distance, in the sheet's sigmas, between the refined and the
-        calibrated cameras.
+    rank : number of determined directions of the camera parameters.
+    gauge : description of the undetermined directions, such as the scale of the rig; empty if there
+        are none.
+    segment_sigma_factor : estimated noise of the segments divided by their stated sigmas.
+    sheet_sigma_factor : estimated error of the calibration divided by its stated sigmas.
+    sheet_chi_square : squared Mahalanobis distance between refined and calibrated cameras, with the
+        covariance of the calibration.
     chi_square : robust cost at the end, and at the start.
-    log_posterior : of cameras and tracks, relative to the calibrated cameras without tracks
-        (`bundle.estimate`). Comparable for matches of the same segments.
+    log_posterior : log posterior of cameras and tracks, relative to the calibrated cameras without
+        tracks. It compares different matches of the same segments.
     history : log posterior after each accepted round of matching, in order.
-    tracks : refined tracks: the given matches, or those found with the refined rig.
+    tracks : observations of the refined tracks: the given matches, or those of the last round.
     """
 
     status: RefineStatus
@@ -73,7 +75,7 @@ class RefineResult(Displayable, Value):
     def sigma(self, parameter: str) -> float:
         """Standard deviation of a parameter such as "upper.pan_deg"; NaN if unknown.
 
-        Raises InputError for a name that is not a parameter of the rig.
+        Raises `InputError` for a name that is not a parameter of the rig.
         """
         if parameter not in self.parameters:
             return self.rig.sigma(parameter)
@@ -81,7 +83,7 @@ class RefineResult(Displayable, Value):
         return float(np.sqrt(max(self.covariance[row, row], 0.0)))
 
     def summary(self) -> str:
-        """Status, noise factors, and all parameters with their sigmas, as text."""
+        """Text with status, noise factors, and all parameters with their sigmas."""
         before, after = self.chi_square[1], self.chi_square[0]
         tracks, fragments = self.inlier.shape[0], int(np.isfinite(self.distance_sigma).sum())
         rows = [
