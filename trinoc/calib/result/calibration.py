@@ -30,23 +30,26 @@ from trinoc.numerics.values import Value
 
 
 class FixedParameterTest(NamedTuple):
-    """Score test of one parameter group that the model fixes: would the residuals change it?
+    """Score test of one group of parameters that a fit assumed exact.
+
+    The test predicts, without a new fit, how these parameters would change if they were estimated.
 
     Attributes
     ----------
     name : "aim", "focal length", "aspect", "principal point" or "radial distortion".
-    chi_square_drop : reduction of chi-square if the group were estimated.
-    p_value : probability of such a reduction by noise alone.
-    estimate : (k,) change of the group, in mm of the aim, as a share of the focal length, as a
-        share of fy against fx, in px, or in k1.
+    chi_square_drop : predicted reduction of chi-square if the group were estimated.
+    p_value : probability that noise alone causes an equal or larger reduction.
+    estimate : (k,) predicted change of the group. Unit: mm for the aim; relative for the focal
+        length and for fy / fx (aspect); px for the principal point; change of k1 for the
+        distortion.
     sigma : (k,) standard deviation of `estimate`.
-
-    strain : Mahalanobis length of the motion of the camera by `estimate`.
-    undetectable : (k,) the change, too small for a reliable detection, that would move the camera
-        most.
-    undetectable_strain : Mahalanobis length of the motion of the camera by `undetectable`.
-    undetectable_motion : (p,) change of the camera's parameters by `undetectable`, degrees and mm.
-    tuning : limits of probability and strain for a significant test.
+    strain : change of the camera's pose by `estimate`, in sigmas (Mahalanobis distance).
+    undetectable : (k,) error of the group that the test detects only with a given probability, in
+        the direction that changes the pose most.
+    undetectable_strain : change of the camera's pose by `undetectable`, in sigmas.
+    undetectable_motion : (p,) change of the camera's pose parameters by `undetectable`, degrees and
+        mm.
+    tuning : limits of p-value and strain for a significant test.
     """
 
     name: str
@@ -62,12 +65,12 @@ class FixedParameterTest(NamedTuple):
 
     @property
     def is_significant(self) -> bool:
-        """True if noise alone is an unlikely cause of the reduction."""
+        """True if noise alone is unlikely to cause the predicted reduction of chi-square."""
         return self.p_value < self.tuning.chance
 
     @property
     def is_strained(self) -> bool:
-        """True if the change is both unlikely to be noise and large for the camera."""
+        """True if the test is significant, and the change of the camera's pose is large."""
         is_rare = self.p_value < self.tuning.chance_where_strained
         return is_rare and self.strain > self.tuning.strain_sigmas
 
@@ -77,21 +80,21 @@ class CameraFit(Value):
 
     Attributes
     ----------
-    residuals_px : (m, 2) predicted minus observed pixel of each circle, corner or point, over all
+    residuals_px : (m, 2) predicted minus observed pixel of each circle, corner or point, in all
         images of the camera.
-    used : (m,) whether each observation was used; the others are outliers.
-    rank : number of the camera's parameters that the observations determine.
-    reduced_chi_square : chi-square of the circles or corners over their degrees of freedom. For a
-        sheet, with the stated sigmas; for boards in many shots, with the sigmas multiplied by
-        `sigma_factor`.
+    used : (m,) whether each observation was used; outliers were not.
+    rank : number of directions of the camera's parameters that the observations determine.
+    reduced_chi_square : chi-square of the circles or corners divided by their degrees of freedom.
+        For one image of a sheet, it uses the stated sigmas. For boards in many shots, it uses the
+        sigmas multiplied by `sigma_factor`.
     sigma_factor : factor by which the stated sigmas of the observations were multiplied. For
         points, which have no stated sigma: standard deviation of a coordinate, px.
     gauge : names of the parameters that the observations do not determine.
-    notes : sentences for the user, for instance on covered circles or outliers.
+    notes : warnings for the user, for instance about covered circles or outliers.
     detections : detections in the images of a sheet. Empty for points and for boards in many shots,
         whose detections are in `CalibrationResult.views`.
-    image : quality of the image from the fit to its grey levels; None if only circles were fitted.
-    fixed_parameter_tests : tests of everything that the model fixes.
+    image : quality of the image, from the fit to its grey levels; None if only circles were fitted.
+    fixed_parameter_tests : tests of all parameters that the fit assumed exact.
     method : "pixels" if grey levels were fitted, else "points".
     """
 
@@ -132,42 +135,44 @@ class CalibrationResult(Displayable, Value):
 
     Attributes
     ----------
-    solution : rig of all cameras whose parameters are determined; None without one. Read it as
-        `rig`.
-    status : how the fit of each camera ended, failed cameras included. Cameras that were fitted
+    solution : rig of all cameras whose parameters are determined; None if there are none. Read it
+        as `rig`, which then raises an error with the reason.
+    status : status of the fit of each camera, failed cameras included. Cameras that were fitted
         together have the same status.
     parameters : names such as "upper.pan_deg", "left.fx_px", "board.warp_x_mm".
     values : (p,) values of `parameters`, in degrees, mm and px; NaN if not determined.
     covariance : (p, p) covariance of `parameters`; 0 for fixed ones, NaN for undetermined ones.
     fits : fit of each camera with a detection.
     target : the sheet or board; None for points.
-    failures : reason for each camera, or "camera, shot", without a result.
+    failures : reason for each camera without a result, or for each "camera, shot" without a
+        detection.
     systematics : descriptions of the errors beyond noise that the covariance contains.
-    notes : sentences for the user.
-    advice : sentence on the measurement that would reduce the sigmas; empty without one.
+    notes : warnings for the user about the whole calibration.
+    advice : sentence on the measurement that would reduce the sigmas; empty if there is none.
     gauge : names of the parameters that the observations do not determine.
 
-    Only for boards in many shots:
+    The following attributes are only set for boards in many shots. A shot is the set of images that
+    all cameras take at one moment.
 
-    reduced_chi_square : of all observations, after their sigmas were multiplied by
+    reduced_chi_square : reduced chi-square of all observations, with their sigmas multiplied by
         `CameraFit.sigma_factor`.
     refused : sentences on shots and images that were not used.
-    world : description of the shot or camera whose frame is the world's.
+    world : description of the shot or camera whose frame is that of the world.
     shots : names of the used shots.
     world_from_board : (s, 3, 4) pose of the board in each shot, mm; for a set, of its first board.
     reference_from_board : (b, 3, 4) pose of each board of a set relative to the first one, mm; the
-        identity for one board. The sigmas are those of "board.NAME.turn_x_deg", about the axes of
+        identity for one board. Its sigmas are those of "board.NAME.turn_x_deg", about the axes of
         the first board, and of "board.NAME.x_mm".
-    place_shifts_mm : (n, 3) X, Y and Z displacement of each corner or circle centre from the
-        drawing with its warp; no rows if the shots show none.
-    views : observations of each camera in each shot, with the used corners or circles.
-    residuals_px : for each view (m, 2) predicted minus observed corners or circles. With grey
-        levels: each circle and, across the line, each piece of a line.
+    place_shifts_mm : (n, 3) X, Y and Z displacement of each corner or circle centre from its
+        position on the warped drawing, mm. It has no rows if the shots show no displacements.
+    views : observation of the board by each camera in each shot, with the mask of used points.
+    residuals_px : for each of `views`, (m, 2) predicted minus observed pixels of its corners or
+        circles. With grey levels: of its circles and of the pieces of its lines, across the line.
     halves : comparison of two halves of the shots; None for too few shots.
-    cross_validation : errors of shots that the rig was not fitted to; None for too few shots.
+    cross_validation : errors in shots that were not used in the fit; None for too few shots.
     solved_problem : the problem at its solution, for `next_shot`; None if the fit did not converge.
-    is_lens : whether this is a lens of `calibrate_intrinsics`, whose pose has no meaning. It is
-        saved as a lens.
+    is_lens : whether the result comes from `calibrate_intrinsics`. Its pose has no meaning, and it
+        is saved as a lens.
     """
 
     solution: Rig | None
@@ -209,16 +214,16 @@ class CalibrationResult(Displayable, Value):
 
     @property
     def has_rig(self) -> bool:
-        """True if a camera is determined, so that `rig` exists."""
+        """True if at least one camera is determined, so that `rig` exists."""
         return self.solution is not None
 
     @property
     def rig(self) -> Rig:
-        """The determined cameras, with the covariance of poses and lenses.
+        """Rig of the determined cameras, with the covariance of poses and lenses.
 
         Raises
         ------
-        CalibrationError : no camera is determined. The sentence gives the reason.
+        CalibrationError : no camera is determined. The error contains the reason.
         """
         if self.solution is None:
             reason = self.notes[0] if self.notes else self.overall_status.value
@@ -232,17 +237,19 @@ class CalibrationResult(Displayable, Value):
 
     @property
     def camera(self) -> Camera:
-        """The only camera. Raises InputError for a rig of several."""
+        """The only camera. Raises `InputError` if there are several cameras."""
         return self.rig[self._only_camera()]
 
     @property
     def lens(self) -> Intrinsics:
-        """Intrinsics of the only camera. Raises InputError for a rig of several."""
+        """Intrinsics of the only camera. Raises `InputError` if there are several cameras."""
         return self.camera.intrinsics
 
     @property
     def lens_parameters(self) -> tuple[str, ...]:
-        """Names of the parameters of the only lens, such as "fx_px", in the order of `values`."""
+        """Names of the lens parameters of the only camera, such as "fx_px", in the order of
+        `values`.
+        """
         prefix = f"{self._only_camera()}."
         names = [name.removeprefix(prefix) for name in self.parameters if name.startswith(prefix)]
         pose_parameters = {parameter for model in PoseModel for parameter in model.parameter_names}
@@ -250,9 +257,9 @@ class CalibrationResult(Displayable, Value):
 
     @property
     def lens_covariance(self) -> Float[np.ndarray, "q q"]:
-        """Covariance of the parameters of the only lens, (q, q); 0 for fixed parameters.
+        """Covariance of the lens parameters of the only camera, (q, q); 0 for fixed parameters.
 
-        A lens without distortion has the parameters of Brown and Conrady's model.
+        A lens without distortion has the parameters of the Brown-Conrady model.
         """
         names = promote_lens(self.lens.lens).parameter_names
         rows = [self._row(f"{self._only_camera()}.{name}") for name in names]
@@ -264,14 +271,16 @@ class CalibrationResult(Displayable, Value):
 
     @property
     def board(self) -> AbstractTarget:
-        """The sheet or board. Raises InputError for points."""
+        """The sheet or board. Raises `InputError` after a calibration from points."""
         if self.target is None:
             raise InputError("This camera was calibrated from points: it has no board.")
         return self.target
 
     @property
     def pattern(self) -> Pattern:
-        """The sheet of circles. Raises InputError for another board, and for points."""
+        """The sheet of circles. Raises `InputError` after a calibration from another board, or from
+        points.
+        """
         if not isinstance(self.board, Pattern):
             raise InputError(
                 f"The board is a {type(self.board).__name__}, not a sheet of circles: read `board`."
@@ -280,7 +289,7 @@ class CalibrationResult(Displayable, Value):
 
     @property
     def overall_status(self) -> Status:
-        """The worst status of all cameras."""
+        """Worst status of all cameras."""
         return max(self.status.values(), key=list(Status).index)
 
     def sigma(self, parameter: str) -> float:
@@ -304,12 +313,15 @@ class CalibrationResult(Displayable, Value):
         return float(np.sqrt(self.covariance[row, row]))
 
     def value(self, parameter: str) -> float:
-        """Value of a parameter; names and errors as in `sigma`."""
+        """Value of a parameter. Accepts the same names as `sigma` and raises the same errors."""
         row = self._row(parameter)
         return self.rig.value(parameter) if row is None else float(self.values[row])
 
     def rms_px(self, camera: str | None = None) -> float:
-        """Root mean square length of the used residuals of one camera, or of all cameras, px."""
+        """Root mean square length of the residuals that were used, px.
+
+        camera : name of one camera. Default: residuals of all cameras.
+        """
         fits = self.fits.values() if camera is None else [self.fits[camera]]
         residuals_px = [fit.residuals_px[fit.used] for fit in fits]
         used_px = np.concatenate([np.zeros((0, 2)), *residuals_px])
@@ -317,7 +329,8 @@ class CalibrationResult(Displayable, Value):
 
     @property
     def pairs(self) -> tuple[CameraPair, ...]:
-        """Baseline and relative rotation of each pair of cameras, with sigmas; empty without a rig.
+        """Baseline and relative rotation of each pair of cameras, with sigmas. Empty if there is no
+        rig.
 
         Pairs with the first camera come first.
         """
@@ -327,8 +340,9 @@ class CalibrationResult(Displayable, Value):
 
     @property
     def pixel_sigma(self) -> PixelSigma | None:
-        """Standard deviation of the pixel of a fixed point at the distance of the boards; None
-        without shots.
+        """Standard deviation of the predicted pixel of a fixed point at the distance of the boards.
+
+        None if there are no shots, or no rig.
         """
         if self.solution is None or not self.views:
             return None
@@ -337,10 +351,11 @@ class CalibrationResult(Displayable, Value):
 
     @property
     def field_sigma_px(self) -> Float[np.ndarray, "5 5"]:
-        """Standard deviation per axis of the pixel at which the only lens images a ray, px, (5, 5).
+        """Standard deviation per axis of the pixel that the only lens predicts for a ray, px, (5,
+        5).
 
-        The grid covers the image from corner to corner. A common turn of the camera is removed. NaN
-        where the lens images no ray, or if the lens is not determined.
+        The grid covers the image from corner to corner. Errors that a rotation of the camera would
+        explain are removed. NaN where the lens has no ray, or if the lens is not determined.
         """
         camera = self._only_camera()
         if self.solution is None or self.solved_problem is None:
@@ -351,10 +366,9 @@ class CalibrationResult(Displayable, Value):
         return np.asarray(field_sigma_px(lens, self.covariance[np.ix_(rows, rows)], places_px))
 
     def board_distance_mm(self, camera: str) -> float:
-        """Median distance from a camera to the middle of the boards that it saw, mm; of all boards
-        if none.
+        """Median distance from a camera to the middle of the boards that it saw, mm.
 
-        Raises CalibrationError without a rig.
+        If the camera saw none, all boards are used. Raises `CalibrationError` if there is no rig.
         """
         number = self.cameras.index(camera)
         used_views = [v for v in self.views if v.camera == number and v.used.any()]

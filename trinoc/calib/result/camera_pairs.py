@@ -23,21 +23,21 @@ _NO_AXIS_DEG = 1e-9
 
 @dataclasses.dataclass(frozen=True)
 class CameraPair:
-    """Pose of a second camera relative to a first one, with sigmas.
+    """Relative pose of two cameras, with sigmas.
 
     Attributes
     ----------
     first, second : names of the cameras.
     second_from_first : (3, 4) rigid motion x_second = [R | t] x_first, mm. OpenCV's
-        `stereoCalibrate` returns these as R and T.
+        `stereoCalibrate` returns R and T.
     baseline_mm : distance between the centres of projection.
     baseline_sigma_mm : standard deviation of the baseline.
-    size_sigma_mm : part of it from the error of the board's size, a scale that no image shows; 0
-        for an exact size.
-    rest_sigma_mm : the remaining part: baseline_sigma^2 = size_sigma^2 + rest_sigma^2.
+    size_sigma_mm : part of `baseline_sigma_mm` that the unknown print size of the board causes,
+        which no image shows; 0 for an exact size.
+    rest_sigma_mm : remaining part: baseline_sigma^2 = size_sigma^2 + rest_sigma^2.
     angle_deg : angle of the rotation from the axes of the first camera to those of the second.
     angle_sigma_deg : standard deviation of the angle.
-    turn_deg : (3,) rotation vector of that rotation, about the x, y and z axes of the first camera;
+    turn_deg : (3,) rotation vector of this rotation, about the x, y and z axes of the first camera;
         its length is `angle_deg`.
     turn_sigma_deg : (3,) standard deviations of `turn_deg`.
     """
@@ -58,14 +58,14 @@ class CameraPair:
 def camera_pairs(
     rig: Rig, parameters: tuple[str, ...], covariance: Float[np.ndarray, "p p"]
 ) -> tuple[CameraPair, ...]:
-    """All pairs of cameras in the order of the rig; those with the first camera come first.
+    """Relative pose of each pair of cameras, in the order of the rig.
 
     Parameters
     ----------
     rig : the cameras.
-    parameters, covariance : names and joint covariance of the poses and, if uncertain, of the
-        boards' scales, in degrees and mm, as in `CalibrationResult`. Poses that are not named are
-        exact.
+    parameters : names of the p parameters that have errors: poses and, if uncertain, the print
+        scales of the boards, as in `CalibrationResult`. All other poses are exact.
+    covariance : (p, p) their covariance, in degrees and mm.
     """
     size = covariance_of_size(parameters, covariance)
     return tuple(
@@ -116,7 +116,7 @@ def _camera_pair(
 
 
 class _PoseByParameters:
-    """A pose as a function of a change of its six named parameters, in degrees and mm."""
+    """Function from small changes of six public pose parameters, in degrees and mm, to the pose."""
 
     def __init__(self, pose: Pose, camera: str, parameters: tuple[str, ...]) -> None:
         rigid = PoseModel.RIGID.parameter_names
@@ -129,7 +129,7 @@ class _PoseByParameters:
         self.steps = _STEP * np.array([1.0, 1.0, 1.0, *np.full(3, length / 100.0)])
 
     def move(self, change: Float[np.ndarray, "6"]) -> Pose:
-        """Pose after a change of its parameters."""
+        """Pose after a small change of its six parameters."""
         if not self._is_rigid and self._has_aim:
             radians = np.concatenate([np.radians(change[:3]), change[3:]])
             return Pose.from_parameters(np.asarray(self._pose.parameters) + radians)
@@ -138,7 +138,9 @@ class _PoseByParameters:
 
 
 def _centre_and_turn(first: Pose, second: Pose) -> Float[np.ndarray, "6"]:
-    """Centre (mm) and rotation vector (degrees) of the second camera in the frame of the first."""
+    """Centre (mm) and rotation vector (degrees) of the second camera in the frame of the first,
+    (6,).
+    """
     centre_mm = first.rotation @ (second.centre_world_mm - first.centre_world_mm)
     turn = scipy.spatial.transform.Rotation.from_matrix(first.rotation @ second.rotation.T)
     return np.concatenate([centre_mm, turn.as_rotvec(degrees=True)])
@@ -147,7 +149,7 @@ def _centre_and_turn(first: Pose, second: Pose) -> Float[np.ndarray, "6"]:
 def _central_differences(
     function: Callable[[np.ndarray], np.ndarray], steps: Float[np.ndarray, "p"]
 ) -> Float[np.ndarray, "q p"]:
-    """Jacobian of a function at zero, (q, p)."""
+    """Jacobian, (q, p), of a function at 0, by central differences with the given steps."""
     columns = [
         (function(step) - function(-step)) / (2.0 * length)
         for step, length in zip(np.diag(steps), steps, strict=True)
@@ -158,9 +160,10 @@ def _central_differences(
 def _directions(
     motion: Float[np.ndarray, "6"],
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Unit vectors of the baseline and of the rotation axis.
+    """Unit vectors of the baseline and of the rotation axis of a relative pose.
 
-    The x axis replaces a baseline of length 0, the z axis the axis of no rotation.
+    motion : centre and rotation vector, as from `_centre_and_turn`. If the baseline is 0, the x
+        axis is returned for it. If the rotation is 0, the z axis is returned for it.
     """
     baseline, angle = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
     direction = motion[:3] / baseline if baseline > 0.0 else np.array([1.0, 0.0, 0.0])
@@ -169,5 +172,5 @@ def _directions(
 
 
 def _root(variance: float) -> float:
-    """Square root of a variance, which rounding may leave below zero."""
+    """Square root of a variance; 0 if rounding made the variance negative."""
     return float(np.sqrt(np.maximum(variance, 0.0)))

@@ -15,7 +15,10 @@ DEGREES = np.array([180 / np.pi, 180 / np.pi, 180 / np.pi, 1.0, 1.0, 1.0])
 
 
 def values_of_parameters(parameters: Float[np.ndarray, "p"]) -> Float[np.ndarray, "6"]:
-    """All six pose parameters in degrees and mm, from internal ones; a fixed aim is 0."""
+    """Convert pose parameters from rad and mm to degrees and mm. A missing aim becomes 0.
+
+    parameters : pan, tilt, swing, distance and, optionally, aim x and y.
+    """
     values = np.zeros(len(DEGREES))
     values[: len(parameters)] = DEGREES[: len(parameters)] * parameters
     return values
@@ -23,20 +26,27 @@ def values_of_parameters(parameters: Float[np.ndarray, "p"]) -> Float[np.ndarray
 
 @in_float64
 def pose_of_values(values: Float[np.ndarray, "6"]) -> Pose:
-    """Pose from pan, tilt, swing in degrees, distance and aim in mm."""
+    """Pose from pan, tilt, swing in degrees, distance in mm, and aim x and y in mm."""
     return Pose.from_parameters(np.concatenate([np.radians(values[:3]), values[3:]]))
 
 
 @in_float64
 def degrees_by_step(pose: Pose, unit_mm: ScalarLike, model: PoseModel) -> Float[np.ndarray, "p p"]:
-    """Jacobian of a pose's named parameters, in degrees and mm, by a step of the pose, (p, p)."""
+    """Jacobian, (p, p), of the public pose parameters with respect to the pose's local coordinates.
+
+    pose : the pose at which it is evaluated.
+    unit_mm : length of a unit change of the translation.
+    model : the p public parameters, in degrees and mm.
+    """
     return DEGREES[: model.size, None] * np.asarray(
         _by_step(pose, np.asarray(unit_mm, dtype=float), model=model)
     )
 
 
 def largest_sigmas(model: PoseModel, distance_mm: float) -> Float[np.ndarray, "p"]:
-    """Standard deviations, in degrees and mm, above which a parameter counts as undetermined."""
+    """Sigma of each pose parameter, degrees and mm, above which the parameter counts as
+    undetermined.
+    """
     lengths = [1.0, 1.0, 1.0, *np.full(3, distance_mm)]
     return (LARGEST_SIGMA * DEGREES * np.array(lengths))[: model.size]
 

@@ -8,18 +8,18 @@ from jaxtyping import Float
 
 
 class CrossValidation(NamedTuple):
-    """Two-fold cross-validation: errors of lenses and cameras on shots not used in their fit.
+    """Two-fold cross-validation: residuals in shots that were not used to fit lenses and cameras.
 
-    For a held-out shot only the pose of the board is fitted, to the image of one camera.
+    In such a held-out shot only the board pose is fitted, to the image of one camera.
 
     Attributes
     ----------
-    shots : number of shots, each held out once.
-    own_px : for each camera, the root mean square error with the board placed by the same camera,
-        px. Includes the error of the lens model.
-    across_px : for each camera, the root mean square error with the board placed by each other
-        camera, px. Includes the error of the rig, and the noise of the other camera. Empty for one
-        camera.
+    shots : number of shots; each was held out once.
+    own_px : root mean square residual of each camera, px, with the board pose fitted to the image
+        of the same camera. It shows the error of the lens model.
+    across_px : root mean square residual of each camera, px, with the board pose fitted to the
+        image of another camera. It also shows the error of the relative poses, and the noise of the
+        other camera. Empty for a single camera.
     """
 
     shots: int
@@ -28,7 +28,7 @@ class CrossValidation(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Sentence with the held-out residual of each camera."""
+        """Sentence for the user with the held-out residuals of each camera."""
         sentence = (
             f"held-out residual (rms of shots that were not fitted): {_list_errors(self.own_px)} "
             "with the board placed by the camera itself"
@@ -43,18 +43,20 @@ def _list_errors(errors_px: Mapping[str, float]) -> str:
 
 
 class FieldDifference(NamedTuple):
-    """Difference between the pixels of the same points by the rigs of two halves of the shots.
+    """Difference between the pixels that two rigs predict for the same 3-D points in one camera.
+
+    The rigs were fitted to two halves of the shots.
 
     Attributes
     ----------
     camera : name of the camera.
-    distance_mm : (2,) distances of the points: that of the boards, and `AdviceTuning.farther` times
-        that.
-    uv_px : (n, 2) pixels whose rays contain the points.
-    difference_px : (2, n, 2) first half minus second half at each distance, along u and v; NaN
-        where the lens has no ray.
-    sigma_px : (2, n) standard deviation of the difference by the covariances of both halves, per
-        axis.
+    distance_mm : (2,) distances of the points from the camera: that of the boards, and a multiple
+        of it.
+    uv_px : (n, 2) pixels on whose rays the points lie.
+    difference_px : (2, n, 2) pixel predicted by the first half minus that of the second half, at
+        each distance; NaN where the lens has no ray.
+    sigma_px : (2, n) standard deviation per axis of the difference, from the covariances of both
+        halves.
     """
 
     camera: str
@@ -65,33 +67,34 @@ class FieldDifference(NamedTuple):
 
     @property
     def over_sigma(self) -> Float[np.ndarray, "2 n"]:
-        """Length of the difference over its sigma, (2, n). The mean square is 1 for a correct
-        model.
+        """Length of `difference_px` in sigmas, divided by sqrt(2), (2, n).
+
+        Its mean square is 1 for a correct model.
         """
         return np.linalg.norm(self.difference_px, axis=-1) / (np.sqrt(2.0) * self.sigma_px)
 
     @property
     def rms_px(self) -> Float[np.ndarray, "2"]:
-        """Root mean square length of the difference over the field, px, at each distance."""
+        """Root mean square length of `difference_px` over the image, at each distance."""
         return np.sqrt(np.nanmean(np.sum(self.difference_px**2, axis=-1), axis=-1))
 
     @property
     def rms_over_sigma(self) -> Float[np.ndarray, "2"]:
-        """Root mean square of `over_sigma` over the field, at each distance."""
+        """Root mean square of `over_sigma` over the image, at each distance."""
         return np.sqrt(np.nanmean(self.over_sigma**2, axis=-1))
 
 
 class HalvesCheck(NamedTuple):
-    """Difference between the rigs of two halves of the shots.
+    """Comparison of two rigs that were fitted to two halves of the shots.
 
     Attributes
     ----------
-    ratio : root mean square normalised difference over all determined parameters. 1 for a correct
-        model, larger if the model omits something.
-    worst : name of the parameter with the largest normalised difference.
-    worst_ratio : that normalised difference.
-    parameters : number of compared directions.
-    over_field : difference in pixels over the field of each camera.
+    ratio : root mean square of the difference in sigmas, over all determined parameters. It is
+        about 1 for a correct model, and larger if the model omits an error.
+    worst : name of the parameter with the largest difference in sigmas.
+    worst_ratio : difference of this parameter in sigmas.
+    parameters : number of compared directions in the space of parameters.
+    over_field : difference of the predicted pixels over the image of each camera.
     """
 
     ratio: float

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def summarise(result: "CalibrationResult") -> str:
-    """Text of a result: one table for a sheet, one block per camera for shots and points."""
+    """Text of a result: a table for images of a sheet, else one paragraph per camera."""
     return _summarise_sheet(result) if _is_of_sheet(result) else _summarise_shots(result)
 
 
@@ -28,7 +28,7 @@ def _is_of_sheet(result: "CalibrationResult") -> bool:
 
 
 def _summarise_sheet(result: "CalibrationResult") -> str:
-    """One row per camera, warnings above and everything else below."""
+    """Text for a sheet: warnings, a table with one row per camera, then advice and notes."""
     values = dict(zip(result.parameters, result.values, strict=True))
     columns = [
         name
@@ -68,14 +68,14 @@ def _summarise_sheet(result: "CalibrationResult") -> str:
 
 
 def _noise(fit: "CameraFit") -> str:
-    """Residual noise over the noise of the image, in grey levels."""
+    """Text "noise / noise floor" of the image, in grey levels."""
     if fit.image is None:
         return "circles only"
     return f"{fit.image.noise:.2f} / {fit.image.noise_floor:.2f}"
 
 
 def _with_sigma(value: float, sigma: float) -> str:
-    """Text "value +- sigma", rounded to two significant digits of the standard deviation."""
+    """Text "value +- sigma", both rounded to two significant digits of the sigma."""
     if not np.isfinite(sigma) or sigma <= 0:
         return f"{value:.4f} +- ?"
     decimals = max(0, 1 - int(np.floor(np.log10(sigma))))
@@ -83,7 +83,9 @@ def _with_sigma(value: float, sigma: float) -> str:
 
 
 def _summarise_shots(result: "CalibrationResult") -> str:
-    """One block per camera, then the board, the pairs of cameras, and the notes."""
+    """Text for shots or points: one paragraph per camera, then the board, the camera pairs and the
+    notes.
+    """
     lines = [f"SUSPECT: {result.notes[0]}"] if result.overall_status is Status.SUSPECT else []
     for camera, fit in result.fits.items():
         lines.append(_fit_sentence(result, camera, fit))
@@ -128,7 +130,9 @@ def _summarise_shots(result: "CalibrationResult") -> str:
 
 
 def _fit_sentence(result: "CalibrationResult", camera: str, fit: "CameraFit") -> str:
-    """Number of observations of one camera and the quality of their fit."""
+    """Line with the number of observations of one camera, their residuals and their
+    sigma factor.
+    """
     if result.target is None:
         return f"{camera}: {int(fit.used.sum())} of {len(fit.used)} points, rms {fit.rms_px:.3f} px"
     number = result.cameras.index(camera)
@@ -153,7 +157,10 @@ def _lens_sentence(result: "CalibrationResult") -> list[str]:
 
 
 def fixed_boards(result: "CalibrationResult") -> tuple[str, ...]:
-    """Sentences on the pose of each board of a set relative to the first one, with sigmas."""
+    """Sentence on the pose of each board of a set relative to the first board, with sigmas.
+
+    Empty for a single board, or if there is no rig.
+    """
     if not result.has_rig or result.target is None:
         return ()
     reference, *others = board_names(result.target)
@@ -164,7 +171,7 @@ def fixed_boards(result: "CalibrationResult") -> tuple[str, ...]:
 
 
 def _pair_sentence(pair: CameraPair) -> str:
-    """Baseline and relative rotation of two cameras, with sigmas."""
+    """Line with the baseline and the relative rotation of two cameras, with sigmas."""
     baseline = value_words(pair.baseline_mm, pair.baseline_sigma_mm)
     if pair.size_sigma_mm > pair.rest_sigma_mm:
         baseline += (
@@ -185,7 +192,7 @@ def _pair_sentence(pair: CameraPair) -> str:
 
 
 def _two_digits(value: float) -> str:
-    """A positive number with two significant digits, without an exponent."""
+    """Text of a positive number with two significant digits, without an exponent."""
     if not (np.isfinite(value) and value > 0.0):
         return "0"
     return f"{value:.{max(0, 1 - int(np.floor(np.log10(value))))}f}"
@@ -206,7 +213,7 @@ def _board_sentence(
     reference: str,
     reference_from_board: Float[np.ndarray, "3 4"],
 ) -> str:
-    """Position of a board's origin in the frame of another board, and its rotation."""
+    """Sentence on the position and rotation of a board in the frame of the board `reference`."""
     pose = Pose(reference_from_board)
     cosine = np.clip(0.5 * (np.trace(pose.rotation) - 1.0), -1.0, 1.0)
     position = ", ".join(
@@ -221,7 +228,10 @@ def _board_sentence(
 
 
 def value_words(value: float, sigma: float) -> str:
-    """Text "value +- sigma" with the decimals that the sigma justifies; three for a sigma of 0."""
+    """Text "value +- sigma", rounded to two significant digits of the sigma.
+
+    Three decimals for a sigma of 0; "not determined" for NaN.
+    """
     if not (np.isfinite(value) and np.isfinite(sigma)):
         return "not determined"
     decimals = max(0, 1 - int(np.floor(np.log10(sigma)))) if sigma > 0 else 3

@@ -24,14 +24,23 @@ _SEARCHED = 12
 
 
 class BoardReading(NamedTuple):
-    """A board as its layout may have been meant, and a sentence on the difference."""
+    """An alternative layout of the board that the user may have meant.
+
+    Attributes
+    ----------
+    target : board with the alternative layout.
+    sentence : sentence for the user on the difference to the given layout.
+    """
 
     target: AbstractTarget
     sentence: str
 
 
 def other_readings(target: AbstractTarget) -> list[BoardReading]:
-    """Other readings of a layout; empty for most kinds of boards."""
+    """Alternative layouts of a chessboard with one row and one column more or fewer.
+
+    Empty for other kinds of boards.
+    """
     readings = []
     if isinstance(target, Chessboard):
         stated = f"{target.rows} x {target.columns} inner corners"
@@ -55,9 +64,10 @@ def find_reading(
     images: Sequence[_Image],
     shows_board: Callable[[_Image, AbstractTarget], bool],
 ) -> BoardReading | None:
-    """Reading that at least half of a sample of the images shows; None without one.
+    """Find an alternative layout that at least half of a sample of the images shows, or None.
 
-    shows_board : function (image, board) that decides whether an image shows a board.
+    target : board with the given layout.
+    shows_board : function (image, board) that returns True if the image shows the board.
     """
     if not images:
         return None
@@ -76,12 +86,18 @@ def find_charuco_reading(
     load: Callable[[_Image], Any],
     tuning: CalibTuning,
 ) -> BoardReading | None:
-    """Reading of a ChArUco board, alone or in a set, from the first image that shows one.
+    """Find the layout of a ChArUco board that the images show instead of the given one, or None.
 
-    Only readings of the same sheet are accepted: not its mirror image, nor other markers.
+    The first image with an alternative layout decides. The board must be the same sheet: mirror
+    images and other markers are not accepted.
 
-    number : of the board in the set. load : function that returns the pixels of an image, or
-        None.
+    Parameters
+    ----------
+    target : the board, or a set that contains it.
+    number : index of the board in the set.
+    images : images that do not show the given layout.
+    load : function that returns the pixels of an image, or None.
+    tuning : constants of the detection.
     """
     boards, names = list(list_boards(target)), board_names(target)
     board = boards[number]

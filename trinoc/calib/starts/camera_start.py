@@ -35,7 +35,13 @@ _FIXED_FLAGS = (
 
 
 class CameraStart(NamedTuple):
-    """Start of the fit of one camera: a lens, and the pose of the board in each of k images."""
+    """Initial values for the fit of one camera.
+
+    Attributes
+    ----------
+    lens : initial lens.
+    cam_from_board : initial board pose in each of k images.
+    """
 
     lens: AbstractLens
     cam_from_board: tuple[Pose, ...]
@@ -50,18 +56,22 @@ def start_camera(
     aspect: float | None = None,
     tuning: CalibTuning = TUNING,
 ) -> CameraStart:
-    """First lens, with the principal point in the middle of the image, and poses of the board.
+    """Estimate an initial lens, and the pose of the board in each image.
+
+    The principal point is the middle of the image.
 
     Parameters
     ----------
-    detections : each with FEWEST_POINTS or more points.
-    model : model of the lens.
-    lens : given lens; then only poses are estimated.
+    detections : detections in the images of one camera, each with at least FEWEST_POINTS points.
+    target : the board.
+    model : lens model.
+    lens : given lens; then only the poses are estimated.
     aspect : fx / fy if it is known.
+    tuning : constants of the method.
 
     Raises
     ------
-    CalibrationError : no lens of the model explains the detections.
+    CalibrationError : no lens of this model explains the detections.
     """
     if lens is not None:
         return start_poses(promote_lens(lens), detections, target)
@@ -91,7 +101,10 @@ def start_camera(
 def start_poses(
     lens: AbstractLens, detections: Sequence[Detection], target: AbstractTarget
 ) -> CameraStart:
-    """Pose of the board in each image through a given lens."""
+    """Estimate the pose of the board in each image for a given lens.
+
+    Raises `CalibrationError` if the points of an image do not determine the pose.
+    """
     poses = []
     for detection in detections:
         rays = unproject_pixels(lens, detection.centres_px)
@@ -108,7 +121,10 @@ def start_poses(
 def median_error_px(
     lens: AbstractLens, cam_from_board: Pose, detection: Detection, target: AbstractTarget
 ) -> float:
-    """Median distance of predicted and detected points, px; infinite behind the camera."""
+    """Median distance between predicted and detected board points, px.
+
+    A point behind the camera has an infinite distance.
+    """
     points_mm = target.centres_mm[detection.circle_index]
     offset = project_points(cam_from_board, lens, on_board(points_mm)) - detection.centres_px
     distance = np.linalg.norm(offset, axis=1)
@@ -116,15 +132,22 @@ def median_error_px(
 
 
 def on_board(points_mm: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 3"]:
-    """Points of a drawing on the plane Z = 0 of its board, (m, 3)."""
+    """Append Z = 0 to points of the drawing. Returns (m, 3)."""
     return np.pad(points_mm, ((0, 0), (0, 1)))
 
 
 def plane_pose(rays: Float[np.ndarray, "m 3"], points_mm: Float[np.ndarray, "m 2"]) -> Pose | None:
-    """cam_from_board by the homography from the board to the rays; None without one.
+    """Estimate cam_from_board from the homography between the board and the camera rays.
 
-    Rays have any length and may point backwards, as in a fisheye. Each is parallel to H (X, Y, 1),
-    which gives two equations. Source: Hartley and Zisserman, section 4.1.
+    Each ray is parallel to H (X, Y, 1), which gives two equations. Rays may have any length and may
+    point backwards, as in a fisheye lens. Returns None if the points do not determine a homography.
+
+    rays : (m, 3) rays to the points in the frame of the camera.
+    points_mm : (m, 2) the points on the board.
+
+    References
+    ----------
+    Hartley and Zisserman, Multiple View Geometry, section 4.1.
     """
     middle, spread = points_mm.mean(axis=0), float(np.std(points_mm)) or 1.0
     homogeneous = np.append((points_mm - middle) / spread, np.ones((len(points_mm), 1)), axis=1)
@@ -157,10 +180,11 @@ def _start_by_zhang(
     aspect: float | None,
     tuning: CalibTuning,
 ) -> CameraStart:
-    """Start by Zhang's method from several focal lengths, of which the best fit is used.
+    """Initial lens and poses by Zhang's method (OpenCV), from several initial focal lengths.
 
-    Zhang's formula has no solution if the board is square to the camera in all images. Coefficients
-    of models that OpenCV does not support start at zero.
+    The start with the smallest residuals is returned. Zhang's closed formula has no solution if the
+    board is parallel to the image plane in all images. Coefficients of models that OpenCV does not
+    support are 0.
     """
     size = detections[0].image_size_px
     sheet, image = [], []
@@ -195,9 +219,9 @@ def _start_by_zhang(
 def _near_homography(
     detection: Detection, target: AbstractTarget, tuning: CalibTuning
 ) -> Bool[np.ndarray, "m"]:
-    """Mask of the points that agree with one homography, (m,).
+    """Mask, (m,), of the points that agree with one homography, fitted by RANSAC.
 
-    The homography is fitted by RANSAC. All points are True if it cannot be fitted.
+    All True if it cannot be fitted.
     """
     sheet = target.centres_mm[detection.circle_index]
     extent_px = float(np.max(np.ptp(detection.centres_px, axis=0)))
@@ -215,8 +239,11 @@ def _near_homography(
 def _zhang_matrix(
     sheet: list[np.ndarray], image: list[np.ndarray], size: tuple[int, int], aspect: float | None
 ) -> Float[np.ndarray, "3 3"] | None:
-    """Camera matrix by Zhang's closed formula; None if the images do not determine a
-    focal length.
+    """Camera matrix by Zhang's closed formula; None if the images determine no plausible focal
+    length.
+
+    sheet, image : board points and their pixels in each image.
+    size : (width, height) of the images.
     """
     try:
         matrix = cv2.initCameraMatrix2D(sheet, image, size, 0.0 if aspect is None else aspect)
@@ -234,7 +261,10 @@ def _fit_by_opencv(
     guess: Float[np.ndarray, "3 3"],
     aspect: float | None,
 ) -> tuple[float, CameraStart] | None:
-    """Rms misfit in pixels, and OpenCV's lens and poses; None without a valid result."""
+    """Fit a Brown-Conrady lens and the board poses with OpenCV, from an initial camera matrix.
+
+    Returns the root mean square residual, px, and the fit; None if the result is not valid.
+    """
     flags = _FIXED_FLAGS if aspect is None else _FIXED_FLAGS | cv2.CALIB_FIX_ASPECT_RATIO
     try:
         misfit_px, matrix, distortion, rotations, translations = cv2.calibrateCamera(

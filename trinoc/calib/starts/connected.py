@@ -32,13 +32,15 @@ _TRIES, _SUBSET = 60, 4
 
 
 class ConnectedShots(NamedTuple):
-    """Connected cameras and boards.
+    """Relative poses of cameras, and of boards, that the shots determine.
 
     Attributes
     ----------
-    cameras : groups of connected cameras, each with cam_from_rig of its members.
-    boards : groups of connected boards, each with set_from_board of its members.
-    links : relative poses of pairs of cameras.
+    cameras : groups of cameras with known relative poses. Each group maps the index of a camera to
+        cam_from_rig; the rig is the first camera of the group.
+    boards : groups of boards with known relative poses. Each group maps the index of a board to
+        set_from_board.
+    links : relative pose of each pair of cameras that saw the same boards.
     """
 
     cameras: list[Poses]
@@ -52,7 +54,12 @@ def connect(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> ConnectedShots:
-    """Connect all cameras and boards that the shots allow. sightings : of each camera."""
+    """Compute the relative poses of all cameras and of all boards that the shots determine.
+
+    sightings : detections of each camera with the pose of the board; the key is the index of the
+        camera.
+    boards : indices of the boards.
+    """
     groups: list[Poses] = [{board: IN_PLACE} for board in boards]
     cameras_by_motion: Links = {}
     boards_by_motion: Links = {}
@@ -79,7 +86,7 @@ def connect(
 
 
 def in_set(sighting: Sighting, groups: Sequence[Poses]) -> Sighting:
-    """Sighting with the pose of its board in the group of connected boards."""
+    """Copy of a sighting with `set_from_board` taken from the group that contains its board."""
     group = next(group for group in groups if sighting.board in group)
     return sighting._replace(set_from_board=group[sighting.board])
 
@@ -148,7 +155,13 @@ def _link_all_boards(
 
 
 class HandEye(NamedTuple):
-    """Motions with `second` = cameras @ `first` @ boards, for the poses of every shot."""
+    """Solution X, Y of U = X T Y, for pairs of poses (T, U).
+
+    Attributes
+    ----------
+    cameras : X, the pose of the first cameras in the frame of the second ones.
+    boards : Y, the pose of the second boards in the frame of the first ones.
+    """
 
     cameras: Pose
     boards: Pose
@@ -157,7 +170,13 @@ class HandEye(NamedTuple):
 def solve_hand_eye(
     first: Sequence[Pose], second: Sequence[Pose], tuning: CalibTuning
 ) -> HandEye | None:
-    """Motions that explain all pairs of poses best; None if they are not determined."""
+    """Solve U = X T Y for the fixed motions X and Y, by least squares over several shots.
+
+    Returns None if there are too few shots, or if all motions rotate about nearly the same axis.
+
+    first : T of each shot, the pose of one board relative to one camera.
+    second : U of each shot, the pose of another board relative to another camera.
+    """
     if len(first) < FEWEST_SHOTS:
         return None
     pairs = list(combinations(range(len(first)), 2))
@@ -196,9 +215,15 @@ def link_by_motion(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> tuple[Links, Links] | None:
-    """Two groups of cameras and two of boards that move as if both were fixed to each other.
+    """Connect two groups of cameras that never see the same board, by the motion of two fixed
+    boards.
 
-    sightings : of each camera. Returns the links of both pairs of groups on which most shots agree.
+    The first cameras see one group of boards, the second cameras another group. Of all combinations
+    of groups, the one on which most shots agree is returned: the link between the cameras, and the
+    link between the boards. None if no combination agrees.
+
+    sightings : detections of each camera with the pose of the board.
+    cameras, boards : groups with known relative poses.
     """
     best: tuple[_Agreement, Links, Links] | None = None
     for first_cameras, second_cameras in combinations(cameras, 2):
@@ -231,7 +256,7 @@ def link_by_motion(
 def _largest_by_shot(
     sightings: Mapping[int, Sequence[Sighting]], cameras: Poses, boards: Poses
 ) -> dict[int, Sighting]:
-    """Sighting with most points of each shot, of these cameras and boards."""
+    """In each shot, the detection with the most points, among some cameras and boards."""
     candidates = [
         sighting for camera in cameras for sighting in sightings[camera] if sighting.board in boards
     ]
@@ -244,8 +269,12 @@ def _largest_by_shot(
 
 
 class _Agreement(NamedTuple):
-    """Motions between two groups of cameras and boards, and whether each pair of
-    sightings agrees.
+    """Solution of U = X T Y with the shots that agree with it.
+
+    Attributes
+    ----------
+    motions : X and Y.
+    agrees : (s,) whether each pair of detections agrees with the solution.
     """
 
     motions: HandEye
@@ -253,7 +282,7 @@ class _Agreement(NamedTuple):
 
     @property
     def agreeing(self) -> int:
-        """Number of pairs that agree."""
+        """Number of pairs of detections that agree with the solution."""
         return int(self.agrees.sum())
 
 
@@ -264,8 +293,12 @@ def _most_agreed(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> _Agreement | None:
-    """Motions on which most pairs agree, from all shots, from subsets, and from those
-    that agreed.
+    """Solution of U = X T Y on which most shots agree, or None if no majority agrees (RANSAC).
+
+    Solutions are computed from all shots, from random subsets, and finally from all shots that
+    agree.
+
+    pairs : for each shot, one detection by each group of cameras.
     """
     count = len(pairs)
     first = [first_cameras[a.camera].inverse @ a.cam_from_set[0] for a, _ in pairs]

@@ -15,17 +15,20 @@ def pose_of_crossed_lines(
     slopes: Float[np.ndarray, "m 2"],
     circle_mm: Float[np.ndarray, "m 2"],
 ) -> Pose | None:
-    """Pose of the crossed lines whose circles lie nearest to the observed ones.
+    """Pose of a camera from the images of the two crossed lines and the circles of the sheet.
+
+    The lines determine the pose up to one angle and the distance, which are fitted to the circles.
 
     Parameters
     ----------
-    planes : (2, 3) normals, in the camera's frame, of the planes through the lines along X and Y.
+    planes : (2, 3) normals, in the frame of the camera, of the planes through the camera's centre
+        and the lines along X and Y.
     slopes : (m, 2) x/z and y/z of the ray to each circle.
     circle_mm : (m, 2) circle centres on the sheet.
 
     Returns
     -------
-    The pose; None if a line was not detected, or no pose has all circles in front of the camera.
+    The pose. None if a line was not detected, or if no pose has all circles in front of the camera.
     """
     if not np.isfinite(planes).all():
         return None
@@ -56,8 +59,11 @@ def _axes(
     ray: Float[np.ndarray, "3"],
     angles_rad: Float[np.ndarray, "a"],
 ) -> Float[np.ndarray, "a 3 3"]:
-    """Rotations from the sheet to the camera, one for each angle between X and the ray to the
-    crossing.
+    """Rotations from the sheet to the camera that agree with the images of both lines, (a, 3, 3).
+
+    normal_x, normal_y : normals of the planes through the camera's centre and each line.
+    ray : unit vector to the crossing of the lines.
+    angles_rad : angles between the X axis of the sheet and `ray`.
     """
     across = np.cross(normal_x, ray)
     axis_x = np.cos(angles_rad)[:, None] * ray + np.sin(angles_rad)[:, None] * across
@@ -73,9 +79,10 @@ def _distance_and_misfit(
     slopes: Float[np.ndarray, "m 2"],
     circle_mm: Float[np.ndarray, "m 2"],
 ) -> tuple[Float[np.ndarray, "a"], Float[np.ndarray, "a"]]:
-    """For each rotation, the best distance of the sheet, mm, and the sum of squared residuals.
+    """Best distance of the crossing, mm, and sum of squared residuals of the circles, for each
+    rotation.
 
-    Both are infinite if a circle would lie behind the camera.
+    The sum is infinite if a circle would lie behind the camera.
     """
     offset = circle_mm @ np.swapaxes(axes[:, :, :2], 1, 2)
     slope = ray[:2] - slopes * ray[2]

@@ -23,13 +23,13 @@ Poses = dict[int, Pose]
 
 
 class Link(NamedTuple):
-    """Relative pose of two cameras, or of two boards.
+    """Relative pose of two cameras, or of two boards, and the number of shots that agree on it.
 
     Attributes
     ----------
-    second_from_first : the pose.
+    second_from_first : the relative pose.
     shared : number of tested shots that show both.
-    agreeing : number of these that agree on the pose.
+    agreeing : number of these shots that agree on the pose.
     """
 
     second_from_first: Pose
@@ -38,7 +38,9 @@ class Link(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """True if more shots agree than by chance; a single shot always agrees."""
+        """True if enough shots agree: at least two (or the only one), and a third of
+        those tested.
+        """
         return self.agreeing >= min(2, self.shared) and 3 * self.agreeing >= self.shared
 
 
@@ -48,13 +50,18 @@ Links = dict[tuple[int, int], Link]
 def link_cameras(
     pairs: Sequence[tuple[Sighting, Sighting]], target: AbstractTarget, tuning: CalibTuning
 ) -> Link:
-    """Relative pose of two cameras on which most pairs of sightings agree.
+    """Relative pose of two cameras on which most shots agree.
 
-    The sightings of a pair are of one board, or of boards with a known relative pose.
+    pairs : for each shot, one detection by each camera. Both show the same board, or boards with a
+        known relative pose.
     """
 
     def labellings(one: Sighting, other: Sighting) -> tuple[Pose, ...]:
-        """First labelling for two sightings of one board, since the other adapts; else all."""
+        """Poses of the set relative to the first camera that must be tried.
+
+        If both cameras see the same board, one labelling of the first is enough, because all
+        labellings of the second are tried.
+        """
         return one.cam_from_set[:1] if one.board == other.board else one.cam_from_set
 
     return _most_agreed(
@@ -69,13 +76,15 @@ def link_cameras(
 def link_boards(
     pairs: Sequence[tuple[Sighting, Sighting, Poses]], target: AbstractTarget, tuning: CalibTuning
 ) -> Link:
-    """Relative pose of two boards on which most pairs of sightings agree.
+    """Relative pose of two boards on which most shots agree.
 
-    pairs : sightings of both in one shot, with cam_from_rig of cameras in one frame.
+    pairs : one detection of each board in the same shot, with cam_from_rig of the cameras.
     """
 
     def before_second(one: Sighting, other: Sighting, poses: Poses) -> list[Pose]:
-        """Pose of the first board in the second's camera, for each labelling."""
+        """Pose of the first board relative to the camera that sees the second board, for each
+        labelling.
+        """
         step = poses[other.camera] @ poses[one.camera].inverse
         return [step @ pose for pose in one.cam_from_board]
 
@@ -96,10 +105,16 @@ def _most_agreed(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> Link:
-    """Step between two poses which, applied to the first, agrees with most second sightings.
+    """Relative motion of two poses on which most pairs agree.
 
-    pairs : poses of the first, poses of the second, and the second sighting.
-    between, apply : functions that compute a step from two poses, and apply it.
+    Parameters
+    ----------
+    pairs : possible first poses, possible second poses, and the detection that belongs to the
+        second.
+    between : function of (first, second) that returns the motion.
+    apply : function of (motion, first) that returns the predicted second pose.
+    target : the board.
+    tuning : limits of agreement.
     """
     tests = [pairs[k] for k in _spread(len(pairs), _TESTS)]
     best, best_score = Link(IN_PLACE, len(tests), 0), (-1, 0.0)
@@ -120,9 +135,10 @@ def _most_agreed(
 
 
 def chain_links(links: Links, members: Iterable[int]) -> list[Poses]:
-    """Groups of cameras (or boards) that links connect, each with member_from_first.
+    """Groups of cameras (or of boards) that links connect.
 
-    Links with more agreeing shots come first (Prim's spanning tree).
+    Each group maps a member to its pose member_from_first, relative to the first member of the
+    group. Links on which more shots agree are preferred (maximum spanning tree, Prim's algorithm).
     """
     remaining, groups = list(members), []
     while remaining:
@@ -148,13 +164,13 @@ def chain_links(links: Links, members: Iterable[int]) -> list[Poses]:
 
 
 class AgreedBoard(NamedTuple):
-    """Sightings that agree on one pose of the board.
+    """Pose of the board in one shot, and the detections that agree with it.
 
     Attributes
     ----------
-    members : (sighting, its labelling) of each.
+    members : (detection, index of its labelling) of each detection that agrees.
     rig_from_board : the pose.
-    outliers : sightings of the same shot that disagree, with their error in px.
+    outliers : (detection, error in px) of each detection of the shot that does not agree.
     """
 
     members: list[tuple[Sighting, int]]
@@ -168,7 +184,7 @@ def place_board(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> AgreedBoard:
-    """Pose of the board on which most sightings of a shot agree."""
+    """Find the pose of the board in one shot on which most cameras agree."""
     # A single board may be turned wherever it looks the same; a board of a set may not.
     is_set = len({sighting.board for sighting in sightings}) > 1
     best: tuple[float, AgreedBoard] | None = None
@@ -195,5 +211,5 @@ def place_board(
 
 
 def _spread(count: int, largest: int) -> list[int]:
-    """At most `largest` of the first `count` numbers, evenly spaced."""
+    """At most `largest` of the integers 0 to `count` - 1, evenly spaced."""
     return sorted({int(k) for k in np.linspace(0, count - 1, min(count, largest)).round()})

@@ -29,16 +29,16 @@ Pictures = Sequence[Picture] | Mapping[str, Picture]
 
 
 class BoardDetections(NamedTuple):
-    """Detections of the board, by camera and by name of the shot.
+    """Detections of the board in all images of all cameras.
 
     Attributes
     ----------
     shots : names of all shots, in order.
-    detections : for each camera, by shot.
+    detections : detection of each camera (outer key) in each shot (inner key).
     failures : reason for each image (camera, shot) without a detection.
-    target : the board as the images show it, possibly another reading of its layout.
-    remarks : sentences on the reading of the layout.
-    causes : for a camera, a sentence on an image that shows a board which is nearly the stated one.
+    target : the board as the images show it. Its layout may differ from the given one.
+    remarks : sentences on such a difference.
+    causes : for some cameras, a sentence on an image that shows a board similar to the given one.
     """
 
     shots: tuple[str, ...]
@@ -56,11 +56,25 @@ def find_boards(
     *,
     tuning: CalibTuning = TUNING,
 ) -> BoardDetections:
-    """Detect the board in every image, several at a time.
+    """Detect the board in every image, on several threads.
 
-    Images of equal names, or of equal positions in lists, belong to one shot; None omits one. An
-    image that cannot be read, has another size than most images of its camera, or shows no board is
-    named in `failures`. Raises InputError without any image.
+    Parameters
+    ----------
+    pictures : images of each camera. Images with the same name, or at the same position in lists,
+        belong to one shot. None marks a missing image.
+    target : the board.
+    progress : called after each image with the number of processed images and the number of all
+        images.
+    tuning : constants of the detection.
+
+    Returns
+    -------
+    The detections. Its `failures` contain each image that cannot be read, shows no board, or has
+    another size than most images of its camera.
+
+    Raises
+    ------
+    InputError : there is no image.
     """
     images_by_camera = name_pictures(pictures)
     if not images_by_camera or not any(images_by_camera.values()):
@@ -137,7 +151,10 @@ def find_boards(
 def _unseen_boards(
     target: AbstractTarget, detections: Mapping[str, Mapping[str, Detection]], few_found: bool
 ) -> list[int]:
-    """Numbers of the boards of a set that no image shows; 0 for a single board in few images."""
+    """Indices of the boards of a set that no image shows.
+
+    For a single board: [0] if few images show it, else empty.
+    """
     if not isinstance(target, BoardSet):
         return [0] if few_found else []
     indices = [
@@ -153,9 +170,10 @@ def _explain_failures(
     load: Callable[[tuple[str, str]], Any],
     tuning: CalibTuning,
 ) -> dict[str, str]:
-    """Sentences on boards that failed images show instead of the stated one, for each camera.
+    """Find out whether images without a detection show a similar board instead of the given one.
 
-    The sentences also replace those of these images in `failures`.
+    Returns one sentence for each camera with such an image. The reasons of these images in
+    `failures` are replaced by such a sentence.
     """
     search, causes = ReadingSearch(target, tuning=tuning), {}
     for camera in {camera: None for camera, _ in failures}:
@@ -174,12 +192,12 @@ def _explain_failures(
 
 
 def name_pictures(pictures: Mapping[str, Pictures]) -> dict[str, dict[str, Picture]]:
-    """Images of each camera by the name of the shot."""
+    """Images of each camera (outer key) by the name of the shot (inner key)."""
     return {camera: _name_pictures(camera, given) for camera, given in pictures.items()}
 
 
 def deliver(picture: Picture) -> Any:
-    """Image or detection, from itself or from a function that returns it."""
+    """Return an image or detection; a function without arguments is called first."""
     return picture() if callable(picture) else picture
 
 
@@ -200,14 +218,19 @@ def _name_pictures(camera: str, pictures: Pictures) -> dict[str, Picture]:
 
 
 def _order_names(lists: list[list[str]]) -> list[str]:
-    """All names, in the order of the longest list if it has all; else sorted."""
+    """All names of several lists, in the order of the longest list if it contains all of them.
+
+    Otherwise they are sorted.
+    """
     longest = max(lists, key=len)
     rest = sorted({name for names in lists for name in names} - set(longest))
     return longest if not rest else sorted([*longest, *rest])
 
 
 def _list_other_sizes(detections: Mapping[str, Detection]) -> dict[str, str]:
-    """Reason to reject each shot whose image has another size than most images of its camera."""
+    """Reason to reject each image whose size differs from that of most images of its camera, by
+    shot.
+    """
     sizes = {shot: tuple(each.image_size_px) for shot, each in detections.items()}
     if not sizes:
         return {}

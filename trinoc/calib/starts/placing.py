@@ -30,17 +30,17 @@ _ALONE = " of {} alone"
 
 
 class InitialRig(NamedTuple):
-    """Start of the joint fit.
+    """Initial poses for the fit of a rig to many shots.
 
     Attributes
     ----------
     cam_from_rig : (c, 3, 4) pose of each camera.
     set_from_board : (b, 3, 4) pose of each board of a set; the identity for one board.
-    rig_from_board : (s, 3, 4) pose of the board in each shot, including images with poses of their
-        own.
+    rig_from_board : (s, 3, 4) pose of the board in each shot. An image that shows the board at
+        another pose than the rest of its shot is a shot of its own.
     shots : name of each shot.
-    views : labelled observations.
-    refused : sentences on images with the board at another pose than in the rest of their shot.
+    views : observations, each with one assignment of detected points to board points.
+    refused : sentences on images that show the board at another pose than the rest of their shot.
     """
 
     cam_from_rig: Float[np.ndarray, "c 3 4"]
@@ -60,23 +60,27 @@ def place_rig(
     *,
     tuning: CalibTuning = TUNING,
 ) -> InitialRig:
-    """Chain the cameras and place the board of every shot.
+    """Compute initial poses of all cameras in one frame, and of the board in every shot.
 
     Parameters
     ----------
-    starts : first lens and board poses of each camera.
-    detections : of each camera, by the name of the shot and the number of the board.
-    cameras_with_lens : names of cameras with a given lens.
+    starts : initial lens and board poses of each camera.
+    detections : detections of each camera; the key is the name of the shot and the index of the
+        board.
+    shots : names of all shots.
+    target : the board, or the set of boards.
+    cameras_with_lens : names of the cameras whose lens is given.
+    tuning : constants of the method.
 
     Notes
     -----
-    An image with the board at another pose than in the other images of its shot gets its own pose:
-    it still determines its lens.
+    An image that shows the board at another pose than the other images of its shot gets its own
+    pose. It then contributes to its lens, but not to the relative poses of the cameras.
 
     Raises
     ------
-    CalibrationError : cameras are not connected (the sentence names the groups) or are out of step,
-        or boards are not connected.
+    CalibrationError : the shots do not connect all cameras or all boards, or the shots of two
+        cameras are shifted against each other. The sentence names the groups.
     """
     names, members = list(starts), board_names(target)
     sightings = {
@@ -101,7 +105,10 @@ def place_rig(
     refused: list[str] = []
 
     def add_shot(members: Sequence[Sighting], shot: str) -> list[tuple[Sighting, float]]:
-        """Add a shot, and return the sightings that disagree, with their errors in px."""
+        """Add a shot with the detections that agree on its board pose.
+
+        Returns the other detections, each with its error in px.
+        """
         agreed = place_board(members, cam_from_rig, target, tuning)
         for sighting, labelling in agreed.members:
             detection = sighting.detections[labelling]
@@ -166,7 +173,11 @@ def place_rig(
 def move_to_own_shots(
     initial_rig: InitialRig, problem: Problem, views: Sequence[int], cameras: Sequence[str]
 ) -> InitialRig:
-    """Initial rig with these observations in shots of their own, and a sentence on each."""
+    """Initial rig in which each of some observations has a shot of its own, with a sentence on
+    each.
+
+    views : indices of the observations in `problem.views`.
+    """
     names, refused = list(initial_rig.shots), list(initial_rig.refused)
     residuals = errors_px(problem)
     for k in views:
@@ -188,7 +199,7 @@ def move_to_own_shots(
 
 
 def original_shot_name(shot: str, camera: str) -> str:
-    """Name of a shot as given, from its name in an `InitialRig`."""
+    """Name that the user gave to a shot, from its name in an `InitialRig`."""
     return shot.removesuffix(_ALONE.format(camera))
 
 
@@ -198,9 +209,10 @@ def find_exchanged_pair(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> tuple[int, int] | None:
-    """Two cameras that agree with all others of a shot after an exchange of their images.
+    """Find two cameras whose images of one shot were probably exchanged.
 
-    None if no pair does, or more than one: with few cameras chance could decide.
+    After the exchange, all cameras of the shot agree on the board pose. Returns the indices of the
+    cameras. None if no exchange has this effect, or more than one.
     """
     pairs = []
     for first, second in combinations(range(len(sightings)), 2):
@@ -242,7 +254,7 @@ def _expect_all_boards(sightings: Mapping[int, Sequence[Sighting]], names: Seque
 
 
 def boards_are_parallel(poses: Sequence[Pose], *, tuning: CalibTuning = TUNING) -> bool:
-    """True if several boards at these poses are parallel to each other."""
+    """True if the boards at all of these poses are nearly parallel to each other."""
     normals = np.array([pose.rotation[:, 2] for pose in poses])
     angles_deg = np.degrees(np.arccos(np.clip(np.abs(normals @ normals[0]), 0.0, 1.0)))
     return len(normals) > 1 and bool(angles_deg.max() < tuning.starts.parallel_deg)
@@ -256,9 +268,10 @@ def explain_cameras_apart(
     cameras_with_lens: Collection[str],
     tuning: CalibTuning,
 ) -> str:
-    """Reason why the cameras are not in one frame.
+    """Return the sentence that explains why the shots do not connect all cameras, with the remedy.
 
-    cameras_with_lens : names of the cameras with a given lens.
+    names : names of the cameras.
+    cameras_with_lens : names of the cameras whose lens is given.
     """
     groups = connected.cameras
     broken = [(pair, link) for pair, link in connected.links.items() if not link.holds]
@@ -302,7 +315,10 @@ def explain_cameras_apart(
 
 
 def explain_boards_apart(groups: Sequence[Mapping[int, Pose]], names: Sequence[str]) -> str:
-    """Sentence on boards whose relative pose is unknown, and the remedy."""
+    """Return the sentence that the shots do not connect all boards, with the remedy.
+
+    groups : groups of boards with known relative poses. names : names of the boards.
+    """
     parts = "; ".join(list_names(names[k] for k in sorted(group)) for group in groups)
     return (
         f"No shot connects the boards: the groups are {parts}. Show boards of two groups in one "
@@ -317,7 +333,11 @@ def _find_shift(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> int:
-    """Number of shots by which the second camera's images come too late; 0 without such a shift."""
+    """Number of shots by which the images of the second camera are late; negative if they are
+    early.
+
+    0 if no shift makes most shots agree on the relative pose of both cameras.
+    """
     first, second = (
         {(each.shot, each.board): each for each in sightings} for sightings in (one, other)
     )

@@ -25,7 +25,7 @@ _SOLVER_PX = 1e-3
 
 
 def is_flat(points: Float[np.ndarray, "n 3"]) -> bool:
-    """True if the points lie in one plane or on one line."""
+    """True if the points lie on one plane or on one line."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[2] < 1e-6 * spread[0])
 
@@ -37,10 +37,10 @@ def find_pose(
     *,
     tuning: CalibTuning = TUNING,
 ) -> Pose:
-    """Pose by SQPnP (Terzakis and Lourakis 2020), for points on a plane or off it.
+    """Pose of a camera from 3-D points and their pixels, by SQPnP (Terzakis and Lourakis 2020).
 
-    Raises CalibrationError if no pose has the points in front of the camera, or for a left-handed
-    frame, whose mirror image fits significantly better.
+    Raises `CalibrationError` if no pose has the points in front of the camera. Also raises it if
+    the mirrored points fit significantly better, since their frame is then left-handed.
     """
     pose = _solve_pose(points, pixels, lens)
     if not is_flat(points):
@@ -62,7 +62,10 @@ def find_pose(
 def _solve_pose(
     points: Float[np.ndarray, "n 3"], pixels: Float[np.ndarray, "n 2"], lens: Intrinsics
 ) -> Pose | None:
-    """Pose by SQPnP; None if no pose has the points in front of the camera."""
+    """Pose by SQPnP. None if no pose has the points in front of the camera.
+
+    Raises `CalibrationError` if all points are the same.
+    """
     rays = np.asarray(jax.vmap(lens.normalised_from_pixel)(jnp.asarray(pixels)))
     try:
         success, rotation, translation = cv2.solvePnP(
@@ -85,9 +88,10 @@ def _fits_better(
     lens: Intrinsics,
     tuning: CalibTuning,
 ) -> bool:
-    """True if the first pose and points fit significantly better than the second (F test).
+    """True if the first (pose, points) has significantly smaller residuals than the second (F
+    test).
 
-    Medians of the residuals are compared, since outliers hardly change them.
+    The test compares medians of the residuals, on which outliers have little effect.
     """
     medians = []
     for pose, points in (first, second):
@@ -102,7 +106,12 @@ def _fits_better(
 def find_linear_camera(
     points: Float[np.ndarray, "n 3"], pixels: Float[np.ndarray, "n 2"], size_px: tuple[int, int]
 ) -> Camera:
-    """Camera without skew by the direct linear transform, with both sides normalised."""
+    """Camera from 3-D points and their pixels, by the direct linear transform with normalised data.
+
+    The estimated skew is set to 0. Raises `CalibrationError` for a left-handed frame.
+
+    size_px : (width, height) of the image.
+    """
     middle, spread = points.mean(axis=0), points.std()
     centre, width = pixels.mean(axis=0), pixels.std()
     unit = np.concatenate([(points - middle) / spread, np.ones((len(points), 1))], axis=1)

@@ -18,16 +18,19 @@ IN_PLACE = Pose(np.eye(3, 4))
 
 
 class Sighting(NamedTuple):
-    """Detection of the board in one image, and its pose in front of the camera.
+    """Detection of a board in one image, with the board's pose relative to the camera.
+
+    Boards that look the same after a rotation have several labellings: assignments of detected
+    points to board points.
 
     Attributes
     ----------
-    camera, shot : indices.
-    lens : first lens of the camera.
+    camera, shot : indices of the camera and the shot.
+    lens : initial lens of the camera.
     detections : the detection with each labelling.
-    cam_from_board : pose for each labelling.
+    cam_from_board : board pose for each labelling.
     board : index of the board in a set.
-    set_from_board : pose of this board in its set, as far as known.
+    set_from_board : pose of the board in its set; the identity while unknown.
     """
 
     camera: int
@@ -40,16 +43,25 @@ class Sighting(NamedTuple):
 
     @property
     def cam_from_set(self) -> tuple[Pose, ...]:
-        """Pose of the set from this board, for each labelling."""
+        """Pose of the whole set of boards relative to the camera, for each labelling of this
+        detection.
+        """
         return tuple(pose @ self.set_from_board.inverse for pose in self.cam_from_board)
 
     def agreement_px(self, tuning: CalibTuning) -> float:
-        """Largest error, px, at which the board still counts as at the same pose."""
+        """Largest median reprojection error, px, at which a board pose still agrees with this
+        detection.
+
+        It is a share of the size of the board's image.
+        """
         extent = float(np.ptp(self.detections[0].centres_px, axis=0).max())
         return max(tuning.starts.least_px, tuning.starts.elsewhere_share * extent)
 
     def nearest(self, cam_from_set: Pose, target: AbstractTarget) -> tuple[int, float]:
-        """Labelling that fits best to a given pose of the set, and its median error in px."""
+        """Find the labelling with the smallest reprojection error for a given pose of the set.
+
+        Returns the index of the labelling, and its median error in px.
+        """
         pose = cam_from_set @ self.set_from_board
         errors_px = [
             median_error_px(self.lens, pose, detection, target) for detection in self.detections
@@ -67,7 +79,10 @@ def label_sighting(
     target: AbstractTarget,
     board: int = 0,
 ) -> Sighting:
-    """All labellings of a detection, with the pose of the board for each."""
+    """Sighting with all labellings of a detection, and the board pose for each of them.
+
+    cam_from_board : board pose for the first labelling.
+    """
     detections = tuple(
         replace(detection, circle_index=index, ambiguity=None) for index in detection.labellings
     )
@@ -79,7 +94,7 @@ def label_sighting(
 
 
 def motion_in_plane(to_mm: Float[np.ndarray, "m 2"], from_mm: Float[np.ndarray, "m 2"]) -> Pose:
-    """Motion within the plane Z = 0 that maps the points `from_mm` to `to_mm`."""
+    """Rigid motion within the plane Z = 0 that maps `from_mm` to `to_mm` (least squares)."""
     to_centred, from_centred = to_mm - to_mm.mean(axis=0), from_mm - from_mm.mean(axis=0)
     cross = from_centred[:, 0] @ to_centred[:, 1] - from_centred[:, 1] @ to_centred[:, 0]
     angle = np.arctan2(cross, np.sum(from_centred * to_centred))
