@@ -46,14 +46,17 @@ def result_of_adjustments(
     failures: dict[str, str],
     failed_fits: Mapping[str, CameraFit],
 ) -> CalibrationResult:
-    """Assemble rig, covariance, tests and notes.
+    """Assemble the public result of a calibration over one sheet: rig, covariance, tests and notes.
 
     Parameters
     ----------
-    fits : for each group of cameras that share nothing, the adjustment by circles and the final
-        one.
-    status : status of all cameras, in the user's order.
-    failed_fits : fits of cameras that are not in the rig.
+    fits : for each independent group of cameras, the adjustment by circles and the final
+        adjustment.
+    pattern : the sheet.
+    priors : priors of sheet, lenses and aims.
+    status : status of each camera, in the user's order.
+    failures : reason for each camera without a result.
+    failed_fits : fits of the cameras that are not in the rig.
     """
     cameras: dict[str, Camera] = {}
     status_of_camera, camera_fits = dict(status), dict(failed_fits)
@@ -107,9 +110,10 @@ def result_of_adjustments(
 def _named_covariance(
     adjustment: Adjustment, observabilities: Sequence[Observability]
 ) -> tuple[list[str], Float[np.ndarray, "k k"]]:
-    """Names and covariance of all poses, and of the uncertain focal lengths and principal points.
+    """Names and covariance of the pose parameters of all cameras, in degrees and mm.
 
-    NaN for parameters that are not determined.
+    If a lens is uncertain, its focal lengths, principal point and skew are included. Undetermined
+    parameters are NaN.
     """
     names: list[str] = []
     jacobians: list[np.ndarray] = []
@@ -151,10 +155,19 @@ def _camera_fit(
     observability: Observability,
     pulls: Sequence[PriorPull],
 ) -> tuple[CameraFit, bool]:
-    """Fit of one camera, and whether it is SUSPECT.
+    """Fit of one camera, and whether its status is SUSPECT.
 
     It is SUSPECT in three cases: the images contradict a prior of lens, aim or sheet; the residuals
-    contradict a fixed parameter; or neighbouring circles share errors far above the noise.
+    contradict a fixed parameter; or neighbouring circles have similar residuals far above the
+    noise.
+
+    Parameters
+    ----------
+    by_circles : adjustment of all cameras by circles.
+    adjustment : final adjustment of all cameras.
+    view : index of the camera.
+    observability : pose parameters that are determined.
+    pulls : contradicted priors.
     """
     camera = adjustment.cameras[view]
     source = adjustment if camera.method == "pixels" else by_circles
@@ -192,7 +205,9 @@ def _camera_fit(
 def failed_fit(
     detection: Detection, fit: Adjustment | None, status: Status, observability: Observability
 ) -> CameraFit:
-    """Fit of a camera whose circles give no pose, as far as it got."""
+    """Public fit of a camera that failed, with the values that could be computed; the others are
+    NaN.
+    """
     residuals_px, count = np.full((len(detection), 2), np.nan), len(detection)
     if fit is not None and status is not Status.NOT_CONVERGED:
         residuals_px = errors_px(fit.problem)[0]

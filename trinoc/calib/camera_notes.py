@@ -37,14 +37,20 @@ def failure_of_camera(
     model: PoseModel,
     tuning: AnswerTuning,
 ) -> str:
-    """Reason why the fit of a camera to its circles cannot be used, with the remedy; empty if it
-    can.
+    """Return the reason why the fit of a camera to its circles cannot be used, with the remedy.
+
+    The text is empty if the fit can be used.
 
     Parameters
     ----------
-    fit : the fit of the camera alone, with sheet and lens exact; None without a first pose.
-    lens_factor : (k, r) factor L of the lens covariance L L^T; this fit assumed the lens exact.
-    model : estimated parameters of each pose in the adjustment of all cameras.
+    fit : fit of the camera alone, with sheet and lens assumed exact; None if no initial pose
+        exists.
+    status, observability : status of this fit, and the pose parameters that it determines.
+    detection : detected circles of the camera.
+    lens : given lens.
+    lens_factor : (k, r) factor L of the lens covariance L L^T; None for an exact lens.
+    model : pose parameters that the adjustment of all cameras will estimate.
+    tuning : limits of a usable fit.
     """
     if status is Status.RANK_DEFICIENT:
         gauge = [PARAMETER_NAMES[k] for k in observability.gauge]
@@ -67,9 +73,10 @@ def failure_of_camera(
 
 
 def _fold(detection: Detection, lens: Intrinsics) -> str | None:
-    """Description of the fold of a lens, if it may be the cause of a failed fit.
+    """Description of the fold of a lens, if the fold may be the cause of a failed fit; else None.
 
-    A fold in the corners of the image is no cause if all circles lie before it.
+    A lens folds the image where its distortion maps two rays to one pixel. A fold in the corners of
+    the image is no cause if all circles are nearer to the middle.
     """
     fold = describe_fold(lens)
     radius_px = np.linalg.norm(detection.centres_px - np.asarray(lens.principal_point_px), axis=1)
@@ -83,10 +90,12 @@ def is_suspect(
     reduced_chi_square: float,
     tuning: AnswerTuning = TUNING.answer,
 ) -> bool:
-    """True if the images contradict a fixed parameter.
+    """True if the observations contradict a parameter that the fit assumed exact.
 
-    They do if the residuals exceed their sigmas and a test is significant, or if a likely change
-    would move the camera by several of its sigmas.
+    This is so if the residuals exceed their sigmas and the first test is significant. It is also so
+    if any significant test predicts a large change of the pose.
+
+    tests : score tests of the fixed parameters, the most significant one first.
     """
     scatters = reduced_chi_square > tuning.large_chi_square
     is_explained = scatters and bool(tests) and tests[0].is_significant
@@ -94,9 +103,10 @@ def is_suspect(
 
 
 def notes_of_misfit(circles: Adjustment, view: int) -> tuple[str, ...]:
-    """Note on errors far above the noise that neighbouring circles share.
+    """Return the warning that neighbouring circles have similar residuals far above the noise, if
+    they do.
 
-    circles : adjustment of all cameras by their circles.
+    circles : adjustment of all cameras by their circles. view : index of the camera.
     """
     times = float(circles.sigma_factors[view])
     tuning = circles.problem.tuning.answer
@@ -109,7 +119,9 @@ def notes_of_misfit(circles: Adjustment, view: int) -> tuple[str, ...]:
 
 
 def notes_of_aim(adjustment: Adjustment, view: int) -> tuple[str, ...]:
-    """Note on an aim beside the origin, if the offset is significant and large enough to matter."""
+    """Return the note that the optical axis misses the origin, if the offset is large and
+    significant.
+    """
     if not adjustment.priors.aim_sigma_mm:
         return ()
     aim_mm = adjustment.parameters(view)[4:6]
@@ -132,10 +144,15 @@ def notes_of_camera(
     tests: Sequence[FixedParameterTest],
     gauge: Sequence[str],
 ) -> tuple[str, ...]:
-    """Notes on a good fit.
+    """Return the notes on the observations of a camera whose fit can be used.
 
-    circles : adjustment of all cameras by their circles. tests : score tests of the used
-        observations. gauge : names of undetermined parameters.
+    Parameters
+    ----------
+    camera : the camera with its chosen observations.
+    circles : adjustment of all cameras by their circles.
+    view : index of the camera.
+    tests : score tests of the parameters that the fit assumed exact.
+    gauge : names of undetermined parameters.
     """
     tuning, detection = circles.problem.tuning.answer, camera.detection
     image_fit = camera.grey_level_fit
@@ -179,21 +196,28 @@ def notes_of_camera(
 def notes_of_priors(
     pulls: Sequence[PriorPull], adjustment: Adjustment, view: int
 ) -> tuple[str, ...]:
-    """Notes on contradicted priors of one camera's lens and aim, then of the sheet."""
+    """Return the warnings about contradicted priors of one camera's lens and aim, then of the
+    sheet.
+
+    pulls : contradicted priors. view : index of the camera.
+    """
     camera_sentences = [sentence_of_pull(p, adjustment, view) for p in pulls if view in p.views]
     return (*dict.fromkeys(camera_sentences), *notes_of_sheet(pulls, adjustment))
 
 
 def notes_of_sheet(pulls: Sequence[PriorPull], adjustment: Adjustment) -> tuple[str, ...]:
-    """Notes on the priors of the sheet that the images contradict."""
+    """Return the warnings about priors of the sheet that the images contradict.
+
+    pulls : contradicted priors.
+    """
     pull_sentences = [sentence_of_pull(pull, adjustment, 0) for pull in pulls if not pull.views]
     return tuple(dict.fromkeys(map(sentences.capitalise, pull_sentences)))
 
 
 def sentence_of_pull(pull: PriorPull, adjustment: Adjustment, view: int) -> str:
-    """Sentence on an unknown whose prior the images contradict, with the remedy.
+    """Return the warning that the images contradict a prior, with the remedy.
 
-    Unknowns that the images cannot separate share one sentence.
+    Quantities that the images cannot distinguish are named in one sentence.
     """
     kind, *others = kinds = list_kinds(pull)
     if others:

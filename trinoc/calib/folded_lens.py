@@ -31,12 +31,15 @@ _WIDER_MODELS: tuple[type[AbstractLens], ...] = (Rational, KannalaBrandt)
 
 
 class FoldFindings(NamedTuple):
-    """Result of the check of all lenses for folds.
+    """Result of the check whether fitted lenses fold their images.
+
+    A lens folds the image where its distortion maps two rays to one pixel.
 
     Attributes
     ----------
-    failure : sentence on the first lens that must not be used, with the remedy; None without one.
-    notes : sentence on each lens that folds where nothing was observed.
+    failure : error for the first lens that must not be used, with the remedy; None if all may be
+        used.
+    notes : note on each lens that folds the image only where nothing was observed.
     """
 
     failure: str | None
@@ -46,15 +49,16 @@ class FoldFindings(NamedTuple):
 def assess_folds(
     lenses: Mapping[str, Intrinsics], observed_px: Mapping[str, Float[np.ndarray, "_ 2"]]
 ) -> FoldFindings:
-    """Decide which fitted lenses that fold their image may be used.
+    """Decide which fitted lenses may be used although they fold their image.
 
-    A distortion fitted to the middle of the image may fold it farther out. Such a lens may be used
-    inside the fold, if all observations are inside and only a small part of the image is outside.
+    A lens folds the image where its distortion maps two rays to one pixel. This happens when a
+    distortion that was fitted to the middle of the image is extrapolated. The lens may be used if
+    all observations are inside the fold, and if only a small part of the image is outside.
 
     Parameters
     ----------
     lenses : fitted lenses, by the name of their camera.
-    observed_px : fitted pixels of each camera.
+    observed_px : observed pixels of each camera, (n, 2).
     """
     notes = []
     for camera, lens in lenses.items():
@@ -70,19 +74,27 @@ def assess_folds(
 
 
 def observed_pixels(views: Sequence[BoardObservation], camera: int) -> Float[np.ndarray, "n 2"]:
-    """Pixels of all circles and corners of one camera that a fit uses, (n, 2)."""
+    """Pixels of all used circles or corners of one camera, (n, 2).
+
+    camera : index of the camera.
+    """
     pixels = [view.detection.centres_px[view.used] for view in views if view.camera == camera]
     return np.concatenate([np.zeros((0, 2)), *pixels])
 
 
 def fix_folding(fit: RobustFit, cameras: Sequence[str]) -> tuple[RobustFit, tuple[str, ...]]:
-    """Fit again with fewer coefficients of each lens that folds its image, with a sentence on each.
+    """Fix distortion coefficients of lenses that fold their image, and fit again.
 
-    The dispensable coefficients of the lens model are fixed at 0 one after the other, until no lens
-    folds. Only lenses that fold change; given lenses do not. If this does not help, or if the
-    residuals need these coefficients, the fit stays as it is.
+    A lens folds the image where its distortion maps two rays to one pixel. The coefficients in
+    `dispensable` of the lens model are fixed at 0 one after the other, until no lens folds. Given
+    lenses and lenses that do not fold are not changed. If this does not help, or if the residuals
+    grow too much, the given fit is returned.
 
-    cameras : names, in the order of the problem.
+    cameras : names of the cameras.
+
+    Returns
+    -------
+    The fit, and one note for each changed lens.
     """
     problem, folds = fit.problem, _folds(fit.problem)
     if not folds:
@@ -109,21 +121,22 @@ def fit_wider_model(
     fit_model: "Callable[[type[AbstractLens]], ShotsFit]",
     cameras: Sequence[str],
 ) -> "ShotsFit":
-    """Return a fit by another lens model if a lens of this one folds its image.
+    """Fit another lens model if a lens of the given fit folds its image.
 
-    Wide lenses need it: the polynomial of Brown and Conrady, fitted to the middle of the image, may
-    turn back toward its corners.
+    A lens folds the image where its distortion maps two rays to one pixel. With the Brown-Conrady
+    polynomial this happens for wide lenses that were observed only in the middle of the image.
 
     Parameters
     ----------
-    folding : the fit that may fold.
+    folding : the given fit.
     fit_model : function that fits a lens model to the same observations.
-    cameras : names, in the order of the problem.
+    cameras : names of the cameras.
 
     Returns
     -------
-    The fit of the first wider model that is determined, folds no image and explains the
-    observations, with a remark on the change. The given fit if no model does, or if no lens folds.
+    The fit of the first more general model that is determined, does not fold the image, and has
+    residuals about as small, with a note on the change. The given fit if no model fulfils this, or
+    if no lens folds.
     """
     folds = _folds(folding.fit.problem)
     if not folds:
@@ -160,7 +173,7 @@ def fit_wider_model(
 
 
 def _folds(problem: Problem) -> dict[int, str]:
-    """Description of the fold of each fitted lens that folds its image, by the number
+    """Description of the fold of each fitted lens that folds its image, by the index
     of the lens.
     """
     sizes, free = problem.image_sizes_px, free_of_lenses(problem)
@@ -178,7 +191,11 @@ def _folds(problem: Problem) -> dict[int, str]:
 def _fixed_sentences(
     before: RobustFit, after: RobustFit, folds: Mapping[int, str], cameras: Sequence[str]
 ) -> tuple[str, ...]:
-    """Sentence for each lens on its fixed coefficients, the fold, and the cost."""
+    """Return one note for each changed lens: its fixed coefficients, its fold, and the residuals.
+
+    before, after : fit with and without these coefficients. folds : description of each fold, by
+        lens.
+    """
     names = before.problem.state.lenses.parameter_names
     lens_of_camera = np.asarray(before.problem.parametrization.lens_of_camera).tolist()
     was_free, is_free = free_of_lenses(before.problem), free_of_lenses(after.problem)
@@ -199,10 +216,10 @@ def _fixed_sentences(
 
 
 def _rms_px(problem: Problem, cameras: Sequence[int]) -> float:
-    """Root mean square length of the residuals of some cameras, px.
+    """Root mean square length of the used residuals of some cameras, px.
 
-    If the board moves between the images of a shot, residuals are about the pose of each image.
-    Otherwise the motion would hide the residuals of the lens.
+    If the board moved during a shot, residuals are computed with the best board pose of each image,
+    so that the motion does not hide the residuals of the lens.
     """
     is_moved = any(view.has_motion_errors for view in problem.views)
     residuals = (

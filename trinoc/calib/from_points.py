@@ -48,37 +48,41 @@ def calibrate_points(
     systematics: Systematics | None = None,
     tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
-    """Estimate the pose of a camera, and the free parameters of its lens, from points.
+    """Calibrate one camera from points with known world coordinates and their pixels.
+
+    The pose is always estimated; lens parameters are estimated if they are free.
 
     Parameters
     ----------
-    points_mm : (n, 3) coordinates in the world, four or more points; not all in one plane if the
-        lens is estimated.
-    uv_px : (n, 2) their pixels in the image, with distortion.
-    lens : intrinsics. Without it, `image_size_px` is needed. A direct linear transform (Hartley and
-        Zisserman, 7.1) then gives the start; focal lengths and principal point are estimated, with
-        as many coefficients of Brown-Conrady distortion, and a skew, as the points need.
+    points_mm : (n, 3) world coordinates of four or more points. If the lens is estimated, they must
+        not lie in one plane.
+    uv_px : (n, 2) pixels of the points in the original (distorted) image.
+    lens : intrinsics. Without it, `image_size_px` is needed, and the lens is estimated: focal
+        lengths, principal point, and as many Brown-Conrady coefficients, and a skew, as the
+        residuals need. The initial values come from a direct linear transform (Hartley and
+        Zisserman, 7.1).
     image_size_px : (width, height) of the image; needed without `lens`.
-    free : names of estimated lens parameters (fx_px, fy_px, cx_px, cy_px, skew_px, and the
-        coefficients of the lens's model or of a model that contains it). They start from `lens`.
-    pose_model : "rigid": any motion. "aim-free": the same, by pan, tilt, swing, distance and aim.
+    free : names of the lens parameters to estimate: fx_px, fy_px, cx_px, cy_px, skew_px, and the
+        coefficients of the lens's model or of a more general model. Their initial values are those
+        of `lens`.
+    pose_model : "rigid": any motion. "aim-free": the same, as pan, tilt, swing, distance and aim.
         "aimed": the optical axis meets the origin of the world.
     systematics : its `lens_covariance` is the covariance of the lens parameters that are not
-        `free`, and part of the result's covariance. Default: that of a data sheet, for a lens that
-        comes from one (`Systematics.typical`). `Systematics()` assumes an exact lens. Points are
-        always exact.
+        estimated; the covariance of the result contains it. Default: that of a data sheet, if the
+        lens comes from one (`Systematics.typical`). `Systematics()` assumes an exact lens. Points
+        are always assumed exact.
     tuning : constants of calibration; a benchmark or a study changes them.
 
     Returns
     -------
-    A rig of one camera. It is SUSPECT, with a note, in two cases: the points contradict a fixed and
-    exact parameter of lens or aim (Rao's score test with the noise of the residuals), or the lens
-    lies more than four sigmas from the given one.
+    A rig of one camera. Its status is SUSPECT, with a warning, in two cases. First: the points
+    contradict a lens parameter or aim that is assumed exact (Rao's score test with the noise of the
+    residuals). Second: they contradict an uncertain lens by more than four sigmas.
 
     Raises
     ------
-    InputError : impossible shapes, numbers or names.
-    CalibrationError : the points do not determine the camera or lie behind it (a left-handed
+    InputError : wrong shapes, numbers or names.
+    CalibrationError : the points do not determine the camera, they lie behind it (a left-handed
         frame), or the fit did not converge.
     """
     points = np.ascontiguousarray(real_array(points_mm, "points_mm"))
@@ -110,9 +114,11 @@ def _result(
     lens: Intrinsics,
     lens_errors: Float[np.ndarray, "q r"],
 ) -> CalibrationResult:
-    """Covariance, tests and public result of a fit.
+    """Compute covariance and tests of a fit, and build the public result.
 
-    lens_errors : change of the lens's parameters for one sigma of each error that is not fitted.
+    names : names of the estimated lens parameters.
+    lens_errors : (q, r) change of the q lens parameters for one sigma of each of r errors of the
+        given lens.
     """
     (view,), parametrization = problem.views, problem.parametrization
     used = view.used
@@ -194,7 +200,9 @@ def _result(
 def _values(
     problem: Problem, pose: Pose, model: PoseModel, lens: AbstractLens, names: Sequence[str]
 ) -> Float[np.ndarray, "p"]:
-    """Values of the parameters of pose and lens, in degrees, mm and px."""
+    """Values of the pose parameters, then of the lens parameters `names`, in degrees, mm and px,
+    (p,).
+    """
     pose_values = np.array(pose.model_parameters(model, pose))
     pose_values[:3] = np.degrees(pose_values[:3])
     lens_values = dict(zip(lens.parameter_names, np.asarray(lens.parameters), strict=True))

@@ -48,49 +48,51 @@ def calibrate_intrinsics(
     throw: bool = True,
     tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
-    """Calibrate focal lengths, principal point and distortion of a lens.
+    """Calibrate focal lengths, principal point and distortion of a lens from images of a board.
 
     Parameters
     ----------
-    images_or_detections : images of one camera at one zoom and focus, the board at another pose in
-        each; or the results of `detect_target`.
+    images_or_detections : images of one camera with one zoom and focus, with the board at another
+        pose in each; or results of `detect_target`.
     pattern : a Pattern, Chessboard, Charuco or AprilGrid; or a BoardSet of several boards that are
         fixed to each other.
     image_size_px : (width, height) that all images must have.
-    distortion : number of estimated distortion coefficients; for Brown-Conrady 0, 1, 2, 4 or 5 of
-        k1, k2, p1, p2, k3. Default: all that the images determine; a note reports how many are
-        needed.
+    distortion : number of estimated distortion coefficients. For Brown-Conrady it is 0, 1, 2, 4 or
+        5 of k1, k2, p1, p2, k3. Default: all that the images determine; a note reports how many the
+        residuals need.
     lens_model : name of the lens model; see `calibrate_rig`.
     principal_point : "free" estimates it; "centre" fixes it at the middle of the image.
-    pixel_pitch_mm : width and height of a pixel, mm. With it, the lens also has a focal length in
+    pixel_pitch_mm : width and height of a pixel, mm. With it, the result also has a focal length in
         mm.
     aspect : "free" estimates both focal lengths; "pitch" fixes fx / fy at the ratio of
         `pixel_pitch_mm` (1 without it).
-    method : "points" fits circles or corners. "pixels" then fits the grey levels near every edge;
-        it needs images and a free aspect.
-    systematics : errors of the board: `print_scale_sigma` and `flatness_mm`. Default:
-        `Systematics.typical`; `Systematics()` assumes an exact board. The size of the board does
-        not change a lens.
-    throw : whether an undetermined lens raises an error; otherwise its status reports it.
+    method : "points" fits circles or corners. "pixels" then also fits the grey levels near every
+        edge of the board; it needs images and a free aspect.
+    systematics : errors of the board, `print_scale_sigma` and `flatness_mm`. Default:
+        `Systematics.typical`. `Systematics()` assumes an exact board. The print size has no effect
+        on a lens.
+    throw : whether an undetermined lens raises an error. If False, the status of the result reports
+        it.
     tuning : constants of calibration; a benchmark or a study changes them.
 
     Returns
     -------
-    A rig of one camera named "camera", whose own frame is the world's. The lens is `result.lens`,
-    its sigmas are `result.sigma("fx_px")` and so on. `failures` names the images without a board.
+    A rig of one camera named "camera", in its own frame. The lens is `result.lens`, and its sigmas
+    are `result.sigma("fx_px")` and so on. `failures` names the images without a board.
 
     Raises
     ------
-    InputError : no image, images of different sizes, one image given twice, or an unknown option.
-    CalibrationError : no board in any image, no lens that fits the detections, or, with `throw`, a
-        lens that is not determined or folds the image. The sentence names the parameters and the
-        next image to take.
+    InputError : there is no image, images have different sizes, one image is given twice, or an
+        option is unknown.
+    CalibrationError : no image shows the board, or no lens fits the detections. With `throw`, also
+        a lens that is not determined or that folds the image. The error names the parameters and
+        the next image to take.
 
     Notes
     -----
-    Zhang's method (OpenCV) gives the start. Least squares then estimates the lens, the pose of the
-    board in each image, and the scales and the warp of the board. Circles are fitted by the exact
-    images of their centres.
+    Zhang's method (OpenCV) gives the initial values. Least squares then estimates the lens, the
+    pose of the board in each image, and the print scales and the warp of the board. For circles,
+    the exact centre of the elliptical image is predicted.
     """
     image_list = "a list of pictures, or of what detect_target found in them"
     check_kind(images_or_detections, (Sequence, np.ndarray), "list of pictures", image_list)
@@ -156,12 +158,14 @@ def _point_kind(board: AbstractTarget) -> str:
 
 
 def _expect_usable(boards: BoardDetections, image_size_px: tuple[int, int] | None) -> None:
-    """Check the detections of the only camera; move those with too few corners to `failures`.
+    """Raise an error if the detections cannot be used, and drop those with too few points.
+
+    Dropped detections are moved to `boards.failures`.
 
     Raises
     ------
-    InputError : an image of another size than `image_size_px`, or one image given twice.
-    CalibrationError : no usable image.
+    InputError : an image has another size than `image_size_px`, or one image is given twice.
+    CalibrationError : no usable image is left.
     """
     detections, point_kind = boards.detections[CAMERA], _point_kind(boards.target)
     if not detections:

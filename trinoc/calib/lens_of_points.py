@@ -42,11 +42,11 @@ CAMERA = "camera"
 
 
 class _Points(AbstractTarget):
-    """Points anywhere in space as a calibration target.
+    """Calibration target that consists of points anywhere in space.
 
     Attributes
     ----------
-    centres_mm : (n, 3).
+    centres_mm : (n, 3) world coordinates of the points.
     """
 
     name: str = eqx.field(static=True)
@@ -62,9 +62,18 @@ def problem_of_points(
     model: PoseModel,
     tuning: CalibTuning = TUNING,
 ) -> Problem:
-    """Problem of one camera with one pixel for each point; the lens parameters `names` are free.
+    """Calibration problem of one camera that observes points with known coordinates.
 
-    The lens has the widest model that contains the camera's; additional parameters are fixed at 0.
+    The lens is converted to a more general model with the same values; additional parameters are 0.
+
+    Parameters
+    ----------
+    camera : initial camera.
+    points_mm : (n, 3) world coordinates.
+    uv_px : (n, 2) observed pixels.
+    names : names of the lens parameters to estimate.
+    model : pose parameters to estimate.
+    tuning : constants of the method.
     """
     count = len(points_mm)
     unit = np.broadcast_to(np.eye(2), (count, 2, 2))
@@ -81,16 +90,16 @@ def problem_of_points(
 
 
 def with_lens_parameters_free(problem: Problem, names: Collection[str]) -> Problem:
-    """Problem with only these parameters of the lens free."""
+    """Problem in which exactly the lens parameters `names` are estimated."""
     free = np.array(problem.free)
     free[problem.slices.lens(0)] = [name in names for name in lens_parameter_names(problem)]
     return with_free_head(problem, free)
 
 
 def fit_without_outliers(problem: Problem) -> Problem:
-    """Fitted problem without outliers.
+    """Fit a problem of points repeatedly, until its outliers no longer change.
 
-    Raises CalibrationError if the fit does not converge, or has a point behind the camera.
+    Raises `CalibrationError` if the fit does not converge, or if a used point is behind the camera.
     """
     (view,) = problem.views
     for _ in range(_CUTS):
@@ -114,12 +123,13 @@ def fit_without_outliers(problem: Problem) -> Problem:
 
 
 def extend_lens(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tuple[str, ...]]:
-    """Fit with as many coefficients, and a skew, as the points need; returns the free names, too.
+    """Estimate additional lens parameters as long as the points need them (forward selection).
 
-    Each round frees the group with the smallest p-value. A skew that later coefficients make
-    unnecessary is fixed again.
+    Each round adds the group of coefficients, or the skew, with the smallest p-value. A skew that
+    later coefficients make unnecessary is fixed at 0 again. Returns the fit and the names of its
+    estimated lens parameters.
 
-    problem : the fit with `names` free.
+    problem : fit with only the parameters `names` estimated.
     """
     all_names, coefficients = lens_parameter_names(problem), DEFAULT_DISTORTION.coefficient_names
     coefficient_groups = [coefficients[:count] for count in DEFAULT_DISTORTION.coefficient_counts]
@@ -151,21 +161,24 @@ def extend_lens(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tupl
 
 
 def _fit_with_free(problem: Problem, names: tuple[str, ...]) -> Problem:
-    """Fit of all points with these parameters of the lens free, from the present state."""
+    """Fit with exactly the lens parameters `names` estimated, starting with all points
+    as inliers.
+    """
     used = np.ones(len(problem.views[0].used), dtype=bool)
     problem = problem._replace(views=(problem.views[0]._replace(used=used),))
     return fit_without_outliers(with_lens_parameters_free(problem, names))
 
 
 def lens_parameter_names(problem: Problem) -> tuple[str, ...]:
-    """Parameters of the fitted lens: those of the camera's model, and of the one that
-    contains it.
-    """
+    """Names of all parameters of the problem's lens model, estimated or not."""
     return problem.state.lenses.parameter_names
 
 
 def score_of_points(problem: Problem) -> FixedScore:
-    """Score of every step of the head, for residuals in px, with the fitted steps eliminated."""
+    """Normal equations of all parameters for score tests, with the estimated parameters eliminated.
+
+    Residuals are in px, since points have no stated sigma.
+    """
     linearised, (view,) = whiten_views(problem), problem.views
     fitted = np.flatnonzero(problem.free)
     rows = np.flatnonzero(np.repeat(view.used, 2))
@@ -186,9 +199,12 @@ def score_of_points(problem: Problem) -> FixedScore:
 
 
 class FitUnderPrior(NamedTuple):
-    """Fit with the uncertain lens parameters free under their covariance.
+    """Fit in which the uncertain lens parameters are estimated with their prior.
 
-    strain : largest of their errors, in its sigmas.
+    Attributes
+    ----------
+    problem : the problem at its solution.
+    strain : largest difference from the prior mean along a principal axis of the prior, in sigmas.
     """
 
     problem: Problem
@@ -198,10 +214,18 @@ class FitUnderPrior(NamedTuple):
 def fit_under_prior(
     problem: Problem, names: Collection[str], lens_errors: Float[np.ndarray, "q r"]
 ) -> FitUnderPrior:
-    """Fit with `names` free, and the rest of the lens under its prior.
+    """Fit again, with the uncertain lens parameters estimated under their prior.
 
-    lens_errors : change of the lens's parameters for one sigma of each error that is not fitted;
-        parameters without any are exact. The parametrization of the returned problem is unchanged.
+    Parameters
+    ----------
+    problem : fit with only the lens parameters `names` estimated.
+    names : names of the lens parameters without a prior.
+    lens_errors : (q, r) change of the q lens parameters for one sigma of each of r errors of the
+        given lens. Parameters with zeros are exact.
+
+    Returns
+    -------
+    The fit. The parametrization of its problem is that of the given problem.
     """
     parametrization, (view,) = problem.parametrization, problem.views
     count, size = parametrization.lens_shape

@@ -27,11 +27,12 @@ HeldOutErrors = Mapping[tuple[int, str], Float[np.ndarray, "_m"]]
 def measure_held_out_errors(
     problem: Problem, shots: Sequence[str], cameras: Sequence[str]
 ) -> HeldOutErrors:
-    """Errors of lenses and cameras fitted to every second shot, in the other shots.
+    """Cross-validation of a lens model: residuals in shots that were not used in its fit, px.
 
-    In a held-out shot only the pose of the board is fitted.
+    Lenses and cameras are fitted to every second shot, and then to the others. In the held-out
+    shots only the board poses are fitted.
 
-    shots : names of the shots, as in `InitialRig`.
+    shots : names of the shots, as in `InitialRig`. cameras : names of the cameras.
     """
     errors: dict[tuple[int, str], np.ndarray] = {}
     for half in fit_halves(with_fixed_sheet(problem)):
@@ -47,7 +48,13 @@ def measure_held_out_errors(
 
 
 class LensChoice(NamedTuple):
-    """Chosen lens model. rms_px : held-out error of each tried model."""
+    """Chosen lens model.
+
+    Attributes
+    ----------
+    model : name of the chosen model.
+    rms_px : root mean square residual in held-out shots of each tried model, by name.
+    """
 
     model: str
     rms_px: Mapping[str, float]
@@ -56,7 +63,10 @@ class LensChoice(NamedTuple):
 def choose_lens(
     held_out: Mapping[str, HeldOutErrors], tuning: AnswerTuning = TUNING.answer
 ) -> LensChoice:
-    """First of the lens models that is not significantly worse than the best, shot by shot."""
+    """Choose the first lens model that is not significantly worse than the best one.
+
+    held_out : for each model, in order of preference, its residuals in held-out shots.
+    """
     squares = _mean_squares(held_out, tuning.cap)
     best = min(squares.values(), key=np.mean)
 
@@ -76,8 +86,9 @@ def choose_lens(
 def _mean_squares(
     held_out: Mapping[str, HeldOutErrors], largest: float
 ) -> dict[str, Float[np.ndarray, "_s"]]:
-    """Mean squared errors of each lens model in each shot; errors are capped at
-    `largest` medians.
+    """Mean squared residual of each lens model (key) in each held-out shot, px^2, (s,).
+
+    Residuals are limited to `largest` times the median of the best model.
     """
     keys = set.intersection(*(set(shot_errors) for shot_errors in held_out.values()))
     shots = sorted({shot for _, shot in keys})
@@ -97,16 +108,17 @@ def _mean_squares(
 
 
 def is_significant(test: RaoTest, limit: float = TUNING.answer.chance_of_lens) -> bool:
-    """True if a test's p-value is below a limit."""
+    """True if the p-value of a test is below `limit`."""
     return test.p_value < limit
 
 
 def choice_sentence(
     choice: LensChoice, rational: RaoTest | None, correction: RaoTest | None = None
 ) -> str:
-    """Sentence on the chosen lens model and the reason.
+    """Return the note on the chosen lens model, with the reason.
 
-    The tests, of k4, k5, k6 and of splines, are those of the best model without splines.
+    rational : test whether the shots need the coefficients k4, k5, k6 of the rational model.
+    correction : test whether they need a correction by splines.
     """
     tests = {"k4, k5, k6 of the rational lens": rational, "a correction by splines": correction}
     results = {

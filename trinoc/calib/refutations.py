@@ -49,13 +49,16 @@ def refutations_of_points(
     model: PoseModel,
     lens_errors: Float[np.ndarray, "q r"],
 ) -> tuple[str, ...]:
-    """Sentences on fixed parameters of lens or aim that the points contradict; empty without one.
+    """Return the warnings that the points contradict parameters of lens or aim; empty if they do
+    not.
 
     Parameters
     ----------
-    problem : the fit with the parameters `names` free.
-    lens_errors : change of the lens's parameters for one sigma of each error that is not fitted;
-        parameters without any are exact.
+    problem : fit with only the lens parameters `names` estimated.
+    names : names of the estimated lens parameters.
+    model : estimated pose parameters. A fixed aim is tested.
+    lens_errors : (q, r) change of the q lens parameters for one sigma of each of r errors of the
+        given lens. Parameters with zeros are exact.
     """
     all_names = lens_parameter_names(problem)
     uncertain = {name for name, row in zip(all_names, lens_errors, strict=True) if row.any()}
@@ -86,7 +89,7 @@ def refutations_of_points(
 
 
 def _groups(lens: AbstractLens) -> Iterator[tuple[str, ...]]:
-    """Groups of a lens's parameters that are tested together."""
+    """Yield the names of the lens parameters that are tested together, group by group."""
     yield from (AFFINE_PARAMETERS[:2], AFFINE_PARAMETERS[2:])
     if SKEW in lens.parameter_names:
         yield (SKEW,)
@@ -100,9 +103,10 @@ def _groups(lens: AbstractLens) -> Iterator[tuple[str, ...]]:
 def _sentence_on_points(
     problem: Problem, group: tuple[str, ...], columns: Sequence[int], test: RaoTest
 ) -> str:
-    """Sentence on the group that explains most of the residuals, with its offset.
+    """Return the warning that the points contradict one group of fixed parameters, with its offset.
 
-    test : score test of the group, with the noise's covariance.
+    group : names of the parameters, or `_AIM`. columns : their indices among the lens parameters.
+    test : score test of the group, scaled to the noise.
     """
     if group is _AIM:
         unit = float(problem.parametrization.unit_mm)
@@ -115,14 +119,20 @@ def _sentence_on_points(
 def _offset_and_sigma(
     scale: Float[np.ndarray, "k"], test: RaoTest
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Estimated offsets of fixed parameters, and their sigmas. scale : change for a unit step."""
+    """Predicted offsets of k fixed parameters, and their sigmas, in the unit of the parameters.
+
+    scale : change of each parameter for a unit change of its local coordinate.
+    """
     return scale * test.step, scale * np.sqrt(np.diag(test.covariance))
 
 
 class _Noise(NamedTuple):
-    """Noise of the observations.
+    """Estimated noise variance of the observations.
 
-    variance : in squared sigmas of the board points. freedom : degrees of freedom of its estimate.
+    Attributes
+    ----------
+    variance : noise variance, in squared sigmas of the board points.
+    freedom : degrees of freedom of this estimate.
     """
 
     variance: float
@@ -130,7 +140,12 @@ class _Noise(NamedTuple):
 
     @classmethod
     def of(cls, score: FixedScore, scatter: ShotScatter) -> "_Noise":
-        """Noise of the observations; that of the shots if larger, since it biases lenses."""
+        """Variance of the residuals, or the variance that the scatter of the shots shows if it is
+        larger.
+
+        Errors that the points of a shot have in common do not appear in the residuals, but change
+        the lens.
+        """
         if score.are_exact:
             # Rounding errors have no variance that tests could divide by.
             return cls(1.0, score.freedom)
@@ -144,7 +159,13 @@ class _Noise(NamedTuple):
 def _free_significant_groups(
     score: FixedScore, groups: Mapping[ParameterGroup, list[int]], limit: float
 ) -> tuple[tuple[ParameterGroup, ...], FixedScore]:
-    """Groups that are significant one after the other, and the score with these freed."""
+    """Find all groups of fixed parameters that are significant, by forward selection.
+
+    Returns the groups in order, and the normal equations with these groups estimated, to first
+    order.
+
+    groups : columns of `score` for each group. limit : significance level of all tests together.
+    """
     significant: list[ParameterGroup] = []
     while group := score.strongest(
         {candidate: groups[candidate] for candidate in groups if candidate not in significant}
@@ -157,17 +178,19 @@ def _free_significant_groups(
 
 
 class ExactLensTests(NamedTuple):
-    """Score tests of lenses that were assumed exact, from the shots.
+    """Score tests of the lenses that a fit to many shots assumed exact.
 
     Attributes
     ----------
-    problem : the problem at its solution, with these lenses free.
-    information : information of its shots.
+    problem : the problem at its solution, with the parameters of these lenses marked as free.
+    information : information of the shots about its free parameters.
     is_tested : (f,) whether each of `information.free` was fixed in the fit.
-    score : score of the fixed parameters, in their order.
-    columns : columns of the score for each lens (by its number) and group of its parameters.
-    significant : groups that the observations contradict, each with those before it freed.
-    noise : noise with these groups freed.
+    score : normal equations of these fixed parameters.
+    columns : indices in `score` for each group of lens parameters. A group is (index of the lens,
+        names of the parameters).
+    significant : groups that the observations contradict, in order. Each was tested with the
+        earlier ones estimated.
+    noise : noise variance with these groups estimated.
     cameras : names of the cameras.
     """
 
@@ -182,7 +205,9 @@ class ExactLensTests(NamedTuple):
 
     @classmethod
     def of(cls, fit: RobustFit, cameras: Sequence[str]) -> "ExactLensTests | None":
-        """Tests of the lenses that were assumed exact; None without one. cameras : their names."""
+        """Compute the tests from a fit; None if no lens was assumed exact. cameras : names of the
+        cameras.
+        """
         problem, is_exact = fit.problem, np.logical_not(free_of_lenses(fit.problem).any(axis=1))
         if not is_exact.any():
             return None
@@ -234,9 +259,10 @@ class ExactLensTests(NamedTuple):
         )
 
     def describe_refuted_lens(self) -> str | None:
-        """Sentence on the lens that the shots contradict, with the offsets; None without one.
+        """Return the warning that the shots contradict a lens, with the predicted offsets, or None.
 
-        Only the most significant group is named, since its error also appears in other lenses.
+        Only the most significant group of parameters is named, since its error also changes other
+        lenses.
         """
         if not self.significant:
             return None
@@ -254,12 +280,13 @@ class ExactLensTests(NamedTuple):
         return sentences.shots_refute_lens(owners, parameters, offsets, sigmas)
 
     def describe_undetectable_error(self, covariance: Float[np.ndarray, "g g"]) -> str | None:
-        """Sentence on the undetectable lens error that would move a camera most; None if it is
-        small.
+        """Return the warning about the lens error that the shots cannot show and that would move a
+        camera most.
 
-        covariance : reported covariance of the fitted parameters.
+        None if every undetectable error would move every camera by only a few of its sigmas.
+        (Baarda's external reliability.)
 
-        This is Baarda's external reliability; `adjustment.model_tests` does the same for one image.
+        covariance : (g, g) reported covariance of the g estimated parameters.
         """
         fitted, cameras = self.information.restrict_to(~self.is_tested), self.problem.slices.cameras
         tested = self.information.free[self.is_tested]
@@ -292,7 +319,9 @@ class ExactLensTests(NamedTuple):
         return sentence
 
     def _scale(self, group: ParameterGroup) -> Float[np.ndarray, "k"]:
-        """Change of each parameter of a group for a unit step."""
+        """Change of each of k parameters of a group for a unit change of its local coordinate,
+        (k,).
+        """
         number, parameters = group
         names = self.problem.state.lenses.parameter_names
         return np.asarray(self.problem.parametrization.lens_scale)[
@@ -301,10 +330,13 @@ class ExactLensTests(NamedTuple):
 
 
 def describe_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | None:
-    """Sentence on the given lens that the shots contradict most; None if they contradict none.
+    """Return the warning about the given lens that the shots contradict most; None if they
+    contradict none.
 
-    Only lenses with a covariance are tested. The strain is the largest step from the prior mean
-    along a principal axis, in its sigmas.
+    Only lenses with a prior covariance are tested. The test statistic is the largest difference
+    between fitted and given lens along a principal axis of the prior, in sigmas.
+
+    cameras : names of the cameras.
     """
     worst, sentence, priors = problem.tuning.answer.strain_sigmas, None, problem.priors
     for number in np.flatnonzero(has_lens_prior(problem.priors)).tolist():
@@ -322,15 +354,15 @@ def describe_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | No
 
 
 def _cameras_of_lens(problem: Problem, cameras: Sequence[str], number: int) -> list[str]:
-    """Names of the cameras that have a lens."""
+    """Names of the cameras that use the lens with index `number`."""
     lens_of_camera = np.asarray(problem.parametrization.lens_of_camera)
     return [name for name, lens in zip(cameras, lens_of_camera) if lens == number]
 
 
 def _with_free_lenses(problem: Problem, freed: Bool[np.ndarray, "l"]) -> Problem:
-    """Problem with all parameters of some lenses free, in the widest model that contains theirs.
+    """Problem in which all parameters of some lenses are free, in a more general lens model.
 
-    freed : (l,) mask of the lenses to free. The other lenses keep their free parameters.
+    freed : (l,) mask of these lenses. The free parameters of the other lenses do not change.
     """
     free, sizes = free_of_lenses(problem), problem.image_sizes_px
     first = [int(np.argmax(problem.parametrization.lens_of_camera == k)) for k in range(len(freed))]

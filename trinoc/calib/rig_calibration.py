@@ -44,53 +44,57 @@ def calibrate_rig(
     progress: Callable[[int, int], None] | None = None,
     tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
-    """Calibrate lenses and cameras together from synchronous images of a board that is moved about.
+    """Calibrate lenses and cameras together from synchronous images of a board that is moved
+    around.
+
+    A shot is the set of images that all cameras take at one moment.
 
     Parameters
     ----------
-    images : images of each camera, by the name of the camera. Those of one camera are a mapping
-        from the name of the shot, or a list in the order of the shots with None for a missing
-        image. An image is an array, a result of `detect_target`, or a function without arguments
-        that returns one of these. Not every camera needs to see the board in every shot, but shots
-        must connect all cameras. One camera alone is a rig, too.
+    images : images of each camera, by the name of the camera. The images of one camera are a
+        mapping from the name of the shot to the image, or a list in the order of the shots with
+        None for a missing image. An image is an array, a result of `detect_target`, or a function
+        without arguments that returns one of these. Not every camera must see the board in every
+        shot, but the shots must connect all cameras. A single camera is allowed.
     board : a Pattern, Chessboard, Charuco or AprilGrid; or a BoardSet of several boards that are
-        fixed to each other, whose relative poses are estimated with the rig.
-    lens : given lenses, of all cameras or by name; the others are estimated. A given lens is
-        assumed exact, or is estimated under its covariance in `systematics`. If the shots
-        contradict it, the status is SUSPECT and the first note names it.
+        fixed to each other. The relative poses of a set are estimated together with the rig.
+    lens : given lens of all cameras, or given lenses by the name of the camera; all others are
+        estimated. A given lens is assumed exact, unless `systematics` contains its covariance. If
+        the shots contradict a given lens, the status is SUSPECT and the first note names the lens.
     lens_model : model of the estimated lenses. "default": "brown_conrady", or "rational" or
-        "kannala_brandt" if the first would fold an image (a note reports this). "auto": the model
-        which, fitted to one half of the shots, has the smallest error in the other half (a note
-        gives the reason). "splined": the best polynomial model, corrected by B-splines. "splined_"
-        before the name of a model corrects that model. "auto" adds splines if a test of the
-        residuals is significant.
-    distortion : number of estimated distortion coefficients; by default all that the shots
-        determine.
-    same_lens : whether all cameras have the same lens, for instance images of one camera moved
-        about.
-    world : name of the shot whose board is the world's plane Z = 0, or of the camera whose frame is
-        the world's. Default: the first of the shots that most cameras saw.
-    method : "points" fits the detected circles or corners. "pixels" then fits the grey levels near
-        every edge of the board.
+        "kannala_brandt" if the first would fold an image (map two rays to one pixel); a note
+        reports this. "auto": the model with the smallest residuals in shots that were not used in
+        its fit; a note gives the reason. "splined": the best polynomial model, corrected by
+        B-splines. "splined_" before the name of a model corrects this model. "auto" adds splines if
+        a test of the residuals is significant.
+    distortion : number of estimated distortion coefficients. Default: all that the shots determine.
+    same_lens : whether all cameras have the same lens, for instance if all images come from one
+        camera that was moved.
+    world : name of the shot whose board defines the world's plane Z = 0, or of the camera whose
+        frame is the world's. Default: the first of the shots that most cameras saw.
+    method : "points" fits the detected circles or corners. "pixels" then also fits the grey levels
+        near every edge of the board.
     systematics : errors of print and board (`print_size_sigma`, `print_scale_sigma`, `flatness_mm`;
         default `Systematics.typical`), and `lens_covariance` of given lenses, which are exact
         without it.
-    throw : whether a rig that is not determined raises an error; otherwise its status reports it.
-    progress : called after each image with the number of searched images and the number of all
-        images.
+    throw : whether a rig that is not determined raises an error. If False, the status of the result
+        reports it.
+    progress : function that is called after each image with the number of searched images and the
+        number of all images.
     tuning : constants of calibration; a benchmark or a study changes them.
 
     Returns
     -------
-    The calibrated rig. `failures` names the images without a board; `refused` names images of
-    another moment and boards that moved during a shot.
+    The calibrated rig. `failures` names the images without a board. `refused` names images that
+    were taken at another moment than the rest of their shot, and boards that moved during a shot.
 
     Raises
     ------
-    InputError : no image, or names that do not exist; with "pixels", a detection instead of an
-        image.
-    CalibrationError : a camera that never sees the board, cameras that no shot connects, cameras
-        whose shots are out of step, or, with `throw`, parameters that the shots do not determine.
+    InputError : there is no image, or a name does not exist. With "pixels": a detection is given
+        instead of an image.
+    CalibrationError : a camera never sees the board, the shots do not connect all cameras, or the
+        shots of two cameras are shifted against each other. With `throw`: also parameters that the
+        shots do not determine.
     """
     expect_method(method, board, images)
     check_camera_names(images)
@@ -125,9 +129,13 @@ def calibrate_rig(
 def models_to_try(
     name: str, distortion: int | None, lenses: Mapping[str, Intrinsics]
 ) -> tuple[tuple[type[AbstractLens], ...], bool | None]:
-    """Lens models to try, and whether the best one is corrected by splines (None: a test decides).
+    """Lens models to try, and whether the best one is then corrected by splines (None: a test
+    decides).
 
-    Raises InputError for an unknown name or an impossible number of coefficients.
+    Raises `InputError` for an unknown name or an impossible number of coefficients.
+
+    name : value of `lens_model`. distortion : number of coefficients, or None.
+    lenses : given lenses.
     """
     if name in ("auto", "splined"):
         if distortion is not None or lenses:
@@ -165,7 +173,10 @@ def _given_lenses(
 
 
 def _board_systematics(stated: Systematics | None, tuning: CalibTuning) -> Systematics:
-    """Return the checked errors of boards and lenses, without a prior on the aim."""
+    """Return the given errors of boards and lenses, or typical ones, without a prior of the aim.
+
+    Raises `InputError` if they are not valid.
+    """
     systematics = Systematics.typical({}, tuning=tuning) if stated is None else stated
     check_kind(systematics, Systematics, "knowledge of the board", "trinoc.Systematics")
     systematics.check()
@@ -175,7 +186,11 @@ def _board_systematics(stated: Systematics | None, tuning: CalibTuning) -> Syste
 def _lens_factors(
     systematics: Systematics, lenses: Mapping[str, Intrinsics], cameras: tuple[str, ...]
 ) -> dict[str, Float[np.ndarray, "_ _"]]:
-    """Factors L of the covariance L L^T of each given lens that is not exact, by camera."""
+    """Factor L of the covariance L L^T of each given lens that is not exact, by the name of the
+    camera.
+
+    Raises `InputError` for a covariance of a lens that is not given.
+    """
     stated = systematics.lens_covariance
     without = [camera for camera in cameras if camera not in lenses]
     if isinstance(stated, Mapping):
@@ -189,7 +204,7 @@ def _lens_factors(
 
 
 def _expect_boards(boards: BoardDetections, observations: ShotObservations) -> None:
-    """Raise CalibrationError for a camera that sees the board in no image."""
+    """Raise `CalibrationError` if a camera sees the board in no image."""
     for camera, detections in observations.detections.items():
         if detections:
             continue

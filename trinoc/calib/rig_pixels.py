@@ -48,10 +48,13 @@ GreyOfView = Callable[[BoardObservation], Float[np.ndarray, "h w"]]
 
 
 class PixelFit(NamedTuple):
-    """Fit of the rig to the grey levels.
+    """Fit of a rig to the grey levels of its images.
 
-    images_without_grey_levels : (camera, shot, reason) of images whose detected points are used
-        instead.
+    Attributes
+    ----------
+    fit : the fit.
+    images_without_grey_levels : (camera index, shot index, reason) of images whose detected points
+        are used instead of grey levels.
     """
 
     fit: RobustFit
@@ -59,7 +62,9 @@ class PixelFit(NamedTuple):
 
 
 def expect_method(method: str, target: AbstractTarget, images: Mapping[str, Pictures]) -> None:
-    """Raise InputError for an unknown method, or one that does not fit the board or the images."""
+    """Raise `InputError` if the method is unknown, or if the board or an image does
+    not support it.
+    """
     if method not in ("points", "pixels"):
         raise InputError(f'method is {method!r}, but must be "points" or "pixels".')
     check_kind(target, AbstractTarget, "board", A_BOARD)
@@ -85,8 +90,9 @@ def _no_picture(camera: str, shot: str) -> str:
 def grey_levels(
     images: Mapping[str, Pictures], cameras: tuple[str, ...], shots: tuple[str, ...]
 ) -> GreyOfView:
-    """Return a function that reads the grey levels of an observation's image.
+    """Return a function that reads the grey levels, (h, w), of the image of an observation.
 
+    images : images of each camera. cameras : names of the cameras.
     shots : names of the shots, as in `InitialRig`.
     """
     images_by_shot = name_pictures(images)
@@ -103,7 +109,12 @@ def grey_levels(
 
 
 def fit_pixels(fit: RobustFit, read_grey: GreyOfView) -> PixelFit:
-    """Fit the rig to the grey levels, from its fit to points, until the lenses stay the same."""
+    """Fit a rig to the grey levels of its images, starting from its fit to detected points.
+
+    Images and rig are fitted in turn, until the predicted pixels no longer change.
+
+    read_grey : function that returns the grey levels of the image of an observation.
+    """
     problem, without_grey_levels = _with_own_sigmas(fit.problem), []
     board = _find_ink(problem, read_grey)
     for _ in range(_MOST_ROUNDS):
@@ -131,7 +142,10 @@ def _find_ink(problem: Problem, read_grey: GreyOfView) -> Pattern | SquareSheet:
 
 
 def _with_own_sigmas(problem: Problem) -> Problem:
-    """Problem with the sigma factors of cameras and images in the covariances of the points."""
+    """Problem in which all sigma factors are multiplied into the covariances of the points.
+
+    The factors themselves are then 1.
+    """
     views = []
     for view in problem.views:
         variance = (problem.sigma_factor[view.camera] * view.sigma_ratio) ** 2
@@ -148,7 +162,13 @@ def _scale_detection(detection: Detection, variance: float) -> Detection:
 def _fit_images(
     problem: Problem, ink: Pattern | SquareSheet, read_grey: GreyOfView
 ) -> tuple[tuple[BoardObservation, ...], list[tuple[int, int, str]]]:
-    """Observations with the points from the grey levels of their images, at the present rig."""
+    """Fit the grey levels of each image, with the present rig as initial value.
+
+    Returns the observations with their grey-level points, and (camera index, shot index, reason) of
+    the images that could not be fitted.
+
+    ink : the printed shapes of the board.
+    """
     used = {str(k): view for k, view in enumerate(problem.views) if view.used.any()}
     poses = {name: cam_from_board(problem.state, view) for name, view in used.items()}
     lenses = {
@@ -178,10 +198,10 @@ def _fit_images(
 
 
 def quarters_of_tags(problem: Problem, board: AprilGrid, read_grey: GreyOfView) -> int:
-    """Quarter turns of the printed tags against those of `trinoc pattern`.
+    """Number of quarter turns by which the printed tags are rotated relative to `trinoc pattern`.
 
-    Programs that draw AprilGrids differ. The result is the turn for which ink cells have the
-    largest contrast in the first images.
+    Programs that draw AprilGrids differ in this. The rotation with the largest contrast between
+    paper and ink cells in the first images is returned.
     """
     dictionary = opencv_dictionary(board.dictionary)
     cells = np.stack(

@@ -60,7 +60,7 @@ def calibrate(
     response: Response = "fit",
     tuning: CalibTuning = TUNING,
 ) -> CalibrationResult:
-    """Calibrate the cameras of a rig from one image of the sheet each.
+    """Calibrate the cameras of a rig from one image of the sheet per camera.
 
     Parameters
     ----------
@@ -68,24 +68,25 @@ def calibrate(
     pattern : the printed sheet.
     lens : intrinsics of all cameras, or a mapping with those of each camera by name.
     pose_model : estimated parameters of each pose. "aimed" (default): pan, tilt, swing and
-        distance; the optical axis meets the origin of the sheet. "aim-free": also the point of the
-        sheet that the axis meets. A PoseModel is accepted, too.
-    method : "pixels" (default) fits circle centres first, then the grey levels near every edge of
-        the sheet, which reaches the Cramer-Rao bound. A camera whose circles disagree with its grey
-        levels may use its circles. "points" stops at the circle centres. `fits[name].method`
-        reports which was used.
-    throw : whether a failed camera raises an error. Otherwise the rig contains the other cameras,
+        distance; the optical axis meets the origin of the sheet. "aim-free": also the point where
+        the axis meets the sheet. A PoseModel is accepted, too.
+    method : "pixels" (default) fits circle centres first, and then the grey levels near every edge
+        of the sheet, which reaches the Cramer-Rao bound. If circles and grey levels of a camera
+        contradict each other, its circles may be used. "points" fits the circle centres only.
+        `fits[name].method` reports which was used.
+    throw : whether a failed camera raises an error. If False, the rig contains the other cameras,
         and `failures` has the reason.
     systematics : standard deviations of the errors of sheet, lens and aim. Default: typical values
         for printers, paper, aiming by hand and data sheets (`Systematics.typical`). `Systematics()`
         assumes that all are exact.
-    orientation : needed for a sheet that looks the same after a turn, such as a plain grid of
+    orientation : needed for a sheet that looks the same after a rotation, such as a plain grid of
         discs. "upright": X points to the right in every image, as nearly as possible. Or an earlier
-        rig whose cameras have hardly moved since. Without it, such a sheet fails.
+        rig whose cameras have hardly moved since. Without it, the calibration of such a sheet
+        fails.
     bayer : colours of the first two pixels of the first two rows of a raw colour mosaic, such as
         "RGGB". Each pixel is then fitted without interpolation.
     response : response of the cameras, "linear" or "srgb". With "fit" (default) an image is assumed
-        linear unless the profiles of its edges contradict this; then the response is fitted.
+        linear, unless the profiles of its edges contradict this; then the response is fitted.
     tuning : constants of calibration; a benchmark or a study changes them.
 
     Returns
@@ -96,8 +97,8 @@ def calibrate(
     ------
     InputError : a lens is missing, an image and its lens differ in size, one image is given for two
         cameras, or the pose model or method is unknown.
-    CalibrationError : a camera failed. The error has the reason for each failed camera and the
-        result of the others. Without `throw`, it is raised only if no camera is left.
+    CalibrationError : a camera failed. The error contains the reason for each failed camera and the
+        result of the others. Without `throw`, it is raised only if all cameras failed.
     """
     if method not in ("pixels", "points"):
         raise InputError(f'method is {method!r}, but must be "pixels" or "points".')
@@ -173,18 +174,23 @@ def calibrate_sheet(
     failures: Mapping[str, str] | None = None,
     throw: bool = True,
 ) -> CalibrationResult:
-    """Calibrate the cameras in whose images the sheet was detected.
+    """Calibrate cameras from detections of the sheet and, optionally, grey levels.
 
     Parameters
     ----------
-    detections : circles and lines, by camera.
+    detections : circles and lines of each camera in whose image the sheet was detected.
+    pattern : the sheet.
     lenses : intrinsics of all cameras, in the user's order.
-    images : grey levels of the cameras that may use them.
-    failures : reason why the sheet was not detected, for each other camera.
+    priors : priors of sheet, lenses and aims.
+    orientation : see `trinoc.calibrate`.
+    images : grey levels, (h, w), of the cameras that may use them.
+    encoding : relation between grey levels and light.
+    failures : reason for each camera in whose image the sheet was not detected.
+    throw : whether a failed camera raises an error.
 
     Raises
     ------
-    CalibrationError : as in `calibrate`.
+    CalibrationError : as in `trinoc.calibrate`.
     """
     lens_factors = priors.systematics.lens_factors(lenses)
     detections, ambiguous = resolve_orientation(
@@ -235,8 +241,10 @@ def calibrate_sheet(
 def adjust_group(
     cameras: Sequence[SheetCamera], pattern: Pattern, priors: SheetPriors, encoding: Encoding
 ) -> tuple[Adjustment, Adjustment]:
-    """Adjust cameras that share a sheet. Returns the adjustment by circle centres, and the final
-    one.
+    """Adjust cameras that share an uncertain sheet or lens.
+
+    Returns the adjustment by circle centres, and the final adjustment, in which each camera uses
+    its grey levels or its circles.
     """
     by_circles = adjust(cameras, pattern, priors)
     cameras = fit_grey_levels(by_circles, pattern, encoding)
@@ -262,10 +270,11 @@ def adjust_group(
 def fit_grey_levels(
     by_circles: Adjustment, pattern: Pattern, encoding: Encoding
 ) -> list[SheetCamera]:
-    """Fit the grey levels of each image, with the sheet's bend and the lens from the circles.
+    """Fit the grey levels of each camera's image, with sheet and lens as estimated from the
+    circles.
 
-    Returns the cameras with `grey_level_fit`, and with their ink spread if it is large enough to
-    matter.
+    Returns the cameras with `grey_level_fit`. If the ink spread is large enough to matter, the
+    cameras also have `ink_spread_mm`.
     """
     images, poses, lenses = {}, {}, {}
     tuning = by_circles.problem.tuning

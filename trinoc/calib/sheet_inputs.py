@@ -13,7 +13,9 @@ from trinoc.numerics.precision import ArrayLike
 
 
 def check_images(images: Any, pattern: object) -> None:
-    """Raise InputError for common mistakes of a first call, such as a file that was not read."""
+    """Raise `InputError` for common mistakes in a first call, such as an image file that was not
+    read.
+    """
     check_kind(pattern, Pattern, "pattern", A_PATTERN)
     expected = 'a dictionary of each camera\'s name and image, such as {"left": image}'
     check_kind(images, Mapping, "set of images", expected)
@@ -28,8 +30,8 @@ def check_images(images: Any, pattern: object) -> None:
 
 
 def check_image_sizes(images: Mapping[str, ArrayLike], lenses: Mapping[str, Intrinsics]) -> None:
-    """Raise InputError if an image and its lens differ in size, or one image is given for two
-    cameras.
+    """Raise `InputError` if an image and its lens differ in size, or if two cameras have the same
+    image.
     """
     names = list(images)
     for name in names:
@@ -55,8 +57,11 @@ def _text(size: tuple[int, ...]) -> str:
 def lens_of_each(
     lens: Intrinsics | Mapping[str, Intrinsics], names: Mapping[str, object]
 ) -> dict[str, Intrinsics]:
-    """Intrinsics of every camera, from one lens or a mapping. Raises InputError for a
-    missing one.
+    """Intrinsics of every camera, from one lens for all or from a mapping by name.
+
+    Raises `InputError` if the lens of a camera is missing.
+
+    names : images by the name of the camera; only the names are used.
     """
     if not names:
         raise InputError("No image was given: give one for each camera, by name.")

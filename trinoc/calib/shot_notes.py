@@ -33,13 +33,15 @@ def notes_of_fit(
     causes: Sequence[MisfitCause] = (),
     shots: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Notes on undetermined parameters, lenses, board and shots.
+    """Return the notes on a fit to many shots: undetermined parameters, lenses, board and shots.
 
     Parameters
     ----------
+    fit, outcome : the fit, with its status and covariance.
     gauge : names of undetermined parameters.
-    fixed_coefficients : coefficients that were fixed at 0.
-    remarks : sentences on the lenses.
+    cameras : names of the cameras.
+    fixed_coefficients : names of distortion coefficients that were fixed at 0.
+    remarks : notes on the lenses.
     causes : causes of large residuals.
     shots : names of the shots.
     """
@@ -79,7 +81,10 @@ def notes_of_fit(
 
 
 def reason_undetermined(problem: Problem) -> str:
-    """Reason why the shots do not determine all parameters, as a phrase of `sentences`."""
+    """Return the reason why the shots do not determine all parameters, with the remedy.
+
+    It is the end of a sentence, one of the constants in `sentences`.
+    """
     used = [view for view in problem.views if view.used.any()]
     shots = {view.shot for view in used}
     if len(shots) == 1:
@@ -101,7 +106,11 @@ def reason_undetermined(problem: Problem) -> str:
 
 
 def list_refusals(fit: RobustFit, image_name: ImageName) -> tuple[str, ...]:
-    """Sentences on images with the board at another pose, and on outliers in the other images."""
+    """Return one sentence for each rejected image, and for each other image with outliers.
+
+    image_name : function of (camera index, shot index) that returns the name of an image for the
+        user.
+    """
     refusals = [
         sentences.board_elsewhere(image_name(camera, shot), miss_px)
         for camera, shot, miss_px in fit.rejected_images
@@ -116,7 +125,9 @@ def list_refusals(fit: RobustFit, image_name: ImageName) -> tuple[str, ...]:
 
 
 def misfit_of_lens(fit: RobustFit, point_kind: str) -> str | None:
-    """Reason why a lens must not be used although its fit ended; None if it may be used.
+    """Return the reason why a fitted lens must not be used, or None if it may be used.
+
+    It must not be used if most points are outliers, or if the residuals are large.
 
     point_kind : "circles" or "corners".
     """
@@ -137,8 +148,12 @@ def misfit_of_lens(fit: RobustFit, point_kind: str) -> str | None:
 
 
 def notes_of_lens(problem: Problem, camera: str, named: NamedCovariance) -> tuple[str, ...]:
-    """Notes on the distortion of the only lens: unneeded coefficients, corners without
+    """Return the notes on the distortion of a single lens.
+
+    They report coefficients that the residuals do not need, and corners of the image without
     observations.
+
+    camera : name of the camera. named : covariance of the public parameters.
     """
     lens, notes = lens_number(problem, 0), []
     rows = [named.names.index(f"{camera}.{name}") for name in lens.parameter_names]
@@ -161,7 +176,7 @@ def notes_of_lens(problem: Problem, camera: str, named: NamedCovariance) -> tupl
 
 
 def _share_reached(problem: Problem) -> float:
-    """Distance of the farthest observation from the principal point, over that of the farthest
+    """Largest distance of an observation from the principal point, divided by that of an image
     corner.
     """
     observed_px = np.concatenate([view.detection.centres_px for view in problem.views])
@@ -175,7 +190,7 @@ def _share_reached(problem: Problem) -> float:
 
 
 def _deviations_of_board(problem: Problem) -> list[str]:
-    """Notes on parameters of the board that are far from the stated ones."""
+    """Return one warning for each board parameter whose estimate is far from the given value."""
     information = np.asarray(problem.priors.sheet_information)
     free = np.flatnonzero(np.diag(information) > 0)
     sigmas = np.sqrt(np.diag(np.linalg.inv(information[np.ix_(free, free)])))

@@ -49,14 +49,19 @@ def result_of_shots(
     pixel_pitch_mm: tuple[float, float] | None = None,
     is_lens: bool = False,
 ) -> CalibrationResult:
-    """Decide the status of a fit, and assemble its public result.
+    """Decide the status of a fit to many shots, and assemble its public result.
 
     Parameters
     ----------
-    exact_lenses : intrinsics of cameras whose lens was given as exact.
-    world : name of a shot or a camera; None for the shot that most cameras saw.
-    pixel_pitch_mm : pixel pitch, the same for every fitted lens.
-    is_lens : whether this is a single lens, for which halves of the shots are not compared.
+    shots_fit : the fit.
+    boards : detections of the board, with the images that failed.
+    observations : input of the fit.
+    exact_lenses : intrinsics of the cameras whose lens was given as exact.
+    world : name of the shot or camera that defines the world; None for the shot that most cameras
+        saw.
+    method : "points" or "pixels".
+    pixel_pitch_mm : pixel pitch of every fitted lens.
+    is_lens : whether the result is a single lens. Halves of the shots are then not compared.
 
     Raises
     ------
@@ -152,7 +157,7 @@ def result_of_shots(
 
 
 def _solved_problem(problem: Problem, outcome: FitOutcome) -> SolvedProblem | None:
-    """Problem for the prediction of the next shot; None if its fit did not converge."""
+    """Problem with its covariance, for the prediction of the next shot; None if the fit failed."""
     if outcome.status is Status.NOT_CONVERGED:
         return None
     if outcome.status is Status.CONVERGED:
@@ -163,7 +168,10 @@ def _solved_problem(problem: Problem, outcome: FitOutcome) -> SolvedProblem | No
 def _named_with_gauge(
     problem: Problem, outcome: FitOutcome, cameras: tuple[str, ...], world_frame: World
 ) -> tuple[NamedCovariance, tuple[str, ...]]:
-    """Public parameters with their covariance (NaN if undetermined), and the undetermined names."""
+    """Public parameters with their covariance, and the names of the undetermined ones.
+
+    Undetermined values and covariances are NaN.
+    """
     information = outcome.information
     named = named_covariance(
         problem, information, outcome.covariance, outcome.variance_factor, cameras, world_frame
@@ -187,7 +195,11 @@ def _camera_fits(
     gauge: Sequence[str],
     method: str,
 ) -> dict[str, CameraFit]:
-    """Fit of each camera over all its shots."""
+    """Public fit of each camera, over all its shots, by the name of the camera.
+
+    residuals_px : residuals of each observation. named : covariance of the public parameters.
+    gauge : names of undetermined parameters.
+    """
     problem, fits, sigma = fit.problem, {}, np.sqrt(np.diag(named.covariance))
     chi_square = np.sum(whitened_errors(problem)[: len(problem.views)] ** 2, axis=(1, 2))
     coordinates = np.array([view.coordinate_count for view in problem.views])
@@ -213,7 +225,7 @@ def _camera_fits(
 
 
 def _remarks_on_detections(boards: BoardDetections) -> list[str]:
-    """Sentence on each image in which the detector rejected some corners or circles."""
+    """Return one sentence for each image in which the detector rejected some corners or circles."""
     is_one = len(boards.detections) == 1
     return [
         sentences.detection_remark(shot if is_one else f'{shot}: "{camera}"', remark)
@@ -226,7 +238,10 @@ def _remarks_on_detections(boards: BoardDetections) -> list[str]:
 def _choose_world(
     world: str | None, shots: tuple[str, ...], problem: Problem, cameras: tuple[str, ...]
 ) -> World:
-    """Shot or camera of this name; by default the first of the shots that most cameras saw."""
+    """World frame from the name of a shot or camera.
+
+    Default: the first of the shots that most cameras saw. Raises `InputError` for another name.
+    """
     counts = np.bincount(
         [view.shot for view in problem.views if view.used.any()], minlength=problem.shots
     )
@@ -265,7 +280,7 @@ def _fitted_lenses(
 def _rig(
     lenses: Mapping[str, Intrinsics], cam_from_world: Sequence[Pose], named: NamedCovariance
 ) -> Rig:
-    """Cameras with the covariance of all their estimated parameters."""
+    """Rig with the covariance of all estimated lens and pose parameters."""
     members = {
         camera: Camera(lens, pose)
         for (camera, lens), pose in zip(lenses.items(), cam_from_world, strict=True)

@@ -70,14 +70,14 @@ _CX, _CY = (AFFINE_PARAMETERS.index(name) for name in ("cx_px", "cy_px"))
 
 @dataclasses.dataclass(frozen=True)
 class LensFreedom:
-    """Fixed properties of the estimated lenses.
+    """Which parameters of the lenses are estimated.
 
     Attributes
     ----------
-    distortion : number of coefficients; None for all that the shots determine.
-    same_lens : whether all cameras share one lens.
+    distortion : number of estimated distortion coefficients; None for all that the shots determine.
+    same_lens : whether all cameras have one common lens.
     centred : whether the principal point is fixed at the middle of the image.
-    aspect : fixed ratio fx / fy; None to estimate it.
+    aspect : fixed ratio fx / fy; None to estimate both focal lengths.
     """
 
     distortion: int | None = None
@@ -88,17 +88,17 @@ class LensFreedom:
 
 @dataclasses.dataclass(frozen=True)
 class ShotObservations:
-    """Detections of a board in many shots, and the prior knowledge.
+    """Input of a fit to many shots: detections of the board, given lenses and priors.
 
     Attributes
     ----------
-    detections : for each camera, by shot and number of the board.
+    detections : detections of each camera; the key is (name of the shot, index of the board).
     shots : names of all shots.
-    target : the board.
-    lenses : given intrinsics, by camera.
-    lens_factors : factors of the covariances of given lenses that are not exact, by camera.
-    freedom : fixed properties of the other lenses.
-    systematics : errors of the board.
+    target : the board, or the set of boards.
+    lenses : given intrinsics, by the name of the camera.
+    lens_factors : factor L of the covariance L L^T of each given lens that is not exact.
+    freedom : which parameters of the other lenses are estimated.
+    systematics : standard deviations of the errors of the board.
     tuning : constants of the method.
     """
 
@@ -121,7 +121,10 @@ class ShotObservations:
         systematics: Systematics,
         tuning: CalibTuning = TUNING,
     ) -> "ShotObservations":
-        """Detections with enough corners or circles; each board of a set has its own detection."""
+        """Build the input from detections. Those with too few corners or circles are dropped.
+
+        A detection of several boards of a set is split into one for each board.
+        """
         detections = {
             camera: {
                 (shot, board): part
@@ -161,11 +164,12 @@ class ShotsFit:
 
     Attributes
     ----------
-    initial_rig : poses of cameras and boards at the start of the fit.
-    fit : end of the fit.
-    images_without_grey_levels : (camera, shot, reason) of images whose grey levels are not used.
-    fixed_coefficients : names of undetermined coefficients that were fixed at 0.
-    remarks : sentences on the lenses.
+    initial_rig : initial poses of cameras and boards.
+    fit : the fit.
+    images_without_grey_levels : (camera index, shot index, reason) of images whose grey levels
+        could not be used.
+    fixed_coefficients : names of undetermined distortion coefficients, which were fixed at 0.
+    remarks : notes on the lenses.
     """
 
     initial_rig: InitialRig
@@ -175,14 +179,18 @@ class ShotsFit:
     remarks: tuple[str, ...] = ()
 
     def correct_lenses(self, sizes_px: Sequence[tuple[int, int]]) -> "ShotsFit":
-        """Correct the lenses by splines, if all free parameters are determined."""
+        """Fit again with the lenses corrected by splines, if all estimated parameters are
+        determined.
+
+        sizes_px : (width, height) of each camera's images.
+        """
         is_splined = isinstance(self.fit.problem.state.lenses, AbstractSplinedLens)
         if is_splined or assess_fit(self.fit).status is not Status.CONVERGED:
             return self
         return dataclasses.replace(self, fit=with_correction(self.fit, sizes_px))
 
     def with_remarks(self, *sentences: str) -> "ShotsFit":
-        """Fit with more sentences on the lenses."""
+        """Copy with additional notes on the lenses."""
         return dataclasses.replace(self, remarks=(*self.remarks, *sentences))
 
 
@@ -198,10 +206,13 @@ def fit_shots(
 
     Parameters
     ----------
-    models : lens models; of several, the one with the least held-out error is used.
-    splined : whether splines correct it; None if a test of the residuals decides.
-    images : images whose grey levels are fitted after the corners; None for none.
-    check : called with the fit of the corners; raises an error if it must not be used.
+    observations : detections, given lenses and priors.
+    models : lens models. Of several, the one with the smallest residuals in held-out shots is used.
+    splined : whether this model is corrected by splines; None if a test of the residuals decides.
+    images : images whose grey levels are fitted after the corners. Default: only corners are
+        fitted.
+    check : function that is called with the fit to the corners and raises an error if it must not
+        be used.
 
     Raises
     ------
@@ -223,9 +234,9 @@ def fit_shots(
 
 
 def _fit_unsynchronised(shots_fit: ShotsFit, observations: ShotObservations) -> ShotsFit | None:
-    """Fit of cameras that are not synchronised.
+    """Fit with a separate board pose for each image, for cameras that are not synchronised.
 
-    None if they are synchronised, or if single images do not determine the lenses.
+    None if the cameras are synchronised, or if single images do not determine the lenses.
     """
     images_fit = fit_images_apart(shots_fit.fit)
     if images_fit is None:
@@ -239,9 +250,9 @@ def _fit_unsynchronised(shots_fit: ShotsFit, observations: ShotObservations) -> 
 
 
 def _fix_coefficients(shots_fit: ShotsFit, observations: ShotObservations) -> ShotsFit:
-    """Fix coefficients that the shots do not determine, or that fold an image.
+    """Fix distortion coefficients that the shots do not determine, or that fold an image, at 0.
 
-    The fit does not change if the number of coefficients was given.
+    The fit is unchanged if the user gave the number of coefficients.
     """
     if observations.freedom.distortion is not None:
         return shots_fit
@@ -255,11 +266,11 @@ def _fix_coefficients(shots_fit: ShotsFit, observations: ShotObservations) -> Sh
 def fit_best_lens(
     observations: ShotObservations, models: Sequence[type[AbstractLens]], splined: bool | None
 ) -> ShotsFit:
-    """Fit by the only model, or by the model with the least error on held-out shots.
+    """Fit each lens model, and return the fit with the smallest residuals in held-out shots.
 
-    splined : whether splines correct the best of several models; None if a test decides.
+    Raises `CalibrationError` if no model gives initial poses of the cameras.
 
-    Raises CalibrationError if no model gives initial poses of the cameras.
+    splined : whether the best of several models is corrected by splines; None if a test decides.
     """
     if len(models) == 1:
         return _fit_corners(observations, models[0])
@@ -302,9 +313,9 @@ def fit_best_lens(
 
 
 def _fit_corners(observations: ShotObservations, model: type[AbstractLens]) -> ShotsFit:
-    """Robust fit of corners or circles by one lens model.
+    """Robust fit of one lens model to corners or circles.
 
-    Raises CalibrationError if a camera, or the rig, has no start.
+    Raises `CalibrationError` if no initial lens of a camera, or no initial rig, can be computed.
     """
     if issubclass(model, AbstractSplinedLens):
         core = _fit_corners(observations, model.core_model)
@@ -350,10 +361,11 @@ def _fit_corners(observations: ShotObservations, model: type[AbstractLens]) -> S
 def _build_problem(
     observations: ShotObservations, initial_rig: InitialRig, starts: Mapping[str, CameraStart]
 ) -> Problem:
-    """Problem at its start.
+    """Calibration problem at its initial values.
 
-    Free are all cameras but the first, all boards, the uncertain parameters of the board, and the
-    lenses that are not exact (one per camera, or one for all).
+    These are estimated: the poses of all cameras but the first, the board poses, the uncertain
+    print and warp parameters of the board, and the lenses that are not exact (one per camera, or
+    one for all).
     """
     freedom, lenses = observations.freedom, [start.lens for start in starts.values()]
     sizes = observations.sizes_px

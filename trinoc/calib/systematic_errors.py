@@ -23,27 +23,27 @@ _SHEET_TERMS = [
 
 @in_float64
 def with_systematics(result: CalibrationResult, systematics: Systematics) -> CalibrationResult:
-    """Add systematic errors to the covariance of a calibration.
+    """Add systematic errors of sheet and lens to the covariance of a finished calibration.
 
     Parameters
     ----------
-    result : a calibration from one image of the sheet per camera.
+    result : calibration from one image of the sheet per camera.
     systematics : standard deviations of the errors.
 
     Returns
     -------
-    The same calibration with a larger covariance. A fixed aim stays exact.
+    The same calibration with a larger covariance. A fixed aim remains exact.
 
     Raises
     ------
-    InputError : a negative sigma, a lens covariance of wrong shape or not finite, or one for an
-        unknown camera.
+    InputError : a sigma is negative, or a lens covariance has a wrong shape, is not finite, or
+        belongs to an unknown camera.
 
     Notes
     -----
     An error e moves the circle centres and, to first order, the least-squares solution. Its
-    covariance is propagated by the implicit derivative of the pose, -(J^T J)^-1 J^T dr/de. Nothing
-    is fitted again; `trinoc.calibrate(systematics=)` also estimates these errors from the images.
+    covariance is propagated by the implicit derivative of the pose, -(J^T J)^-1 J^T dr/de, without
+    a new fit. In contrast, `trinoc.calibrate(systematics=)` estimates these errors from the images.
     """
     systematics.check()
     lenses = dict.fromkeys(result.status) | {
@@ -83,8 +83,10 @@ def with_systematics(result: CalibrationResult, systematics: Systematics) -> Cal
 
 
 def _response(result: CalibrationResult, name: str, count: int) -> Float[np.ndarray, "p e"]:
-    """Derivatives of a camera's parameters, in degrees and mm, by the errors of sheet and lens, (p,
-    e).
+    """Derivative of one camera's p pose parameters, in degrees and mm, with respect to e errors,
+    (p, e).
+
+    The errors are those of the sheet (`_SHEET_TERMS`), then those of the lens parameters.
     """
     fit, camera = result.fits[name], result.rig[name]
     sheet_camera = SheetCamera(name, fit.detection, camera.intrinsics, None, camera.pose)
