@@ -22,7 +22,7 @@ from tests.calib.made_shots import (
 )
 from trinoc.calib import BoardSet
 from trinoc.calib.problem.apparent_shift import apparent_shift
-from trinoc.calib.problem.problem import FreeLensParameters, cam_from_board, lens_number
+from trinoc.calib.problem.problem import FreeLensParameters, cam_from_board, lens_of_index
 from trinoc.calib.problem.robust_fit import degrees_of_freedom, whitened_errors
 from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import BoardObservation, SheetPoints, whitening_of_covariance
@@ -109,7 +109,7 @@ def test_a_circle_that_is_shown_elsewhere_is_left_out():
 def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
     here = problem(SHEET)
     view = here.views[0]
-    lens, pose = lens_number(here, 0), cam_from_board(here.state, view)
+    lens, pose = lens_of_index(here, 0), cam_from_board(here.state, view)
     places = SHEET.centres_mm[:5]
     np.testing.assert_allclose(apparent_shift(here, view, pose, lens)(places), 0.0, atol=1e-9)
     warped = eqx.tree_at(lambda state: state.sheet, here.state, np.array([0.0, 0.0, 1.0, 0.0]))

@@ -20,7 +20,7 @@ from tests.calib.simulated_lens import (
 )
 from trinoc.calib import CalibrationResult, Detection, Status, next_shot
 from trinoc.calib.advice.foreseen_shots import candidate_shots
-from trinoc.calib.advice.next_shot import weakly_known_covariance
+from trinoc.calib.advice.next_shot import covariance_with_weak_prior
 from trinoc.calib.lens_calibration import calibrate_intrinsics
 from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.problem import FreeLensParameters
@@ -59,7 +59,7 @@ def test_rounding_below_no_information_is_none():
     ended, information = result.solved_problem, compute_information(result.solved_problem.problem)
 
     def advise(least: float) -> str:
-        covariance = weakly_known_covariance(
+        covariance = covariance_with_weak_prior(
             information._replace(shot_information=with_least(least))
         )
         advice = next_shot(

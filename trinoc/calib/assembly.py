@@ -112,7 +112,7 @@ def _named_covariance(
 ) -> tuple[list[str], Float[np.ndarray, "k k"]]:
     """Names and covariance of the pose parameters of all cameras, in degrees and mm.
 
-    If a lens is uncertain, its focal lengths, principal point and skew are included. Undetermined
+    If a lens is uncertain, its focal lengths and principal point are included. Undetermined
     parameters are NaN.
     """
     names: list[str] = []

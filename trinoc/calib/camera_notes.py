@@ -168,7 +168,7 @@ def notes_of_camera(
         notes.append(sentences.SHARPENED_GREY_LEVELS_DISAGREE)
     elif image_fit is not None and by_circles:
         notes.append(sentences.GREY_LEVELS_DISAGREE)
-    elif camera.agreement < tuning.chance_of_answers:
+    elif camera.agreement_p_value < tuning.chance_of_answers:
         notes.append(sentences.CIRCLES_DISAGREE)
     outliers = detection.circle_index[~circles.used[view]]
     if len(outliers):
@@ -178,8 +178,8 @@ def notes_of_camera(
     if gauge:
         notes.append(sentences.not_determined_one_by_one(gauge))
     quality = image_fit.quality if image_fit is not None else None
-    if quality is not None and quality.found:
-        notes.append(sentences.effects_included(quality.found))
+    if quality is not None and quality.effects:
+        notes.append(sentences.effects_included(quality.effects))
     if quality is not None and quality.pixels_cut > tuning.cut_share * quality.pixels:
         share = quality.pixels_cut / (quality.pixels + quality.pixels_cut)
         notes.append(sentences.pixels_not_used(share))
@@ -188,8 +188,8 @@ def notes_of_camera(
     reduced_chi_square = float(circles.reduced_chi_square[view])
     if by_circles and reduced_chi_square > tuning.large_chi_square:
         notes.append(sentences.circles_scatter(float(np.sqrt(reduced_chi_square))))
-    if camera.scatter > 1.0:
-        notes.append(sentences.parts_disagree(camera.scatter))
+    if camera.sigma_factor > 1.0:
+        notes.append(sentences.parts_disagree(camera.sigma_factor))
     return tuple(notes)
 
 

@@ -11,7 +11,7 @@ from trinoc.calib import sentences
 from trinoc.calib.problem.coefficients import free_of_lenses
 from trinoc.calib.problem.moments import errors_about_image_poses_px, fit_image_poses
 from trinoc.calib.problem.outcome import assess_fit
-from trinoc.calib.problem.problem import Problem, lens_number, with_lens_free
+from trinoc.calib.problem.problem import Problem, lens_of_index, with_lens_free
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, refit
 from trinoc.calib.problem.status import Status
 from trinoc.calib.problem.views import BoardObservation
@@ -181,7 +181,7 @@ def _folds(problem: Problem) -> dict[int, str]:
     for camera, lens in enumerate(np.asarray(problem.parametrization.lens_of_camera).tolist()):
         if lens in folds or not free[lens].any() or camera not in sizes:
             continue
-        intrinsics = Intrinsics.of_lens(simplify_lens(lens_number(problem, lens)), sizes[camera])
+        intrinsics = Intrinsics.of_lens(simplify_lens(lens_of_index(problem, lens)), sizes[camera])
         fold = describe_fold(intrinsics)
         if fold is not None:
             folds[lens] = fold
@@ -201,8 +201,8 @@ def _fixed_sentences(
     was_free, is_free = free_of_lenses(before.problem), free_of_lenses(after.problem)
     remarks = []
     for lens, fold in folds.items():
-        members = [k for k, number in enumerate(lens_of_camera) if number == lens]
-        fixed = [name for name, it_is in zip(names, was_free[lens] & ~is_free[lens]) if it_is]
+        members = [k for k, lens_index in enumerate(lens_of_camera) if lens_index == lens]
+        fixed = [name for name, is_fixed in zip(names, was_free[lens] & ~is_free[lens]) if is_fixed]
         remarks.append(
             sentences.folding_coefficients_fixed(
                 cameras[members[0]],

@@ -15,7 +15,7 @@ from trinoc.calib.lens_of_points import (
     problem_of_points,
 )
 from trinoc.calib.problem.information import whiten_views
-from trinoc.calib.problem.problem import Problem, lens_number
+from trinoc.calib.problem.problem import Problem, lens_of_index
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.status import Status
 from trinoc.calib.refutations import refutations_of_points
@@ -163,7 +163,7 @@ def _result(
         @ (noise**2 * inverse + steps_by_error @ steps_by_error.T)
         @ parameters_by_step.T
     )
-    fitted_lens = straighten_lens(lens_number(problem, 0), type(promote_lens(lens.lens)))
+    fitted_lens = straighten_lens(lens_of_index(problem, 0), type(promote_lens(lens.lens)))
     intrinsics = Intrinsics.of_lens(
         simplify_lens(fitted_lens), lens.image_size_px, lens.pixel_pitch_mm
     )

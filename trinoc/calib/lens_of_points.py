@@ -12,7 +12,7 @@ from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.problem.problem import (
     Problem,
-    lens_number,
+    lens_of_index,
     with_free_head,
     with_priors,
     with_wider_lenses,
@@ -84,7 +84,7 @@ def problem_of_points(
     sheet_camera = SheetCamera(CAMERA, detection, camera.intrinsics, None, pose)
     problem = sheet_problem([sheet_camera], target, SheetPriors(model, Systematics(), tuning))
     count, _ = problem.parametrization.lens_shape
-    lenses = [skew_lens(lens_number(problem, k)) for k in range(count)]
+    lenses = [skew_lens(lens_of_index(problem, k)) for k in range(count)]
     problem = with_wider_lenses(problem, lenses, [camera.image_size_px] * count)
     return with_lens_parameters_free(problem, names)
 
@@ -230,7 +230,7 @@ def fit_under_prior(
     parametrization, (view,) = problem.parametrization, problem.views
     count, size = parametrization.lens_shape
     scale = np.asarray(parametrization.lens_scale)[0]
-    mean = np.asarray(lens_number(problem, 0).parameters)
+    mean = np.asarray(lens_of_index(problem, 0).parameters)
     directions, sizes, _ = np.linalg.svd(lens_errors / scale[:, None], full_matrices=False)
     is_uncertain = sizes > _OPEN_SHARE * sizes[0]
     steps = int(is_uncertain.sum())
@@ -256,7 +256,7 @@ def fit_under_prior(
             with_prior.parametrization, lens_basis=basis, free=free
         )
         fitted, _ = fit_points(with_prior._replace(parametrization=parametrization_with_prior))
-    errors = inverse @ (np.asarray(lens_number(fitted, 0).parameters) - mean)
+    errors = inverse @ (np.asarray(lens_of_index(fitted, 0).parameters) - mean)
     return FitUnderPrior(
         fitted._replace(parametrization=parametrization), float(np.abs(errors).max())
     )

@@ -76,9 +76,11 @@ def choose_lens(
         sigma = excess.std() / np.sqrt(max(len(excess) - 1, 1))
         return bool(excess.mean() > tuning.worse_sigmas * sigma)
 
-    chosen = next(name for name, model_squares in squares.items() if not is_worse(model_squares))
+    model_name = next(
+        name for name, model_squares in squares.items() if not is_worse(model_squares)
+    )
     return LensChoice(
-        chosen,
+        model_name,
         {name: float(np.sqrt(model_squares.mean())) for name, model_squares in squares.items()},
     )
 

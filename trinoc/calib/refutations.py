@@ -21,7 +21,7 @@ from trinoc.calib.problem.outcome import ShotScatter, shot_scatter
 from trinoc.calib.problem.problem import (
     Problem,
     has_lens_prior,
-    lens_number,
+    lens_of_index,
     with_free_head,
     with_wider_lenses,
 )
@@ -216,8 +216,8 @@ class ExactLensTests(NamedTuple):
             compute_information(freed_problem),
             freed_problem.parametrization.lens_shape,
         )
-        number, row = np.divmod(information.free, size)
-        is_tested = np.isin(number, np.flatnonzero(is_exact)) & (number < count)
+        lens_index, row = np.divmod(information.free, size)
+        is_tested = np.isin(lens_index, np.flatnonzero(is_exact)) & (lens_index < count)
         errors = np.concatenate(
             [error[view.rows_used] for view, error in zip(problem.views, errors_px(problem))]
         )
@@ -227,7 +227,7 @@ class ExactLensTests(NamedTuple):
         names = [lens.parameter_names[column] for column in row[is_tested]]
         column_of = {
             parameter: column
-            for column, parameter in enumerate(zip(number[is_tested].tolist(), names))
+            for column, parameter in enumerate(zip(lens_index[is_tested].tolist(), names))
         }
         score = FixedScore(
             remaining, gradient, total_information, fit.chi_square, fit.freedom, are_exact
@@ -266,7 +266,7 @@ class ExactLensTests(NamedTuple):
         """
         if not self.significant:
             return None
-        group = number, parameters = self.significant[0]
+        group = lens_index, parameters = self.significant[0]
         test = self.score.test(self.columns[group])
         if not is_refuted(
             test.p_value_with_noise(*self.noise),
@@ -275,7 +275,7 @@ class ExactLensTests(NamedTuple):
         ):
             return None
         test = test.with_noise(self.noise.variance)
-        owners = _cameras_of_lens(self.problem, self.cameras, number)
+        owners = _cameras_of_lens(self.problem, self.cameras, lens_index)
         offsets, sigmas = _offset_and_sigma(self._scale(group), test)
         return sentences.shots_refute_lens(owners, parameters, offsets, sigmas)
 
@@ -300,7 +300,7 @@ class ExactLensTests(NamedTuple):
         tuning = self.problem.tuning.answer
         worst, sentence = tuning.strain_sigmas, None
         for group, columns in self.columns.items():
-            test, (number, parameters) = self.score.test(columns), group
+            test, (lens_index, parameters) = self.score.test(columns), group
             if parameters[0] not in AFFINE_PARAMETERS or test.freedom < len(parameters):
                 continue
             root = np.linalg.cholesky(test.with_noise(self.noise.variance).covariance)
@@ -314,7 +314,7 @@ class ExactLensTests(NamedTuple):
             worst = float(strain[row])
             offsets = self._scale(group) * (error @ motion[row]) / worst
             camera = self.cameras[(fitted.free[is_pose][row] - cameras.start) // POSE_SIZE]
-            owners = _cameras_of_lens(self.problem, self.cameras, number)
+            owners = _cameras_of_lens(self.problem, self.cameras, lens_index)
             sentence = sentences.lens_error_undetectable(owners, parameters, offsets, camera, worst)
         return sentence
 
@@ -322,10 +322,10 @@ class ExactLensTests(NamedTuple):
         """Change of each of k parameters of a group for a unit change of its local coordinate,
         (k,).
         """
-        number, parameters = group
+        lens_index, parameters = group
         names = self.problem.state.lenses.parameter_names
         return np.asarray(self.problem.parametrization.lens_scale)[
-            number, [names.index(n) for n in parameters]
+            lens_index, [names.index(n) for n in parameters]
         ]
 
 
@@ -339,24 +339,24 @@ def describe_strained_lens(problem: Problem, cameras: Sequence[str]) -> str | No
     cameras : names of the cameras.
     """
     worst, sentence, priors = problem.tuning.answer.strain_sigmas, None, problem.priors
-    for number in np.flatnonzero(has_lens_prior(problem.priors)).tolist():
-        scale = np.asarray(problem.parametrization.lens_scale)[number]
-        lens = lens_number(problem, number)
-        offset = np.asarray(lens.parameters) - priors.lens_mean[number]
-        information = priors.lens_information[number] * np.outer(scale, scale)
+    for lens_index in np.flatnonzero(has_lens_prior(problem.priors)).tolist():
+        scale = np.asarray(problem.parametrization.lens_scale)[lens_index]
+        lens = lens_of_index(problem, lens_index)
+        offset = np.asarray(lens.parameters) - priors.lens_mean[lens_index]
+        information = priors.lens_information[lens_index] * np.outer(scale, scale)
         values, axes = np.linalg.eigh(information)
         strain = float(np.abs(np.sqrt(np.maximum(values, 0.0)) * (axes.T @ (offset / scale))).max())
         if strain > worst:
             worst = strain
-            owners = _cameras_of_lens(problem, cameras, number)
+            owners = _cameras_of_lens(problem, cameras, lens_index)
             sentence = sentences.lens_of_cameras_strained(owners, strain)
     return sentence
 
 
-def _cameras_of_lens(problem: Problem, cameras: Sequence[str], number: int) -> list[str]:
-    """Names of the cameras that use the lens with index `number`."""
+def _cameras_of_lens(problem: Problem, cameras: Sequence[str], lens_index: int) -> list[str]:
+    """Names of the cameras that use the lens with index `lens_index`."""
     lens_of_camera = np.asarray(problem.parametrization.lens_of_camera)
-    return [name for name, lens in zip(cameras, lens_of_camera) if lens == number]
+    return [name for name, lens in zip(cameras, lens_of_camera) if lens == lens_index]
 
 
 def _with_free_lenses(problem: Problem, freed: Bool[np.ndarray, "l"]) -> Problem:
@@ -366,7 +366,7 @@ def _with_free_lenses(problem: Problem, freed: Bool[np.ndarray, "l"]) -> Problem
     """
     free, sizes = free_of_lenses(problem), problem.image_sizes_px
     first = [int(np.argmax(problem.parametrization.lens_of_camera == k)) for k in range(len(freed))]
-    lenses = [skew_lens(lens_number(problem, k)) for k in range(len(freed))]
+    lenses = [skew_lens(lens_of_index(problem, k)) for k in range(len(freed))]
     wider = with_wider_lenses(problem, lenses, [sizes[camera] for camera in first])
     names, never_fitted = lenses[0].parameter_names, lenses[0].never_fitted
     free = np.pad(free, ((0, 0), (0, len(names) - free.shape[1])))

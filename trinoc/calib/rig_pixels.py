@@ -16,7 +16,7 @@ from jaxtyping import Float
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.photometric.views import refine_views
 from trinoc.calib.problem.apparent_shift import apparent_shift
-from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
+from trinoc.calib.problem.problem import Problem, cam_from_board, lens_of_index
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, finish_fit, fit_points
 from trinoc.calib.problem.views import BoardObservation
 from trinoc.calib.problem.wrong_circles import drop_wrong_circles
@@ -115,7 +115,7 @@ def fit_pixels(fit: RobustFit, read_grey: GreyOfView) -> PixelFit:
 
     read_grey : function that returns the grey levels of the image of an observation.
     """
-    problem, without_grey_levels = _with_own_sigmas(fit.problem), []
+    problem, without_grey_levels = _with_factors_in_covariances(fit.problem), []
     board = _find_ink(problem, read_grey)
     for _ in range(_MOST_ROUNDS):
         views, without_grey_levels = _fit_images(problem, board, read_grey)
@@ -141,7 +141,7 @@ def _find_ink(problem: Problem, read_grey: GreyOfView) -> Pattern | SquareSheet:
     return square_sheet(board)
 
 
-def _with_own_sigmas(problem: Problem) -> Problem:
+def _with_factors_in_covariances(problem: Problem) -> Problem:
     """Problem in which all sigma factors are multiplied into the covariances of the points.
 
     The factors themselves are then 1.
@@ -172,7 +172,7 @@ def _fit_images(
     used = {str(k): view for k, view in enumerate(problem.views) if view.used.any()}
     poses = {name: cam_from_board(problem.state, view) for name, view in used.items()}
     lenses = {
-        name: lens_number(problem, int(problem.parametrization.lens_of_camera[view.camera]))
+        name: lens_of_index(problem, int(problem.parametrization.lens_of_camera[view.camera]))
         for name, view in used.items()
     }
     shifts = {}
@@ -206,8 +206,8 @@ def quarters_of_tags(problem: Problem, board: AprilGrid, read_grey: GreyOfView) 
     dictionary = opencv_dictionary(board.dictionary)
     cells = np.stack(
         [
-            marker_cells(dictionary, number, border=board.border)
-            for number in range(board.first, board.first + len(board.tags_mm))
+            marker_cells(dictionary, marker_id, border=board.border)
+            for marker_id in range(board.first, board.first + len(board.tags_mm))
         ]
     )
     middles = (np.arange(cells.shape[1]) + 0.5) / cells.shape[1] - 0.5
@@ -215,7 +215,7 @@ def quarters_of_tags(problem: Problem, board: AprilGrid, read_grey: GreyOfView) 
     cells_mm = board.tags_mm[:, None] + board.tag_mm * np.stack([x, y], axis=-1).reshape(1, -1, 2)
     contrast = np.zeros(4)
     for view in [view for view in problem.views if view.used.any()][:_MOST_VIEWS]:
-        lens = lens_number(problem, int(problem.parametrization.lens_of_camera[view.camera]))
+        lens = lens_of_index(problem, int(problem.parametrization.lens_of_camera[view.camera]))
         cells_px = project_points(
             cam_from_board(problem.state, view), lens, on_board(cells_mm.reshape(-1, 2))
         )

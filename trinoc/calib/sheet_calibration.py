@@ -260,7 +260,7 @@ def adjust_group(
         for view, camera in enumerate(candidates)
     )
     if any(
-        before.method != after.method or after.scatter > 1.0
+        before.method != after.method or after.sigma_factor > 1.0
         for before, after in zip(candidates, final_cameras)
     ):
         adjustment = adjust(final_cameras, pattern, priors, by_circles)

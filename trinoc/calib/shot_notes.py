@@ -10,7 +10,7 @@ from trinoc.calib.problem.lens_correction import measure_corrections
 from trinoc.calib.problem.misfit_causes import MisfitCause
 from trinoc.calib.problem.named_covariance import NamedCovariance
 from trinoc.calib.problem.outcome import FitOutcome
-from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
+from trinoc.calib.problem.problem import Problem, cam_from_board, lens_of_index
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px
 from trinoc.calib.problem.status import Status
 from trinoc.calib.starts.placing import boards_are_parallel
@@ -155,7 +155,7 @@ def notes_of_lens(problem: Problem, camera: str, named: NamedCovariance) -> tupl
 
     camera : name of the camera. named : covariance of the public parameters.
     """
-    lens, notes = lens_number(problem, 0), []
+    lens, notes = lens_of_index(problem, 0), []
     rows = [named.names.index(f"{camera}.{name}") for name in lens.parameter_names]
     covariance = named.covariance[np.ix_(rows, rows)]
     variance = dict(zip(lens.parameter_names, np.diag(covariance), strict=True))
@@ -180,7 +180,7 @@ def _share_reached(problem: Problem) -> float:
     corner.
     """
     observed_px = np.concatenate([view.detection.centres_px for view in problem.views])
-    middle = np.asarray(lens_number(problem, 0).principal_point_px)
+    middle = np.asarray(lens_of_index(problem, 0).principal_point_px)
     width, height = problem.image_sizes_px[0]
     corners_px = np.array([[0, 0], [width, 0], [0, height], [width, height]]) - 0.5
     observed_distance, corner_distance = (

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from trinoc.calib import sentences
 from trinoc.calib.advice.halves import compare_halves, cross_validate
-from trinoc.calib.advice.next_shot import weakly_known_covariance
+from trinoc.calib.advice.next_shot import covariance_with_weak_prior
 from trinoc.calib.folded_lens import FoldFindings, assess_folds, observed_pixels
 from trinoc.calib.problem.misfit_causes import find_causes
 from trinoc.calib.problem.named_covariance import (
@@ -18,7 +18,7 @@ from trinoc.calib.problem.named_covariance import (
     undetermined_rows,
 )
 from trinoc.calib.problem.outcome import FitOutcome, assess_fit
-from trinoc.calib.problem.problem import Problem, SolvedProblem, lens_number
+from trinoc.calib.problem.problem import Problem, SolvedProblem, lens_of_index
 from trinoc.calib.problem.robust_fit import RobustFit, errors_px, whitened_errors
 from trinoc.calib.problem.status import Status
 from trinoc.calib.refutations import ExactLensTests, describe_strained_lens
@@ -162,7 +162,7 @@ def _solved_problem(problem: Problem, outcome: FitOutcome) -> SolvedProblem | No
         return None
     if outcome.status is Status.CONVERGED:
         return SolvedProblem(problem, outcome.covariance, outcome.variance_factor)
-    return SolvedProblem(problem, weakly_known_covariance(outcome.information), 1.0)
+    return SolvedProblem(problem, covariance_with_weak_prior(outcome.information), 1.0)
 
 
 def _named_with_gauge(
@@ -183,7 +183,7 @@ def _named_with_gauge(
         return named, ()
     is_open = undetermined_rows(problem, information, named.names, world_frame)
     covariance[is_open], covariance[:, is_open], values[is_open] = np.nan, np.nan, np.nan
-    gauge = tuple(name for name, it_is in zip(named.names, is_open) if it_is)
+    gauge = tuple(name for name, is_undetermined in zip(named.names, is_open) if is_undetermined)
     return NamedCovariance(named.names, values, covariance), gauge
 
 
@@ -206,8 +206,8 @@ def _camera_fits(
     # Each camera has a share of the degrees of freedom by its number of coordinates.
     freedom = coordinates * (max(fit.freedom, 0) / max(int(coordinates.sum()), 1))
     least_sigma = _EXACT * np.nanmax(sigma, initial=0.0)
-    for number, camera in enumerate(cameras):
-        rows = [k for k, view in enumerate(problem.views) if view.camera == number]
+    for camera_index, camera in enumerate(cameras):
+        rows = [k for k, view in enumerate(problem.views) if view.camera == camera_index]
         residuals = [np.zeros((0, 2)), *(residuals_px[k] for k in rows)]
         used = [np.zeros(0, dtype=bool), *(problem.views[k].rows_used for k in rows)]
         prefix, total = f"{camera}.", float(freedom[rows].sum())
@@ -218,7 +218,7 @@ def _camera_fits(
             rank=int(np.sum(is_of_camera & np.isfinite(sigma) & (sigma > least_sigma))),
             reduced_chi_square=float(chi_square[rows].sum()) / total if total > 0 else float("nan"),
             gauge=tuple(name.removeprefix(prefix) for name in gauge if name.startswith(prefix)),
-            sigma_factor=float(problem.sigma_factor[number]),
+            sigma_factor=float(problem.sigma_factor[camera_index]),
             method=method,
         )
     return fits
@@ -271,9 +271,11 @@ def _fitted_lenses(
     problem: Problem, cameras: tuple[str, ...], pixel_pitch_mm: tuple[float, float] | None
 ) -> dict[str, Intrinsics]:
     sizes, lenses = problem.image_sizes_px, {}
-    for number, camera in enumerate(cameras):
-        lens = lens_number(problem, int(problem.parametrization.lens_of_camera[number]))
-        lenses[camera] = Intrinsics.of_lens(simplify_lens(lens), sizes[number], pixel_pitch_mm)
+    for camera_index, camera in enumerate(cameras):
+        lens = lens_of_index(problem, int(problem.parametrization.lens_of_camera[camera_index]))
+        lenses[camera] = Intrinsics.of_lens(
+            simplify_lens(lens), sizes[camera_index], pixel_pitch_mm
+        )
     return lenses
 
 

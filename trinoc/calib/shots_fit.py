@@ -33,7 +33,7 @@ from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.lens_correction import (
     add_splines,
     with_correction,
-    with_own_correction_sigmas,
+    with_estimated_correction_sigmas,
 )
 from trinoc.calib.problem.moments import find_unsynchronised_images, split_into_own_shots
 from trinoc.calib.problem.outcome import assess_fit, shot_scatter
@@ -70,7 +70,7 @@ _CX, _CY = (AFFINE_PARAMETERS.index(name) for name in ("cx_px", "cy_px"))
 
 @dataclasses.dataclass(frozen=True)
 class LensFreedom:
-    """Which parameters of the lenses are estimated.
+    """Selection of the lens parameters that a fit estimates.
 
     Attributes
     ----------
@@ -225,7 +225,7 @@ def fit_shots(
     if images is not None:
         read_grey = grey_levels(images, observations.cameras, corners.initial_rig.shots)
         fit, without_grey_levels = fit_pixels(fit, read_grey)
-        fit = with_own_correction_sigmas(with_board_shape(fit))
+        fit = with_estimated_correction_sigmas(with_board_shape(fit))
     shots_fit = dataclasses.replace(
         corners, fit=fit, images_without_grey_levels=without_grey_levels
     )
@@ -402,9 +402,9 @@ def _build_problem(
         initial_rig.set_from_board,
         observations.tuning,
     )
-    for number, factor in enumerate(factors[: len(lenses)]):
+    for lens_index, factor in enumerate(factors[: len(lenses)]):
         if factor is not None:
-            problem = with_lens_prior(problem, number, factor)
+            problem = with_lens_prior(problem, lens_index, factor)
     return problem if freedom.aspect is None else with_fixed_aspect(problem)
 
 

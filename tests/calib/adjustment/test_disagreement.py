@@ -128,7 +128,7 @@ def test_grey_levels_that_differ_are_believed_where_their_places_agree_with_each
         camera, grey_level_points=SheetPoints(SHEET.centres_mm, places_px, root)
     )
     choice = choose_observations(0, shown, circles, adjusted([shown]))
-    assert choice.agreement < 1e-3
+    assert choice.agreement_p_value < 1e-3
     assert choice.method == method
 
 
@@ -158,5 +158,5 @@ def test_grey_levels_of_sharpened_pictures_that_differ_give_way_to_sound_circles
     picture = PictureFit(points, None, None, is_processed)
     shown = dataclasses.replace(camera, grey_level_fit=picture, grey_level_points=points)
     choice = choose_observations(0, shown, circles, adjusted([shown], known))
-    assert choice.agreement < 1e-2
+    assert choice.agreement_p_value < 1e-2
     assert choice.method == method

@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from tests.calib.made_shots import BOARD, LENSES, SIZE_PX, lens_of, shots
 from trinoc.calib.problem.coefficients import free_of_lenses
-from trinoc.calib.problem.problem import lens_number, with_lens_free, with_wider_lenses
+from trinoc.calib.problem.problem import lens_of_index, with_lens_free, with_wider_lenses
 from trinoc.calib.problem.variables import evaluate_prior
 from trinoc.calib.result.calibration import Status
 from trinoc.calib.rig_calibration import calibrate_rig
@@ -102,7 +102,7 @@ def test_what_is_known_of_a_lens_stays_with_more_parameters_and_with_fewer_free(
     assert found.solved_problem is not None
     problem = found.solved_problem.problem
     before = evaluate_prior(problem.state, problem.parametrization).cost
-    skewed = [skew_lens(lens_number(problem, number)) for number in range(2)]
+    skewed = [skew_lens(lens_of_index(problem, number)) for number in range(2)]
     wider = with_wider_lenses(problem, skewed, [SIZE_PX, SIZE_PX])
     assert evaluate_prior(wider.state, wider.parametrization).cost == pytest.approx(before)
     free = free_of_lenses(problem)

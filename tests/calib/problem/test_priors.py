@@ -13,7 +13,7 @@ from tests.calib.problem.equations import cost_of_places
 from tests.calib.problem.made_problem import problem
 from trinoc.calib.problem.board_shape import with_free_points
 from trinoc.calib.problem.equations import PointsProblem
-from trinoc.calib.problem.problem import lens_number
+from trinoc.calib.problem.problem import lens_of_index
 from trinoc.calib.problem.sheet import BentPaper, WarpedBoard
 from trinoc.calib.problem.variables import Priors, evaluate_prior, retract
 from trinoc.geometry.pose import PoseModel
@@ -39,7 +39,7 @@ def with_every_prior(sheet_model):
     before = parametrization.free[: slices.sheets.start]
     after = parametrization.free[slices.points]
     shape_root = random.normal(size=(len(after), len(after)))
-    means = np.stack([lens_number(here, k).parameters for k in range(lenses)])
+    means = np.stack([lens_of_index(here, k).parameters for k in range(lenses)])
     priors = Priors(
         lens_mean=means + roots @ random.normal(size=size),
         lens_information=np.linalg.inv(covariance),

@@ -22,7 +22,7 @@ from trinoc.calib.problem.lens_correction import (
     measure_corrections,
     with_correction,
 )
-from trinoc.calib.problem.problem import FreeLensParameters, lens_number, with_priors
+from trinoc.calib.problem.problem import FreeLensParameters, lens_of_index, with_priors
 from trinoc.calib.problem.robust_fit import RobustFit
 from trinoc.calib.problem.starting_problem import start_problem
 from trinoc.calib.problem.views import BoardObservation
@@ -125,7 +125,7 @@ def test_control_points_are_told_as_far_as_the_shots_know_more_than_the_prior():
     shown = information.shot_information.sum(axis=0)[np.ix_(information.free, information.free)]
     assert told[0] == pytest.approx(np.trace((covariance @ shown)[np.ix_(own, own)]), rel=1e-5)
     assert 5 < told[0] < 0.9 * len(own)
-    parameters = lens_number(here, 0).parameters
+    parameters = lens_of_index(here, 0).parameters
     assert squares[0] == pytest.approx(parameters @ unit @ parameters)
 
 
@@ -183,7 +183,7 @@ def corrected(seed):
     rows = np.ix_(information.free[:249], information.free[:249])
     covariance = np.zeros((len(scale), len(scale)))
     covariance[rows] = information.observability.covariance[:249, :249]
-    lens = lens_number(end, 0)
+    lens = lens_of_index(end, 0)
     assert isinstance(lens, AbstractSplinedLens)
     return end, lens, *field_error(lens, covariance * np.outer(scale, scale))
 

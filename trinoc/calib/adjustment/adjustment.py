@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.problem.information import WhitenedViews, whiten_views
-from trinoc.calib.problem.problem import Problem, lens_number
+from trinoc.calib.problem.problem import Problem, lens_of_index
 from trinoc.calib.problem.robust_fit import (
     fit_points,
     fit_without_wrong_points,
@@ -98,7 +98,7 @@ class Adjustment:
 
     def lens(self, view: int) -> AbstractLens:
         """Estimated lens of a camera."""
-        return lens_number(self.problem, self._lens_of(view))
+        return lens_of_index(self.problem, self._lens_of(view))
 
     def distance_mm(self, view: int) -> float:
         """Distance from the camera's centre of projection to the sheet along the
@@ -114,10 +114,10 @@ class Adjustment:
         """Estimated minus given lens along each principal axis of its prior, in sigmas of the
         prior, (r,).
         """
-        number = self._lens_of(view)
-        change = np.asarray(self.lens(view).parameters) - self.problem.priors.lens_mean[number]
-        count = int(np.sum(self.problem.free[self.problem.slices.lens(number)]))
-        basis = self.problem.parametrization.lens_basis[number][:, :count]
+        lens_index = self._lens_of(view)
+        change = np.asarray(self.lens(view).parameters) - self.problem.priors.lens_mean[lens_index]
+        count = int(np.sum(self.problem.free[self.problem.slices.lens(lens_index)]))
+        basis = self.problem.parametrization.lens_basis[lens_index][:, :count]
         steps, *_ = np.linalg.lstsq(basis, change)
         return steps
 

@@ -66,12 +66,14 @@ def choose_observations(
     else:
         uses_pixels = agrees or is_consistent
     if uses_pixels:
-        return replace(camera, agreement=agreement)
+        return replace(camera, agreement_p_value=agreement)
     scatter = scatter_of_blocks(by_circles, view)
     # If the model of the grey levels is wrong, the circles may be wrong, too.
     if not has_pixels and scatter <= tuning.largest_scatter:
         scatter = 1.0
-    return replace(camera, grey_level_points=None, agreement=agreement, scatter=scatter)
+    return replace(
+        camera, grey_level_points=None, agreement_p_value=agreement, sigma_factor=scatter
+    )
 
 
 def _has_open_model(adjustment: Adjustment) -> bool:
@@ -152,8 +154,8 @@ def _blocks(circle_mm: np.ndarray, used: np.ndarray, blocks: int) -> list[np.nda
     """
     low, high = circle_mm.min(axis=0), circle_mm.max(axis=0)
     cell = np.floor((circle_mm - low) / (high - low + 1e-9) * blocks).astype(int)
-    number = np.where(used, cell[:, 0] * blocks + cell[:, 1], -1)
-    return [np.flatnonzero(number == k) for k in range(blocks**2) if (number == k).any()]
+    block_index = np.where(used, cell[:, 0] * blocks + cell[:, 1], -1)
+    return [np.flatnonzero(block_index == k) for k in range(blocks**2) if (block_index == k).any()]
 
 
 def probability_of_agreement(by_circles: Adjustment, by_pixels: Adjustment, view: int) -> float:

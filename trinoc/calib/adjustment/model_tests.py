@@ -29,9 +29,9 @@ def run_fixed_parameter_tests(adjustment: Adjustment, view: int) -> list[FixedPa
     columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_fixed else {}
     if adjustment.cameras[view].lens_factor is None:
         # A step of a lens that is exact is a change of one parameter.
-        number = int(problem.parametrization.lens_of_camera[view])
-        by_lens = by_head[:, problem.slices.lens(number)]
-        by_lens = by_lens / problem.parametrization.lens_scale[number]
+        lens_index = int(problem.parametrization.lens_of_camera[view])
+        by_lens = by_head[:, problem.slices.lens(lens_index)]
+        by_lens = by_lens / problem.parametrization.lens_scale[lens_index]
         focal = np.asarray(adjustment.lens(view).focal_length_px)
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
         columns["aspect"] = by_lens[:, _FOCAL] @ (focal * _ASPECT)[:, None]

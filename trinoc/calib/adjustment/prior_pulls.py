@@ -232,20 +232,22 @@ def _of_lenses(adjustment: Adjustment) -> list[Unknown]:
     parametrization, unknowns = adjustment.problem.parametrization, []
     count = len(adjustment.used)
     lens_of_camera = np.asarray(parametrization.lens_of_camera)[:count]
-    for number in dict.fromkeys(lens_of_camera.tolist()):
-        views = tuple(np.flatnonzero(lens_of_camera == number).tolist())
+    for lens_index in dict.fromkeys(lens_of_camera.tolist()):
+        views = tuple(np.flatnonzero(lens_of_camera == lens_index).tolist())
         rows = adjustment.lens_rows(views[0])
         by_step = np.zeros((parametrization.lens_basis.shape[1], len(adjustment.free)))
-        by_step[:, rows] = np.asarray(parametrization.lens_basis)[number][:, : len(rows)]
+        by_step[:, rows] = np.asarray(parametrization.lens_basis)[lens_index][:, : len(rows)]
         focal_px = np.asarray(adjustment.lens(views[0]).focal_length_px)
         relative = by_step[:2] / focal_px[:, None]
-        parts = {
+        by_step_of_kind = {
             "focal length": relative.mean(axis=0, keepdims=True),
             "aspect": relative[:1] - relative[1:],
             "principal point": by_step[2:4],
             "distortion": by_step[4:],
         }
-        unknowns += [Unknown(kind, views, part) for kind, part in parts.items()]
+        unknowns += [
+            Unknown(kind, views, derivative) for kind, derivative in by_step_of_kind.items()
+        ]
     return unknowns
 
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
+from trinoc.calib.problem.problem import Problem, cam_from_board, lens_of_index
 from trinoc.calib.problem.variables import (
     POSE_SIZE,
     Parametrization,
@@ -103,7 +103,7 @@ def _image_field(problem: Problem, camera: int) -> _Field:
     # Centres of equal cells of the image, row by row.
     u, v = ((np.arange(MAP_SIZE) + 0.5) * side / MAP_SIZE - 0.5 for side in sides)
     uv_px = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    lens = lens_number(problem, int(problem.parametrization.lens_of_camera[camera]))
+    lens = lens_of_index(problem, int(problem.parametrization.lens_of_camera[camera]))
     rays, boards = unproject_pixels(lens, uv_px), list_boards(problem.target)
     back_px = project_points(IN_PLACE, lens, rays)
     middles = [
@@ -146,8 +146,8 @@ def _derivatives(
 def _images(state: RigState, parametrization: Parametrization, points: ArrayLike) -> ArrayLike:
     """Predicted pixels, (c, 2, n, 2), of the points (c, 2, n, 3) of each of c cameras."""
 
-    def of_camera(pose: ArrayLike, number: ArrayLike, camera_points: ArrayLike) -> ArrayLike:
-        lens = jax.tree.map(lambda leaf: leaf[number], state.lenses)
+    def of_camera(pose: ArrayLike, lens_index: ArrayLike, camera_points: ArrayLike) -> ArrayLike:
+        lens = jax.tree.map(lambda leaf: leaf[lens_index], state.lenses)
         return jax.vmap(jax.vmap(lambda point: project_point(Pose(pose), lens, point)))(
             camera_points
         )

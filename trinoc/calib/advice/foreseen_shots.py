@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from trinoc.calib.detection.detection import build_detection
 from trinoc.calib.problem.information import compute_information
-from trinoc.calib.problem.problem import Problem, cam_from_board, lens_number
+from trinoc.calib.problem.problem import Problem, cam_from_board, lens_of_index
 from trinoc.calib.problem.robust_fit import errors_px
 from trinoc.calib.problem.views import BoardObservation
 from trinoc.calib.starts.camera_start import on_board
@@ -62,10 +62,10 @@ def candidate_shots(problem: Problem) -> list[Candidate]:
     set_from_board = [Pose(pose_matrix) for pose_matrix in np.asarray(problem.state.set_from_board)]
     shots = []
     for camera, size_px in problem.image_sizes_px.items():
-        lens = lens_number(problem, int(problem.parametrization.lens_of_camera[camera]))
+        lens = lens_of_index(problem, int(problem.parametrization.lens_of_camera[camera]))
         rig_from_cam = Pose(np.asarray(problem.state.cam_from_rig)[camera]).inverse
-        for fill, (number, board) in product(rules.fills, enumerate(members)):
-            board_label = f'"{names[number]}" ' if len(members) > 1 else ""
+        for fill, (board_index, board) in product(rules.fills, enumerate(members)):
+            board_label = f'"{names[board_index]}" ' if len(members) > 1 else ""
             distance = _distance_mm(board, lens, fill * min(size_px))
             share = np.array([0.5 * fill + rules.margin, 0.5, 1.0 - 0.5 * fill - rules.margin])
             rows, columns = (grid.ravel() for grid in np.meshgrid(range(3), range(3)))
@@ -78,7 +78,7 @@ def candidate_shots(problem: Problem) -> list[Candidate]:
                 for turn, axes in _TURNS.items():
                     pose = rig_from_cam @ _hold(board, ray, distance, axes, rules.tilt_deg)
                     if len(members) > 1:
-                        pose @= set_from_board[number].inverse
+                        pose @= set_from_board[board_index].inverse
                     shots.append(
                         Candidate(
                             camera, f"{position}, {turn.format(rules.tilt_deg)}", distance, pose
@@ -150,7 +150,7 @@ def foresee_shots(problem: Problem, candidates: list[Candidate]) -> list[Foresee
     program compiles again.
     """
     sigma_px, shots = point_sigma_px(problem), []
-    lenses = [lens_number(problem, int(k)) for k in problem.parametrization.lens_of_camera]
+    lenses = [lens_of_index(problem, int(k)) for k in problem.parametrization.lens_of_camera]
     fold_rad = [lens.fold_angle_rad() for lens in lenses]
     in_each = problem.cameras * len(list_boards(problem.target))
     portion = max(1, min(len(problem.state.rig_from_board), len(problem.table.shot) // in_each))
@@ -207,12 +207,12 @@ def _pose_candidates(
     views = []
     firsts, members = first_point_indices(problem.target), list_boards(problem.target)
     for camera, size_px in sizes.items():
-        for number, (first, board) in enumerate(zip(firsts, members, strict=True)):
+        for board_index, (first, board) in enumerate(zip(firsts, members, strict=True)):
             index, zero_px = first + np.arange(len(board)), np.zeros((len(board), 2))
             covariance = np.tile(sigma_px[camera] ** 2 * np.eye(2), (len(board), 1, 1))
             detection = build_detection(index[None], zero_px, covariance, size_px)
             view = BoardObservation(
-                camera, 0, detection, np.ones(len(board), dtype=bool), board=number
+                camera, 0, detection, np.ones(len(board), dtype=bool), board=board_index
             )
             views += [view._replace(shot=s) for s in range(len(candidates))]
     # Keep the number of observations, so that no program compiles again.

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from trinoc.calib.advice.field_difference import field_differences
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.outcome import enlarge_covariance
-from trinoc.calib.problem.problem import Problem, lens_number, with_fixed_head, with_fixed_sheet
+from trinoc.calib.problem.problem import Problem, lens_of_index, with_fixed_head, with_fixed_sheet
 from trinoc.calib.problem.robust_fit import errors_px, fit_points
 from trinoc.calib.result.halves import CrossValidation, HalvesCheck
 from trinoc.calib.targets.board_set import board_prefixes
@@ -147,7 +147,7 @@ def compare_halves(
     ratio = float(np.sqrt(square / directions))
     normalised = np.abs(difference) / sigma
     worst = int(np.argmax(normalised))
-    names = head_names(problem, cameras)
+    names = shared_parameter_names(problem, cameras)
     column = int(np.flatnonzero(problem.free)[worst])
     over_field = field_differences(problem, states, covariance, cameras)
     return HalvesCheck(ratio, names[column], float(normalised[worst]), directions, over_field)
@@ -198,7 +198,7 @@ def find_steps_to_half(problem: Problem, end: Problem) -> np.ndarray:
     """
     parametrization, lenses = problem.parametrization, range(problem.parametrization.lens_shape[0])
     whole_lenses, half_lenses = (
-        np.stack([lens_number(fitted, k).parameters for k in lenses]) for fitted in (problem, end)
+        np.stack([lens_of_index(fitted, k).parameters for k in lenses]) for fitted in (problem, end)
     )
     by_lens = (half_lenses - whole_lenses) / np.asarray(parametrization.lens_scale)
     start, stop = (
@@ -228,7 +228,7 @@ def _motions(
     return jax.vmap(motion)(before, after)
 
 
-def head_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
+def shared_parameter_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
     """Names of all parameters that the shots have in common: lenses, cameras, boards in a set,
     sheets.
 

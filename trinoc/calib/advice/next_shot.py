@@ -12,7 +12,7 @@ from trinoc.calib.advice.foreseen_shots import (
     candidate_shots,
     foresee_shots,
 )
-from trinoc.calib.advice.halves import head_names
+from trinoc.calib.advice.halves import shared_parameter_names
 from trinoc.calib.problem.information import Information
 from trinoc.calib.problem.problem import Problem
 from trinoc.calib.result.calibration import CalibrationResult
@@ -160,7 +160,7 @@ def _instruction(candidate: Candidate, names: Sequence[str], cameras: Sequence[s
     )
 
 
-def weakly_known_covariance(information: Information) -> Float[np.ndarray, "f f"]:
+def covariance_with_weak_prior(information: Information) -> Float[np.ndarray, "f f"]:
     """Covariance, (f, f), of the estimated parameters with an additional weak prior.
 
     The prior gives undetermined directions a finite variance.
@@ -217,7 +217,10 @@ def _lens_sigmas(
 
     Spline coefficients are omitted.
     """
-    names, scale = head_names(problem, cameras), np.ravel(problem.parametrization.lens_scale)
+    names, scale = (
+        shared_parameter_names(problem, cameras),
+        np.ravel(problem.parametrization.lens_scale),
+    )
     free = np.flatnonzero(problem.free)
     lens_columns = free[free < len(scale)]
     sigma = np.sqrt(np.diag(covariance)[: len(lens_columns)])

@@ -110,7 +110,7 @@ def segment_and_errors(
     cameras: CameraState,
     fragments_px: Float[ArrayLike, "v 2 2"],
     covariance_px2: Float[ArrayLike, "v 4 4"],
-    seen: Bool[ArrayLike, "v"],
+    is_observed: Bool[ArrayLike, "v"],
 ) -> tuple[Float[ArrayLike, "2 3"], Float[ArrayLike, "6 6"], Float[ArrayLike, "6 k"]]:
     """Triangulate a 3-D segment from its images, and propagate the errors of images and cameras.
 
@@ -121,22 +121,27 @@ def segment_and_errors(
     cameras : v stacked cameras.
     fragments_px : (v, 2, 2) both ends of the fragment in each view.
     covariance_px2 : (v, 4, 4) covariance of these ends.
-    seen : (v,) whether the segment is observed in each view.
+    is_observed : (v,) whether the segment is observed in each view.
 
     Returns
     -------
     The ends, (2, 3) in mm; their covariance for exact cameras, (6, 6) in mm^2; and the Jacobian of
     the ends, (6, k), with respect to the local coordinates of all cameras.
     """
-    fragments_px = jnp.where(seen[:, None, None], fragments_px, 0.0)
+    fragments_px = jnp.where(is_observed[:, None, None], fragments_px, 0.0)
     identity = jnp.eye(4, dtype=covariance_px2.dtype)
-    covariance_px2 = jnp.where(seen[:, None, None], covariance_px2, identity[None])
+    covariance_px2 = jnp.where(is_observed[:, None, None], covariance_px2, identity[None])
     undistort = jax.vmap(lambda camera, ends: jax.vmap(camera.lens.undistort_pixel)(ends))
     matrices = jax.vmap(lambda camera: camera.matrix_px)(cameras)
-    segment = triangulate_segment(matrices, undistort(cameras, fragments_px), covariance_px2, seen)
+    segment = triangulate_segment(
+        matrices, undistort(cameras, fragments_px), covariance_px2, is_observed
+    )
 
     def one_view(
-        camera: CameraState, fragment_px: ArrayLike, covariance: ArrayLike, seen_here: ArrayLike
+        camera: CameraState,
+        fragment_px: ArrayLike,
+        covariance: ArrayLike,
+        is_observed_here: ArrayLike,
     ) -> ArrayLike:
         def residual(ends: ArrayLike, step: ArrayLike) -> ArrayLike:
             stepped = camera.retract(step)
@@ -146,17 +151,17 @@ def segment_and_errors(
 
         at_rest = jnp.zeros(len(camera.names))
         by_ends, by_step = jax.jacfwd(residual, argnums=(0, 1))(segment.ends_mm, at_rest)
-        information = jnp.where(seen_here, inverse_positive_definite(covariance), 0.0)
+        information = jnp.where(is_observed_here, inverse_positive_definite(covariance), 0.0)
         return by_ends.reshape(4, 6).T @ information @ by_step
 
-    coupling = jax.vmap(one_view)(cameras, fragments_px, covariance_px2, seen)
+    coupling = jax.vmap(one_view)(cameras, fragments_px, covariance_px2, is_observed)
     follow = -jnp.einsum("ij,vjp->ivp", segment.covariance_mm2, coupling)
     return segment.ends_mm, segment.covariance_mm2, follow.reshape(6, -1)
 
 
 def segment_factor(
     squared: Float[np.ndarray, "t v"],
-    seen: Bool[np.ndarray, "t v"],
+    is_observed: Bool[np.ndarray, "t v"],
     cameras_trace: float,
     tuning: CalibTuning,
 ) -> tuple[float, Bool[np.ndarray, "t v"]]:
@@ -168,7 +173,7 @@ def segment_factor(
     Parameters
     ----------
     squared : (t, v) squared distance of each fragment from its line, in stated sigmas.
-    seen : (t, v) whether each track is observed in each view.
+    is_observed : (t, v) whether each track is observed in each view.
     cameras_trace : number of camera parameters that the fragments determine. It reduces the
         redundancy.
 
@@ -180,9 +185,9 @@ def segment_factor(
     inlier_squared = chi_square_limit(tuning.bundle.outlier_chance, 2)
     factor = 1.0
     for _ in range(10):
-        inlier = seen & (squared <= inlier_squared * max(factor, 1e-3) ** 2)
-        all_inliers = (inlier == seen).all(axis=1) & (seen.sum(axis=1) >= 3)
-        redundancy = (2 * seen[all_inliers].sum(axis=1) - 4).sum() - cameras_trace
+        inlier = is_observed & (squared <= inlier_squared * max(factor, 1e-3) ** 2)
+        all_inliers = (inlier == is_observed).all(axis=1) & (is_observed.sum(axis=1) >= 3)
+        redundancy = (2 * is_observed[all_inliers].sum(axis=1) - 4).sum() - cameras_trace
         if redundancy < 1:
             return 1.0, inlier
         update = float(np.sqrt(squared[all_inliers].sum() / redundancy))

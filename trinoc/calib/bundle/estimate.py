@@ -85,7 +85,7 @@ def joint_estimate(
     rig: Rig,
     sheet_rig: Rig,
     lines: LineObservations,
-    choice: FreeParameters,
+    free_parameters: FreeParameters,
     calibrated: CalibrationResult | Rig,
     tuning: CalibTuning,
 ) -> RefineResult:
@@ -97,14 +97,14 @@ def joint_estimate(
     sheet_rig : calibrated rig; its values and covariance are the prior.
     lines : fragments of each line in the images. Their views are the cameras of `rig`, in the same
         order.
-    choice : estimated parameters.
+    free_parameters : estimated parameters.
     calibrated : result of the calibration, whose residuals show whether its sigmas are right.
     tuning : constants of the method.
     """
     tracks, lines_mm = _pad_tracks(lines)
-    start = CamerasAndLines(_cameras(rig, choice), lines_mm)
-    sheet_cameras = _cameras(sheet_rig, choice)
-    information = prior_information(sheet_rig, sheet_cameras.names, choice)
+    start = CamerasAndLines(_cameras(rig, free_parameters), lines_mm)
+    sheet_cameras = _cameras(sheet_rig, free_parameters)
+    information = prior_information(sheet_rig, sheet_cameras.names, free_parameters)
     loss = GemanMcClure.from_scale(np.asarray(tuning.bundle.loss_sigmas))
     widenings = np.asarray(tuning.bundle.widenings)
     fit = as_numpy(_fit(start, tracks, sheet_cameras, information, loss, widenings))
@@ -123,7 +123,7 @@ def joint_estimate(
     determined = determined_part(weighted, fit.sheet_information)
     all_names = [f"{camera}.{name}" for camera in rig.names for name in sheet_cameras.names]
     reported = np.flatnonzero(
-        [not choice.fixes_all_aims_of(rig) or ".aim_" not in name for name in all_names]
+        [not free_parameters.fixes_all_aims_of(rig) or ".aim_" not in name for name in all_names]
     )
     names = tuple(all_names[i] for i in reported)
     covariance = (fit.by_step @ determined.covariance @ fit.by_step.T)[np.ix_(reported, reported)]
@@ -135,7 +135,7 @@ def joint_estimate(
     if fit.converged:
         status = RefineStatus.GAUGE_FREE if determined.gauge else RefineStatus.CONVERGED
     probability = log_posterior(squared, lines.seen, sheet_chi_square, loss)
-    has_covariance = not determined.gauge and choice.pose_model is not PoseModel.RIGID
+    has_covariance = not determined.gauge and free_parameters.pose_model is not PoseModel.RIGID
     segment_covariance = factor**2 * fit.fragment_covariance_mm2[:count]
     return RefineResult(
         status,
@@ -161,14 +161,16 @@ def joint_estimate(
 
 
 def squared_distances_with_rig(
-    rig: Rig, lines: LineObservations, choice: FreeParameters
+    rig: Rig, lines: LineObservations, free_parameters: FreeParameters
 ) -> Float[np.ndarray, "t v"]:
     """Squared distance, (t, v), of each fragment from its line triangulated with a given rig, in
     sigmas.
 
     Infinite if it cannot be computed.
     """
-    distances = _squared_distances_from_segments(_cameras(rig, choice), _pad_tracks(lines)[0])
+    distances = _squared_distances_from_segments(
+        _cameras(rig, free_parameters), _pad_tracks(lines)[0]
+    )
     squared = np.asarray(distances)[: len(lines)]
     return np.where(np.isfinite(squared), squared, np.inf)
 
@@ -177,10 +179,10 @@ def _pad_tracks(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarra
     """Fragments and initial lines of all tracks, padded to few different lengths for compiled
     programs.
     """
-    seen = lines.seen[:, :, None, None]
+    is_observed = lines.seen[:, :, None, None]
     # Unobserved fragments may contain anything: replace them by values with finite derivatives.
-    fragments = np.where(seen, lines.fragments_px, np.array([[0.0, 0.0], [1.0, 0.0]]))
-    covariance = np.where(seen, lines.covariance_px2, np.eye(4))
+    fragments = np.where(is_observed, lines.fragments_px, np.array([[0.0, 0.0], [1.0, 0.0]]))
+    covariance = np.where(is_observed, lines.covariance_px2, np.eye(4))
     size, lines_mm = bucket(len(lines), finer_above=4096), np.asarray(lines.lines_mm, float)
     tracks = FragmentTable(
         pad_rows(fragments, size, fragments[0]),
@@ -190,23 +192,26 @@ def _pad_tracks(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarra
     return tracks, pad_rows(lines_mm, size, lines_mm[0])
 
 
-def _cameras(rig: Rig, choice: FreeParameters) -> CameraState:
+def _cameras(rig: Rig, free_parameters: FreeParameters) -> CameraState:
     cameras = stack_states(
         [
-            camera_state(camera, choice.pose_model, with_intrinsics=choice.intrinsics)
+            camera_state(
+                camera, free_parameters.pose_model, with_intrinsics=free_parameters.intrinsics
+            )
             for camera in rig.cameras
         ]
     )
     if not np.isfinite(np.asarray(cameras.working_distance_mm)).all():
+        option_name = free_parameters.pose_model.option_name
         raise InputError(
-            f'The rig cannot be refined with the pose model "{choice.pose_model.option_name}", '
+            f'The rig cannot be refined with the pose model "{option_name}", '
             'because a camera\'s axis does not meet the sheet in front of it: use "rigid".'
         )
     return cameras
 
 
 def prior_information(
-    rig: Rig, parameters: tuple[str, ...], choice: FreeParameters
+    rig: Rig, parameters: tuple[str, ...], free_parameters: FreeParameters
 ) -> Float[np.ndarray, "k k"]:
     """Information (inverse covariance), (k, k), of the prior of all refined camera parameters.
 
@@ -216,12 +221,12 @@ def prior_information(
     ----------
     rig : calibrated rig with its covariance.
     parameters : names of the refined parameters of each camera.
-    choice : cameras that keep their prior, and fixed parameters.
+    free_parameters : cameras that keep their prior, and fixed parameters.
     """
     names = [f"{camera}.{name}" for camera in rig.names for name in parameters]
     information = np.zeros((len(names), len(names)))
     is_lens = np.array([name.rpartition(".")[2] in AFFINE_PARAMETERS for name in names])
-    trusted = np.repeat(np.isin(rig.names, choice.trusted), len(parameters)) | is_lens
+    trusted = np.repeat(np.isin(rig.names, free_parameters.trusted), len(parameters)) | is_lens
     stated = np.isin(names, rig.parameters)
     has_prior = np.flatnonzero(trusted & stated)
     if len(has_prior):
@@ -235,10 +240,10 @@ def prior_information(
         scale = np.sqrt(np.diag(covariance))
         inverse = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
         information[np.ix_(has_prior, has_prior)] = inverse
-    if choice.aim_fixed:
+    if free_parameters.aim_fixed:
         aims = [i for i, name in enumerate(names) if trusted[i] and ".aim_" in name]
         information[aims, aims] = FIXED_SIGMA**-2
-    if choice.lens_fixed:
+    if free_parameters.lens_fixed:
         fixed = np.flatnonzero(is_lens & ~stated)
         information[fixed, fixed] = FIXED_SIGMA**-2
     return information
@@ -378,17 +383,17 @@ def _residuals_of_sheet(calibrated: CalibrationResult | Rig) -> tuple[float, flo
 
 def log_posterior(
     squared: Float[np.ndarray, "t v"],
-    seen: Bool[np.ndarray, "t v"],
+    is_observed: Bool[np.ndarray, "t v"],
     sheet_chi_square: float,
     loss: GemanMcClure,
 ) -> float:
     """Log posterior of cameras and tracks, relative to the calibrated cameras without any track.
 
     squared : (t, v) squared distance of each fragment from its line, in sigmas.
-    seen : (t, v) whether each track is observed in each view.
+    is_observed : (t, v) whether each track is observed in each view.
     sheet_chi_square : squared Mahalanobis distance between refined and calibrated cameras.
     loss : robust loss, which bounds the cost of a wrong fragment.
     """
-    costs = np.where(seen, loss.rho(squared), 0.0).sum(axis=1)
-    gains = (seen.sum(axis=1) - 2) * loss.ceiling - costs
+    costs = np.where(is_observed, loss.rho(squared), 0.0).sum(axis=1)
+    gains = (is_observed.sum(axis=1) - 2) * loss.ceiling - costs
     return 0.5 * (float(np.maximum(gains, 0.0).sum()) - sheet_chi_square)

@@ -103,7 +103,7 @@ def line_from_two_views(
     cameras: CameraState,
     anchors_mm: Float[ArrayLike, "2 3"],
     fragments_px: Float[ArrayLike, "v 2 2"],
-    seen: Bool[ArrayLike, "v"],
+    is_observed: Bool[ArrayLike, "v"],
 ) -> Float[ArrayLike, "2 3"]:
     """Line through the two interpretation planes of a track with two views, as two points, (2, 3).
 
@@ -118,11 +118,11 @@ def line_from_two_views(
         return plane / jnp.sqrt(plane[:3] @ plane[:3])
 
     planes = jax.vmap(plane)(cameras, fragments_px)
-    last = seen.shape[0] - 1 - jnp.argmax(seen[::-1])
-    point, direction = line_of_planes(planes[jnp.argmax(seen)], planes[last])
+    last = is_observed.shape[0] - 1 - jnp.argmax(is_observed[::-1])
+    point, direction = line_of_planes(planes[jnp.argmax(is_observed)], planes[last])
     along = (anchors_mm - point[None, :]) @ direction
     line = point[None, :] + along[:, None] * direction[None, :]
-    return jnp.where((jnp.sum(seen) == 2) & jnp.all(jnp.isfinite(line)), line, anchors_mm)
+    return jnp.where((jnp.sum(is_observed) == 2) & jnp.all(jnp.isfinite(line)), line, anchors_mm)
 
 
 class PriorEquations(NamedTuple):

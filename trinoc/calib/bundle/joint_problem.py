@@ -38,19 +38,19 @@ class FragmentTable(NamedTuple):
     fragments_px : (t, v, 2, 2) ends of each fragment, in pixels of the original image. Unobserved
         fragments contain arbitrary finite numbers.
     covariance_px2 : (t, v, 4, 4) covariance of these ends.
-    seen : (t, v) whether each track is observed in each view; all False for padding.
+    is_observed : (t, v) whether each track is observed in each view; all False for padding.
     """
 
     fragments_px: Float[ArrayLike, "t v 2 2"]
     covariance_px2: Float[ArrayLike, "t v 4 4"]
-    seen: Bool[ArrayLike, "t v"]
+    is_observed: Bool[ArrayLike, "t v"]
 
     def in_three_views(self) -> "FragmentTable":
         """Table in which tracks with fewer than three views are unobserved. Such tracks fit any
         cameras.
         """
-        enough = jnp.sum(self.seen, axis=1) >= 3
-        return self._replace(seen=self.seen & enough[:, None])
+        enough = jnp.sum(self.is_observed, axis=1) >= 3
+        return self._replace(is_observed=self.is_observed & enough[:, None])
 
 
 class CamerasAndLines(NamedTuple):
@@ -170,7 +170,7 @@ def squared_distances(state: CamerasAndLines, tracks: FragmentTable) -> Float[Ar
     """
     by_view = jax.vmap(line_residual, (0, None, 0, 0))
     residual = jax.vmap(by_view, (None, 0, 0, 0))(*state, *tracks[:2])
-    return jnp.where(tracks.seen, jnp.sum(jnp.square(residual), axis=-1), 0.0)
+    return jnp.where(tracks.is_observed, jnp.sum(jnp.square(residual), axis=-1), 0.0)
 
 
 def with_lines_of_two_views(state: CamerasAndLines, tracks: FragmentTable) -> CamerasAndLines:
@@ -178,7 +178,9 @@ def with_lines_of_two_views(state: CamerasAndLines, tracks: FragmentTable) -> Ca
     planes.
     """
     lines_from_views = jax.vmap(line_from_two_views, (None, 0, 0, 0))
-    return state._replace(anchors_mm=lines_from_views(*state, tracks.fragments_px, tracks.seen))
+    return state._replace(
+        anchors_mm=lines_from_views(*state, tracks.fragments_px, tracks.is_observed)
+    )
 
 
 def _linearise_track(
@@ -191,7 +193,10 @@ def _linearise_track(
     """
 
     def one_view(
-        camera: CameraState, fragment_px: ArrayLike, covariance_px2: ArrayLike, seen: ArrayLike
+        camera: CameraState,
+        fragment_px: ArrayLike,
+        covariance_px2: ArrayLike,
+        is_observed: ArrayLike,
     ) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
         def residual(step: ArrayLike, offsets: ArrayLike) -> tuple[ArrayLike, ArrayLike]:
             line = retract_line(anchors_mm, offsets)
@@ -200,6 +205,8 @@ def _linearise_track(
 
         at_rest = jnp.zeros(len(camera.names)), jnp.zeros(4)
         (by_camera, by_line), value = jax.jacfwd(residual, argnums=(0, 1), has_aux=True)(*at_rest)
-        return jax.tree.map(lambda leaf: jnp.where(seen, leaf, 0.0), (value, by_camera, by_line))
+        return jax.tree.map(
+            lambda leaf: jnp.where(is_observed, leaf, 0.0), (value, by_camera, by_line)
+        )
 
     return jax.vmap(one_view)(cameras, *track)

@@ -110,8 +110,10 @@ def refine(
         name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters
     )
     with_lens = has_lens_covariance if free_lens is None else free_lens
-    choice = FreeParameters(model, with_lens, trusted, aim_fixed, lens_fixed=free_lens is None)
-    refinement = _Refinement(calibrated, rig, choice, tuning)
+    free_parameters = FreeParameters(
+        model, with_lens, trusted, aim_fixed, lens_fixed=free_lens is None
+    )
+    refinement = _Refinement(calibrated, rig, free_parameters, tuning)
     first = refinement.refine_matches(start.take(rig.names) if start else rig, matches)
     if match_again is None:
         return first
@@ -124,7 +126,7 @@ def refine(
     other_results = [refinement.refine_from(start, matchers) for start in turned_rigs]
     for result in other_results:
         best = more_probable(best, result)
-    if other_results and not is_unambiguous(best, other_results, choice, tuning):
+    if other_results and not is_unambiguous(best, other_results, free_parameters, tuning):
         return dataclasses.replace(best, status=RefineStatus.AMBIGUOUS, rig=rig)
     return best
 
@@ -134,13 +136,15 @@ class _Refinement(NamedTuple):
 
     calibrated: CalibrationResult | Rig
     sheet_rig: Rig
-    choice: FreeParameters
+    free_parameters: FreeParameters
     tuning: CalibTuning
 
     def refine_matches(self, rig: Rig, matches: MatchedTracks | LineObservations) -> RefineResult:
         """Refine given matches. `rig` contains the initial cameras."""
         lines = _observations_of_rig(matches, rig)
-        return joint_estimate(rig, self.sheet_rig, lines, self.choice, self.calibrated, self.tuning)
+        return joint_estimate(
+            rig, self.sheet_rig, lines, self.free_parameters, self.calibrated, self.tuning
+        )
 
     def match_and_refine(self, rig: Rig, match: Matcher) -> RefineResult | None:
         """Match with a rig, and refine the matches. None without tracks, or if the fit does not
@@ -283,7 +287,7 @@ def _angle_sigmas_deg(rig: Rig, name: str) -> Float[np.ndarray, "3"]:
 def is_unambiguous(
     best: RefineResult,
     others: Sequence[RefineResult | None],
-    choice: FreeParameters,
+    free_parameters: FreeParameters,
     tuning: CalibTuning,
 ) -> bool:
     """True if the best result is much more probable than every other result that
@@ -291,13 +295,15 @@ def is_unambiguous(
     """
     return all(
         other.log_posterior * tuning.bundle.clear_factor < best.log_posterior
-        or _separation_sigmas(best, other, choice) < tuning.bundle.same_sigmas
+        or _separation_sigmas(best, other, free_parameters) < tuning.bundle.same_sigmas
         for other in others
         if other is not None
     )
 
 
-def _separation_sigmas(best: RefineResult, other: RefineResult, choice: FreeParameters) -> float:
+def _separation_sigmas(
+    best: RefineResult, other: RefineResult, free_parameters: FreeParameters
+) -> float:
     """Typical distance, in sigmas, of the best result's fragments from their lines, with the other
     rig.
 
@@ -306,6 +312,6 @@ def _separation_sigmas(best: RefineResult, other: RefineResult, choice: FreePara
     agree = (best.inlier == best.tracks.seen).all(axis=1) & (best.tracks.seen.sum(axis=1) > 2)
     if not agree.any():
         return 0.0
-    squared = squared_distances_with_rig(other.rig, best.tracks, choice)[agree]
+    squared = squared_distances_with_rig(other.rig, best.tracks, free_parameters)[agree]
     redundancy = 2 * best.tracks.seen[agree].sum(axis=1) - 4
     return float(np.median(np.sqrt(squared.sum(axis=1) / redundancy)))

@@ -325,7 +325,7 @@ def _take_steps(
         scene, problem, fit_state.state, fit_state.equations, _FIRST_DAMPING, most_steps, atol
     )
     if not solution.steps:
-        return dataclasses.replace(fit_state, promised=float(solution.promised))
+        return dataclasses.replace(fit_state, promised=float(solution.predicted_gain))
     return _state_after(scene, solution, fit_state.free, fit_state.sigma, fit_state.inliers)
 
 
@@ -395,6 +395,6 @@ def _state_after(
     prediction: Prediction = solution.details.details
     level = scene.join((prediction.near_circles.level, prediction.near_lines.level))
     equations = jax.tree.map(np.asarray, solution.details._replace(details=None))
-    promised = float(solution.promised)
+    promised = float(solution.predicted_gain)
     level = level.astype(np.float64)
     return ImageFitState(state, free, prediction, level, sigma, inliers, equations, promised)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.problem.information import compute_information
-from trinoc.calib.problem.problem import Problem, lens_number, with_priors, with_wider_lenses
+from trinoc.calib.problem.problem import Problem, lens_of_index, with_priors, with_wider_lenses
 from trinoc.calib.problem.robust_fit import (
     LEAST_CHANGE,
     MOST_ROUNDS,
@@ -41,12 +41,12 @@ def with_correction(fit: RobustFit, sizes_px: Sequence[tuple[int, int]]) -> Robu
     """
     problem = use_all_points(add_splines(fit.problem, sizes_px), fit.rejected_images)
     refitted = fit_robustly(_with_sigmas(problem, _first_sigmas_px(problem)))
-    return with_own_correction_sigmas(
+    return with_estimated_correction_sigmas(
         refitted._replace(rejected_images=[*fit.rejected_images, *refitted.rejected_images])
     )
 
 
-def with_own_correction_sigmas(fit: RobustFit) -> RobustFit:
+def with_estimated_correction_sigmas(fit: RobustFit) -> RobustFit:
     """Fit again, with the prior sigmas of the spline corrections and the point sigmas estimated
     from the residuals.
 
@@ -54,7 +54,7 @@ def with_own_correction_sigmas(fit: RobustFit) -> RobustFit:
     """
     if not correction_sigmas_px(fit.problem).any():
         return fit
-    return finish_fit(_with_own_sigmas(fit.problem), fit.rejected_images)
+    return finish_fit(_with_estimated_sigmas(fit.problem), fit.rejected_images)
 
 
 def add_splines(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Problem:
@@ -64,7 +64,7 @@ def add_splines(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Proble
     sizes_px : (width, height) of the images of each lens.
     """
     lenses = [
-        spline_lens(lens_number(problem, k), each)
+        spline_lens(lens_of_index(problem, k), each)
         for k, each in enumerate(sizes_px[: problem.parametrization.lens_shape[0]])
     ]
     return with_wider_lenses(problem, lenses, sizes_px)
@@ -111,7 +111,7 @@ def measure_corrections(problem: Problem) -> list[LensCorrection]:
     for k, sigma_px in enumerate(correction_sigmas_px(problem)):
         if sigma_px == 0.0:
             continue
-        lens = lens_number(problem, k)
+        lens = lens_of_index(problem, k)
         assert isinstance(lens, AbstractSplinedLens)
         control = np.asarray(lens.control_px)
         rms_px, largest_px = np.sqrt(np.mean(control**2)), np.abs(control).max()
@@ -119,7 +119,7 @@ def measure_corrections(problem: Problem) -> list[LensCorrection]:
     return corrections
 
 
-def _with_own_sigmas(problem: Problem) -> Problem:
+def _with_estimated_sigmas(problem: Problem) -> Problem:
     """Fit with the prior sigmas of the spline corrections that maximise the evidence.
 
     Iteration: the variance of a lens's prior is the sum of squares of its control points
@@ -162,7 +162,7 @@ def assess_corrections(
     has_prior = np.diag(unit) > 0
     squares, determined = np.zeros(count), np.zeros(count)
     for k in np.flatnonzero(sigma_px > 0):
-        values = np.asarray(lens_number(problem, int(k)).parameters)
+        values = np.asarray(lens_of_index(problem, int(k)).parameters)
         squares[k] = values @ unit @ values
         rows = np.searchsorted(information.free, k * size + np.flatnonzero(has_prior))
         lens_covariance = covariance[np.ix_(rows, rows)] * np.outer(

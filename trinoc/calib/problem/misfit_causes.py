@@ -142,8 +142,8 @@ def lens_pattern_px(
         means = sums[shows_cell, cell] / counts[shows_cell, cell, None]
         variance = means.var(axis=0, ddof=1).sum() / len(means)
         square = float(np.sum(means.mean(axis=0) ** 2))
-        number = counts[:, cell].sum()
-        excess, weight = excess + number * (square - variance), weight + number
+        count = counts[:, cell].sum()
+        excess, weight = excess + count * (square - variance), weight + count
         score, freedom = score + 2 * square / max(variance, 1e-300), freedom + 2
     # Means of few images: a cell's ratio is an F statistic, whose mean is (n - 1) / (n - 3).
     if freedom < 8 or score / freedom < named_ratio or excess <= 0:

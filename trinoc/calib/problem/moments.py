@@ -297,6 +297,6 @@ def split_into_own_shots(problem: Problem, views: list[int]) -> Problem:
     rig_from_board = np.concatenate([boards[: problem.shots], new_boards, spare_poses])
     state = eqx.tree_at(lambda s: s.rig_from_board, problem.state, rig_from_board)
     members = list(problem.views)
-    for number, k in enumerate(views):
-        members[k] = members[k]._replace(shot=problem.shots + number)
+    for position, k in enumerate(views):
+        members[k] = members[k]._replace(shot=problem.shots + position)
     return problem._replace(views=tuple(members), state=state, shots=shots)

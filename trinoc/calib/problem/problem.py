@@ -119,9 +119,9 @@ def cam_from_board(state: RigState, view: BoardObservation) -> Pose:
     )
 
 
-def lens_number(problem: Problem, number: int) -> AbstractLens:
-    """Lens with index `number` of the problem's state."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[number], problem.state.lenses)
+def lens_of_index(problem: Problem, lens_index: int) -> AbstractLens:
+    """Lens with index `lens_index` of the problem's state."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[lens_index], problem.state.lenses)
 
 
 class FreeLensParameters(NamedTuple):
@@ -196,10 +196,10 @@ def with_priors(problem: Problem, **values: ArrayLike) -> Problem:
     return problem._replace(parametrization=parametrization)
 
 
-def with_lens_prior(problem: Problem, number: int, factor: Float[np.ndarray, "k r"]) -> Problem:
+def with_lens_prior(problem: Problem, lens_index: int, factor: Float[np.ndarray, "k r"]) -> Problem:
     """Problem with a Gaussian prior of one lens. The prior mean is the present value of the lens.
 
-    number : index of the lens.
+    lens_index : index of the lens.
     factor : (k, r) factor L of the covariance L L^T of the first k lens parameters. A parameter of
         variance 0 is fixed.
     """
@@ -212,10 +212,12 @@ def with_lens_prior(problem: Problem, number: int, factor: Float[np.ndarray, "k 
     ) + _INDEPENDENT_SHARE * np.eye(len(rows))
     mean = np.array(problem.priors.lens_mean)
     information = np.array(problem.priors.lens_information)
-    mean[number] = np.asarray(lens_number(problem, number).parameters)
-    information[number][np.ix_(rows, rows)] = np.linalg.inv(correlation) / np.outer(sigma, sigma)
+    mean[lens_index] = np.asarray(lens_of_index(problem, lens_index).parameters)
+    information[lens_index][np.ix_(rows, rows)] = np.linalg.inv(correlation) / np.outer(
+        sigma, sigma
+    )
     free = np.array(problem.free)
-    free[problem.slices.lens(number)][rows] = 1.0
+    free[problem.slices.lens(lens_index)][rows] = 1.0
     with_prior = with_free_head(
         with_priors(problem, lens_mean=mean, lens_information=information), free
     )

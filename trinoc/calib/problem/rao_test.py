@@ -8,7 +8,7 @@ import scipy
 from jaxtyping import Bool, Float
 
 from trinoc.calib.problem.information import Information, compute_information
-from trinoc.calib.problem.problem import Problem, lens_number, with_wider_lenses
+from trinoc.calib.problem.problem import Problem, lens_of_index, with_wider_lenses
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.geometry.lenses.registry import lens_model, widen_lens
 from trinoc.numerics.tails import chi_square_tail
@@ -274,7 +274,7 @@ def rational_lens_test(
     variance_factor : noise variance of the residuals, in squared point sigmas.
     """
     model, count = lens_model("rational"), problem.parametrization.lens_shape[0]
-    lenses = [widen_lens(lens_number(problem, k), model) for k in range(count)]
+    lenses = [widen_lens(lens_of_index(problem, k), model) for k in range(count)]
     return wider_lens_test(
         problem, with_wider_lenses(problem, lenses, image_sizes_px), variance_factor
     )

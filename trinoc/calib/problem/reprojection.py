@@ -192,7 +192,7 @@ class LinearisedObservation(eqx.Module):
     residual: Float[Array, "n 2"]
 
     @property
-    def is_own(self) -> Float[Array, "n p"]:
+    def is_of_point(self) -> Float[Array, "n p"]:
         """Matrix (n, p) with 1 if observed point n is board point p, else 0."""
         count = (len(self.columns) - self.jacobian.shape[-1] + POSE_SIZE) // 3
         return (self.point[:, None] == jnp.arange(count)[None]).astype(self.jacobian.dtype)
@@ -200,10 +200,10 @@ class LinearisedObservation(eqx.Module):
     @property
     def by_all_points(self) -> Float[Array, "n 2 p"]:
         """Derivative of the residuals with respect to the displacements of all board points."""
-        is_own = self.is_own
-        if self.by_points.shape[-1] == 3 * is_own.shape[1]:
+        is_of_point = self.is_of_point
+        if self.by_points.shape[-1] == 3 * is_of_point.shape[1]:
             return self.by_points
-        products = is_own[:, None, :, None] * self.by_points[:, :, None, :]
+        products = is_of_point[:, None, :, None] * self.by_points[:, :, None, :]
         return products.reshape(*self.by_points.shape[:2], -1)
 
     def weigh(
@@ -226,7 +226,7 @@ class LinearisedObservation(eqx.Module):
         gradient = jnp.einsum("nik,ni->k", scaled, self.residual)
         if not len(points_free):
             return information, gradient
-        is_own = self.is_own
+        is_of_point = self.is_of_point
         if self.by_points.shape[-1] == len(points_free):
             by_points = points_free[None, None] * self.by_points
             across = jnp.einsum("nik,nij->kj", scaled, by_points)
@@ -234,14 +234,16 @@ class LinearisedObservation(eqx.Module):
             point_gradient = jnp.einsum("nij,ni->j", weight * by_points, self.residual)
         else:
             # Each board point moves only its own image.
-            own_derivatives = (is_own @ points_free.reshape(-1, 3))[:, None] * self.by_points
-            products = jnp.einsum("nij,nil->njl", weight * own_derivatives, own_derivatives)
-            inner = jnp.einsum("np,njl,pq->pjql", is_own, products, jnp.eye(is_own.shape[1]))
+            point_derivatives = (is_of_point @ points_free.reshape(-1, 3))[:, None] * self.by_points
+            products = jnp.einsum("nij,nil->njl", weight * point_derivatives, point_derivatives)
+            inner = jnp.einsum(
+                "np,njl,pq->pjql", is_of_point, products, jnp.eye(is_of_point.shape[1])
+            )
             inner = inner.reshape(len(points_free), -1)
-            across = jnp.einsum("nik,nij->nkj", scaled, own_derivatives)
-            across = jnp.einsum("np,nkj->kpj", is_own, across).reshape(-1, len(points_free))
-            point_gradient = jnp.einsum("nij,ni->nj", weight * own_derivatives, self.residual)
-            point_gradient = (is_own.T @ point_gradient).reshape(-1)
+            across = jnp.einsum("nik,nij->nkj", scaled, point_derivatives)
+            across = jnp.einsum("np,nkj->kpj", is_of_point, across).reshape(-1, len(points_free))
+            point_gradient = jnp.einsum("nij,ni->nj", weight * point_derivatives, self.residual)
+            point_gradient = (is_of_point.T @ point_gradient).reshape(-1)
         head, board = slice(None, first), slice(first, None)
         information = jnp.block(
             [

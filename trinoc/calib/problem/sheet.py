@@ -191,13 +191,13 @@ class BentPaper(AbstractSheet):
         flatness_mm: float,
         height_shares: tuple[float, float, float] = TUNING.problem.height_shares,
     ) -> Float[np.ndarray, "w"]:
-        """Prior standard deviations of the parameters, in the order of `names`.
+        """Prior standard deviations, (w,), of the parameters in the order of `names`.
 
         Parameters
         ----------
-        print_size : of the relative print size.
-        print_lengths : of the relative errors along X and Y.
-        flatness_mm : typical height of the sheet.
+        print_size : standard deviation of the relative print size.
+        print_lengths : standard deviations of the relative errors along X and Y.
+        flatness_mm : typical height of the sheet above its plane.
         height_shares : standard deviation of the height terms of degree 2, 3 and 4, divided by
             `flatness_mm`.
         """

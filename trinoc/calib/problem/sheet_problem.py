@@ -69,9 +69,9 @@ class SheetCamera:
     grey_level_points : points fitted to the grey levels, which are used instead of the circle
         centres; None if the circle centres are used.
     ink_spread_mm : distance by which ink extends beyond the drawn edge of each circle.
-    agreement : p-value of the test that circle centres and grey levels give the same pose; NaN
-        without grey levels. A small value means that they contradict each other.
-    scatter : factor by which the sigmas of the circle centres are multiplied.
+    agreement_p_value : p-value of the test that circle centres and grey levels give the same pose.
+        A small value means that they contradict each other. NaN without grey levels.
+    sigma_factor : factor by which the sigmas of the circle centres are multiplied.
     """
 
     name: str
@@ -83,8 +83,8 @@ class SheetCamera:
     grey_level_fit: PictureFit | None = None
     grey_level_points: SheetPoints | None = None
     ink_spread_mm: float = 0.0
-    agreement: float = float("nan")
-    scatter: float = 1.0
+    agreement_p_value: float = float("nan")
+    sigma_factor: float = 1.0
 
     @property
     def method(self) -> Method:
@@ -219,7 +219,7 @@ def sheet_problem(
             spare_rows=0
             if camera.image is None
             else camera.largest_point_count - len(_points_mm(camera, target)),
-            sigma_ratio=camera.scatter,
+            sigma_ratio=camera.sigma_factor,
         )
         for k, camera in enumerate(cameras)
     )

@@ -132,7 +132,7 @@ class Solution(eqx.Module, Generic[State]):
     state, cost : state of least cost, and its cost.
     steps : number of evaluated steps.
     converged : whether the convergence criterion was met.
-    promised : predicted decrease of the cost by one more step.
+    predicted_gain : predicted decrease of the cost by one more step.
     details : additional results of the last evaluated state. They belong to `state` only if
         `has_details`.
     has_details : whether the last evaluated state is `state`.
@@ -142,7 +142,7 @@ class Solution(eqx.Module, Generic[State]):
     cost: Float[Array, ""]
     steps: Int[Array, ""]
     converged: Bool[Array, ""]
-    promised: Float[Array, ""]
+    predicted_gain: Float[Array, ""]
     details: Any
     has_details: Bool[Array, ""]
 
@@ -211,7 +211,7 @@ def descend(
         jnp.asarray(progress.at_best.cost),
         progress.steps - int(start is None),  # the first is zero
         solution.result == optx.RESULTS.successful,
-        jnp.asarray(progress.step.promised),
+        jnp.asarray(progress.step.predicted_gain),
         solution.aux.details,
         progress.is_best,
     )
@@ -247,14 +247,14 @@ class ArrowStep(NamedTuple):
     Attributes
     ----------
     head, blocks : change of the shared parameters and of the blocks.
-    promised : decrease of the cost that the equations predict.
-    follows : (b,) whether each block changes in this step.
+    predicted_gain : decrease of the cost that the equations predict.
+    block_moves : (b,) whether each block changes in this step.
     """
 
     head: Float[Array, "h"]
     blocks: Float[Array, "b w"]
-    promised: Float[ArrayLike, ""]
-    follows: Bool[ArrayLike, "b"]
+    predicted_gain: Float[ArrayLike, ""]
+    block_moves: Bool[ArrayLike, "b"]
 
 
 class ArrowDescent(optx.AbstractDescent):
@@ -293,8 +293,8 @@ class ArrowDescent(optx.AbstractDescent):
         )
         head, blocks = jax.tree.map(jnp.negative, solution.value)
         if self.block_costs is None:
-            promised = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
-            step = ArrowStep(head, blocks, promised, jnp.ones(len(blocks), bool))
+            predicted_gain = -(gradient[0] @ head) - jnp.sum(gradient[1] * blocks)
+            step = ArrowStep(head, blocks, predicted_gain, jnp.ones(len(blocks), bool))
             return step, optx.RESULTS.successful
         block_costs, with_and_without = (
             self.block_costs,
@@ -303,9 +303,11 @@ class ArrowDescent(optx.AbstractDescent):
         cost_with, cost_without = jax.vmap(
             lambda block_steps: block_costs(self.retract(y, head, block_steps))
         )(with_and_without)
-        follows = cost_with <= cost_without
-        promised = -factored.elimination.reduced_side(gradient) @ head
-        step = ArrowStep(head, jnp.where(follows[:, None], blocks, 0.0), promised, follows)
+        block_moves = cost_with <= cost_without
+        predicted_gain = -factored.elimination.reduced_side(gradient) @ head
+        step = ArrowStep(
+            head, jnp.where(block_moves[:, None], blocks, 0.0), predicted_gain, block_moves
+        )
         return step, optx.RESULTS.successful
 
 
@@ -315,14 +317,14 @@ class _SearchState(NamedTuple):
     Attributes
     ----------
     damping : damping of the next step.
-    tried : step that is being evaluated.
-    risen : whether the present state has a higher cost than the best state.
+    step : step that is being evaluated.
+    is_above_best : whether the present state has a higher cost than the best state.
     done : whether the descent may end.
     """
 
     damping: Damping
-    tried: ArrowStep
-    risen: Bool[ArrayLike, ""]
+    step: ArrowStep
+    is_above_best: Bool[ArrayLike, ""]
     done: Bool[ArrayLike, ""]
 
 
@@ -370,15 +372,20 @@ class WatchdogSearch(optx.AbstractSearch):
 
         f_info, f_eval_info : equations at the best state, and at the evaluated state.
         """
-        damping, step, risen, _ = state
+        damping, step, is_above_best, _ = state
         gain = f_info.cost - f_eval_info.cost
         better = f_eval_info.cost <= f_info.cost
-        rises = ~better & ~risen & (step.promised < _NEAR) & jnp.isfinite(f_eval_info.cost)
-        stuck = (damping.head * 10 > MOST_DAMPING) | (step.promised < 1e-3 * self.atol)
+        rises = (
+            ~better
+            & ~is_above_best
+            & (step.predicted_gain < _NEAR)
+            & jnp.isfinite(f_eval_info.cost)
+        )
+        stuck = (damping.head * 10 > MOST_DAMPING) | (step.predicted_gain < 1e-3 * self.atol)
         slow_blocks = len(step.blocks) / BLOCKS_THAT_CREEP if self.is_separable else 0.0
-        has_converged = (step.promised < self.atol) & (gain < self.atol * (1 + slow_blocks))
+        has_converged = (step.predicted_gain < self.atol) & (gain < self.atol * (1 + slow_blocks))
         factor = jnp.where(better, 0.1, jnp.where(rises, 1.0, 10.0))
-        block_factor = jnp.where(step.follows, factor, 10.0)
+        block_factor = jnp.where(step.block_moves, factor, 10.0)
         damping = Damping(
             jnp.maximum(damping.head * factor, LEAST_DAMPING),
             jnp.clip(damping.blocks * block_factor, LEAST_DAMPING, MOST_DAMPING),
@@ -394,7 +401,7 @@ class _Progress(eqx.Module):
     Attributes
     ----------
     best, at_best : state of least cost so far, and the equations there.
-    here : present state of the unknowns, with the equations there.
+    point : present state of the unknowns, with the equations there.
     search : state of the search.
     step : next step to evaluate.
     steps : number of evaluated steps.
@@ -404,7 +411,7 @@ class _Progress(eqx.Module):
 
     best: Any
     at_best: ArrowEquations
-    here: Any
+    point: Any
     search: _SearchState
     step: ArrowStep
     steps: Int[Array, ""]
@@ -438,31 +445,38 @@ class ArrowMinimiser(optx.AbstractMinimiser[Any, ArrowEquations, _Progress]):
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> _Progress:
         """State before the first step. The first step is computed if the equations are given."""
         point, search = self.descent.init(y, aux_struct), self.search.init(y, aux_struct)
-        step, done = search.tried, jnp.asarray(False)
+        step, done = search.step, jnp.asarray(False)
         if self.start is not None:
             point = self.descent.query(y, self.start._replace(details=None), point)
             step, _ = self.descent.step(search.damping, point)
-            done = jnp.isfinite(self.start.cost) & (step.promised < self.search.atol)
-        search = search._replace(tried=step)
+            done = jnp.isfinite(self.start.cost) & (step.predicted_gain < self.search.atol)
+        search = search._replace(step=step)
         return _Progress(y, point[1], point, search, step, jnp.asarray(0), done, done)
 
     def step(self, fn, y, args, options, state, tags) -> tuple[Any, _Progress, ArrowEquations]:
         """Evaluate the proposed step, accept or reject it, and propose the next one."""
-        tried = self.descent.retract(y, state.step.head, state.step.blocks)
-        _, evaluated = fn(tried, args)
+        trial_state = self.descent.retract(y, state.step.head, state.step.blocks)
+        _, evaluated = fn(trial_state, args)
         evaluated_equations = evaluated._replace(details=None)
         damping, accepted, _, search = self.search.step(
-            state.steps == 0, state.best, tried, state.at_best, evaluated_equations, state.search
+            state.steps == 0,
+            state.best,
+            trial_state,
+            state.at_best,
+            evaluated_equations,
+            state.search,
         )
         better = jnp.asarray(evaluated_equations.cost <= state.at_best.cost)
-        best, at_best = _where(better, (tried, evaluated_equations), (state.best, state.at_best))
-        point = _where(accepted, (tried, evaluated_equations), (best, at_best))
-        step, _ = self.descent.step(damping, self.descent.query(point[0], point[1], state.here))
+        best, at_best = _where(
+            better, (trial_state, evaluated_equations), (state.best, state.at_best)
+        )
+        point = _where(accepted, (trial_state, evaluated_equations), (best, at_best))
+        step, _ = self.descent.step(damping, self.descent.query(point[0], point[1], state.point))
         steps = state.steps + 1
         done = search.done | (steps >= self.most_steps)
         if self.start is not None:
-            done |= better & (step.promised < self.search.atol)
-        search = search._replace(tried=step)
+            done |= better & (step.predicted_gain < self.search.atol)
+        search = search._replace(step=step)
         progress = _Progress(best, at_best, point, search, step, steps, better, jnp.asarray(done))
         return point[0], progress, evaluated
 

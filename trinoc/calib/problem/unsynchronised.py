@@ -213,8 +213,8 @@ def _correlated_whitening(
     """
     rows = np.flatnonzero(view.used)
     covariance = np.zeros((2 * len(rows), 2 * len(rows)))
-    for number, row in enumerate(rows):
-        block = slice(2 * number, 2 * number + 2)
+    for position, row in enumerate(rows):
+        block = slice(2 * position, 2 * position + 2)
         covariance[block, block] = factor**2 * view.detection.covariance_px2[row]
     jacobian = jacobian_px[rows].reshape(-1, POSE_SIZE)
     covariance += jacobian @ motion @ jacobian.T

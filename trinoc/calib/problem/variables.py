@@ -91,17 +91,17 @@ class HeadSlices(NamedTuple):
     points: slice
     lens_size: int
 
-    def lens(self, number: int) -> slice:
-        """Index range of the lens with index `number`."""
-        return _part(self.lenses, number, self.lens_size)
+    def lens(self, index: int) -> slice:
+        """Index range of the lens with index `index`."""
+        return _part(self.lenses, index, self.lens_size)
 
-    def camera(self, number: int) -> slice:
-        """Index range of the pose of the camera with index `number`."""
-        return _part(self.cameras, number, POSE_SIZE)
+    def camera(self, index: int) -> slice:
+        """Index range of the pose of the camera with index `index`."""
+        return _part(self.cameras, index, POSE_SIZE)
 
 
-def _part(section: slice, number: int, size: int) -> slice:
-    first = section.start + number * size
+def _part(section: slice, index: int, size: int) -> slice:
+    first = section.start + index * size
     return slice(first, first + size)
 
 

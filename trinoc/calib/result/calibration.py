@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from trinoc.calib.detection.detection import Detection
 from trinoc.calib.problem.image_quality import ImageQuality as ImageQuality
-from trinoc.calib.problem.problem import SolvedProblem, lens_number
+from trinoc.calib.problem.problem import SolvedProblem, lens_of_index
 from trinoc.calib.problem.status import Status as Status
 from trinoc.calib.problem.views import BoardObservation
 from trinoc.calib.result.camera_pairs import CameraPair, camera_pairs
@@ -360,7 +360,7 @@ class CalibrationResult(Displayable, Value):
         camera = self._only_camera()
         if self.solution is None or self.solved_problem is None:
             return np.full((MAP_SIZE, MAP_SIZE), np.nan)
-        lens = lens_number(self.solved_problem.problem, 0)
+        lens = lens_of_index(self.solved_problem.problem, 0)
         rows = [self.parameters.index(f"{camera}.{name}") for name in lens.parameter_names]
         places_px = field_grid_px(self.lens.image_size_px)
         return np.asarray(field_sigma_px(lens, self.covariance[np.ix_(rows, rows)], places_px))
@@ -370,8 +370,8 @@ class CalibrationResult(Displayable, Value):
 
         If the camera saw none, all boards are used. Raises `CalibrationError` if there is no rig.
         """
-        number = self.cameras.index(camera)
-        used_views = [v for v in self.views if v.camera == number and v.used.any()]
+        camera_index = self.cameras.index(camera)
+        used_views = [v for v in self.views if v.camera == camera_index and v.used.any()]
         pairs = {(view.shot, view.board) for view in used_views}
         pairs = pairs or {(shot, 0) for shot in range(len(self.world_from_board))}
         shots, boards = np.array(sorted(pairs)).T

@@ -135,8 +135,8 @@ def _fit_sentence(result: "CalibrationResult", camera: str, fit: "CameraFit") ->
     """
     if result.target is None:
         return f"{camera}: {int(fit.used.sum())} of {len(fit.used)} points, rms {fit.rms_px:.3f} px"
-    number = result.cameras.index(camera)
-    views = [view for view in result.views if view.camera == number and view.used.any()]
+    camera_index = result.cameras.index(camera)
+    views = [view for view in result.views if view.camera == camera_index and view.used.any()]
     count = sum(int(view.used.sum()) for view in views)
     kind = "circles" if isinstance(result.target, Pattern) else "corners"
     return (
@@ -172,7 +172,7 @@ def fixed_boards(result: "CalibrationResult") -> tuple[str, ...]:
 
 def _pair_sentence(pair: CameraPair) -> str:
     """Line with the baseline and the relative rotation of two cameras, with sigmas."""
-    baseline = value_words(pair.baseline_mm, pair.baseline_sigma_mm)
+    baseline = format_with_sigma(pair.baseline_mm, pair.baseline_sigma_mm)
     if pair.size_sigma_mm > pair.rest_sigma_mm:
         baseline += (
             f" mm ({_two_digits(pair.size_sigma_mm)} by the board's size, "
@@ -181,13 +181,13 @@ def _pair_sentence(pair: CameraPair) -> str:
     else:
         baseline += " mm"
     turns = ", ".join(
-        f"{axis} {value_words(value, sigma)}"
+        f"{axis} {format_with_sigma(value, sigma)}"
         for axis, value, sigma in zip("xyz", pair.turn_deg, pair.turn_sigma_deg, strict=True)
     )
+    angle = format_with_sigma(pair.angle_deg, pair.angle_sigma_deg)
     return (
         f"{pair.first} to {pair.second}: baseline {baseline}, rotation "
-        f"{value_words(pair.angle_deg, pair.angle_sigma_deg)} degrees ({turns} about the axes of "
-        f"{pair.first})"
+        f"{angle} degrees ({turns} about the axes of {pair.first})"
     )
 
 
@@ -204,7 +204,7 @@ def _extent(target: AbstractTarget) -> str:
 
 
 def _value(result: "CalibrationResult", name: str) -> str:
-    return value_words(result.value(name), result.sigma(name))
+    return format_with_sigma(result.value(name), result.sigma(name))
 
 
 def _board_sentence(
@@ -217,7 +217,7 @@ def _board_sentence(
     pose = Pose(reference_from_board)
     cosine = np.clip(0.5 * (np.trace(pose.rotation) - 1.0), -1.0, 1.0)
     position = ", ".join(
-        f"{axis} {value_words(value, result.sigma(f'board.{name}.{axis}_mm'))}"
+        f"{axis} {format_with_sigma(value, result.sigma(f'board.{name}.{axis}_mm'))}"
         for axis, value in zip("xyz", pose.translation_mm, strict=True)
     )
     turns = ", ".join(f"{result.sigma(f'board.{name}.turn_{axis}_deg'):.2g}" for axis in "xyz")
@@ -227,7 +227,7 @@ def _board_sentence(
     )
 
 
-def value_words(value: float, sigma: float) -> str:
+def format_with_sigma(value: float, sigma: float) -> str:
     """Text "value +- sigma", rounded to two significant digits of the sigma.
 
     Three decimals for a sigma of 0; "not determined" for NaN.

@@ -81,7 +81,7 @@ def find_reading(
 
 def find_charuco_reading(
     target: AbstractTarget,
-    number: int,
+    board_index: int,
     images: Sequence[_Image],
     load: Callable[[_Image], Any],
     tuning: CalibTuning,
@@ -94,13 +94,13 @@ def find_charuco_reading(
     Parameters
     ----------
     target : the board, or a set that contains it.
-    number : index of the board in the set.
+    board_index : index of the board in the set.
     images : images that do not show the given layout.
     load : function that returns the pixels of an image, or None.
     tuning : constants of the detection.
     """
     boards, names = list(list_boards(target)), board_names(target)
-    board = boards[number]
+    board = boards[board_index]
     if not isinstance(board, Charuco) or not images:
         return None
     for k in np.unique(np.linspace(0, len(images) - 1, min(_SEARCHED, len(images))).astype(int)):
@@ -108,14 +108,14 @@ def find_charuco_reading(
         reading = None if image is None else find_marker_reading(image, board, tuning)
         if reading is None or not reading.is_same_sheet:
             continue
-        boards[number] = reading.board
+        boards[board_index] = reading.board
         is_set = isinstance(target, BoardSet)
         changed = (
             BoardSet(dict(zip(names, boards, strict=True)), name=target.name)
             if is_set
             else reading.board
         )
-        board_name = f'"{names[number]}"' if is_set else "the ChArUco board"
+        board_name = f'"{names[board_index]}"' if is_set else "the ChArUco board"
         return BoardReading(
             changed,
             f"The images show {board_name} with {' and '.join(reading.changes)}, which was used. "

@@ -47,8 +47,12 @@ def pose_of_crossed_lines(
     if not np.isfinite(misfit[best]):
         return None
     previous, central, next_misfit = misfit[(best + np.array([-1, 0, 1])) % len(_ANGLES_RAD)]
-    bend = previous - 2 * central + next_misfit
-    shift = (previous - next_misfit) / (2 * bend) if np.isfinite(bend) and bend > 0 else 0.0
+    curvature = previous - 2 * central + next_misfit
+    shift = (
+        (previous - next_misfit) / (2 * curvature)
+        if np.isfinite(curvature) and curvature > 0
+        else 0.0
+    )
     (axes,), (distance_mm,), _ = view_circle(_ANGLES_RAD[best : best + 1] + shift * _ANGLES_RAD[1])
     return Pose(np.column_stack([axes, distance_mm * ray]))
 

@@ -161,7 +161,7 @@ def _unseen_boards(
         detection.circle_index for shots in detections.values() for detection in shots.values()
     ]
     detected = set(target.board_of_point[np.concatenate(indices)].tolist()) if indices else set()
-    return [number for number in range(len(target.boards)) if number not in detected]
+    return [board_index for board_index in range(len(target.boards)) if board_index not in detected]
 
 
 def _explain_failures(
@@ -193,7 +193,10 @@ def _explain_failures(
 
 def name_pictures(pictures: Mapping[str, Pictures]) -> dict[str, dict[str, Picture]]:
     """Images of each camera (outer key) by the name of the shot (inner key)."""
-    return {camera: _name_pictures(camera, given) for camera, given in pictures.items()}
+    return {
+        camera: _name_pictures(camera, camera_pictures)
+        for camera, camera_pictures in pictures.items()
+    }
 
 
 def deliver(picture: Picture) -> Any:

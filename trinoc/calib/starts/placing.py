@@ -127,8 +127,8 @@ def place_rig(
         for camera_sightings in sightings.values()
         for sighting in camera_sightings
     ]
-    for number, shot in enumerate(shots):
-        in_shot = [sighting for sighting in all_sightings if sighting.shot == number]
+    for shot_index, shot in enumerate(shots):
+        in_shot = [sighting for sighting in all_sightings if sighting.shot == shot_index]
         if not in_shot:
             continue
         outliers = add_shot(in_shot, shot)
