@@ -143,7 +143,9 @@ def models_to_try(
                 f'lens_model is "{name}", which finds every lens and all its coefficients: name a '
                 "model, or leave out distortion and lens."
             )
-        return tuple(lens_model_of(model_name) for model_name in LENSES_TRIED), name == "splined" or None
+        return tuple(
+            lens_model_of(model_name) for model_name in LENSES_TRIED
+        ), name == "splined" or None
     model = DEFAULT_DISTORTION if name == DEFAULT_LENS else lens_model_of(name)
     counts, names = model.coefficient_counts, model.coefficient_names
     if distortion is not None and distortion not in counts:

@@ -35,8 +35,8 @@ class Adjustment:
     """Joint least-squares estimate of all cameras over one sheet, with priors of sheet, lenses and
     aims.
 
-    The estimated parameters are lenses, camera poses, and print and bend of the sheet, in local
-    coordinates.
+    The f estimated parameters are those of lenses, camera poses, and print and bend of the sheet.
+    They are local coordinates: small changes at the estimate.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Adjustment:
     problem : problem at the solution, with outliers marked as unused and the factors of the point
         sigmas.
     whitened : whitened residuals at the solution and their Jacobian.
-    root : (f, f) upper triangular R of the information R^T R of all f estimated parameters, priors
+    root : (f, f) upper triangular R of the information R^T R of the estimated parameters, priors
         included. It is computed directly by a QR decomposition of the Jacobian, because R^T R would
         lose half of the digits.
     reduced_chi_square : (v,) chi-square of each camera's points divided by `freedom`, before the
@@ -111,8 +111,10 @@ class Adjustment:
         return self._rows_in(self.problem.slices.camera(view))
 
     def lens_steps(self, view: int) -> Float[np.ndarray, "r"]:
-        """Estimated minus given lens along each principal axis of its prior, in sigmas of the
-        prior, (r,).
+        """Difference between the estimated and the given lens of a camera, (r,), in sigmas of its
+        prior.
+
+        The r components are those along the principal axes of the prior covariance.
         """
         lens_index = self._lens_of(view)
         change = np.asarray(self.lens(view).parameters) - self.problem.priors.lens_mean[lens_index]
@@ -152,7 +154,8 @@ class Adjustment:
         return observability_of_root(root, self.degrees_by_step(view), largest)
 
     def covariance_with(self, weights: Float[np.ndarray, "f"]) -> Float[np.ndarray, "f f"]:
-        """Covariance, (f, f), if each estimated parameter had one more independent prior.
+        """Covariance, (f, f), that would result if each estimated parameter had an additional
+        prior.
 
         weights : (f,) inverse sigma of each additional prior; 0 for none.
         """
@@ -181,9 +184,9 @@ def adjust(
     start: Adjustment | None = None,
     first_damping: float | None = LEAST_DAMPING,
 ) -> Adjustment:
-    """Adjust all cameras over one sheet together. Outlier circles are excluded.
+    """Fit all cameras over one sheet together, without outlier circles.
 
-    If the residuals of a camera are larger than its point sigmas, these are enlarged and the
+    If the residuals of a camera are larger than its point sigmas, these sigmas are enlarged and all
     cameras are fitted again.
 
     Parameters
@@ -191,9 +194,9 @@ def adjust(
     cameras : observations of each camera.
     target : the sheet.
     priors : priors of sheet, lenses and aims.
-    start : earlier adjustment of the same cameras with other observations. The new adjustment
-        starts from its estimate and excludes the same outliers. Default: initial poses of the
-        cameras; outliers are searched.
+    start : earlier adjustment of the same cameras with other observations. The new fit starts from
+        its estimate and excludes the same outliers. Default: the fit starts from the initial poses
+        of the cameras, and outliers are searched.
     first_damping : damping of the first step of the first fit. Initial poses from circles are so
         accurate that undamped steps converge.
     """
@@ -267,8 +270,9 @@ def _inverse(root: Float[np.ndarray, "f f"]) -> Float[np.ndarray, "f f"]:
 def _chi_squares(
     problem: Problem, whitened: WhitenedViews, root: Float[np.ndarray, "f f"]
 ) -> tuple[Float[np.ndarray, "v"], Float[np.ndarray, "v"]]:
-    """Chi-square of each camera, and its degrees of freedom, (v,) each; degrees below 1 are set to
-    0.
+    """Chi-square of each camera and its degrees of freedom, (v,) each.
+
+    Degrees of freedom below 1 are set to 0.
     """
     free = np.flatnonzero(problem.free)
     fitted = np.sum((whitened.jacobian[..., free] @ _inverse(root)) ** 2, axis=(1, 2))

@@ -95,11 +95,12 @@ def _are_displaced(by_circles: Adjustment, view: int) -> bool:
 
 
 def scatter_of_blocks(adjustment: Adjustment, view: int) -> float:
-    """Block jackknife: by how much larger the pose error is than independent circle errors explain.
+    """Factor by which errors of neighbouring circles enlarge the pose error of a camera; at least
+    1.
 
-    The sheet is divided into blocks. The pose is estimated without each block in turn. Returns the
-    root mean square of these changes of the pose, divided by its expectation for independent errors
-    with the detected sigmas; at least 1.
+    It is estimated by a block jackknife. The sheet is divided into blocks, and the pose is
+    estimated without each block in turn. The factor is the root mean square of these pose changes,
+    divided by its expectation for independent circle errors with the detected sigmas.
     """
     pose_steps, problem = adjustment.rows(view), adjustment.problem
     jacobian = adjustment.whitened.jacobian[view][:, adjustment.free]

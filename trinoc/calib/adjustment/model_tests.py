@@ -67,7 +67,7 @@ def _test(
     extra : (n, k) derivative of the residuals with respect to the group.
     score : normal equations of the group.
     adjustment, view : adjustment, and index of the camera.
-    unit : change of the parameters, in their public unit, for a unit of `extra`.
+    unit : factor that converts the parameters of `extra` to their public unit.
     """
     test = score.test(range(extra.shape[1]))
     if test.freedom < extra.shape[1]:
@@ -101,10 +101,10 @@ def _test(
 def motion_by_extra(
     extra: Float[np.ndarray, "n k"], adjustment: Adjustment, view: int
 ) -> Float[np.ndarray, "p k"]:
-    """Change of one camera's pose for a unit error of each of k fixed parameters, (p, k).
+    """Change of one camera's estimated pose if one of k fixed parameters had an error of 1, (p, k).
 
-    The pose is in local coordinates. With R from `Adjustment.pose_root`, |R change| is the length
-    of the change in sigmas (Mahalanobis distance).
+    The change is in local coordinates of the pose. With R from `Adjustment.pose_root`, |R change|
+    is the length of the change in sigmas (Mahalanobis distance).
 
     extra : (n, k) derivative of the residuals with respect to the fixed parameters.
     """

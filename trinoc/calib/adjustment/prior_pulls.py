@@ -36,9 +36,9 @@ class Unknown(NamedTuple):
     ----------
     kind : "focal length", "aspect", "principal point", "distortion", "aim", "print size", "print
         aspect", "bend", or "all".
-    views : indices of the cameras whose lens or aim it is; empty for the sheet.
-    by_step : (k, f) derivative of its k components with respect to the f estimated parameters. The
-        unit of the components is px or mm, or they are relative.
+    views : indices of the cameras to which the lens or the aim belongs; empty for the sheet.
+    by_step : (k, f) derivative of the k components of the quantity with respect to the f estimated
+        parameters. A component is relative, or its unit is px or mm.
     """
 
     kind: str
@@ -74,16 +74,16 @@ class PriorPull(NamedTuple):
 
     @property
     def views(self) -> frozenset[int]:
-        """Indices of the cameras whose given lens or aim is wrong.
+        """Indices of the cameras whose given lens or aim is contradicted.
 
-        Empty if the sheet may be wrong instead.
+        Empty if the sheet may be the cause.
         """
         if not all(unknown.views for unknown in self.unknowns):
             return frozenset()
         return frozenset(view for unknown in self.unknowns for view in unknown.views)
 
     def concerns_aim(self, view: int) -> bool:
-        """True if the wrong quantity may be the aim of the camera with index `view`."""
+        """True if the aim of the camera with index `view` is among the contradicted quantities."""
         return any(unknown.kind == "aim" and view in unknown.views for unknown in self.unknowns)
 
     @property
@@ -178,7 +178,8 @@ class PriorSpace(NamedTuple):
         return bool(np.linalg.norm(across, 2) > largest)
 
     def _by_sigma(self, unknown: Unknown) -> Float[np.ndarray, "k f"]:
-        """Derivative, (k, f), of a quantity with respect to the parameters in prior sigmas.
+        """Derivative, (k, f), of a quantity with respect to the parameters, in units of their prior
+        sigmas.
 
         Columns of parameters without a prior are 0.
         """

@@ -145,9 +145,9 @@ class ForeseenShot(NamedTuple):
 def foresee_shots(problem: Problem, candidates: list[Candidate]) -> list[ForeseenShot]:
     """Predict the information of possible next shots, from simulated detections.
 
-    Candidates that their own camera would not detect are omitted. Points get the mean sigmas of the
-    existing shots. Candidates are processed in groups as large as the present problem, so that no
-    program compiles again.
+    A candidate is omitted if its camera would not detect the board. Board points get the mean
+    sigmas of the existing shots. Candidates are processed in groups as large as the present
+    problem, so that no program compiles again.
     """
     sigma_px, shots = point_sigma_px(problem), []
     lenses = [lens_of_index(problem, int(k)) for k in problem.parametrization.lens_of_camera]
@@ -182,8 +182,9 @@ def foresee_shots(problem: Problem, candidates: list[Candidate]) -> list[Foresee
 
 
 def point_sigma_px(problem: Problem) -> Float[np.ndarray, "c"]:
-    """Root mean square sigma per axis of the board points of each camera, px, (c,), with sigma
-    factors.
+    """Root mean square sigma per axis of a board point in each camera, px, (c,).
+
+    The sigma factors of cameras and images are included.
     """
     precision, count = np.zeros(problem.cameras), np.zeros(problem.cameras)
     for view, whitening in zip(problem.views, np.asarray(problem.table.whitening)):

@@ -50,11 +50,12 @@ class HalfFit(NamedTuple):
 
 
 def cross_validate(problem: Problem, cameras: tuple[str, ...]) -> CrossValidation | None:
-    """Two-fold cross-validation: residuals in every second shot for lenses and cameras from the
-    others.
+    """Compute residuals in shots that were not used to fit lenses and cameras (two-fold
+    cross-validation).
 
-    In a held-out shot only the board pose is fitted, to the image of one camera. Outliers are those
-    of the fit to all shots. Returns None if one half does not determine the rig.
+    The rig is fitted to every second shot, and then to the remaining shots. In the held-out shots
+    only the board pose is fitted, to the image of one camera. Outliers are those of the fit to all
+    shots. Returns None if one half does not determine the rig.
     """
     same_camera: dict[str, list[np.ndarray]] = {name: [] for name in cameras}
     other_camera: dict[str, list[np.ndarray]] = {name: [] for name in cameras}
@@ -194,7 +195,7 @@ def _squared_mahalanobis(
 def find_steps_to_half(problem: Problem, end: Problem) -> np.ndarray:
     """Difference between two solutions in local coordinates, (h,): `end` minus `problem`.
 
-    Only lenses, cameras and board poses in a set are compared; the board shape is 0.
+    It contains lenses, cameras and board poses in a set. The entries of the board shape are 0.
     """
     parametrization, lenses = problem.parametrization, range(problem.parametrization.lens_shape[0])
     whole_lenses, half_lenses = (

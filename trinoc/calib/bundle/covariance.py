@@ -61,11 +61,11 @@ def determined_part(
 
     Parameters
     ----------
-    information : (k, k) information about the local coordinates of all cameras, with the lines
-        eliminated and the calibration prior included.
-    sheet_information : (k, k) part of it from the calibration prior. Directions in which the prior
-        is weak (correlated errors of lens and distance) are not undetermined. Directions are
-        therefore compared in sigmas of this prior.
+    information : (k, k) information about the local coordinates of all cameras, from lines and
+        calibration prior. The lines are eliminated.
+    sheet_information : (k, k) part of `information` that comes from the calibration prior. A
+        direction in which this prior is weak (correlated errors of lens and distance) still counts
+        as determined, because directions are compared in sigmas of the prior.
     """
     units = _units(information, sheet_information)
     scaled_information = units.T @ information @ units
@@ -85,9 +85,10 @@ def determined_part(
 def _units(
     information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
 ) -> Float[np.ndarray, "k k"]:
-    """Changes of the camera parameters, (k, k), of one sigma of the calibration prior each.
+    """Units in which directions of the camera parameters are compared, as columns, (k, k).
 
-    Parameters without a prior have independent units.
+    For parameters with a calibration prior, each column is a change of one prior sigma. The other
+    columns change one parameter each.
     """
     units = np.diag(1 / _positive_root(np.diag(information)))
     has_prior = np.flatnonzero(np.diag(sheet_information) > 0)

@@ -163,10 +163,10 @@ def joint_estimate(
 def squared_distances_with_rig(
     rig: Rig, lines: LineObservations, free_parameters: FreeParameters
 ) -> Float[np.ndarray, "t v"]:
-    """Squared distance, (t, v), of each fragment from its line triangulated with a given rig, in
-    sigmas.
+    """Squared distance, (t, v), of each fragment from the line that its track determines with a
+    rig.
 
-    Infinite if it cannot be computed.
+    The unit is squared sigmas of the fragment. Infinite if a distance cannot be computed.
     """
     distances = _squared_distances_from_segments(
         _cameras(rig, free_parameters), _pad_tracks(lines)[0]
@@ -250,8 +250,9 @@ def prior_information(
 
 
 class _Fit(NamedTuple):
-    """Solution of the minimisation, and quantities computed there. k is the number of camera
-    parameters.
+    """Solution of the minimisation, and quantities computed there.
+
+    k is the number of refined camera parameters.
 
     Attributes
     ----------
@@ -259,8 +260,9 @@ class _Fit(NamedTuple):
     converged : whether the minimisation converged.
     cost, first_cost : robust cost, with the final width of the loss, at the end and at the start.
     squared : (t, v) squared distance of each fragment from its line, in sigmas.
-    information : (k, k) information of lines and prior about the cameras' local coordinates.
-    sheet_information : (k, k) part of it from the calibration prior.
+    information : (k, k) information of lines and calibration prior about the cameras' local
+        coordinates.
+    sheet_information : (k, k) part of `information` that comes from the calibration prior.
     sheet_chi_square : squared Mahalanobis distance between refined and calibrated cameras.
     by_step : (k, k) Jacobian of the public parameters with respect to the local coordinates.
     values : (v, p) public parameters of each camera.

@@ -33,7 +33,13 @@ STEP_TOLERANCE, MOST_NEWTON_STEPS = 1e-9, 8
 
 
 class Offsets(NamedTuple):
-    """Small changes of all cameras, (k,), and of all lines, (t, 4), in local coordinates."""
+    """Small changes of all unknowns, in local coordinates.
+
+    Attributes
+    ----------
+    cameras : (k,) change of all cameras.
+    lines : (t, 4) change of each line.
+    """
 
     cameras: Float[ArrayLike, "k"]
     lines: Float[ArrayLike, "t 4"]

@@ -54,7 +54,13 @@ class FragmentTable(NamedTuple):
 
 
 class CamerasAndLines(NamedTuple):
-    """Unknowns of a refinement: v stacked cameras and t lines, each given by two points on it."""
+    """Unknowns of a refinement.
+
+    Attributes
+    ----------
+    cameras : v cameras, stacked.
+    anchors_mm : (t, 2, 3) two points on each of t lines.
+    """
 
     cameras: CameraState
     anchors_mm: Float[ArrayLike, "t 2 3"]

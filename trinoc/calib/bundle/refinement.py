@@ -132,7 +132,15 @@ def refine(
 
 
 class _Refinement(NamedTuple):
-    """Inputs that all rounds of matching and refining have in common."""
+    """Inputs that all rounds of matching and refining have in common.
+
+    Attributes
+    ----------
+    calibrated : the calibration.
+    sheet_rig : calibrated rig, whose covariance is the prior.
+    free_parameters : estimated parameters, and the cameras that keep their prior.
+    tuning : constants of the method.
+    """
 
     calibrated: CalibrationResult | Rig
     sheet_rig: Rig
@@ -304,10 +312,10 @@ def is_unambiguous(
 def _separation_sigmas(
     best: RefineResult, other: RefineResult, free_parameters: FreeParameters
 ) -> float:
-    """Typical distance, in sigmas, of the best result's fragments from their lines, with the other
-    rig.
+    """Misfit, in sigmas, of the best result's tracks if the cameras of another result are used.
 
-    Only tracks that agree with the best rig are used. Small if both rigs are nearly equal.
+    It is the median over the tracks that agree with the best result. It is small if both rigs are
+    nearly equal.
     """
     agree = (best.inlier == best.tracks.seen).all(axis=1) & (best.tracks.seen.sum(axis=1) > 2)
     if not agree.any():

@@ -154,13 +154,13 @@ def _chi_square_gain(
 
 
 def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, ShapePrior]:
-    """Fit with the variances of the shape prior and the sigmas of the points estimated from the
-    residuals.
+    """Estimate the variances of the shape prior and the sigmas of the points, and fit with them.
 
-    Returns the fitted problem and the estimated prior.
+    Both are estimated from the residuals, in turn with the fit. Returns the fitted problem and the
+    prior.
 
-    Errors that the points of one shot share make the shots disagree by a variance factor F. The
-    prior information is then multiplied by F. Otherwise few shots that agree by chance would be
+    Errors that all points of a shot have in common make the shots disagree by a variance factor F.
+    The prior information is then multiplied by F. Otherwise few shots that agree by chance would be
     mistaken for the shape of the board.
     """
     factor = np.inf

@@ -20,11 +20,15 @@ _PRICE = 2.0
 
 
 def fix_undetermined(fit: RobustFit) -> tuple[RobustFit, tuple[str, ...]]:
-    """Fix the lens coefficients that the observations do not determine at 0.
+    """Fix at 0 the lens coefficients that the observations do not determine, and fit again.
 
-    Returns the new fit and the names of the fixed coefficients. Coefficients are fixed one after
-    the other, in the order of the lens model's `dispensable`, until all remaining parameters are
-    determined. If that is not reached, the given fit is returned and no coefficient is fixed.
+    Coefficients are fixed one after the other, in the order of the lens model's `dispensable`,
+    until all remaining parameters are determined. If this does not succeed, the given fit is
+    returned.
+
+    Returns
+    -------
+    The fit, and the names of the fixed coefficients.
     """
     first_fit, fixed = fit, []
     lenses = fit.problem.state.lenses

@@ -84,8 +84,10 @@ class PointsProblem(AbstractArrowProblem):
     def retract(
         self, state: RigState, head: Float[ArrayLike, "h"], blocks: Float[ArrayLike, "s 6"]
     ) -> RigState:
-        """State after a small change of the shared parameters (`head`) and of the board poses
-        (`blocks`).
+        """State after small changes of its unknowns, in local coordinates.
+
+        head : (h,) change of the parameters that all shots share: lenses, cameras, board shape.
+        blocks : (s, 6) change of the board pose in each shot.
         """
         return retract(state, self.parametrization, head, blocks)
 
@@ -100,12 +102,18 @@ def sum_boards(
 ) -> tuple[Float[Array, "s h 6"], Float[Array, "s 6 6"], Float[Array, "s 6"]]:
     """Sum the normal equations that involve the pose of the board, separately for each of s shots.
 
-    Returns the mixed block of shared parameters and board pose, the information of the board pose,
-    and the gradient with respect to the board pose.
+    Shared parameters are those that all shots share: lenses, cameras, board shape.
 
-    columns : (v, k) indices of the shared parameters that each observation depends on.
-    block_information, gradient : normal equations of each observation: k shared parameters, then 6
-        of the board pose.
+    Parameters
+    ----------
+    columns : (v, k) indices of the shared parameters on which each observation depends.
+    block_information, gradient : normal equations of each observation. The order is: these k
+        parameters, then 6 parameters of the board pose.
+
+    Returns
+    -------
+    The mixed second derivatives by shared parameters and board pose, the information of the board
+    pose, and the gradient with respect to the board pose.
     """
     size, shot = columns.shape[1], jnp.asarray(table.shot)
     shots, heads = state.rig_from_board.shape[0], parametrization.free.shape[0]

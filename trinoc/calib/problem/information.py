@@ -152,7 +152,7 @@ class WhitenedViews(NamedTuple):
     Attributes
     ----------
     jacobian : (v, 2n, h) derivative of the residuals of v observations of n points with respect to
-        all h shared parameters, fixed ones included.
+        all h parameters that the shots share (lenses, cameras, board shape), fixed ones included.
     residual : (v, 2n) predicted minus observed pixel coordinates, in sigmas.
     """
 

@@ -47,10 +47,10 @@ def with_correction(fit: RobustFit, sizes_px: Sequence[tuple[int, int]]) -> Robu
 
 
 def with_estimated_correction_sigmas(fit: RobustFit) -> RobustFit:
-    """Fit again, with the prior sigmas of the spline corrections and the point sigmas estimated
-    from the residuals.
+    """Estimate the prior sigmas of the spline corrections and the sigmas of the points, and fit
+    again.
 
-    A fit without splines is returned unchanged.
+    Both are estimated from the residuals. A fit without splines is returned unchanged.
     """
     if not correction_sigmas_px(fit.problem).any():
         return fit
@@ -58,8 +58,7 @@ def with_estimated_correction_sigmas(fit: RobustFit) -> RobustFit:
 
 
 def add_splines(problem: Problem, sizes_px: Sequence[tuple[int, int]]) -> Problem:
-    """Problem in which each lens has a spline correction. It starts at zero, and is free, without a
-    prior.
+    """Problem in which each lens has a spline correction, which starts at 0 and has no prior.
 
     sizes_px : (width, height) of the images of each lens.
     """
@@ -120,11 +119,10 @@ def measure_corrections(problem: Problem) -> list[LensCorrection]:
 
 
 def _with_estimated_sigmas(problem: Problem) -> Problem:
-    """Fit with the prior sigmas of the spline corrections that maximise the evidence.
+    """Estimate the prior sigma of each spline correction by maximum evidence, and fit with it.
 
-    Iteration: the variance of a lens's prior is the sum of squares of its control points
-    (chi-square for a sigma of 1 px), divided by the effective number of control points that the
-    shots determine.
+    In each iteration, the new variance of the prior is the sum of the squared control points (for a
+    sigma of 1 px), divided by the effective number of control points that the shots determine.
 
     References
     ----------
@@ -146,12 +144,14 @@ def _with_estimated_sigmas(problem: Problem) -> Problem:
 def assess_corrections(
     problem: Problem, sigma_px: Float[np.ndarray, "l"]
 ) -> tuple[Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
-    """Chi-square of the control points of each lens, and the number of control points determined,
-    (l,) each.
+    """Evaluate the spline correction of each lens at the end of a fit.
 
-    The chi-square is that of the control points under a prior sigma of 1 px. The number is the
-    effective number of control points that the shots determine in a fit with the prior sigmas
-    `sigma_px`.
+    sigma_px : (l,) prior sigmas of the fit; 0 for a lens without a correction.
+
+    Returns
+    -------
+    Chi-square of the control points under a prior sigma of 1 px, (l,), and effective number of
+    control points that the shots determine, (l,).
     """
     information = compute_information(problem)
     covariance = np.nan_to_num(information.observability.covariance)

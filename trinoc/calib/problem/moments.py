@@ -44,9 +44,10 @@ class UnsynchronisedImage(NamedTuple):
 def find_unsynchronised_images(problem: Problem) -> list[UnsynchronisedImage]:
     """Find the images that were taken at another moment than the rest of their shot.
 
-    In a shot of three or more images, the images are removed one by one whose removal makes the
-    others agree best. Sets of boards, and shots seen by one camera, are not tested. The problem is
-    one at the end of a robust fit.
+    As long as the images of a shot disagree, the image is removed without which the others agree
+    best. Sets of boards, and shots seen by one camera, are not tested.
+
+    problem : problem at the end of a robust fit.
     """
     images_by_shot, excess = _excesses(problem)
     excess_by_shot = {shot: excess(images) for shot, images in images_by_shot.items()}
@@ -249,13 +250,16 @@ def errors_about_image_poses_px(
 def pose_differences_px(
     problem: Problem, poses: ImagePoses
 ) -> dict[int, tuple[np.ndarray, Float[np.ndarray, "_s 2"]]]:
-    """Image shift that one camera has relative to the other cameras of the shot, for each camera
-    but the first.
+    """Shift of the board's image in each camera relative to the other cameras, in each shot.
 
-    Returns, with the camera's index as key, the indices of its s shots and the shifts in px, (s,
-    2). Let m be the mean motion, in one image, of the board points from the board pose of the shot
-    to the pose that fits this image alone. The shift is m minus the mean of m over the other
-    cameras of the shot. It is small for synchronised cameras that did not move.
+    Let m be the mean motion of the board points of an image, px, if the board moved from the pose
+    fitted to the shot to the pose fitted to this image alone. The shift is m of one camera minus
+    the mean of m over the other cameras. It is small for synchronised cameras that did not move.
+
+    Returns
+    -------
+    For each camera but the first (the key is its index): the indices of its s shots, and the
+    shifts, (s, 2).
     """
     if len(problem.state.set_from_board):
         return {}

@@ -150,8 +150,9 @@ def _parameters(
 ) -> tuple[Array, Array, Array]:
     """Values of the p public parameters, and their Jacobians.
 
-    The Jacobians are those with respect to the shared parameters, (p, h), and to the board poses of
-    the shots, (p, s, 6).
+    The first Jacobian, (p, h), is that with respect to the parameters that all shots share: lenses,
+    cameras, board shape. The second, (p, s, 6), is that with respect to the board poses of the
+    shots.
     """
     start = _poses_in_world(state, world)
 

@@ -180,7 +180,8 @@ def shot_scatter(
 ) -> ShotScatter:
     """Test whether the shots scatter more than the point sigmas explain.
 
-    Let g_s and H_s be the gradient and information of shot s, and H the total information:
+    The statistic compares the chi-square gradients of the shots with their expectation. Let g_s and
+    H_s be the gradient and information of shot s, and H the total information:
 
         E(sum_s g_s^T H^-1 g_s) = sum_s tr(H^-1 H_s) - sum_s tr((H^-1 H_s)^2)
 

@@ -138,7 +138,7 @@ class FreeLensParameters(NamedTuple):
 
 
 def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
-    """Problem in which exactly the masked lens parameters are estimated.
+    """Problem in which a mask selects the lens parameters that are estimated.
 
     Distortion coefficients that are not estimated are set to 0. They keep their values in three
     cases: all parameters of the lens are fixed, the lens has a prior, or the model never estimates
@@ -228,12 +228,13 @@ def with_lens_prior(problem: Problem, lens_index: int, factor: Float[np.ndarray,
 def with_wider_lenses(
     problem: Problem, lenses: Sequence[AbstractLens], image_sizes_px: Sequence[tuple[int, int]]
 ) -> Problem:
-    """Problem with lenses of a more general model, whose first parameters are the present ones.
+    """Problem in which each lens is replaced by a lens of a more general model.
 
-    The additional parameters are estimated without a prior. If all parameters of a lens are fixed,
-    its additional ones are fixed, too.
+    The first parameters of the general model must be those of the present model. The additional
+    parameters are estimated without a prior. They are fixed if all parameters of the lens are
+    fixed.
 
-    lenses : lenses of the more general model.
+    lenses : lenses of the general model, with the present values.
     image_sizes_px : (width, height) of the images of each lens.
     """
     count, size = problem.parametrization.lens_shape
@@ -288,7 +289,10 @@ def with_free_head(problem: Problem, free: Float[np.ndarray, "h"]) -> Problem:
 
 
 def basis_of_scales(scale: Float[np.ndarray, "l q"]) -> Float[np.ndarray, "l q q"]:
-    """Diagonal `Parametrization.lens_basis`, (l, q, q), from the scale of each lens parameter."""
+    """Diagonal matrices for `Parametrization.lens_basis`, (l, q, q).
+
+    scale : (l, q) change of each lens parameter for a unit change of its local coordinate.
+    """
     return scale[:, :, None] * np.eye(scale.shape[1])[None]
 
 

@@ -54,7 +54,7 @@ class RaoTest(NamedTuple):
         )
 
     def noise_variance(self, squared: float, freedom: float) -> float:
-        """Variance of the residuals after the predicted reduction of chi-square.
+        """Variance of the residuals if the tested parameters were estimated.
 
         squared : sum of the squared residuals of the fit.
         freedom : degrees of freedom of that sum.
@@ -153,7 +153,7 @@ class FixedScore(NamedTuple):
         )
 
     def p_value(self, test: RaoTest) -> float:
-        """p-value of a test from `test` (F test, with the noise variance of the residuals)."""
+        """p-value of a result of `test`, by an F test with the noise variance of the residuals."""
         return 1.0 if self.are_exact else test.f_test_p_value(self.squared, self.freedom)
 
     def noise_variance(self, test: RaoTest) -> float:
@@ -176,8 +176,10 @@ class FixedScore(NamedTuple):
         return min(groups, key=lambda group: self.rank(self.test(groups[group])), default=None)
 
     def with_freed(self, columns: Sequence[int]) -> "FixedScore":
-        """Normal equations after the parameters with these indices were estimated, too, to first
+        """Normal equations of the fixed parameters after some of them were estimated, to first
         order.
+
+        columns : indices of the parameters that are estimated now.
         """
         test = self.test(columns)
         return self._replace(

@@ -211,8 +211,8 @@ class LinearisedObservation(eqx.Module):
     ) -> tuple[Float[Array, "k k"], Float[Array, "k"]]:
         """Information J^T W J and gradient J^T W r of this observation.
 
-        The order is: k shared parameters, then 6 of the board pose. Entries of fixed parameters are
-        0. W is the weight of each point from the robust loss.
+        The order of rows is: the k parameters of `columns`, then 6 parameters of the board pose.
+        Entries of fixed parameters are 0. W is the weight of each point from the robust loss.
         """
         board_free, first = (
             jnp.full(POSE_SIZE, parametrization.boards_free),

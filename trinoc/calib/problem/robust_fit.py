@@ -129,7 +129,10 @@ def fit_without_wrong_points(problem: Problem, suspects: Sequence[int]) -> tuple
 
 
 def finish_fit(problem: Problem, rejected_images: list[tuple[int, int, float]]) -> RobustFit:
-    """Estimate the point sigmas from the residuals, and fit again. The problem has no outliers."""
+    """Estimate the point sigmas from the residuals, and fit again.
+
+    Outliers must have been marked as unused before.
+    """
     return refit(with_sigma_factors(problem), rejected_images)
 
 

@@ -154,7 +154,7 @@ def sheet_problem(
     target: AbstractTarget,
     priors: SheetPriors,
 ) -> Problem:
-    """Calibration problem of cameras over one sheet, at its initial values.
+    """Build the calibration problem of cameras over one sheet, with its initial values.
 
     Initially the sheet is flat and as drawn. It lies on the plane Z = 0.
     """

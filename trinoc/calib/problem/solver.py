@@ -87,13 +87,22 @@ class AbstractArrowProblem(eqx.Module, Generic[State]):
 
     @abstractmethod
     def retract(self, state: State, head: Float[Array, "h"], blocks: Float[Array, "b w"]) -> State:
-        """State after a small change of shared parameters (`head`) and blocks. A change of 0 has no
+        """State after small changes in the local coordinates at `state`. Changes of 0 have no
         effect.
+
+        head : (h,) change of the parameters that all blocks share.
+        blocks : (b, w) change of the parameters of each block.
         """
 
 
 class Costs(NamedTuple):
-    """Cost of a state in parts: the part of the shared parameters, and the part of each block."""
+    """Cost of a state, in parts.
+
+    Attributes
+    ----------
+    head : part that depends only on the parameters that all blocks share.
+    blocks : (b,) part of each block.
+    """
 
     head: Float[ArrayLike, ""]
     blocks: Float[ArrayLike, "b"]
@@ -235,7 +244,13 @@ def _equations(problem: AbstractArrowProblem[State], state: State) -> ArrowEquat
 
 
 class Damping(NamedTuple):
-    """Damping of the shared parameters (`head`), and damping of each block."""
+    """Damping of a Gauss-Newton step.
+
+    Attributes
+    ----------
+    head : damping of the parameters that all blocks share.
+    blocks : (b,) damping of each block.
+    """
 
     head: Float[ArrayLike, ""]
     blocks: Float[ArrayLike, "b"]
@@ -246,7 +261,8 @@ class ArrowStep(NamedTuple):
 
     Attributes
     ----------
-    head, blocks : change of the shared parameters and of the blocks.
+    head : (h,) change of the parameters that all blocks share.
+    blocks : (b, w) change of the parameters of each block.
     predicted_gain : decrease of the cost that the equations predict.
     block_moves : (b,) whether each block changes in this step.
     """

@@ -120,8 +120,10 @@ def fit_with_motion(images_fit: RobustFit, shots_fit: RobustFit) -> RobustFit | 
 
 
 def _errors_in_sigmas(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "v n 2"]:
-    """Residuals of each image about its own best board pose, in detected sigmas without factors,
-    (v, n, 2).
+    """Residuals of each image about its own best board pose, in units of the detected sigmas, (v,
+    n, 2).
+
+    The sigma factors are not applied.
     """
     table = problem.table
     errors = np.zeros(np.shape(table.uv_px))
@@ -225,12 +227,11 @@ def _correlated_whitening(
 
 
 def _motion_covariance(problem: Problem, poses: ImagePoses) -> Float[np.ndarray, "6 6"]:
-    """Covariance, (6, 6), of the change of the board pose between one image of a shot and the true
-    shot.
+    """Covariance, (6, 6), of the random motion of the board between the exposures of a shot.
 
-    It is in local coordinates of the pose. It is estimated from the pose differences between pairs
-    of images of a shot, minus the noise of these poses. Pairs with large differences have a bounded
-    weight.
+    It is the covariance of the board pose in one image relative to the pose of the shot, in local
+    coordinates. It is estimated from the pose differences between images of a shot, minus the noise
+    of these poses. Pairs of images with large differences have a bounded weight.
     """
     differences, noises = [], []
     for first, *others in images_of_shots(problem).values():

@@ -159,7 +159,10 @@ class Parametrization(eqx.Module):
 
     @property
     def slices(self) -> HeadSlices:
-        """Index range of each kind of unknown in the vector of shared parameters."""
+        """Index range of each kind of unknown in the vector of shared parameters.
+
+        Shared parameters are those of lenses, camera poses, board poses in a set, and board shape.
+        """
         lenses, lens_size = self.lens_shape
         sizes = (
             lenses * lens_size,
@@ -183,10 +186,12 @@ def head_columns(
 ) -> Int[Array, "k"]:
     """Indices, (k,), of the shared parameters on which the pixels of one observation depend.
 
-    The order is: lens of the camera, pose of the camera, pose of the board in its set, print and
-    bend of the board, displacements of all board points.
+    Shared parameters are those that all shots share. The order is: lens of the camera, pose of the
+    camera, pose of the board in its set, print and bend of the board, displacements of all board
+    points.
 
-    camera, board : indices of both.
+    camera : index of the camera.
+    board : index of the board in its set.
     """
     slices, terms = parametrization.slices, len(parametrization.sheet_model.names)
     size = slices.lens_size
@@ -248,9 +253,13 @@ def retract(
 
 
 class Prior(NamedTuple):
-    """Chi-square of the priors (`cost`), half its gradient and half its Hessian (`information`).
+    """Cost of the priors with its derivatives with respect to the h shared parameters.
 
-    The derivatives are those with respect to the h shared parameters.
+    Attributes
+    ----------
+    cost : chi-square of the priors.
+    gradient : (h,) half the gradient of the cost.
+    information : (h, h) half the Hessian of the cost.
     """
 
     cost: Float[ArrayLike, ""]
