@@ -173,8 +173,9 @@ def fit_wider_model(
 
 
 def _folds(problem: Problem) -> dict[int, str]:
-    """Description of the fold of each fitted lens that folds its image, by the index
-    of the lens.
+    """Description of the fold of each fitted lens that folds its image, by the index of the lens.
+
+    A lens folds the image where its distortion maps two rays to one pixel.
     """
     sizes, free = problem.image_sizes_px, free_of_lenses(problem)
     folds = {}

@@ -90,7 +90,9 @@ def problem_of_points(
 
 
 def with_lens_parameters_free(problem: Problem, names: Collection[str]) -> Problem:
-    """Problem in which exactly the lens parameters `names` are estimated."""
+    """Problem in which only the parameters `names` of the lens are estimated. The pose is
+    unchanged.
+    """
     free = np.array(problem.free)
     free[problem.slices.lens(0)] = [name in names for name in lens_parameter_names(problem)]
     return with_free_head(problem, free)
@@ -161,8 +163,9 @@ def extend_lens(problem: Problem, names: tuple[str, ...]) -> tuple[Problem, tupl
 
 
 def _fit_with_free(problem: Problem, names: tuple[str, ...]) -> Problem:
-    """Fit with exactly the lens parameters `names` estimated, starting with all points
-    as inliers.
+    """Fit in which only the parameters `names` of the lens are estimated, and the pose.
+
+    Outliers are searched again among all points.
     """
     used = np.ones(len(problem.views[0].used), dtype=bool)
     problem = problem._replace(views=(problem.views[0]._replace(used=used),))
@@ -175,7 +178,7 @@ def lens_parameter_names(problem: Problem) -> tuple[str, ...]:
 
 
 def score_of_points(problem: Problem) -> FixedScore:
-    """Normal equations of all parameters for score tests, with the estimated parameters eliminated.
+    """Normal equations for score tests of all parameters, with the estimated parameters eliminated.
 
     Residuals are in px, since points have no stated sigma.
     """

@@ -250,9 +250,10 @@ def _fit_unsynchronised(shots_fit: ShotsFit, observations: ShotObservations) -> 
 
 
 def _fix_coefficients(shots_fit: ShotsFit, observations: ShotObservations) -> ShotsFit:
-    """Fix distortion coefficients that the shots do not determine, or that fold an image, at 0.
+    """Fix at 0 the distortion coefficients that the shots do not determine, or that fold an image.
 
-    The fit is unchanged if the user gave the number of coefficients.
+    A lens folds an image where it maps two rays to one pixel. The fit is unchanged if the user gave
+    the number of coefficients.
     """
     if observations.freedom.distortion is not None:
         return shots_fit

@@ -162,8 +162,9 @@ def _directions(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Unit vectors of the baseline and of the rotation axis of a relative pose.
 
-    motion : centre and rotation vector, as from `_centre_and_turn`. If the baseline is 0, the x
-        axis is returned for it. If the rotation is 0, the z axis is returned for it.
+    The x axis is returned if the baseline is 0. The z axis is returned if the rotation is 0.
+
+    motion : centre and rotation vector, as from `_centre_and_turn`.
     """
     baseline, angle = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
     direction = motion[:3] / baseline if baseline > 0.0 else np.array([1.0, 0.0, 0.0])

@@ -26,8 +26,8 @@ class CameraChange(NamedTuple):
     ----------
     moved_mm : displacement of the centre of projection.
     turned_deg : angle of the rotation between both orientations.
-    sigmas : significance of the change, from the covariances of both calibrations; NaN without
-        them.
+    sigmas : significance of the change, in sigmas, from the covariances of both calibrations; NaN
+        without covariances.
     moved : whether the change is significant.
     field_px : root mean square distance, over the image, between the pixels of the same 3-D points
         in both calibrations. The points are as far from the camera as the origin of the world. NaN
@@ -77,7 +77,7 @@ def compare_rigs(
 
     Returns
     -------
-    The change of each camera that both rigs have.
+    The change of each camera that both rigs have, the exchanged images, and sentences on both.
 
     Notes
     -----

@@ -155,12 +155,15 @@ def _link_all_boards(
 
 
 class HandEye(NamedTuple):
-    """Solution X, Y of U = X T Y, for pairs of poses (T, U).
+    """Relative poses of two groups of cameras and of two groups of boards (hand-eye calibration).
+
+    In each shot, let T be the pose of the first boards relative to the first cameras, and U that of
+    the second boards relative to the second cameras. Then U = X T Y in all shots.
 
     Attributes
     ----------
-    cameras : X, the pose of the first cameras in the frame of the second ones.
-    boards : Y, the pose of the second boards in the frame of the first ones.
+    cameras : X, the pose of the first cameras relative to the second cameras.
+    boards : Y, the pose of the second boards relative to the first boards.
     """
 
     cameras: Pose
@@ -170,12 +173,12 @@ class HandEye(NamedTuple):
 def solve_hand_eye(
     first: Sequence[Pose], second: Sequence[Pose], tuning: CalibTuning
 ) -> HandEye | None:
-    """Solve U = X T Y for the fixed motions X and Y, by least squares over several shots.
+    """Solve U = X T Y for the constant motions X and Y, by least squares over several shots.
 
     Returns None if there are too few shots, or if all motions rotate about nearly the same axis.
 
-    first : T of each shot, the pose of one board relative to one camera.
-    second : U of each shot, the pose of another board relative to another camera.
+    first : T of each shot, the pose of the first boards relative to the first cameras.
+    second : U of each shot, the pose of the second boards relative to the second cameras.
     """
     if len(first) < FEWEST_SHOTS:
         return None
@@ -215,12 +218,12 @@ def link_by_motion(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> tuple[Links, Links] | None:
-    """Connect two groups of cameras that never see the same board, by the motion of two fixed
-    boards.
+    """Connect two groups of cameras that never see the same board, through two boards that move
+    together.
 
-    The first cameras see one group of boards, the second cameras another group. Of all combinations
-    of groups, the one on which most shots agree is returned: the link between the cameras, and the
-    link between the boards. None if no combination agrees.
+    The first cameras see one group of boards, and the second cameras another group. All
+    combinations of groups are tried. The combination on which most shots agree is returned, as the
+    relative pose of the cameras and that of the boards. None if no combination agrees.
 
     sightings : detections of each camera with the pose of the board.
     cameras, boards : groups with known relative poses.
@@ -269,12 +272,12 @@ def _largest_by_shot(
 
 
 class _Agreement(NamedTuple):
-    """Solution of U = X T Y with the shots that agree with it.
+    """Relative poses of two groups of cameras and of boards, and the shots that agree on them.
 
     Attributes
     ----------
-    motions : X and Y.
-    agrees : (s,) whether each pair of detections agrees with the solution.
+    motions : the relative poses.
+    agrees : (s,) whether each of s pairs of detections agrees with them.
     """
 
     motions: HandEye
@@ -282,7 +285,7 @@ class _Agreement(NamedTuple):
 
     @property
     def agreeing(self) -> int:
-        """Number of pairs of detections that agree with the solution."""
+        """Number of pairs of detections that agree."""
         return int(self.agrees.sum())
 
 
@@ -293,12 +296,14 @@ def _most_agreed(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> _Agreement | None:
-    """Solution of U = X T Y on which most shots agree, or None if no majority agrees (RANSAC).
+    """Find relative poses of two groups of cameras and of boards on which most shots agree
+    (RANSAC).
 
-    Solutions are computed from all shots, from random subsets, and finally from all shots that
-    agree.
+    The poses are computed from all shots, from random subsets, and finally from all shots that
+    agree. Returns None if no majority agrees.
 
     pairs : for each shot, one detection by each group of cameras.
+    first_cameras, second_cameras : cam_from_rig of the cameras of each group.
     """
     count = len(pairs)
     first = [first_cameras[a.camera].inverse @ a.cam_from_set[0] for a, _ in pairs]
