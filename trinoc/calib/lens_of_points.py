@@ -13,7 +13,7 @@ from trinoc.calib.problem.information import whiten_views
 from trinoc.calib.problem.problem import (
     Problem,
     lens_of_index,
-    with_free_head,
+    with_free_parameters,
     with_priors,
     with_wider_lenses,
 )
@@ -95,7 +95,7 @@ def with_lens_parameters_free(problem: Problem, names: Collection[str]) -> Probl
     """
     free = np.array(problem.free)
     free[problem.slices.lens(0)] = [name in names for name in lens_parameter_names(problem)]
-    return with_free_head(problem, free)
+    return with_free_parameters(problem, free)
 
 
 def fit_without_outliers(problem: Problem) -> Problem:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trinoc.calib.advice.halves import fit_halves, keep_shots
-from trinoc.calib.problem.problem import Problem, with_fixed_head, with_fixed_sheet
+from trinoc.calib.problem.problem import Problem, with_fixed_board_shape, with_only_boards_free
 from trinoc.calib.problem.rao_test import RaoTest
 from trinoc.calib.problem.robust_fit import errors_px, fit_points
 from trinoc.calib.sentences import lens_choice
@@ -35,8 +35,8 @@ def measure_held_out_errors(
     shots : names of the shots, as in `InitialRig`. cameras : names of the cameras.
     """
     errors: dict[tuple[int, str], np.ndarray] = {}
-    for half in fit_halves(with_fixed_sheet(problem)):
-        fixed = with_fixed_head(half.problem._replace(views=problem.views))
+    for half in fit_halves(with_fixed_board_shape(problem)):
+        fixed = with_only_boards_free(half.problem._replace(views=problem.views))
         fitted, _ = fit_points(keep_shots(fixed, half.held_out))
         for view, view_errors in zip(fitted.views, errors_px(fitted), strict=True):
             if view.shot in half.held_out:

@@ -22,7 +22,7 @@ from trinoc.calib.problem.problem import (
     Problem,
     has_lens_prior,
     lens_of_index,
-    with_free_head,
+    with_free_parameters,
     with_wider_lenses,
 )
 from trinoc.calib.problem.rao_test import (
@@ -371,6 +371,6 @@ def _with_free_lenses(problem: Problem, freed: Bool[np.ndarray, "l"]) -> Problem
     names, never_fitted = lenses[0].parameter_names, lenses[0].never_fitted
     free = np.pad(free, ((0, 0), (0, len(names) - free.shape[1])))
     free[freed] = [name not in never_fitted for name in names]
-    head = np.array(wider.free)
-    head[: free.size] = free.ravel()
-    return with_free_head(wider, head)
+    all_free = np.array(wider.free)
+    all_free[: free.size] = free.ravel()
+    return with_free_parameters(wider, all_free)

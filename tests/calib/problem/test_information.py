@@ -81,7 +81,7 @@ def test_each_shot_says_what_dense_equations_say_once_its_board_is_eliminated(
         np.testing.assert_allclose(
             information.gradients[shot] / scale, left.T @ r / scale, atol=1e-6
         )
-        np.testing.assert_allclose(information.board_by_head[shot], follow, atol=1e-6)
+        np.testing.assert_allclose(information.board_by_parameters[shot], follow, atol=1e-6)
         np.testing.assert_allclose(
             information.board_covariance[shot] @ board.T @ board, np.eye(6), atol=1e-6
         )

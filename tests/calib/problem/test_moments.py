@@ -14,7 +14,7 @@ from trinoc.calib.problem.moments import (
     split_into_own_shots,
     typical_excess,
 )
-from trinoc.calib.problem.problem import with_free_head
+from trinoc.calib.problem.problem import with_free_parameters
 from trinoc.calib.problem.robust_fit import errors_px, fit_points, whitened_errors
 from trinoc.calib.rig_calibration import calibrate_rig
 from trinoc.calib.tuning.every_group import TUNING
@@ -73,7 +73,7 @@ def of_shots(*, late_mm=0.0, seed=0):
         name = ("left", "middle", "right")[view.camera]
         views[k] = view._replace(detection=detection(name, pose, random))
     here = here._replace(views=tuple(views))
-    held = with_free_head(here, np.zeros(len(here.free)))
+    held = with_free_parameters(here, np.zeros(len(here.free)))
     return fit_points(held)[0]
 
 

@@ -38,7 +38,7 @@ def test_a_step_of_the_head_moves_boards_along_and_names_with_both(here, world):
     step = random.normal(size=len(information.free))
     head = np.zeros(len(problem.free))
     head[information.free] = 1e-6 * step
-    boards = np.einsum("sph,h->sp", information.board_by_head, head)
+    boards = np.einsum("sph,h->sp", information.board_by_parameters, head)
     slope = values_after(here, head, boards, world) - values_after(here, -head, -boards, world)
     slope /= 2e-6
     named = named_covariance(

@@ -24,13 +24,13 @@ def run_fixed_parameter_tests(adjustment: Adjustment, view: int) -> list[FixedPa
     """Score tests of all fixed parameters of one camera's lens and aim. The smallest p-value comes
     first.
     """
-    problem, by_head = adjustment.problem, adjustment.whitened.jacobian[view]
+    problem, by_parameters = adjustment.problem, adjustment.whitened.jacobian[view]
     pose, aim_is_fixed = problem.slices.camera(view).start, adjustment.priors.aim_is_fixed
-    columns = {"aim": by_head[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_fixed else {}
+    columns = {"aim": by_parameters[:, pose + _AIM[0] : pose + _AIM[1]]} if aim_is_fixed else {}
     if adjustment.cameras[view].lens_factor is None:
         # A step of a lens that is exact is a change of one parameter.
         lens_index = int(problem.parametrization.lens_of_camera[view])
-        by_lens = by_head[:, problem.slices.lens(lens_index)]
+        by_lens = by_parameters[:, problem.slices.lens(lens_index)]
         by_lens = by_lens / problem.parametrization.lens_scale[lens_index]
         focal = np.asarray(adjustment.lens(view).focal_length_px)
         columns["focal length"] = (by_lens[:, _FOCAL] @ focal)[:, None]
@@ -40,7 +40,7 @@ def run_fixed_parameter_tests(adjustment: Adjustment, view: int) -> list[FixedPa
             columns["principal point"] = by_lens[:, _CENTRE : _CENTRE + 2]
         columns["radial distortion"] = by_lens[:, _RADIAL : _RADIAL + 1]
     unit = {"aim": float(problem.parametrization.unit_mm)}
-    base, residual = by_head[:, adjustment.free], adjustment.whitened.residual[view]
+    base, residual = by_parameters[:, adjustment.free], adjustment.whitened.residual[view]
     tests, freedom = [], float(adjustment.freedom[view])
     for name, extra in columns.items():
         if freedom - extra.shape[1] >= 1:

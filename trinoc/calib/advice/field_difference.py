@@ -56,14 +56,17 @@ def field_differences(
     """
     fields = [_image_field(problem, k) for k in range(len(cameras))]
     points = np.stack([field.points for field in fields])
-    by_motion, by_head = _derivatives(problem.state, problem.parametrization, points)
+    by_motion, by_parameters = _derivatives(problem.state, problem.parametrization, points)
     shape = np.shape(by_motion)[:-1]
     has_ray = np.stack([field.has_ray for field in fields])
     has_ray = np.broadcast_to(has_ray[:, None, :, None], shape)
     at_boards = np.broadcast_to((np.arange(2) == 0)[:, None, None], shape)[has_ray]
     free = np.flatnonzero(problem.free)
     alignment, jacobian = _alignment(
-        np.asarray(by_motion)[has_ray], np.asarray(by_head)[has_ray][:, free], covariance, at_boards
+        np.asarray(by_motion)[has_ray],
+        np.asarray(by_parameters)[has_ray][:, free],
+        covariance,
+        at_boards,
     )
     reference_px = np.broadcast_to(np.stack([f.uv_px for f in fields])[:, None], shape)[has_ray]
     first, second = (
@@ -170,28 +173,28 @@ _jitted_images, _jitted_move = kept_jit(_images), kept_jit(_move)
 
 def _alignment(
     by_rig: Float[np.ndarray, "r 6"],
-    by_head: Float[np.ndarray, "r f"],
+    by_parameters: Float[np.ndarray, "r f"],
     covariance: Float[np.ndarray, "f f"],
     has_weight: Bool[np.ndarray, "r"],
 ) -> tuple[Float[np.ndarray, "6 r"], Float[np.ndarray, "r f"]]:
     """Weighted least-squares map from pixel differences to the rigid motion that explains most of
     them.
 
-    Returns this map, (6, r), and the derivatives `by_head` with this motion removed, (r, f). The
-    weights are inverse variances, computed in a second round.
+    Returns this map, (6, r), and the derivatives `by_parameters` with this motion removed, (r, f).
+    The weights are inverse variances, computed in a second round.
 
     Parameters
     ----------
     by_rig : (r, 6) derivative of r pixel coordinates with respect to a rigid motion of all points.
-    by_head : (r, f) their derivative with respect to the estimated parameters.
+    by_parameters : (r, f) derivative of these coordinates with respect to the estimated parameters.
     covariance : (f, f) covariance of these parameters.
     has_weight : (r,) whether a coordinate is used.
     """
-    weight, alignment, reduced = has_weight.astype(float), np.zeros_like(by_rig.T), by_head
+    weight, alignment, reduced = has_weight.astype(float), np.zeros_like(by_rig.T), by_parameters
     for _ in range(_ALIGNMENTS):
         weighted = weight[:, None] * by_rig
         alignment = np.linalg.solve(weighted.T @ by_rig, weighted.T)
-        reduced = by_head - by_rig @ (alignment @ by_head)
+        reduced = by_parameters - by_rig @ (alignment @ by_parameters)
         variance = np.einsum("rf,fg,rg->r", reduced, covariance, reduced)
         weight = has_weight / np.maximum(variance, 1e-300)
     return alignment, reduced

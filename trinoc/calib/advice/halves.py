@@ -12,7 +12,12 @@ from jaxtyping import Float
 from trinoc.calib.advice.field_difference import field_differences
 from trinoc.calib.problem.information import Information, compute_information
 from trinoc.calib.problem.outcome import enlarge_covariance
-from trinoc.calib.problem.problem import Problem, lens_of_index, with_fixed_head, with_fixed_sheet
+from trinoc.calib.problem.problem import (
+    Problem,
+    lens_of_index,
+    with_fixed_board_shape,
+    with_only_boards_free,
+)
 from trinoc.calib.problem.robust_fit import errors_px, fit_points
 from trinoc.calib.result.halves import CrossValidation, HalvesCheck
 from trinoc.calib.targets.board_set import board_prefixes
@@ -66,7 +71,7 @@ def cross_validate(problem: Problem, cameras: tuple[str, ...]) -> CrossValidatio
             return None
         # An image with motion errors gets a pose of its own.
         views = tuple(view.without_motion() for view in problem.views)
-        fixed = with_fixed_head(half.problem._replace(views=views))
+        fixed = with_only_boards_free(half.problem._replace(views=views))
         for source in range(len(cameras)):
             source_shots = {v.shot for v in problem.views if v.camera == source and v.used.any()}
             source_shots &= half.held_out
@@ -128,7 +133,7 @@ def compare_halves(
     """
     if len(list_used_shots(problem)) < FEWEST_SHOTS:
         return None
-    problem = with_fixed_sheet(problem)
+    problem = with_fixed_board_shape(problem)
     ends, states, prior = [], [], np.zeros(())
     for half in fit_halves(problem):
         information = half.full_information()

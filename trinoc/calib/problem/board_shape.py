@@ -13,7 +13,7 @@ from jaxtyping import Float
 from trinoc.calib.problem.equations import PointsProblem
 from trinoc.calib.problem.information import compute_information
 from trinoc.calib.problem.outcome import shot_scatter
-from trinoc.calib.problem.problem import Problem, with_free_head, with_priors
+from trinoc.calib.problem.problem import Problem, with_free_parameters, with_priors
 from trinoc.calib.problem.reprojection import whitened_residuals
 from trinoc.calib.problem.robust_fit import (
     LEAST_CHANGE,
@@ -135,7 +135,7 @@ def with_free_points(
     state = eqx.tree_at(lambda s: s.shape, problem.state, np.zeros((points, 3)))
     free = np.concatenate([np.asarray(problem.free), np.ones(3 * points)])
     with_prior = with_priors(problem, shape_information=shape_information)
-    return with_free_head(with_prior._replace(state=state), free)
+    return with_free_parameters(with_prior._replace(state=state), free)
 
 
 @kept_jit

@@ -16,7 +16,7 @@ from trinoc.calib.problem.variables import (
     Parametrization,
     RigState,
     evaluate_prior,
-    head_columns,
+    parameter_columns,
     retract,
 )
 from trinoc.calib.problem.views import ObservationTable
@@ -65,7 +65,7 @@ class PointsProblem(AbstractArrowProblem):
         kind_sums = jax.ops.segment_sum(block_information[:, :size, :size], kind, cameras * boards)
         kinds = jnp.arange(cameras * boards)
         columns_of_kind = jax.vmap(
-            lambda k: head_columns(self.parametrization, k % cameras, k // cameras)
+            lambda k: parameter_columns(self.parametrization, k % cameras, k // cameras)
         )(kinds)
         head = (
             jnp.asarray(prior.information)

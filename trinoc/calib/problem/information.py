@@ -32,8 +32,8 @@ class Information(NamedTuple):
     shot_information : (s, h, h) information of each shot, without priors.
     gradients : (s, h) gradient of half the chi-square of each shot. At a minimum, these gradients
         and that of the priors sum to zero.
-    board_by_head : (s, 6, h) derivative of the board pose of each shot with respect to the shared
-        parameters.
+    board_by_parameters : (s, 6, h) derivative of the board pose of each shot with respect to the
+        shared parameters.
     board_covariance : (s, 6, 6) covariance of the board pose of each shot for exact shared
         parameters.
     free : (f,) indices of the estimated shared parameters.
@@ -44,7 +44,7 @@ class Information(NamedTuple):
 
     shot_information: Float[np.ndarray, "s h h"]
     gradients: Float[np.ndarray, "s h"]
-    board_by_head: Float[np.ndarray, "s 6 h"]
+    board_by_parameters: Float[np.ndarray, "s 6 h"]
     board_covariance: Float[np.ndarray, "s 6 6"]
     free: np.ndarray
     prior: Float[np.ndarray, "f f"]
@@ -81,7 +81,7 @@ class Information(NamedTuple):
 
 def compute_information(problem: Problem) -> Information:
     """Compute the information of all shots at the state of a problem."""
-    shot_information, gradients, board_by_head, board_covariance, prior = (
+    shot_information, gradients, board_by_parameters, board_covariance, prior = (
         np.asarray(part)
         for part in _of_shots(problem.state, problem.parametrization, problem.table)
     )
@@ -91,7 +91,7 @@ def compute_information(problem: Problem) -> Information:
     return Information(
         shot_information,
         gradients,
-        board_by_head,
+        board_by_parameters,
         board_covariance,
         free,
         prior,
@@ -136,11 +136,11 @@ def _of_shots(
     inverse = jax.vmap(inverse_positive_definite)(block)
     determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
     inverse = jnp.where(determined[:, None, None], inverse, 0.0)
-    board_by_head = -jnp.einsum("spq,shq->sph", inverse, coupling)
+    board_by_parameters = -jnp.einsum("spq,shq->sph", inverse, coupling)
     return (
-        head + jnp.einsum("shp,spg->shg", coupling, board_by_head),
-        head_gradient + jnp.einsum("sph,sp->sh", board_by_head, board_gradient),
-        board_by_head,
+        head + jnp.einsum("shp,spg->shg", coupling, board_by_parameters),
+        head_gradient + jnp.einsum("sph,sp->sh", board_by_parameters, board_gradient),
+        board_by_parameters,
         inverse,
         jnp.asarray(evaluate_prior(state, parametrization).information),
     )

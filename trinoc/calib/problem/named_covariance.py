@@ -48,7 +48,7 @@ class NamedCovariance(NamedTuple):
 def named_covariance(
     problem: Problem,
     information: Information,
-    head_covariance: Float[np.ndarray, "f f"],
+    parameter_covariance: Float[np.ndarray, "f f"],
     variance_factor: float,
     cameras: tuple[str, ...],
     world: World,
@@ -63,9 +63,9 @@ def named_covariance(
     ----------
     problem : problem at its solution.
     information : information of the shots at the solution.
-    head_covariance : (f, f) covariance of the estimated shared parameters (lenses, cameras, board
-        shape).
-    variance_factor : factor of the board pose covariance. `head_covariance` already contains it.
+    parameter_covariance : (f, f) covariance of the estimated parameters of lenses, cameras and
+        board shape. It contains `variance_factor`.
+    variance_factor : factor by which the covariance of the board pose is multiplied.
     cameras : names of the cameras.
     world : reference frame of the poses.
     """
@@ -73,14 +73,14 @@ def named_covariance(
     is_over_sheet = world.shot is not None and np.isfinite(over_sheet).all()
     model = PoseModel.AIM_FREE if is_over_sheet else PoseModel.RIGID
     shot = 0 if world.shot is None else world.shot
-    values, by_head, by_board = (
+    values, by_parameters, by_board = (
         np.asarray(part)
         for part in _parameters(problem.state, problem.parametrization, world, model=model)
     )
     by_board = by_board[:, shot] if world.shot is not None else np.zeros((len(values), POSE_SIZE))
-    by_free = by_head[:, information.free]
-    by_free = by_free + by_board @ information.board_by_head[shot][:, information.free]
-    covariance = by_free @ head_covariance @ by_free.T
+    by_free = by_parameters[:, information.free]
+    by_free = by_free + by_board @ information.board_by_parameters[shot][:, information.free]
+    covariance = by_free @ parameter_covariance @ by_free.T
     covariance += variance_factor * by_board @ information.board_covariance[shot] @ by_board.T
     names = []
     for name in cameras:
@@ -177,5 +177,5 @@ def _parameters(
 
     head = jnp.zeros_like(jnp.asarray(parametrization.free))
     boards = jnp.zeros((state.rig_from_board.shape[0], POSE_SIZE), head.dtype)
-    by_head, by_boards = jax.jacfwd(values, argnums=(0, 1))(head, boards)
-    return values(head, boards), by_head, by_boards
+    by_parameters, by_boards = jax.jacfwd(values, argnums=(0, 1))(head, boards)
+    return values(head, boards), by_parameters, by_boards

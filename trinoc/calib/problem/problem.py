@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from trinoc.calib.problem.variables import HeadSlices, Parametrization, Priors, RigState
+from trinoc.calib.problem.variables import ParameterSlices, Parametrization, Priors, RigState
 from trinoc.calib.problem.views import BoardObservation, ObservationTable, observation_table
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.tuning.every_group import TUNING, CalibTuning
@@ -51,7 +51,7 @@ class Problem(NamedTuple):
     tuning: CalibTuning = TUNING
 
     @property
-    def slices(self) -> HeadSlices:
+    def slices(self) -> ParameterSlices:
         """Index range of each kind of unknown in the vector of shared parameters.
 
         Shared parameters are those of lenses, camera poses, board poses in a set, and board shape.
@@ -146,8 +146,8 @@ def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
 
     free : (l, q) mask of the estimated parameters of l lenses.
     """
-    head = np.array(problem.free)
-    head[problem.slices.lenses] = free.astype(float).ravel()
+    all_free = np.array(problem.free)
+    all_free[problem.slices.lenses] = free.astype(float).ravel()
     coefficients = np.asarray(problem.state.lenses.coefficients)
     keeps_values = ~free.any(axis=1, keepdims=True) | has_lens_prior(problem.priors)[:, None]
     model = problem.state.lenses
@@ -158,7 +158,7 @@ def with_lens_free(problem: Problem, free: Bool[np.ndarray, "l q"]) -> Problem:
         free[:, len(AFFINE_PARAMETERS) :] | keeps_values | never_fitted, coefficients, 0.0
     )
     state = eqx.tree_at(lambda state: state.lenses.coefficients, problem.state, values)
-    return with_free_head(problem._replace(state=state), head)
+    return with_free_parameters(problem._replace(state=state), all_free)
 
 
 def with_fixed_aspect(problem: Problem) -> Problem:
@@ -218,7 +218,7 @@ def with_lens_prior(problem: Problem, lens_index: int, factor: Float[np.ndarray,
     )
     free = np.array(problem.free)
     free[problem.slices.lens(lens_index)][rows] = 1.0
-    with_prior = with_free_head(
+    with_prior = with_free_parameters(
         with_priors(problem, lens_mean=mean, lens_information=information), free
     )
     # Thousands of coordinates of the shots determine all of them.
@@ -243,8 +243,8 @@ def with_wider_lenses(
     scale = np.stack(
         [lens.parameter_scales(size_px) for lens, size_px in zip(lenses, image_sizes_px[:count])]
     )
-    head = np.asarray(problem.free)
-    lens_free, other_free = head[: count * size].reshape(count, size), head[count * size :]
+    all_free = np.asarray(problem.free)
+    lens_free, other_free = all_free[: count * size].reshape(count, size), all_free[count * size :]
     added_free = lens_free.any(axis=1, keepdims=True) * np.array(
         [name not in never_fitted for name in names]
     )
@@ -264,22 +264,22 @@ def with_wider_lenses(
     return problem._replace(state=state, parametrization=parametrization)
 
 
-def with_fixed_sheet(problem: Problem) -> Problem:
+def with_fixed_board_shape(problem: Problem) -> Problem:
     """Problem with the board fixed at its present shape."""
-    head = np.array(problem.free)
-    head[problem.slices.sheets.start :] = 0.0
-    return with_free_head(problem, head)
+    all_free = np.array(problem.free)
+    all_free[problem.slices.sheets.start :] = 0.0
+    return with_free_parameters(problem, all_free)
 
 
-def with_fixed_head(problem: Problem) -> Problem:
+def with_only_boards_free(problem: Problem) -> Problem:
     """Problem in which only the board pose of each shot is estimated.
 
     Lenses, camera poses and board shape are fixed.
     """
-    return with_free_head(problem, np.zeros(len(problem.free)))
+    return with_free_parameters(problem, np.zeros(len(problem.free)))
 
 
-def with_free_head(problem: Problem, free: Float[np.ndarray, "h"]) -> Problem:
+def with_free_parameters(problem: Problem, free: Float[np.ndarray, "h"]) -> Problem:
     """Problem with another mask of estimated shared parameters (lenses, cameras, board shape).
 
     free : (h,) 1 for an estimated parameter, 0 for a fixed one.

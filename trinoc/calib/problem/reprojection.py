@@ -13,7 +13,7 @@ from trinoc.calib.problem.variables import (
     POSE_SIZE,
     Parametrization,
     RigState,
-    head_columns,
+    parameter_columns,
     step_motion,
 )
 from trinoc.calib.problem.views import ObservationTable
@@ -287,7 +287,7 @@ def linearise(
         by_lens = jnp.concatenate([by_lens, by_control], axis=-1)
     columns_and_residual = jnp.concatenate([by_lens, by_rest, residual[..., None]], axis=-1)
     standard = _whiten(view.whitening, columns_and_residual)
-    columns = head_columns(parametrization, view.camera, view.board)
+    columns = parameter_columns(parametrization, view.camera, view.board)
     linearised = LinearisedObservation(
         columns, standard[..., :-1], by_displacement, jnp.asarray(view.point), standard[..., -1]
     )

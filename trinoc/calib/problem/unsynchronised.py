@@ -29,7 +29,7 @@ from trinoc.calib.problem.moments import (
     split_into_own_shots,
     typical_excess,
 )
-from trinoc.calib.problem.problem import Problem, with_free_head
+from trinoc.calib.problem.problem import Problem, with_free_parameters
 from trinoc.calib.problem.robust_fit import (
     RobustFit,
     drop_wrong_points,
@@ -70,7 +70,7 @@ def fit_images_apart(fit: RobustFit) -> RobustFit | None:
     images_problem = split_into_own_shots(problem, later_images)
     free = np.array(images_problem.free)
     free[images_problem.slices.cameras] = 0.0
-    images_problem, _ = fit_points(with_free_head(images_problem, free))
+    images_problem, _ = fit_points(with_free_parameters(images_problem, free))
     return finish_fit(images_problem, [*fit.rejected_images, *rejected])
 
 
@@ -108,13 +108,13 @@ def fit_with_motion(images_fit: RobustFit, shots_fit: RobustFit) -> RobustFit | 
     uncorrelated = images_problem._replace(state=state, views=views_in_shots, shots=shots.shots)
     if all(len(images) < 2 for images in images_of_shots(uncorrelated).values()):
         return None
-    uncorrelated, converged = fit_points(with_free_head(uncorrelated, only_cameras))
+    uncorrelated, converged = fit_points(with_free_parameters(uncorrelated, only_cameras))
     for _ in range(_ROUNDS):
         correlated, converged = fit_points(_with_motion(uncorrelated))
         uncorrelated = uncorrelated._replace(state=correlated.state)
     # Lenses and board are not fitted again: the correlations were computed for these lenses and
     # would bias them toward their present values.
-    end = with_free_head(_with_motion(uncorrelated), free)
+    end = with_free_parameters(_with_motion(uncorrelated), free)
     converged = converged and images_fit.converged
     return end_of_fit(end, converged, images_fit.rejected_images)._replace(lenses_fixed=True)
 

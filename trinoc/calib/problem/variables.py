@@ -69,7 +69,7 @@ class Priors(eqx.Module):
     aim_information: Float[ArrayLike, "c"]
 
 
-class HeadSlices(NamedTuple):
+class ParameterSlices(NamedTuple):
     """Index range of each kind of unknown in the vector of shared parameters, in this order.
 
     Shared parameters are the unknowns that all shots have in common, in local coordinates.
@@ -158,7 +158,7 @@ class Parametrization(eqx.Module):
         return self.sheet_scale.shape[0] // len(self.sheet_model.names)
 
     @property
-    def slices(self) -> HeadSlices:
+    def slices(self) -> ParameterSlices:
         """Index range of each kind of unknown in the vector of shared parameters.
 
         Shared parameters are those of lenses, camera poses, board poses in a set, and board shape.
@@ -171,7 +171,7 @@ class Parametrization(eqx.Module):
             self.sheet_scale.shape[0],
         )
         cameras, boards, sheets, points = itertools.accumulate(sizes)
-        return HeadSlices(
+        return ParameterSlices(
             lenses=slice(0, cameras),
             cameras=slice(cameras, boards),
             boards=slice(boards, sheets),
@@ -181,7 +181,7 @@ class Parametrization(eqx.Module):
         )
 
 
-def head_columns(
+def parameter_columns(
     parametrization: Parametrization, camera: Int[ArrayLike, ""], board: Int[ArrayLike, ""]
 ) -> Int[Array, "k"]:
     """Indices, (k,), of the shared parameters on which the pixels of one observation depend.
