@@ -1,4 +1,4 @@
-"""From the adjustments of all cameras over one sheet to the public result."""
+"""Public result of a calibration over one sheet, built from the adjustments of all cameras."""
 
 from collections.abc import Mapping, Sequence
 

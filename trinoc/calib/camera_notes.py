@@ -1,5 +1,5 @@
-"""Choice of the sentences for one camera over the sheet: its failure, or notes on fit
-and priors.
+"""Selection of the sentences for one camera over the sheet: its failure, or notes on fit and
+priors.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,7 @@
-"""Fitted lenses that fold the image, because the distortion is undetermined toward the corners."""
+"""Treatment of fitted lenses that fold the image: their distortion maps two rays to one pixel.
+
+A lens folds the image where no board was observed, because its distortion is extrapolated there.
+"""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence

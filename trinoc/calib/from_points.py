@@ -1,5 +1,5 @@
-"""Calibrate one camera from points with known coordinates, on a plane or off it, and
-their pixels.
+"""Calibration of one camera from points with known coordinates, on a plane or not, and their
+pixels.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Calibrate the lens of one camera: a rig of one camera whose own frame is the world."""
+"""Calibration of a single lens. The result is a rig of one camera, in its own frame."""
 
 from collections.abc import Sequence
 from typing import Literal

@@ -1,4 +1,4 @@
-"""Problem of one camera that observes points, and the lens parameters that the points need."""
+"""Calibration problem of one camera that observes points, and selection of its lens parameters."""
 
 import dataclasses
 from collections.abc import Collection

@@ -1,4 +1,4 @@
-"""Tests of fixed lenses and aims that points or shots may contradict."""
+"""Tests whether points or shots contradict lenses and aims that were given."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import pairwise

@@ -1,4 +1,6 @@
-"""Calibrate the lenses and cameras of a rig from many shots of a board that is moved about."""
+"""Calibration of the lenses and cameras of a rig from many shots of a board that is
+moved around.
+"""
 
 from collections.abc import Callable, Mapping
 from typing import Literal

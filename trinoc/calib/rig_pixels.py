@@ -1,9 +1,9 @@
 """Fit of a rig to the grey levels near the edges of the board.
 
-Each image is first fitted alone, from the rig of the corners: light, ink, blur and the pose of the
-board. With light, ink and blur eliminated, this gives the position of each circle, piece of a line
-or corner, and their joint information. The rig is then fitted to these points with correlated
-errors. Its lenses are the start of the next round.
+Each image is first fitted alone, starting from the rig that was fitted to the detected points. The
+unknowns are light, ink, blur and the pose of the board. Light, ink and blur are then eliminated.
+This gives the position of each circle, piece of a line or corner, and their joint information. The
+rig is then fitted to these points with correlated errors. The next round starts from its lenses.
 """
 
 from collections.abc import Callable, Mapping

@@ -1,10 +1,10 @@
-"""Calibrate cameras from one image of the sheet each: every step from detections to the result.
+"""Calibration from one image of the sheet per camera: all steps from detections to the result.
 
-1. Each camera alone: a first pose from its circles, or the reason why it has none.
+1. Each camera alone: an initial pose from its circles, or the reason why there is none.
 2. All cameras together by circle centres, with sheet, lenses and aims as unknowns (`adjust`).
-3. The grey levels of each image, fitted alone, give more precise positions of the same ink. If they
-   show that ink has spread, the circles are adjusted again with their new size.
-4. All cameras together by these positions, from the estimate of step 2.
+3. The grey levels of each image, fitted alone, give more precise positions of the circles. If they
+   show that ink has spread, the cameras are adjusted again with the new size of the circles.
+4. All cameras together by these positions, starting from the estimate of step 2.
 5. Each camera uses its grey levels or its circles (`choose_observations`). If a camera does not use
    its grey levels, all cameras are adjusted once more. There are usually two adjustments, at most
    four.

@@ -1,4 +1,4 @@
-"""Choice of the sentences for a fit to many shots."""
+"""Selection of the sentences for a fit to many shots."""
 
 from collections.abc import Callable, Sequence
 

@@ -1,4 +1,4 @@
-"""Decide the status of a rig fitted to many shots, and build its `CalibrationResult`."""
+"""Public result of a calibration from many shots: status, and `CalibrationResult`."""
 
 from collections.abc import Mapping, Sequence
 

@@ -1,6 +1,4 @@
-"""Joint adjustment of the cameras over one sheet: estimate, covariance, and scatter of
-each camera.
-"""
+"""Joint adjustment of the cameras over one sheet, with its covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,16 +1,16 @@
-"""Agreement of a camera's circles with each other and with its grey levels; choice between both.
+"""Tests whether a camera's circles agree with each other and with its grey levels.
 
-Errors that neighbouring circles share (glare, a bend of unmodelled shape) change a pose more than
-independent errors would. Estimates without whole blocks of circles show this: B. Efron and C.
-Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981.
+Errors that neighbouring circles have in common (glare, a bend that is not modelled) change a pose
+more than independent errors would. A block jackknife shows this: B. Efron and C. Stein, "The
+jackknife estimate of variance", Annals of Statistics 9(3), 1981.
 
 Circles and grey levels come from one image, and grey levels are more precise. If the model of the
-grey levels is right, the estimate by circles differs from theirs only by the circles' noise. A
-larger difference shows that one model is wrong. The scatter of the grey-level points then decides
-which (`choose_observations`): J. A. Hausman, "Specification tests in econometrics", Econometrica
-46(6), 1978. His covariance is the difference of both covariances, whichever is larger. Sheet and
-lens are fixed at the values of the grey levels, since their priors would make both estimates nearly
-equally uncertain.
+grey levels is right, both poses differ only by the noise of the circles. A larger difference shows
+that one model is wrong. The residuals of the grey-level points then decide which one
+(`choose_observations`): J. A. Hausman, "Specification tests in econometrics", Econometrica 46(6),
+1978. The covariance of the difference is the absolute difference of both covariances. Sheet and
+lens are fixed at the values of the grey-level adjustment. Otherwise their priors would make both
+poses nearly equally uncertain.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Effect of a better known lens or print on the sigmas, without another image of the rig."""
+"""Predicted effect of a better measured lens or print on the sigmas, without another image."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple

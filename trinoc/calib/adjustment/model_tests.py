@@ -1,10 +1,10 @@
-"""Score tests of parameters that one camera's fit fixes: aim, focal length, principal point,
-distortion.
+"""Score tests of the parameters that the fit of a camera assumed exact.
 
-Each test adds one unknown. The residuals show by how much it would reduce chi-square, without
-another adjustment. An error that the test cannot detect may still move the camera by many of its
-sigmas. W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic
-Commission, 1968, calls these internal and external reliability.
+These are aim, focal length, principal point and distortion. Each test predicts by how much
+chi-square would fall if the parameter were estimated, without another fit. An error that the test
+cannot detect may still move the camera by many of its sigmas. W. Baarda, "A testing procedure for
+use in geodetic networks", Netherlands Geodetic Commission, 1968, calls this internal and external
+reliability.
 """
 
 import numpy as np

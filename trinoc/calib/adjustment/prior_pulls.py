@@ -1,17 +1,16 @@
-"""Distance of the fitted unknowns from their priors, normalised so that it is chi-square.
+"""Tests whether estimated quantities contradict their priors.
 
 Let theta be the unknowns with a prior of mean mu and covariance P_0, and P their covariance after
-the fit. If model and priors are right, theta - mu has the covariance P_0 - P. It is smaller than
-P_0, because the prior pulls the estimate to its mean. So
+the fit. If model and priors are right, theta - mu has the covariance P_0 - P. Then
 
     (theta - mu)^T (P_0 - P)^+ (theta - mu)
 
 has a chi-square distribution. Directions that the images do not determine have P = P_0 and are
-omitted. If the images show only one combination of two unknowns, these have the correlation 1 in
-P_0 - P and the same distance: an error of either looks like an error of the other.
+omitted. If the images determine only one combination of two unknowns, the correlation of these is 1
+in P_0 - P, and both differ from their priors by the same number of sigmas. The images then cannot
+show which of them is wrong.
 
-Reference: J. A. Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978, whose
-statistic this is for an efficient estimate (prior and images) and a consistent one.
+Reference: J. A. Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978.
 """
 
 from typing import NamedTuple

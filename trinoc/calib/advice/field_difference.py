@@ -1,8 +1,9 @@
-"""Difference between the pixels of the same points by two halves of the shots, over each image.
+"""Difference between the pixels that two rigs predict for the same points, over each image.
 
-Each half has its own frame. One rigid motion of all cameras aligns both frames as well as possible
-over all images at the distance of the boards. The remaining difference does not depend on the
-frames. Source: mrcal, "Differences in projections" of its documentation.
+The rigs were fitted to two halves of the shots and have different frames. One rigid motion of all
+cameras aligns both frames as well as possible, over all images at the distance of the boards. The
+remaining difference does not depend on the frames. Source: mrcal, "Differences in projections" of
+its documentation.
 """
 
 from collections.abc import Sequence

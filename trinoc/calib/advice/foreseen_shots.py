@@ -1,4 +1,6 @@
-"""Board poses that are easy to follow, and the information of each on lenses and cameras."""
+"""Board poses that a user can easily reproduce, and the information of each on lenses
+and cameras.
+"""
 
 from itertools import product
 from typing import NamedTuple

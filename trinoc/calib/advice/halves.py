@@ -1,6 +1,4 @@
-"""Fits to two halves of the shots: errors in the other half, and agreement within the
-covariances.
-"""
+"""Fits to two halves of the shots: residuals in the other half, and difference in sigmas."""
 
 from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple

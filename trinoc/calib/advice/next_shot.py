@@ -1,4 +1,4 @@
-"""Next shot to take: the one that reduces the largest error of lenses and rig most."""
+"""Selection of the next shot: the one that reduces the largest error of lenses and rig most."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

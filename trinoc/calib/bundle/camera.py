@@ -1,4 +1,4 @@
-"""State of a camera during refinement: pose and lens, and the small steps that change them."""
+"""State of a camera during refinement: pose, lens, and their local coordinates."""
 
 from collections.abc import Sequence
 

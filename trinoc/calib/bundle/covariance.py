@@ -1,17 +1,18 @@
-"""Covariance of refined cameras and segments, and the gauge that segments do not determine.
+"""Covariance of refined cameras and segments, and the gauge: directions that remain undetermined.
 
-Cameras: the information with the lines eliminated, inverted on the directions that it determines.
-Position, orientation and scale of the rig may be undetermined. Segments: for known cameras a
-segment is the maximum-likelihood pair of ends of its fragments (`geometry.triangulation`), with
-covariance H^-1. By the implicit function theorem the ends follow the cameras as dX = -H^-1 (J_X^T W
-J_c) dc. So the covariance of several segments is block-diagonal in their independent parts, plus A
-S A^T with S the covariance of the cameras' parameters: the part that does not average out over
-segments.
+Cameras: their information, with the lines eliminated, is inverted in the directions that it
+determines. Position, orientation and scale of the rig may be undetermined.
 
-The noise of segments and sheet is estimated by Helmert's estimator: the weighted squared residuals
-of a group over its redundancy, which is the number of its observations minus the trace of its share
-in the estimate. Source: K.-R. Koch, Parameter Estimation and Hypothesis Testing in Linear Models,
-1999, section 3.6.
+Segments: for exact cameras, the ends of a segment are the maximum-likelihood estimate from its
+fragments (`geometry.triangulation`), with covariance H^-1. By the implicit function theorem, a
+change dc of the cameras moves the ends by dX = -H^-1 (J_X^T W J_c) dc = A dc. The covariance of
+several segments is therefore the block-diagonal matrix of their independent parts, plus A S A^T,
+where S is the covariance of the cameras. The second part does not average out over segments.
+
+The noise of segments and calibration is estimated by Helmert's estimator: the weighted squared
+residuals of a group, divided by its redundancy. The redundancy is the number of observations minus
+the number of parameters that the group determines. Source: K.-R. Koch, Parameter Estimation and
+Hypothesis Testing in Linear Models, 1999, section 3.6.
 """
 
 import contextlib

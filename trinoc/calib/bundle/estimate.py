@@ -1,16 +1,18 @@
 """One joint estimate: maximum-likelihood cameras and lines for given tracks, with their errors.
 
-The log posterior of cameras and matches compares one matching with another. Any two fragments of a
-line agree, whatever the cameras: they determine the line. Each further fragment either belongs to
-this line, with the normal density of its squared distance s, or is clutter. The density of clutter
-is that of a correct fragment at c sigma, where c^2 is the ceiling of the robust loss rho. Relative
-to all n fragments being clutter, the line gains a log likelihood of
+The log posterior of cameras and tracks compares one matching with another. A fragment is the part
+of a detected segment that a track uses. Two fragments always agree with one line, whatever the
+cameras are. Each further fragment is either correct, with the normal density of its squared
+distance s, or clutter. The density of clutter is that of a correct fragment at c sigma, where c^2
+is the ceiling of the robust loss rho. Relative to the assumption that all n fragments are clutter,
+a line has the log likelihood
 
     1/2 max(0, (n - 2) c^2 - sum over its fragments of rho(s)).
 
-This is zero in two views, and zero if a fragment is wrong. Half the squared distance of the cameras
-from the sheet's estimate is subtracted. Terms that all matchings of the same segments share are
-omitted. Sigmas are the stated ones, equal for all compared matchings.
+It is 0 in two views, and 0 if a fragment is wrong. Half the squared Mahalanobis distance between
+these cameras and the calibrated cameras is subtracted. Terms that are equal for all matchings of
+the same segments are omitted. Stated sigmas are used, since they are equal for all compared
+matchings.
 """
 
 from typing import NamedTuple

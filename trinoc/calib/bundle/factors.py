@@ -1,15 +1,15 @@
-"""Residuals for one item: a line observed in an image, and the prior of the cameras from the sheet.
+"""Residuals of one line in one image, and the prior of the cameras from the calibration.
 
-A line is represented by two anchor points X1, X2 on it. Any line near it cuts the two planes
-through the anchors normal to it in one point each. Two offsets in each plane are local coordinates,
-the minimal parametrization of a line (compare Bartoli and Sturm 2005,
-doi:10.1016/j.cviu.2005.06.001). After a step new coordinates are defined.
+A line is represented by two anchor points X1, X2 on it. A neighbouring line intersects each of the
+two planes through the anchors, normal to the line, in one point. The two offsets in each plane are
+local coordinates, a minimal parametrization of a line (compare Bartoli and Sturm 2005,
+doi:10.1016/j.cviu.2005.06.001). They are defined anew after each step.
 
-Only the distances of a fragment's ends across the line are used: the position of an end along the
-line depends on the detector, not on the camera.
+Only the distances of the segment's ends perpendicular to the line are used. The position of an end
+along the line depends on the detector, not on the camera.
 
-The sheet's estimate and covariance contain the information of its images on the cameras, to second
-order, including systematic errors that the cameras share.
+Estimate and covariance of the calibration contain the information of its images about the cameras,
+to second order, including systematic errors that the cameras have in common.
 """
 
 from typing import NamedTuple

@@ -1,10 +1,10 @@
 """Refined cameras and lines as a differentiable function of the observations.
 
-At the minimum the gradient of the cost is zero. The implicit function theorem gives the derivatives
-by fragments, by the sheet's estimate and by all their inputs, without differentiating the
-minimisation. In local coordinates at the minimum the true Hessian is an arrow, because a line
-appears only in its own fragments. It is evaluated by as many products as there are unknowns of the
-cameras and of one line, and solved by eliminating the lines.
+At the minimum the gradient of the cost is zero. The implicit function theorem then gives the
+derivatives with respect to observations and prior, without differentiating the minimisation. In
+local coordinates at the minimum the Hessian is a block arrow, because a line appears only in its
+own observations. It is evaluated by as many products as one line and all cameras have unknowns, and
+solved by eliminating the lines.
 """
 
 from typing import NamedTuple

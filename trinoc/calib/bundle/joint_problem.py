@@ -1,13 +1,14 @@
-"""Cameras and lines as one least-squares problem whose normal equations form an arrow.
+"""Cameras and lines as one least-squares problem whose normal equations form a block arrow.
 
-For one track with Jacobians A_v (by the step of camera v) and B_v (by the four numbers of the line)
-the normal equations are
+Let A and B be the Jacobians of one track with respect to the cameras and to the four coordinates of
+its line. The normal equations are
 
     [ A^T A   A^T B ] [ camera step ]     [ A^T r ]
     [ B^T A   B^T B ] [ line step   ] = - [ B^T r ]
 
-and their sum over tracks is an arrow: the cameras are its head, and each line is a block. 10,000
-lines have 40,000 unknowns, of which 18 remain after eliminating the lines.
+and their sum over all tracks is a block arrow: the cameras are shared by all lines, and each line
+is a block. 10,000 lines and three cameras have about 40,000 unknowns, of which 18 remain after the
+elimination of the lines.
 """
 
 from typing import ClassVar, NamedTuple

@@ -1,9 +1,9 @@
-"""Refine a rig jointly with its sheet calibration and with segments that were matched by it.
+"""Refinement of a rig from its calibration and from matched segments, with rounds of new matches.
 
-Wrong matches agree with almost any rig after its cameras were fitted to them. No residual shows
-this, since the matcher has selected those that fit. Therefore the refinement is repeated from
-starts with one camera turned in each direction. Different results show the effect of chance in this
-scene; a correct result is clearly more probable than these.
+Wrong matches agree with almost any rig after its cameras were fitted to them. Residuals do not show
+this, since the matcher has selected the tracks that fit. Therefore the refinement is repeated from
+initial rigs in which one camera is rotated. The results of these show how probable a wrong result
+can be in this scene. A correct result is clearly more probable.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Pixel shift of board points relative to a flat sheet as drawn and a given lens."""
+"""Pixel shift of points on a bent board, relative to a flat board as drawn."""
 
 from collections.abc import Callable
 

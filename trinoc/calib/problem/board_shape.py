@@ -1,8 +1,8 @@
-"""Displacements of board points from the drawing, estimated along with the rig.
+"""Estimation of the displacements of single board points from the drawing, together with the rig.
 
 On a wavy plate, or an inaccurate print, each point is displaced in the same way in all shots. More
-shots do not average this out, and lenses bend to follow it. If the residuals show it, each board
-point gets three unknown coordinates; their variance is estimated, too.
+shots do not average this out, and the lenses become wrong. If the residuals show displacements,
+each board point gets three unknown coordinates with a prior, whose variances are also estimated.
 """
 
 import equinox as eqx

@@ -1,8 +1,9 @@
-"""Numbers of lens coefficients that are determined, and that the residuals need.
+"""Selection of lens coefficients: those that are determined, and those that the residuals need.
 
-All determined coefficients stay free. Without a coefficient because it is within its noise, the
-sigmas of the others would hold only if it is exactly zero: in tests, their errors were then more
-than twice their sigmas. Freeing it does not increase the sigma of the focal length.
+All determined coefficients are estimated, even if a value is within its noise. If such a
+coefficient were fixed at 0, the sigmas of the others would be right only if 0 is its true value. In
+tests, their errors were then more than twice their sigmas. Estimating it does not increase the
+sigma of the focal length.
 """
 
 from collections.abc import Sequence

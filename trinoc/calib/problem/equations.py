@@ -1,6 +1,7 @@
-"""Gauss-Newton equations of all observations, a block arrow in which each shot is a block.
+"""Gauss-Newton equations of all observations: a block arrow in which each shot is a block.
 
-The head contains lenses, cameras and sheet; each block is the pose of the board in one shot.
+Lenses, cameras and board shape are shared by all shots. A block is the pose of the board in one
+shot.
 """
 
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Information of each shot on lenses, cameras and board, at the end of a fit."""
+"""Fisher information of each shot about lenses, cameras and board, at the end of a fit."""
 
 from functools import partial
 from typing import NamedTuple

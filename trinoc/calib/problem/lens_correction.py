@@ -1,8 +1,8 @@
-"""Correction of lenses by B-splines, fitted after their polynomial core.
+"""Correction of polynomial lenses by B-splines.
 
-The control points have a prior: the correction is a smooth random surface of mean zero. It
-determines the points near which nothing was observed. The standard deviation of the surface over
-the image, in px, is estimated from the shots for each lens.
+The control points have a prior: the correction is a smooth random surface of mean zero. Where
+nothing was observed, only this prior determines the control points. The standard deviation of the
+surface over the image, in px, is estimated from the shots for each lens.
 """
 
 from collections.abc import Sequence

@@ -1,10 +1,11 @@
 """Score test for shots whose images were not taken at one moment.
 
-In a shot of n cameras the board has one pose. If it were free in each image, the chi-square of the
-shot would fall by D = sum_v g_v^T H_v^-1 g_v - g^T H^-1 g, to first order. Here g_v and H_v are
-gradient and information of the pose from image v, and g and H their sums. For images of one moment
-D has a chi-square distribution with 6 (n - 1) degrees of freedom, times the variance factor of all
-residuals. A board that moved makes D far larger than in other shots.
+In a shot of n cameras the board has one pose. If each image had its own pose of the board, the
+chi-square of the shot would fall by D = sum_v g_v^T H_v^-1 g_v - g^T H^-1 g, to first order. Here
+g_v and H_v are gradient and information of the pose from image v, and g and H are their sums. For
+images of one moment D has a chi-square distribution with 6 (n - 1) degrees of freedom, times the
+variance factor of all residuals. If the board moved between the images, D is far larger than in
+other shots. In the code, the excess of a shot is D per degree of freedom.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""Lenses and cameras as named parameters in a world, with their covariance."""
+"""Public parameters of lenses and cameras in a world frame, with their covariance."""
 
 from functools import partial
 from typing import NamedTuple

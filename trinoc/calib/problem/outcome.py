@@ -1,9 +1,9 @@
-"""Outcome of a fit: status, determined parameters, and covariance with the scatter of the shots.
+"""Outcome of a fit: status, and covariance that includes the scatter of the shots.
 
-At the end of a fit the gradients g_s of the shots' chi-squares, with the poses of the boards
-eliminated, sum to zero. Each has the covariance H_s, the information of its shot. A board that
-bends, a biased detector, or images of slightly different moments make these gradients larger. The
-scatter of the points within an image does not show this.
+At the end of a fit the gradients g_s of the shots' chi-squares, with the board poses eliminated,
+sum to zero. Each has the covariance H_s, the information of its shot. A board that bends, a biased
+detector, or images of slightly different moments make these gradients larger. The scatter of the
+points within an image does not show this.
 """
 
 from typing import NamedTuple

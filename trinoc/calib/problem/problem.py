@@ -1,4 +1,6 @@
-"""The calibration problem as one value: observations, state, and what is estimated."""
+"""The calibration problem as one value: observations, state, priors, and the estimated
+parameters.
+"""
 
 import dataclasses
 from collections.abc import Sequence

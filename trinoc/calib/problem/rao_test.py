@@ -1,4 +1,6 @@
-"""Rao's score test of fixed parameters, without another fit."""
+"""Rao's score test of fixed parameters: predicted effect of estimating them, without
+another fit.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeVar

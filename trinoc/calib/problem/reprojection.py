@@ -1,4 +1,4 @@
-"""Residuals of board points: predicted minus observed pixels of one observation, for all fits."""
+"""Predicted minus observed pixels of the board points of one observation, and their Jacobian."""
 
 from typing import Any
 

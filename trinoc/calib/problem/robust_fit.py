@@ -1,4 +1,4 @@
-"""Robust fit of a problem: outliers are removed, and sigmas are enlarged to fit the residuals."""
+"""Robust fit of a problem: outliers are removed, and sigmas are adapted to the residuals."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -77,8 +77,8 @@ def fit_robustly(problem: Problem) -> RobustFit:
     1. Fits with a robust loss whose width decreases.
     2. A fit without outliers.
     3. A fit with sigmas from the residuals. The given sigmas of corners may be guesses: they are
-    replaced. The given sigmas of circles are only multiplied by a factor if the residuals
-    contradict them.
+       replaced. The given sigmas of circles are only multiplied by a factor if the residuals
+       contradict them.
     """
     return fit_annealed(anneal(problem))
 

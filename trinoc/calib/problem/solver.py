@@ -1,10 +1,10 @@
 """Levenberg-Marquardt method for problems whose normal equations are a block arrow.
 
-Few unknowns are shared (the head: lenses, cameras and boards, or the pose and look of an image).
-Every shot, line or circle has a few of its own (a block). The state is a point on a manifold: local
-coordinates are defined anew at every point, and the Jacobian is never formed. `ArrowDescent`
-proposes steps, `WatchdogSearch` accepts or rejects them, `ArrowMinimiser` runs both. Source: Triggs
-et al., "Bundle adjustment: a modern synthesis" (2000).
+A few unknowns are shared (in the code `head`): lenses, cameras and boards, or pose and brightness
+of an image. Every shot, line or circle has a few unknowns of its own (a block). The state is a
+point on a manifold: local coordinates are defined anew at every point. The full Jacobian is never
+formed. `ArrowDescent` proposes steps, `WatchdogSearch` accepts or rejects them, `ArrowMinimiser`
+runs both. Source: Triggs et al., "Bundle adjustment: a modern synthesis" (2000).
 """
 
 from abc import abstractmethod

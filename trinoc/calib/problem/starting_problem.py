@@ -1,4 +1,4 @@
-"""Problem at its start: initial lenses, cameras and boards, with their priors."""
+"""Calibration problem of a rig, built from initial lenses, cameras and boards."""
 
 from collections.abc import Sequence
 

@@ -5,11 +5,11 @@ all images of a shot would distort the lenses of all cameras. Therefore:
 
 1. Lenses and board are fitted with a pose of the board for each image (`fit_images_apart`), as for
    each camera alone.
-2. The poses of the cameras follow from the shots, with the motion between the moments as a random
-   effect (`fit_with_motion`). It is a small step m of the board's pose in each image, of covariance
-   M, the same for all images. Its elimination adds J M J^T to the covariance of an image's points,
-   with J their derivative by the pose. The relative pose of two cameras is then a mean over the
-   shots, with a sigma by its scatter.
+2. The poses of the cameras are estimated from the shots, with the motion of the board between the
+   images as a random effect (`fit_with_motion`). This motion is a small change m of the board pose
+   in each image, with the same covariance M for all images. Its elimination adds J M J^T to the
+   covariance of an image's points, where J is their derivative with respect to the pose. The
+   relative pose of two cameras is then a mean over the shots, with a sigma from their scatter.
 
 M is half the covariance of the pose differences between two images of a shot, minus the part from
 the noise of their points. Source: S. R. Searle, G. Casella, C. E. McCulloch, "Variance Components"

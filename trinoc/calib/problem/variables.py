@@ -1,9 +1,10 @@
-"""Unknowns of a calibration, and the small steps that change them.
+"""Unknowns of a calibration, and their local coordinates.
 
-Cameras observe a board in shots. The unknowns that all shots share are the *head*: lenses, camera
-poses, poses of boards in a set, print and bend of each board, and displacements of single board
-points. Each shot has a *block*: the pose of the board. `Parametrization.free` states which are
-estimated; `Priors` states what is known before the fit.
+Cameras observe a board in shots. The *shared parameters* (in the code also `head`) are the unknowns
+that all shots have in common: lenses, camera poses, poses of boards in a set, print and bend of
+each board, and displacements of single board points. Each shot has a *block*: the pose of the
+board. A step is a small change of the unknowns in local coordinates. `Parametrization.free` selects
+the parameters that are estimated; `Priors` contains the knowledge before the fit.
 """
 
 import itertools

@@ -1,4 +1,4 @@
-"""Outlier circles of the fit to grey levels, where something else was fitted."""
+"""Removal of outlier circles from the fit to grey levels."""
 
 import numpy as np
 from jaxtyping import Float

@@ -1,4 +1,6 @@
-"""Agreement of two halves of the shots: their difference, and the errors of each on the other."""
+"""Comparison of two halves of the shots: their difference, and the residuals of each
+in the other.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple

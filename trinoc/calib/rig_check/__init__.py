@@ -1,1 +1,1 @@
-"""Has a camera been knocked? By a scene's segments, or by comparing two calibrations."""
+"""Tests whether a camera was moved: from the segments of a scene, or from a second calibration."""

@@ -1,4 +1,4 @@
-"""Compare a calibration with an earlier one: moved cameras and swapped images."""
+"""Comparison of a calibration with an earlier one: moved cameras and swapped images."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

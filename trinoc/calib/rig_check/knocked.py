@@ -1,12 +1,12 @@
-"""Test by scene images alone whether a camera was knocked since the calibration.
+"""Test from images of a scene whether a camera was moved since the calibration.
 
-For each camera in turn its calibration prior is dropped, while the others keep theirs. The
+For each camera in turn its calibration prior is omitted, while the others keep theirs. The
 reduction of the joint chi-square is the test statistic. Without motion, it has a chi-square
 distribution with as many degrees of freedom as the camera has parameters.
 
-A large knock hides the scene from the matcher, and the few lines that are still matched do not show
-it. Therefore, if too little of the scene is matched or a motion is significant, the scene is
-matched again with each camera free.
+After a large motion most of the scene is no longer matched, and the few remaining matches do not
+show the motion. Therefore, if too little of the scene is matched or a motion is significant, the
+scene is matched again with each camera free.
 """
 
 from collections.abc import Mapping, Sequence

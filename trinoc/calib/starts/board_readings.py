@@ -1,8 +1,8 @@
-"""Other readings of a board's layout, for common mistakes in stating it.
+"""Alternative layouts of a board, for common mistakes in describing it.
 
-Squares are counted instead of inner corners. In a ChArUco board, rows and columns are exchanged,
-markers are placed as by OpenCV before version 4.6, or white is exchanged with black. Other readings
-are tried if hardly any image shows the board as stated.
+The user counted squares instead of inner corners. In a ChArUco board, rows and columns are
+exchanged, markers are placed as by OpenCV before version 4.6, or white is exchanged with black.
+Alternatives are tried if hardly any image shows the board as described.
 """
 
 from collections.abc import Callable, Sequence

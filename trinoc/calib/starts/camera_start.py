@@ -1,9 +1,9 @@
-"""First lens of one camera, and the pose of the board in each of its images.
+"""Initial lens of one camera, and the pose of the board in each of its images.
 
-A lens that contains an ideal lens starts by Zhang's method, a fisheye by a search over focal
-lengths. OpenCV's implementation takes the centre of a circle's image for the image of its centre,
-an error of about 0.1 px: sufficient for a start only. Source: Z. Zhang, "A flexible new technique
-for camera calibration", PAMI 22(11), 2000.
+Lens models that contain an ideal lens start with Zhang's method, fisheye models with a search over
+focal lengths. OpenCV's implementation takes the centre of a circle's image for the image of its
+centre. This error of about 0.1 px is acceptable for initial values. Source: Z. Zhang, "A flexible
+new technique for camera calibration", PAMI 22(11), 2000.
 """
 
 from collections.abc import Sequence

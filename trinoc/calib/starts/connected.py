@@ -1,10 +1,10 @@
-"""Chains of cameras and boards: the relative poses of all cameras, and of all boards of a set.
+"""Relative poses of all cameras, and of all boards of a set, from chains of shots.
 
 Two cameras are connected if they see one board in a shot, or two boards with a known relative pose.
 Two boards are connected if one camera sees both in a shot, or two cameras with a known relative
-pose. Each step makes more relative poses known. If neither continues, a motion of two cameras that
-see one board each may connect both. Let T and U be the poses of their boards in a shot. With fixed
-relative poses X of the cameras and Y of the boards, U = X T Y in every shot.
+pose. Each step makes more relative poses known. If neither continues, the motion of two boards that
+two cameras see separately may connect both cameras. Let T and U be the poses of their boards in a
+shot. With constant relative poses X of the cameras and Y of the boards, U = X T Y in every shot.
 Source: F. Dornaika and R. Horaud, "Simultaneous robot-world and hand-eye calibration", IEEE
 Transactions on Robotics and Automation 14(4), 1998; rotations as F. Park and B. Martin, "Robot
 sensor calibration: solving AX = XB on the Euclidean group", ibid. 10(5), 1994.

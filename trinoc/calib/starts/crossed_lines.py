@@ -1,4 +1,4 @@
-"""First pose of a camera from the images of the two crossed lines."""
+"""Initial pose of a camera from the images of the two crossed lines."""
 
 import numpy as np
 from jaxtyping import Float

@@ -1,7 +1,8 @@
-"""Relative poses of cameras, and of boards, on which shots agree; and shots that disagree.
+"""Relative poses of cameras, and of boards, on which shots agree.
 
 Each shot in which two cameras see one board gives a relative pose of both. A pose on which many
-shots agree is accepted. Cameras that never share a shot are chained through others.
+shots agree is accepted. Cameras that never see the board in the same shot are chained through
+others.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,5 +1,5 @@
-"""Initial poses of all cameras in one frame and of the board in every shot, or the
-reason for none.
+"""Initial poses of all cameras in one frame and of the board in every shot, or the reason of a
+failure.
 """
 
 from collections.abc import Collection, Mapping, Sequence

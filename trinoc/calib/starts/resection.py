@@ -1,4 +1,4 @@
-"""First camera from points with known coordinates: its pose, or pose and lens.
+"""Initial camera from points with known coordinates: its pose, or pose and lens.
 
 Source: "resection" in Hartley and Zisserman, Multiple View Geometry, chapter 7.
 """

@@ -1,4 +1,7 @@
-"""Pose of the board in one image, with every labelling that its symmetry allows."""
+"""Pose of the board in one image, for every labelling that the symmetry of the board allows.
+
+A labelling is an assignment of detected points to board points.
+"""
 
 from dataclasses import replace
 from typing import NamedTuple
