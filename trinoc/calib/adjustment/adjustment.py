@@ -112,7 +112,7 @@ class Adjustment:
         """Difference between the estimated and the given lens of a camera, (r,), in sigmas of its
         prior.
 
-        The r components are those along the principal axes of the prior covariance.
+        The r components are those along the columns of the factor L of the prior covariance L L^T.
         """
         lens_index = self._lens_of(view)
         change = np.asarray(self.lens(view).parameters) - self.problem.priors.lens_mean[lens_index]

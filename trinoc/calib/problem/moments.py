@@ -154,8 +154,8 @@ def _pose_equations(
 ) -> tuple[Float[np.ndarray, "v 6 6"], Float[np.ndarray, "v 6"]]:
     """Information and gradient of the board pose, from each of v images alone.
 
-    Points far from the median residual of their own image are outliers and have a small weight. All
-    points of an image may have a large common residual.
+    A point has a small weight if its residual is much longer than the median residual of its image.
+    The residuals of a whole image may be large: its weight does not change.
     """
     count = len(problem.views)
     whitened = whitened_errors(problem)

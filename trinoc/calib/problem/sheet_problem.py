@@ -237,10 +237,10 @@ def sheet_problem(
 def _lens_prior(
     factor: Float[np.ndarray, "k r"], scale: Float[np.ndarray, "q"]
 ) -> tuple[Float[np.ndarray, "q q"], Float[np.ndarray, "q q"], Float[np.ndarray, "q"]]:
-    """Parametrization of a lens by the principal axes of its prior covariance L L^T.
+    """Parametrization of a lens by the columns of the factor L of its prior covariance L L^T.
 
-    Returns the basis, (q, q), whose r columns are one-sigma changes of the q lens parameters; the
-    information of the prior, (q, q); and the mask of estimated axes, (q,).
+    Returns the basis, (q, q), whose first r columns are one-sigma changes of the q lens parameters;
+    the information of the prior, (q, q); and the mask of the estimated columns, (q,).
 
     factor : (k, r) L, for the first k parameters.
     scale : (q,) typical change of each lens parameter.

@@ -348,8 +348,9 @@ class WatchdogSearch(optx.AbstractSearch):
     """Accepts or rejects steps, and adapts the damping, for optimistix.
 
     A step that reduces the cost is accepted, and the damping is divided by 10. Near the minimum,
-    one step that increases the cost is accepted, too, if the next step then falls below the best
-    cost. All other steps are rejected, and the damping is multiplied by 10.
+    one step that increases the cost is accepted provisionally. The next step must then reach a cost
+    below the best one; otherwise the search returns to the best state. All other steps are
+    rejected, and the damping is multiplied by 10.
 
     Attributes
     ----------
