@@ -92,8 +92,8 @@ def is_suspect(
 ) -> bool:
     """True if the observations contradict a parameter that the fit assumed exact.
 
-    This is so if the residuals exceed their sigmas and the first test is significant. It is also so
-    if any significant test predicts a large change of the pose.
+    They do in two cases: the residuals exceed their sigmas and the first test is significant, or a
+    significant test predicts a large change of the pose.
 
     tests : score tests of the fixed parameters, the most significant one first.
     """

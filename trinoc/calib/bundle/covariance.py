@@ -169,15 +169,17 @@ def segment_factor(
 ) -> tuple[float, Bool[np.ndarray, "t v"]]:
     """Estimate the factor by which the stated sigmas of the fragments must be multiplied.
 
-    Only tracks all of whose fragments are inliers are used. A track with n views has 2 n - 4
-    redundant distances. If the total redundancy is below 1, the factor is 1.
+    A fragment is the part of a detected segment that a track uses. Only tracks all of whose
+    fragments are inliers are used. A track with n views has 2 n - 4 redundant distances. If the
+    total redundancy is below 1, the factor is 1.
 
     Parameters
     ----------
     squared : (t, v) squared distance of each fragment from its line, in stated sigmas.
     is_observed : (t, v) whether each track is observed in each view.
-    cameras_trace : number of camera parameters that the fragments determine. It reduces the
-        redundancy.
+    cameras_trace : number of camera parameters that the fragments determine. The redundancy is
+        reduced by this number.
+    tuning : probability above which a fragment is an inlier.
 
     Returns
     -------

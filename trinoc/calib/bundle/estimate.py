@@ -97,8 +97,8 @@ def joint_estimate(
     ----------
     rig : initial cameras.
     sheet_rig : calibrated rig; its values and covariance are the prior.
-    lines : fragments of each line in the images. Their views are the cameras of `rig`, in the same
-        order.
+    lines : observations of each line: parts of detected segments. The views are the cameras of
+        `rig`, in the same order.
     free_parameters : estimated parameters.
     calibrated : result of the calibration, whose residuals show whether its sigmas are right.
     tuning : constants of the method.

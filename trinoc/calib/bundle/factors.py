@@ -59,8 +59,7 @@ def line_residual(
     fragment_px: Float[ArrayLike, "2 2"],
     covariance_px2: Float[ArrayLike, "4 4"],
 ) -> Float[ArrayLike, "2"]:
-    """Signed distances, (2,), of a fragment's two ends from the image of a line, whitened to
-    sigmas.
+    """Signed distances, (2,), of a segment's two ends from the image of a line, whitened to sigmas.
 
     The distances are measured in undistorted pixels, where the image of the line is straight.
 
@@ -68,7 +67,7 @@ def line_residual(
     ----------
     camera : the observing camera.
     anchors_mm : (2, 3) two points on the line.
-    fragment_px : (2, 2) ends of the fragment.
+    fragment_px : (2, 2) ends of the used part of the segment, in pixels of the original image.
     covariance_px2 : (4, 4) covariance of these ends.
     """
     image = jax.vmap(project_by_matrix, (None, 0))(camera.matrix_px, anchors_mm)

@@ -171,9 +171,11 @@ class JointProblem(AbstractSeparableProblem[CamerasAndLines]):
 
 
 def squared_distances(state: CamerasAndLines, tracks: FragmentTable) -> Float[ArrayLike, "t v"]:
-    """Squared Mahalanobis distance of each fragment's ends from the image of its line, (t, v).
+    """Squared distance, (t, v), of each observed segment's ends from the image of its line, in
+    sigmas.
 
-    0 if the track is not observed in the view.
+    It is the squared Mahalanobis distance of both ends together; 0 if the track is not observed in
+    the view.
     """
     by_view = jax.vmap(line_residual, (0, None, 0, 0))
     residual = jax.vmap(by_view, (None, 0, 0, 0))(*state, *tracks[:2])

@@ -255,8 +255,8 @@ def start_rigs(rig: Rig, moved: Collection[str], tuning: CalibTuning, *, aimed: 
     `moved`, or the last one of all. The list is empty if the calibration determines the orientation
     of this camera well.
 
-    aimed : whether the camera must look at the origin of the sheet. It is then rotated about the
-        origin.
+    aimed : whether the camera must look at the origin of the sheet. If True, the camera is rotated
+        about the origin.
     """
     name = next(camera for camera in reversed(rig.names) if camera in moved or not moved)
     small_deg = tuning.bundle.known_share * tuning.bundle.turn_deg
