@@ -179,7 +179,7 @@ def segment_factor(
     is_observed : (t, v) whether each track is observed in each view.
     cameras_trace : number of camera parameters that the fragments determine. The redundancy is
         reduced by this number.
-    tuning : probability above which a fragment is an inlier.
+    tuning : limit of the test for inliers.
 
     Returns
     -------
