@@ -218,6 +218,9 @@ def sentence_of_pull(pull: PriorPull, adjustment: Adjustment, view: int) -> str:
     """Return the warning that the images contradict a prior, with the remedy.
 
     Quantities that the images cannot distinguish are named in one sentence.
+
+    pull : the contradicted prior.
+    view : index of the camera whose aim is reported, if the prior is that of an aim.
     """
     kind, *others = kinds = list_kinds(pull)
     if others:

@@ -202,6 +202,8 @@ def quarters_of_tags(problem: Problem, board: AprilGrid, read_grey: GreyOfView) 
 
     Programs that draw AprilGrids differ in this. The rotation with the largest contrast between
     paper and ink cells in the first images is returned.
+
+    read_grey : function that returns the grey levels of the image of an observation.
     """
     dictionary = opencv_dictionary(board.dictionary)
     cells = np.stack(

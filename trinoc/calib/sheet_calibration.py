@@ -245,6 +245,9 @@ def adjust_group(
 
     Returns the adjustment by circle centres, and the final adjustment, in which each camera uses
     its grey levels or its circles.
+
+    priors : priors of sheet, lenses and aims.
+    encoding : relation between grey levels and light.
     """
     by_circles = adjust(cameras, pattern, priors)
     cameras = fit_grey_levels(by_circles, pattern, encoding)
@@ -273,8 +276,11 @@ def fit_grey_levels(
     """Fit the grey levels of each camera's image, with sheet and lens as estimated from the
     circles.
 
-    Returns the cameras with `grey_level_fit`. If the ink spread is large enough to matter, the
-    cameras also have `ink_spread_mm`.
+    Returns the cameras with `grey_level_fit`. They also have `ink_spread_mm`, if the ink extends so
+    far beyond the drawn edges that it matters.
+
+    by_circles : adjustment of all cameras by circle centres.
+    encoding : relation between grey levels and light.
     """
     images, poses, lenses = {}, {}, {}
     tuning = by_circles.problem.tuning

@@ -171,6 +171,8 @@ def _named_with_gauge(
     """Public parameters with their covariance, and the names of the undetermined ones.
 
     Undetermined values and covariances are NaN.
+
+    outcome : status and covariance of the fit. world_frame : reference frame of the poses.
     """
     information = outcome.information
     named = named_covariance(

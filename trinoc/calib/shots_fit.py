@@ -364,9 +364,11 @@ def _build_problem(
 ) -> Problem:
     """Calibration problem at its initial values.
 
-    These are estimated: the poses of all cameras but the first, the board poses, the uncertain
-    print and warp parameters of the board, and the lenses that are not exact (one per camera, or
-    one for all).
+    The problem estimates the poses of all cameras but the first, the board poses, and the uncertain
+    print and warp parameters of the board. It also estimates the lenses that are not exact: one per
+    camera, or one for all.
+
+    initial_rig : initial poses. starts : initial lens of each camera.
     """
     freedom, lenses = observations.freedom, [start.lens for start in starts.values()]
     sizes = observations.sizes_px

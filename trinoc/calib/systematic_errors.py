@@ -87,6 +87,8 @@ def _response(result: CalibrationResult, name: str, count: int) -> Float[np.ndar
     (p, e).
 
     The errors are those of the sheet (`_SHEET_TERMS`), then those of the lens parameters.
+
+    name : name of the camera. count : p.
     """
     fit, camera = result.fits[name], result.rig[name]
     sheet_camera = SheetCamera(name, fit.detection, camera.intrinsics, None, camera.pose)

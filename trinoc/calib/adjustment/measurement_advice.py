@@ -130,7 +130,9 @@ def find_undetectable_errors(
 
 
 def _covariance(adjustment: Adjustment, subject: str) -> Float[np.ndarray, "f f"]:
-    """Covariance, (f, f), if the prior sigmas of one subject were divided by `better_known`.
+    """Predicted covariance, (f, f), if the lens or the print were known better.
+
+    The prior sigmas are divided by `better_known` of the tuning.
 
     subject : "lens" or "print".
     """

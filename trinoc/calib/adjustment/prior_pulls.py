@@ -202,7 +202,11 @@ class PriorSpace(NamedTuple):
 
 
 def unknowns_with_priors(adjustment: Adjustment) -> list[Unknown]:
-    """All quantities that are tested: those of lenses, aims and sheet, and all of them together."""
+    """All quantities whose priors are tested: parameters of lenses, aims, print and bend of the
+    sheet.
+
+    The last quantity combines all of them.
+    """
     size = len(adjustment.free)
     weights = prior_weights(adjustment.problem)[adjustment.free]
     unknowns = [*_of_lenses(adjustment), *_of_aims(adjustment), *_of_sheet(adjustment)]

@@ -209,8 +209,16 @@ def _align_half(
     has_ray: Bool[np.ndarray, "c 2 n 2"],
     alignment: Float[np.ndarray, "6 r"],
 ) -> Float[np.ndarray, "r"]:
-    """Pixels predicted by one half of the shots, (r,), after the rigid motion that fits
-    `reference_px` best.
+    """Pixels predicted by the rig of one half of the shots, after alignment with the common rig,
+    (r,).
+
+    Parameters
+    ----------
+    half : solution for the half.
+    points : (c, 2, n, 3) points on the rays of each camera, mm.
+    reference_px : (r,) pixel coordinates predicted by the rig of all shots.
+    has_ray : mask of the pixel coordinates for which the lens has a ray; r of them are True.
+    alignment : (6, r) map from pixel differences to the rigid motion that explains most of them.
     """
     for _ in range(_MOVES):
         difference_px = (

@@ -105,7 +105,9 @@ def _hold(
     """Pose, cam_from_board, of a tilted board that faces the camera and whose middle lies on a ray.
 
     ray : unit vector in the frame of the camera.
+    distance_mm : distance from the camera to the middle of the board.
     tilt_axes : x and y component of the tilt's rotation axis.
+    tilt_deg : angle of the tilt.
     """
     axis = np.cross([0.0, 0.0, 1.0], ray)
     sine = float(np.linalg.norm(axis))

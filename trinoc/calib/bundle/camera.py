@@ -85,7 +85,11 @@ class CameraState(eqx.Module):
 def camera_state(
     camera: Camera, pose_model: PoseModel, *, with_intrinsics: bool = False
 ) -> CameraState:
-    """State of a calibrated camera before its refinement."""
+    """State of a calibrated camera before its refinement.
+
+    pose_model : parameters of the pose that will be refined.
+    with_intrinsics : whether focal lengths and principal point will be refined, too.
+    """
     centre = camera.centre_world_mm
     xp = array_namespace(centre)
     rigid = pose_model is PoseModel.RIGID

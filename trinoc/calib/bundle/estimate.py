@@ -300,8 +300,16 @@ def _fit(
 ) -> _Fit:
     """Minimise the cost several times with a robust loss whose width decreases, in one program.
 
-    `loss` is the final loss; `widenings` are the factors of its width in each round. If the last
-    round does not converge, the result is the initial state.
+    If the last round does not converge, the result is the initial state.
+
+    Parameters
+    ----------
+    start : initial cameras and lines.
+    tracks : fragments of the lines.
+    sheet_cameras : calibrated cameras, the mean of the prior.
+    information : (k, k) information of the prior.
+    loss : robust loss of the last round.
+    widenings : (r,) factor of the loss's width in each round.
     """
     start = jax.tree.map(jnp.asarray, start)
     parameters = jax.vmap(lambda camera, origin: camera.parameters(origin))

@@ -46,9 +46,9 @@ def complete_basis(direction: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2 3"]:
 def retract_line(
     anchors_mm: Float[ArrayLike, "2 3"], offsets_mm: Float[ArrayLike, "4"]
 ) -> Float[ArrayLike, "2 3"]:
-    """Move a line that is given by two anchor points on it.
+    """Move a line that is given by two anchor points on it. Returns the new anchors, (2, 3).
 
-    Each anchor is moved by two offsets perpendicular to the line. Returns the new anchors, (2, 3).
+    offsets_mm : (4,) two offsets of each anchor, perpendicular to the line.
     """
     return anchors_mm + offsets_mm.reshape(2, 2) @ complete_basis(anchors_mm[1] - anchors_mm[0])
 

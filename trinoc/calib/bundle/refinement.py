@@ -298,8 +298,9 @@ def is_unambiguous(
     free_parameters: FreeParameters,
     tuning: CalibTuning,
 ) -> bool:
-    """True if the best result is much more probable than every other result that
-    differs from it.
+    """True if the best result is much more probable than every other result that differs from it.
+
+    others : results from other initial rigs; None if a refinement failed.
     """
     return all(
         other.log_posterior * tuning.bundle.clear_factor < best.log_posterior

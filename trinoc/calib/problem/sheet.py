@@ -126,7 +126,9 @@ class WarpedBoard(AbstractSheet):
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """Position after print scale, rise, and displacement within the plane by the bend."""
+        """Position, mm, of a point of the drawing after print scale, rise, and displacement by the
+        bend.
+        """
         half_mm = jnp.asarray(self.half_mm)[board]
         share = point_mm[:2] / half_mm
         height = -shape[2:] @ (share * share)
@@ -162,7 +164,9 @@ class BentPaper(AbstractSheet):
         shape: Float[ArrayLike, "w"],
         board: Int[ArrayLike, ""] | int = 0,
     ) -> Float[ArrayLike, "3"]:
-        """Position after print scale, height, and displacement within the plane by the bend."""
+        """Position, mm, of a point of the drawing after print scale, height, and displacement by
+        the bend.
+        """
         scaled = point_mm[:2] / self.reference_radius_mm
         power = {"": jnp.ones_like(scaled[0])}
         for term in ("X", "Y", *self.height_terms):

@@ -213,7 +213,9 @@ def _board_sentence(
     reference: str,
     reference_from_board: Float[np.ndarray, "3 4"],
 ) -> str:
-    """Sentence on the position and rotation of a board in the frame of the board `reference`."""
+    """Sentence on the position and rotation of the board `name` in the frame of the board
+    `reference`.
+    """
     pose = Pose(reference_from_board)
     cosine = np.clip(0.5 * (np.trace(pose.rotation) - 1.0), -1.0, 1.0)
     position = ", ".join(

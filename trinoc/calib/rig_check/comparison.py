@@ -167,7 +167,10 @@ def _displacement_and_rotation(first: Camera, second: Camera) -> tuple[float, fl
 
 
 def _sigmas_of_change(now: Rig, before: Rig, name: str) -> float:
-    """Significance, in sigmas, of the change of a camera's parameters; NaN without covariances."""
+    """Significance, in sigmas, of the change of a camera's parameters; NaN without covariances.
+
+    now, before : new and earlier rig. name : name of the camera.
+    """
     keys = [f"{name}.{parameter}" for parameter in PARAMETER_NAMES]
     keys = [key for key in keys if key in now.parameters and key in before.parameters]
     if not keys:
@@ -194,8 +197,9 @@ def sigmas_of_chi_square(chi_square: float, freedom: int) -> float:
 def _find_swaps(
     now: Rig, before: Rig, names: list[str], tuning: CalibTuning
 ) -> tuple[tuple[str, str], ...]:
-    """Pairs (name, other name) of cameras that are much nearer to the earlier pose of another
-    camera.
+    """Pairs (name, other name): a camera stands much nearer to the earlier pose of another camera.
+
+    now, before : new and earlier rig. names : names of the cameras that both rigs have.
     """
     swaps = []
     for name in names:

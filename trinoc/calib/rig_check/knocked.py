@@ -68,8 +68,8 @@ class RigCheck(Value):
     motions : estimated motion of each camera under the assumption that only this camera moved.
     moved : names of the cameras that are suspected to have moved, the most significant one first.
         There are several if the motion of one camera does not explain the scene.
-    refined : rig with the corrected pose of the moved camera. None if no camera moved, or if
-        several moved, which segments cannot correct.
+    refined : rig with the corrected pose of the moved camera. None if no camera moved. None also if
+        several cameras moved, because segments cannot correct several poses.
     conclusive : whether the scene is sufficient for a decision. If not, an empty `moved` proves
         nothing.
     suspect_sigmas : significance above which a camera is suspected.

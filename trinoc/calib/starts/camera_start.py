@@ -185,6 +185,8 @@ def _start_by_zhang(
     The start with the smallest residuals is returned. Zhang's closed formula has no solution if the
     board is parallel to the image plane in all images. Coefficients of models that OpenCV does not
     support are 0.
+
+    model : lens model. aspect : fx / fy, or None to estimate both focal lengths.
     """
     size = detections[0].image_size_px
     sheet, image = [], []
@@ -261,9 +263,14 @@ def _fit_by_opencv(
     guess: Float[np.ndarray, "3 3"],
     aspect: float | None,
 ) -> tuple[float, CameraStart] | None:
-    """Fit a Brown-Conrady lens and the board poses with OpenCV, from an initial camera matrix.
+    """Fit a Brown-Conrady lens and the board poses with OpenCV.
 
     Returns the root mean square residual, px, and the fit; None if the result is not valid.
+
+    sheet, image : board points and their pixels in each image.
+    size : (width, height) of the images.
+    guess : initial camera matrix.
+    aspect : fx / fy if it is fixed at that of `guess`; None to estimate both focal lengths.
     """
     flags = _FIXED_FLAGS if aspect is None else _FIXED_FLAGS | cv2.CALIB_FIX_ASPECT_RATIO
     try:

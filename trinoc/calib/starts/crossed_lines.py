@@ -83,10 +83,20 @@ def _distance_and_misfit(
     slopes: Float[np.ndarray, "m 2"],
     circle_mm: Float[np.ndarray, "m 2"],
 ) -> tuple[Float[np.ndarray, "a"], Float[np.ndarray, "a"]]:
-    """Best distance of the crossing, mm, and sum of squared residuals of the circles, for each
+    """Distance of the sheet that fits its circles best, and the remaining misfit, for each
     rotation.
 
-    The sum is infinite if a circle would lie behind the camera.
+    Parameters
+    ----------
+    axes : (a, 3, 3) possible rotations from the sheet to the camera.
+    ray : unit vector from the camera to the crossing of the lines.
+    slopes : (m, 2) x/z and y/z of the ray to each circle.
+    circle_mm : (m, 2) circle centres on the sheet.
+
+    Returns
+    -------
+    Distance of the crossing along `ray`, mm, (a,), and sum of the squared residuals of `slopes`,
+    (a,). The sum is infinite if a circle would lie behind the camera.
     """
     offset = circle_mm @ np.swapaxes(axes[:, :, :2], 1, 2)
     slope = ray[:2] - slopes * ray[2]

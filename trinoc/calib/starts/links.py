@@ -185,7 +185,11 @@ def place_board(
     target: AbstractTarget,
     tuning: CalibTuning,
 ) -> AgreedBoard:
-    """Find the pose of the board in one shot on which most cameras agree."""
+    """Find the pose of the board in one shot on which most cameras agree.
+
+    sightings : detections of the shot, with the pose of the board relative to each camera.
+    cam_from_rig : pose of each camera; the key is the index of the camera.
+    """
     # A single board may be turned wherever it looks the same; a board of a set may not.
     is_set = len({sighting.board for sighting in sightings}) > 1
     best: tuple[float, AgreedBoard] | None = None

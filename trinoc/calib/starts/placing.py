@@ -213,6 +213,9 @@ def find_exchanged_pair(
 
     After the exchange, all cameras of the shot agree on the board pose. Returns the indices of the
     cameras. None if no exchange has this effect, or more than one.
+
+    sightings : detections of the shot, with the pose of the board relative to each camera.
+    cam_from_rig : pose of each camera; the key is the index of the camera.
     """
     pairs = []
     for first, second in combinations(range(len(sightings)), 2):
@@ -270,7 +273,9 @@ def explain_cameras_apart(
 ) -> str:
     """Return the sentence that explains why the shots do not connect all cameras, with the remedy.
 
+    connected : groups of cameras and boards with known relative poses.
     names : names of the cameras.
+    sightings : detections of each camera; the key is its index.
     cameras_with_lens : names of the cameras whose lens is given.
     """
     groups = connected.cameras
@@ -337,6 +342,8 @@ def _find_shift(
     early.
 
     0 if no shift makes most shots agree on the relative pose of both cameras.
+
+    one, other : detections of the first and of the second camera.
     """
     first, second = (
         {(each.shot, each.board): each for each in sightings} for sightings in (one, other)
