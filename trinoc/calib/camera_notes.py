@@ -178,8 +178,8 @@ def notes_of_camera(
     if gauge:
         notes.append(sentences.not_determined_one_by_one(gauge))
     quality = image_fit.quality if image_fit is not None else None
-    if quality is not None and quality.effects:
-        notes.append(sentences.effects_included(quality.effects))
+    if quality is not None and quality.found:
+        notes.append(sentences.effects_included(quality.found))
     if quality is not None and quality.pixels_cut > tuning.cut_share * quality.pixels:
         share = quality.pixels_cut / (quality.pixels + quality.pixels_cut)
         notes.append(sentences.pixels_not_used(share))

@@ -130,5 +130,5 @@ def _quality(refined: ImageRefinement) -> ImageQuality:
         blur_px=float(np.sqrt(max(float(state["sigma_px"]) ** 2 - _BOX_VARIANCE, 0.0))),
         ink_spread_mm=float(state["spread_mm"]),
         ink_over_paper=float(1 + state["ratio"]),
-        effects=refined.effects,
+        found=refined.effects,
     )

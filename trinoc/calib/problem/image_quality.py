@@ -19,7 +19,7 @@ class ImageQuality(Value):
     blur_px : sigma of the Gaussian blur of the lens.
     ink_spread_mm : distance by which the ink extends beyond the drawn edge.
     ink_over_paper : grey level of ink divided by the grey level of paper.
-    effects : descriptions of the effects of camera and light that the fit includes.
+    found : descriptions of the effects of camera and light that the fit includes.
     """
 
     noise: float = eqx.field(static=True)
@@ -29,7 +29,7 @@ class ImageQuality(Value):
     blur_px: float = eqx.field(static=True)
     ink_spread_mm: float = eqx.field(static=True)
     ink_over_paper: float = eqx.field(static=True)
-    effects: tuple[str, ...] = eqx.field(static=True)
+    found: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def reduced_chi_square(self) -> float:
