@@ -205,8 +205,8 @@ def _camera_fit(
 def failed_fit(
     detection: Detection, fit: Adjustment | None, status: Status, observability: Observability
 ) -> CameraFit:
-    """Public fit of a camera that failed, with the values that could be computed; the others are
-    NaN.
+    """`CameraFit` of a camera whose calibration failed. Values that could not be
+    computed are NaN.
     """
     residuals_px, count = np.full((len(detection), 2), np.nan), len(detection)
     if fit is not None and status is not Status.NOT_CONVERGED:

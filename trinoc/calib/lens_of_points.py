@@ -90,8 +90,9 @@ def problem_of_points(
 
 
 def with_lens_parameters_free(problem: Problem, names: Collection[str]) -> Problem:
-    """Problem in which only the parameters `names` of the lens are estimated. The pose is
-    unchanged.
+    """Problem in which, of all lens parameters, only those with the given names are estimated.
+
+    The estimated pose parameters do not change.
     """
     free = np.array(problem.free)
     free[problem.slices.lens(0)] = [name in names for name in lens_parameter_names(problem)]

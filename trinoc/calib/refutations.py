@@ -319,8 +319,9 @@ class ExactLensTests(NamedTuple):
         return sentence
 
     def _scale(self, group: ParameterGroup) -> Float[np.ndarray, "k"]:
-        """Change of each of k parameters of a group for a unit change of its local coordinate,
-        (k,).
+        """Change of each of k lens parameters for a unit change of its local coordinate, (k,).
+
+        group : (index of the lens, names of the k parameters).
         """
         lens_index, parameters = group
         names = self.problem.state.lenses.parameter_names

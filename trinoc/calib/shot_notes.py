@@ -176,8 +176,8 @@ def notes_of_lens(problem: Problem, camera: str, named: NamedCovariance) -> tupl
 
 
 def _share_reached(problem: Problem) -> float:
-    """Largest distance of an observation from the principal point, divided by that of an image
-    corner.
+    """Distance from the principal point to the farthest observation, divided by that to the
+    farthest corner of the image.
     """
     observed_px = np.concatenate([view.detection.centres_px for view in problem.views])
     middle = np.asarray(lens_of_index(problem, 0).principal_point_px)

@@ -228,7 +228,10 @@ def adjust(
 
 
 def _root(problem: Problem, whitened: WhitenedViews) -> Float[np.ndarray, "f f"]:
-    """R, (f, f), of the information R^T R of the estimated parameters, priors included."""
+    """Upper triangular R, (f, f), of the information R^T R of the estimated parameters.
+
+    The information includes the priors.
+    """
     free = np.flatnonzero(problem.free)
     rows = whitened.jacobian[..., free].reshape(-1, len(free))
     priors = np.diag(prior_weights(problem)[free])

@@ -53,13 +53,14 @@ class Information(NamedTuple):
 
     @property
     def observability(self) -> Observability:
-        """Rank and covariance of all f estimated shared parameters."""
+        """Rank and covariance of the f estimated parameters of lenses, cameras and board shape."""
         return self.observability_of(np.ones(len(self.free), dtype=bool))
 
     def observability_of(self, rows: Bool[np.ndarray, "f"]) -> Observability:
-        """Rank and covariance of the parameters selected by `rows`, if all others are fixed.
+        """Rank and covariance of some of the estimated parameters, if all others are fixed.
 
-        rows : (f,) mask of the estimated shared parameters.
+        rows : (f,) mask of these parameters among the f estimated parameters of lenses, cameras and
+            board shape.
         """
         free = self.free[rows]
         information = (
@@ -71,16 +72,20 @@ class Information(NamedTuple):
         )
 
     def restrict_to(self, rows: Bool[np.ndarray, "f"]) -> "Information":
-        """Information about the parameters selected by `rows`, if all others are fixed.
+        """Information about some of the estimated parameters, if all others are fixed.
 
-        rows : (f,) mask of the estimated shared parameters.
+        rows : (f,) mask of these parameters among the f estimated parameters of lenses, cameras and
+            board shape.
         """
         prior = self.prior[np.ix_(rows, rows)]
         return self._replace(free=self.free[rows], prior=prior)
 
 
 def compute_information(problem: Problem) -> Information:
-    """Compute the information of all shots at the state of a problem."""
+    """Compute the Fisher information of all shots about lenses, cameras and board shape.
+
+    It is evaluated at the state of the problem.
+    """
     shot_information, gradients, board_by_parameters, board_covariance, prior = (
         np.asarray(part)
         for part in _of_shots(problem.state, problem.parametrization, problem.table)

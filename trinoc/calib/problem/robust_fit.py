@@ -194,7 +194,10 @@ def errors_px(problem: Problem) -> list[Float[np.ndarray, "_m 2"]]:
 def _project_across(
     points: SheetPoints, errors: Float[np.ndarray, "m 2"]
 ) -> Float[np.ndarray, "m 2"]:
-    """Errors without their components in directions that the image does not determine."""
+    """Errors of points without their components in directions that the image does not determine.
+
+    For a piece of a line, this is the direction of the line.
+    """
     columns = points.whitening.reshape(len(points.whitening), -1, 2)
     values, vectors = np.linalg.eigh(np.einsum("nmi,nmj->mij", columns, columns))
     determined = values > _LEAST_SHARE * values[:, -1:]

@@ -93,11 +93,11 @@ class ParameterSlices(NamedTuple):
     lens_size: int
 
     def lens(self, index: int) -> slice:
-        """Index range of the lens with index `index`."""
+        """Index range of the parameters of one lens in the vector of shared parameters."""
         return _part(self.lenses, index, self.lens_size)
 
     def camera(self, index: int) -> slice:
-        """Index range of the pose of the camera with index `index`."""
+        """Index range of the pose parameters of one camera in the vector of shared parameters."""
         return _part(self.cameras, index, POSE_SIZE)
 
 

@@ -259,7 +259,10 @@ def link_by_motion(
 def _largest_by_shot(
     sightings: Mapping[int, Sequence[Sighting]], cameras: Poses, boards: Poses
 ) -> dict[int, Sighting]:
-    """In each shot, the detection with the most points, among some cameras and boards."""
+    """Detection with the most points in each shot, among those of some cameras and boards.
+
+    The key of the result is the index of the shot.
+    """
     candidates = [
         sighting for camera in cameras for sighting in sightings[camera] if sighting.board in boards
     ]
