@@ -49,7 +49,7 @@ def count_numbers(values: Any) -> int:
 
 
 @contextlib.contextmanager
-def one_compiles(*program: Hashable) -> Iterator[None]:
+def compile_once(*program: Hashable) -> Iterator[None]:
     """Context for a call of a jitted program: other threads wait until it has compiled once.
 
     Threads that meet an uncompiled program would each compile it, with their own time and memory.

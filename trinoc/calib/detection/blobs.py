@@ -16,8 +16,8 @@ _SHORTEST_OUTLINE_PX = 8
 class Blobs(NamedTuple):
     """Candidate circles of an image.
 
-    Fields
-    ------
+    Attributes
+    ----------
     centres_px : (n, 2) centres of the ellipses.
     shape_px2 : (n, 2, 2) shape matrices S of the outer edges, (x - c)^T S^-1 (x - c) = 1.
     """
@@ -37,8 +37,8 @@ class Blobs(NamedTuple):
 class BlobScale(NamedTuple):
     """Settings of one blob search.
 
-    Fields
-    ------
+    Attributes
+    ----------
     smoothing_px : sigma of the initial Gaussian filter.
     reach_blocks : half the side of the neighbourhood of the local threshold, in blocks.
     opening_px : side of a morphological opening that removes thin dark lines from blobs; 0 for

@@ -31,8 +31,8 @@ from trinoc.errors import DetectionError
 class Sheet(NamedTuple):
     """Sheet located in one image.
 
-    Fields
-    ------
+    Attributes
+    ----------
     index : (k, m) pattern index of each circle, one row per possible labelling.
     ellipses : (m,) ellipses fitted to the circles.
     mapping : mapping from the sheet, mm, to the image, px.

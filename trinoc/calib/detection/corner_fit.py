@@ -46,8 +46,8 @@ class FittedCorners(NamedTuple):
 class _Windows(NamedTuple):
     """Square windows around the pixels nearest to the corners; k pixels each, row by row.
 
-    Fields
-    ------
+    Attributes
+    ----------
     side : side of a window in pixels.
     origin_px : (n, 2) centre pixel of each window.
     x, y : (k,) column and row of each pixel relative to the centre pixel.

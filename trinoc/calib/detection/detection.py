@@ -24,8 +24,8 @@ _POSITION = ("u_px", "v_px")
 class Detection(Table):
     """Labelled points (circles or corners) of a board detected in one image.
 
-    Fields
-    ------
+    Attributes
+    ----------
     circle_index : (m,) index of each detected circle or corner among the board's points.
     centres_px : (m, 2) position of the corner, or centre of the ellipse fitted to the outer edge of
         the circle.

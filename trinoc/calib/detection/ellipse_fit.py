@@ -38,8 +38,8 @@ _DENSITY = np.float32(1.0 / np.sqrt(2.0 * np.pi))  # numerical: of the normal di
 class Ellipses(NamedTuple):
     """Fitted ellipses: parameters and quality of the fit.
 
-    Fields
-    ------
+    Attributes
+    ----------
     centres_px : (n, 2) centres.
     shape_px2 : (n, 2, 2) shape matrices S of (x - c)^T S^-1 (x - c) = 1.
     blur_px : (n,) sigma of the edge's blur.

@@ -18,8 +18,8 @@ _STEP = np.diff(_VALUE, append=_VALUE[-1:])  # numerical: as above
 class EllipsePixels(NamedTuple):
     """Pixels around n circles, at most p each.
 
-    Fields
-    ------
+    Attributes
+    ----------
     origin_px : (n, 2) integer reference pixel of each circle.
     x, y : (n, p) column and row of each pixel relative to `origin_px`.
     grey : (n, p) grey levels.

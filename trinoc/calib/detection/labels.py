@@ -24,8 +24,8 @@ class MirroredError(DetectionError):
 class PatternSymmetry(NamedTuple):
     """A pattern with its lattice steps and its symmetries.
 
-    Fields
-    ------
+    Attributes
+    ----------
     pattern : the sheet.
     steps_mm : (2, 2) displacement on the sheet of one lattice unit along each axis, as columns.
     radius_mm : median radius of the circles.

@@ -27,8 +27,8 @@ _MOST_NEIGHBOURS = 12
 class Lattice(NamedTuple):
     """Blobs with lattice coordinates that are unique up to a rotation and a shift.
 
-    Fields
-    ------
+    Attributes
+    ----------
     blob : (m,) indices of the blobs.
     cell : (m, 2) lattice coordinates, with the pattern's handedness unless the image is mirrored.
     """
@@ -65,8 +65,8 @@ def find_lattices(
 class _Neighbours(NamedTuple):
     """Possible neighbours among n blobs.
 
-    Fields
-    ------
+    Attributes
+    ----------
     is_neighbour : (n, n) mask of the pairs with plausible distance and areas.
     offset : (n, n, 2) position of the second blob in the frame of the first one, in which the first
         is the unit circle.

@@ -288,8 +288,8 @@ def _is_saddle(
 class Quadrangle(NamedTuple):
     """A quadrangle of an image that may be a tag.
 
-    Fields
-    ------
+    Attributes
+    ----------
     grey : the image, enlarged by `scale`.
     scale : factor of the enlargement.
     corners_px : (4, 2) corners in `grey`.

@@ -57,8 +57,8 @@ _Markers = Mapping[int, Float[np.ndarray, "4 2"]]
 class MarkerReading(NamedTuple):
     """Board that an image shows instead of the stated one.
 
-    Fields
-    ------
+    Attributes
+    ----------
     board : layout of the visible board.
     changes : differences from the stated layout, such as "legacy=yes".
     count : number of visible markers that agree with this layout.

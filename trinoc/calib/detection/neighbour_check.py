@@ -20,8 +20,8 @@ _NEIGHBOURS, _FEWEST_FOR_CURVATURE, _FEWEST = 12, 9, 5
 class NeighbourPrediction(NamedTuple):
     """Positions of n corners predicted by their neighbours.
 
-    Fields
-    ------
+    Attributes
+    ----------
     px : (n, 2) predicted positions.
     spacing_px : (n,) image of the distance to the nearest neighbour on the board.
     gain : (n,) standard deviation of predicted minus observed, if all corners have a standard

@@ -15,8 +15,8 @@ from trinoc.calib.tuning.every_group import CalibTuning
 class PlaneMapping(NamedTuple):
     """Mapping from a plane to the image, px.
 
-    Fields
-    ------
+    Attributes
+    ----------
     homography : (3, 3) projective part of the mapping.
     bend_px : (10, 2) coefficients of the cubic that is added to it; zeros without.
     middle, extent : centre and side of the square that normalises the arguments of the cubic.

@@ -45,8 +45,8 @@ _EMPTY = cv2.BORDER_CONSTANT  # zeros beyond the image
 class WindowPixels(NamedTuple):
     """Pixels of n square windows, at most k each.
 
-    Fields
-    ------
+    Attributes
+    ----------
     side : side of the windows, px.
     column, row : (n, k) position of each pixel relative to the first pixel of the window.
     used : (n, k) mask of the valid entries.

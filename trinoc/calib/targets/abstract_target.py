@@ -20,8 +20,8 @@ class AbstractTarget(Value):
     A point is the centre of a circle or a corner. Its index in `centres_mm` is its label.
     Seen from the printed side, X points right and Y up; Z points out of the board.
 
-    Fields
-    ------
+    Attributes
+    ----------
     name : name of the board, used in messages and files.
     centres_mm : (n, 2) positions (X, Y) of the points in the board's frame.
     radius_mm : (n,) radius of the circle around each point; 0 for a corner.
@@ -58,8 +58,8 @@ class Marks(NamedTuple):
 
     An image cannot distinguish two boards of the same family whose numbers overlap.
 
-    Fields
-    ------
+    Attributes
+    ----------
     family : name of the kind of features; boards of different families never look alike.
     numbers : marker numbers of the board within the family.
     likeness : message for two boards with overlapping marks: the shared features and the remedy.

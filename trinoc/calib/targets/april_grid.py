@@ -31,8 +31,8 @@ class AprilGrid(AbstractSquareBoard):
     The points are the tag corners, tag by tag: four per tag, from its lower left counter-clockwise.
     The origin is the centre of the board.
 
-    Fields
-    ------
+    Attributes
+    ----------
     rows, columns : numbers of tags.
     tag_mm : side of a tag's ink including its border.
     spacing : gap between two tags divided by the side of a tag; Kalibr's tagSpacing.

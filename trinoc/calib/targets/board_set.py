@@ -25,8 +25,8 @@ class BoardSet(AbstractTarget):
     The first board is the reference: its frame is the frame of the set. The points of the set are
     those of all boards in order; each point is given in the frame of its own board.
 
-    Fields
-    ------
+    Attributes
+    ----------
     names : names of the boards, in order.
     boards : the boards. An image must be able to distinguish them (`Marks`): by kind, number of
         corners, dictionary, or marker numbers.

@@ -28,8 +28,8 @@ class Chessboard(AbstractSquareBoard):
 
     The corners are ordered row by row from the top left. The origin is the centre of the board.
 
-    Fields
-    ------
+    Attributes
+    ----------
     rows, columns : numbers of inner corners, one less than the numbers of squares. OpenCV's
         patternSize is (columns, rows).
     square_mm : side of a square. If it is unknown, give 1: lengths are then in squares.
@@ -108,8 +108,8 @@ class Charuco(AbstractSquareBoard):
     A partly visible board can be labelled. The corners have OpenCV's order: row by row from the
     top left. The origin is the centre of the board.
 
-    Fields
-    ------
+    Attributes
+    ----------
     rows, columns : numbers of squares. OpenCV's size is (columns, rows).
     square_mm : side of a square.
     marker_mm : side of a marker; 0.75 `square_mm` if None.

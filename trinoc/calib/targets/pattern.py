@@ -30,8 +30,8 @@ class Pattern(Displayable, AbstractBoard):
     The lines lie along X and Y and cross at the origin of the world. Seen from the printed
     side, X points right and Y up; Z points out of the sheet.
 
-    Fields
-    ------
+    Attributes
+    ----------
     name : name of the sheet.
     centres_mm : (n, 2) centres (X, Y) of the circles.
     radius_mm : (n,) outer radius of each circle.

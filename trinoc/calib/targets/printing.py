@@ -16,8 +16,8 @@ _LINES_BEYOND = 0.75
 class SheetProposal(NamedTuple):
     """Proposed sizes of a cross grid (`Pattern.cross_grid`).
 
-    Fields
-    ------
+    Attributes
+    ----------
     count : number of circles along each side; even, so that no line meets a circle.
     pitch_mm, radius_mm : distance between neighbouring centres, and radius of a circle.
     circle_px : diameter of a circle's image, for a camera that looks perpendicularly at the sheet.

@@ -24,8 +24,8 @@ MOST_EACH_WAY = 999
 class CellGrid(NamedTuple):
     """Grid of square cells, some of them inked.
 
-    Fields
-    ------
+    Attributes
+    ----------
     is_ink : (rows, columns) mask of the painted cells, top row first.
     cell_mm : side of a cell.
     middle_mm : (2,) centre of the grid in the board's frame.
@@ -41,8 +41,8 @@ class CellGrid(NamedTuple):
 class AbstractSquareBoard(AbstractBoard):
     """Board whose points are corners of inked cells.
 
-    Fields
-    ------
+    Attributes
+    ----------
     rows, columns : numbers of the units that the class counts: inner corners, squares or tags.
     nodes_mm : (k, 2) corners of all squares (the rim included) or tags, in the board's frame.
         Every edge of the ink belongs to the nearest node.
@@ -77,8 +77,8 @@ class AbstractSquareBoard(AbstractBoard):
 class SquareSheet(AbstractTarget):
     """Board of squares as a raster of ink on one irregular grid, for the fit to grey levels.
 
-    Fields
-    ------
+    Attributes
+    ----------
     name, centres_mm, radius_mm : see `AbstractTarget`.
     nodes_mm : see `AbstractSquareBoard`.
     x_mm, y_mm : (n,), (m,) increasing positions of the grid lines, which contain all ink edges.

@@ -28,7 +28,7 @@ class PhotometricTuning:
     scales: tuple[float, ...] = (0.1, 0.07, 0.05, 0.05, 0.05)
     # Additional first rounds if the paper saturates. Without them, two of six images of a phone,
     # overexposed 1.6 and 2.2 times, fail or are wrong by 60 sigmas.
-    blinded_scales: tuple[float, ...] = (0.15, 0.15, 0.15)
+    saturated_scales: tuple[float, ...] = (0.15, 0.15, 0.15)
 
     # A residual above this many robust sigmas is an outlier.
     outlier_sigmas: float = 4.5

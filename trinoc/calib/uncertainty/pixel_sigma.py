@@ -21,8 +21,8 @@ class PixelSigma(NamedTuple):
 
     The points are at the distance of the boards, over the images of all cameras.
 
-    Fields
-    ------
+    Attributes
+    ----------
     median_px, worst_px : for a board of exact size.
     size_px : largest contribution of the error of the board's size, added in quadrature; 0 for an
         exact size.

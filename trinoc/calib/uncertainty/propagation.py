@@ -40,8 +40,8 @@ _TO_RADIANS = np.array([*np.full(3, np.pi / 180), *np.ones(len(_NAMES) - 3)])
 class FieldSigma(NamedTuple):
     """Standard deviation over the image of a camera.
 
-    Fields
-    ------
+    Attributes
+    ----------
     uv_px : (n, 2) positions in the image.
     sigma_px : (n,) standard deviation at each.
     """

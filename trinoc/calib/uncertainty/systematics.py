@@ -28,8 +28,8 @@ class Systematics(NamedTuple):
     Each error is an unknown with this prior. It is estimated if the images show it, and its prior
     is part of the covariance. `Systematics()` assumes that everything is exact.
 
-    Fields
-    ------
+    Attributes
+    ----------
     print_scale_sigma : relative sigma of the print's scale along X and along Y (1e-3 is 0.1 %).
         `trinoc.calib.printed_sheet` determines both scales from two measured bars.
     flatness_mm : sigma of the height, at the circles farthest from the origin, of each of three
