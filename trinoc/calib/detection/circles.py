@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, Shaped
 
 from trinoc.calib.detection.blobs import Blobs, BlobScale, find_blobs
 from trinoc.calib.detection.cross_lines import fit_cross_lines
-from trinoc.calib.detection.detection import Detection, build_detection, rightward_share
+from trinoc.calib.detection.detection import Detection, build_detection, rightward_cosine
 from trinoc.calib.detection.ellipse_fit import Ellipses
 from trinoc.calib.detection.ellipse_pixels import quick_median
 from trinoc.calib.detection.labels import (
@@ -29,7 +29,7 @@ from trinoc.errors import DetectionError
 
 
 class Sheet(NamedTuple):
-    """Sheet located in one image.
+    """A sheet located in one image, with m measured circles.
 
     Attributes
     ----------
@@ -46,7 +46,20 @@ class Sheet(NamedTuple):
 def detect_circles(
     image: Shaped[np.ndarray, "..."], pattern: Pattern, tuning: CalibTuning
 ) -> Detection:
-    """Detect the circles and crossed lines of a sheet in one image: see `detect_pattern`."""
+    """Detect the circles and crossed lines of a sheet in one image.
+
+    For details see `trinoc.calib.detection.registry.detect_pattern`.
+
+    Parameters
+    ----------
+    image : grey or colour image.
+    pattern : the sheet.
+    tuning : tuned constants of calibration.
+
+    Raises
+    ------
+    DetectionError : see `detect_pattern`.
+    """
     search_input = search_image(image)
     symmetry = pattern_symmetry(pattern, tuning)
     failures: list[tuple[int, DetectionError]] = []
@@ -77,9 +90,11 @@ def _no_sheet_error(pattern: Pattern) -> DetectionError:
 def circle_candidates(image: Shaped[np.ndarray, "..."], *, tuning: CalibTuning = TUNING) -> Blobs:
     """Dark regions of an image that could be circles of any pattern.
 
+    Only the first scale of the search is used; `detect_pattern` also searches at other scales.
+
     Parameters
     ----------
-    image : as for `detect_pattern`, which also searches at other scales.
+    image : (height, width) or (height, width, channels) image.
     tuning : tuned constants of calibration.
     """
     return next(_find_blobs_by_scale(search_image(image), tuning))
@@ -103,7 +118,10 @@ def _find_sheets(
     failures: list[tuple[int, DetectionError]],
     tuning: CalibTuning,
 ) -> list[Sheet]:
-    """All sheets among the blobs; appends (number of blobs, error) of failures to `failures`."""
+    """Find all sheets among the blobs.
+
+    failures : list to which the number of blobs and the error of each failed lattice are appended.
+    """
     pattern, sheets = symmetry.pattern, list[Sheet]()
     for lattice in find_lattices(blobs, symmetry, tuning):
         try:
@@ -126,12 +144,12 @@ def _read_sheet(
     symmetry: PatternSymmetry,
     tuning: CalibTuning,
 ) -> Sheet:
-    """Label a lattice and measure all visible circles of the pattern.
+    """Label the circles of a lattice, and measure all visible circles of the pattern.
 
     Raises
     ------
-    DetectionError : the lattice cannot be labelled (see `label_circles`), or too few of its blobs
-        are fitted well by circles.
+    DetectionError : the circles cannot be labelled (see `label_circles`), or too few blobs are
+        circles.
     """
     pattern, cell = symmetry.pattern, lattice.cell.astype(float)
     centres = blobs.centres_px[lattice.blob]
@@ -158,7 +176,7 @@ def _read_sheet(
             f" {fewest} complete circles, without motion and in focus."
         )
     labellings = symmetry.symmetries[:, index]
-    rightward = [rightward_share(ellipses.centres_px, pattern.centres_mm[k]) for k in labellings]
+    rightward = [rightward_cosine(ellipses.centres_px, pattern.centres_mm[k]) for k in labellings]
     labellings = labellings[np.argsort(-np.array(rightward), kind="stable")]
     first = labellings[0]
     if not np.array_equal(first, index):
@@ -178,7 +196,7 @@ def _ring_evidence(
 
 
 def _shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:
-    """True if two lattices of an image are parts of one sheet, for example split by a shadow."""
+    """True if two detected parts belong to one sheet, for example a sheet divided by a shadow."""
     if len(second.index[0]) > len(first.index[0]):
         # The larger part predicts the smaller one: few circles extrapolate poorly.
         first, second = second, first

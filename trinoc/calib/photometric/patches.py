@@ -235,7 +235,7 @@ def _displacements(
     rows, by_levels, weighted = shared.rows, shared.by_levels, by_px * weight
 
     def sum_by_patch(values: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m k"]:
-        """Weighted sums over the pixels of each patch: derivatives by u and by v, times `values`."""
+        """Weighted sums over each patch: derivatives by u and by v, times `values`."""
         sums = [[np.bincount(patch, axis * row, count) for row in values] for axis in weighted]
         return np.array(sums).transpose(2, 0, 1).reshape(2 * count, len(values))
 

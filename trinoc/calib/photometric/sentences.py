@@ -22,11 +22,11 @@ UNEVEN_LIGHT = "uneven light"
 
 
 def contradicts_circles(distance_px: float) -> str:
-    """Return the message that grey levels and circles disagree.
+    """Message on grey levels that contradict the circles of the sheet.
 
     Parameters
     ----------
-    distance_px : largest distance between the two estimated images of a circle centre.
+    distance_px : largest distance between the images of a circle centre by the two estimates.
     """
     return (
         f"the grey levels contradict the circles by {distance_px:.2f} px: check that nothing "
@@ -35,7 +35,7 @@ def contradicts_circles(distance_px: float) -> str:
 
 
 def response_of(bend: float, sigma: float) -> str:
-    """Return the description of a nonlinear camera response.
+    """Description of a nonlinear camera response.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def response_of(bend: float, sigma: float) -> str:
 
 
 def sharpened(amplitude: float) -> str:
-    """Return the description of an image that software has sharpened.
+    """Description of an image that software has sharpened.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def sharpened(amplitude: float) -> str:
 
 
 def moved(length_px: float, angle_deg: float) -> str:
-    """Return the description of motion blur: camera or sheet moved during the exposure.
+    """Description of motion blur: camera or sheet moved during the exposure.
 
     Parameters
     ----------
@@ -69,10 +69,10 @@ def moved(length_px: float, angle_deg: float) -> str:
 
 
 def correlated_noise(inflation: float) -> str:
-    """Return the description of noise that is correlated between neighbouring pixels.
+    """Description of noise that is correlated between neighbouring pixels.
 
     Parameters
     ----------
-    inflation : variance of a mean over neighbouring pixels divided by that for uncorrelated noise.
+    inflation : variance of a mean over neighbouring pixels, divided by that for uncorrelated noise.
     """
     return f"correlated noise of neighbouring pixels ({inflation:.1f} times the variance)"

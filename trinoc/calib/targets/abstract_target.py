@@ -67,7 +67,7 @@ class Marks(NamedTuple):
     """
 
     family: str
-    numbers: range
+    marker_ids: range
     likeness: str
 
     def likeness_to(self, other: "Marks") -> str | None:
@@ -75,8 +75,8 @@ class Marks(NamedTuple):
 
         None if an image can distinguish the two boards.
         """
-        first = max(self.numbers.start, other.numbers.start)
-        last = min(self.numbers.stop, other.numbers.stop) - 1
+        first = max(self.marker_ids.start, other.marker_ids.start)
+        last = min(self.marker_ids.stop, other.marker_ids.stop) - 1
         if self.family != other.family or last < first:
             return None
         numbers = f"s {first} to {last}" if last > first else f" {first}"

@@ -125,10 +125,10 @@ class AprilGrid(AbstractSquareBoard):
     @property
     def marks(self) -> Marks:
         """Tag family and numbers, by which an image identifies the board."""
-        return marks_of_markers(self.dictionary, self.numbers)
+        return marks_of_markers(self.dictionary, self.marker_ids)
 
     @property
-    def numbers(self) -> range:
+    def marker_ids(self) -> range:
         """Numbers of the board's tags."""
         return range(self.first, self.first + self.rows * self.columns)
 

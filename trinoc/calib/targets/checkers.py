@@ -190,12 +190,12 @@ class Charuco(AbstractSquareBoard):
     @property
     def marks(self) -> Marks:
         """Marker numbers. Inverted or mirrored markers belong to a family of their own."""
-        marks = marks_of_markers(self.dictionary, self.numbers)
+        marks = marks_of_markers(self.dictionary, self.marker_ids)
         looks = [word for word in ("inverted", "mirrored") if getattr(self, word)]
         return marks._replace(family=" ".join([marks.family, *looks]))
 
     @property
-    def numbers(self) -> range:
+    def marker_ids(self) -> range:
         """Numbers of the board's markers."""
         return range(self.first, self.first + self.rows * self.columns // 2)
 
@@ -237,7 +237,7 @@ def opencv_board(board: Charuco) -> Any:
         board.square_mm,
         board.marker_mm,
         opencv_dictionary(board.dictionary),
-        np.array(board.numbers),
+        np.array(board.marker_ids),
     )
     charuco_board.setLegacyPattern(board.legacy)
     return charuco_board

@@ -48,8 +48,8 @@ class DetectionTuning:
     area_factor: float = 2.2
     # Fewest points with which the plane mapping includes bending by the lens, and the ridge of
     # that bending relative to the number of points, which keeps it from following noise.
-    bend_points: int = 16
-    bend_damping: float = 1e-3
+    cubic_points: int = 16
+    cubic_damping: float = 1e-3
 
     # Standard deviation of the relative hole radius about 0 (disc) or 1 (ring), beyond the sigma
     # of the fit.
