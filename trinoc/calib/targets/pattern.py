@@ -25,10 +25,10 @@ A_PATTERN = "a trinoc.Pattern, such as load_pattern reads from a file"
 
 
 class Pattern(Displayable, AbstractBoard):
-    """Layout of circles (discs or rings) and two crossed lines in the plane Z = 0, in mm.
+    """Sheet with circles (discs or rings) and two crossed lines in the plane Z = 0, in mm.
 
-    The lines lie along X and Y and cross at the origin of the world. Seen from the printed
-    side, X points right and Y up; Z points out of the sheet.
+    The lines lie along X and Y and cross at the origin of the world. Seen from the printed side, X
+    points right and Y up; Z points out of the sheet.
 
     Attributes
     ----------
@@ -36,15 +36,15 @@ class Pattern(Displayable, AbstractBoard):
     centres_mm : (n, 2) centres (X, Y) of the circles.
     radius_mm : (n,) outer radius of each circle.
     inner_radius_mm : (n,) radius of the white hole of a ring; 0 for a disc.
-    lattice : (n, 2) integer lattice coordinates of each circle; neighbours in the lattice
-        differ by one in one coordinate.
+    lattice : (n, 2) integer lattice coordinates of each circle. Neighbours in the lattice differ by
+        one in one coordinate.
     line_width_mm : width of the crossed lines; 0 for a sheet without lines.
-    line_half_length_mm : (2,) half the length of the line along X and of the line along Y; both
-        are centred on the origin.
+    line_half_length_mm : (2,) half the length of the line along X and of the line along Y. The
+        middle of both lines is the origin.
     line_style : drawing of a line at a circle. "stop": the line ends `line_gap_mm` before the
-        circle. "through": it crosses the circle in black. "white": it crosses it in white. Lines
-        between the rows meet no circle.
-    line_gap_mm : gap between the end of a line of style "stop" and a circle.
+        circle. "through": the line crosses the circle in black. "white": the line crosses the
+        circle in white. A line between two rows of circles meets no circle.
+    line_gap_mm : gap between a circle and the end of a line, for the style "stop".
     """
 
     kind: ClassVar[str] = "sheet"
@@ -67,7 +67,7 @@ class Pattern(Displayable, AbstractBoard):
 
     @classmethod
     def default(cls) -> "Pattern":
-        """Sheet of `patterns/`: 8 x 8 circles of 6 mm radius at a pitch of 20 mm, with rings."""
+        """Standard sheet, as in `patterns/`: 8 x 8 circles with rings, radius 6 mm, pitch 20 mm."""
         return cls.cross_grid(rows=8, columns=8, pitch_mm=20.0, radius_mm=6.0)
 
     @classmethod
@@ -236,12 +236,14 @@ class Pattern(Displayable, AbstractBoard):
 
     @property
     def marks(self) -> Marks:
-        """Marks shared by all sheets: a search for one would detect the circles of another."""
+        """Features that all sheets of circles have. An image cannot distinguish two of these
+        sheets.
+        """
         likeness = "both are sheets of circles, and a set may have one; use other boards"
         return Marks("circles", range(1), likeness)
 
     def drawing(self) -> list[Disc | Polygon]:
-        """Circles and crossed lines; `line_style` decides the painting order where they meet."""
+        """Shapes of the circles and crossed lines. Their painting order depends on `line_style`."""
         circles: list[Disc | Polygon] = []
         centres, radii = [(x, y) for x, y in self.centres_mm.tolist()], self.radius_mm.tolist()
         for centre, radius, hole in zip(centres, radii, self.inner_radius_mm.tolist(), strict=True):
@@ -269,11 +271,12 @@ class Pattern(Displayable, AbstractBoard):
         return [*lines, *gaps, *circles]
 
     def rescale(self, scale_x: float, scale_y: float) -> "Pattern":
-        """Scale the sheet separately along X and Y, to correct a printer's scale errors.
+        """Scale the sheet separately along X and Y, to correct the scale errors of a printer.
 
         Parameters
         ----------
-        scale_x, scale_y : measured divided by nominal length of the scale bars along X and Y.
+        scale_x, scale_y : measured length of the scale bar along X or Y, divided by its nominal
+            length.
 
         Notes
         -----
@@ -310,7 +313,9 @@ def _line_on_circle(pattern: Pattern, circle: int, axis: int) -> Polygon:
 
 
 def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
-    """Reason why a layout cannot be printed, as part of a sentence; None if it can."""
+    """Return the reason why a layout cannot be printed, as part of a sentence; None if it can be
+    printed.
+    """
     centres, radius = pattern.centres_mm, pattern.radius_mm
     if len(centres) == 0:
         return "it has no circle"
@@ -338,7 +343,11 @@ def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
 
 
 def _lattice_problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
-    """Reason why the centres are no affine, unmirrored image of the lattice; None if they are."""
+    """Return a reason if the circle centres do not form the stated lattice, as part of a sentence;
+    else None.
+
+    The map from lattice coordinates to the sheet must be affine without a reflection.
+    """
     relative = pattern.lattice - pattern.lattice.mean(axis=0)
     steps, _, rank, _ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
     if rank < 2:

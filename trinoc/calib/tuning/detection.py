@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class DetectionTuning:
-    """Constants of the steps from an image to labelled points of a board.
+    """Tuned constants of the detection, from an image to labelled points of a board.
 
-    Check with benchmarks/detection.py (detected images and wrong labels, by condition). Unless a
-    comment says otherwise, values were chosen by hand on these and on photographs of circle grids
-    (tests/calib/detection/test_photographs.py).
+    Check with benchmarks/detection.py (numbers of detected images and of wrong labels, by
+    condition). Unless a comment gives another source, values were chosen by hand on this benchmark
+    and on photographs of circle grids (tests/calib/detection/test_photographs.py).
     """
 
     # Fewest points (circle centres or corners) in a detection, and fewest blobs in a lattice.
@@ -118,5 +118,5 @@ class DetectionTuning:
 
     @property
     def fewest_tags(self) -> int:
-        """Fewest tags that together have `fewest_places` corners."""
+        """Smallest number of tags that together have `fewest_places` corners."""
         return -(-self.fewest_places // 4)
