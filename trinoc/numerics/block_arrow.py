@@ -126,19 +126,19 @@ class Elimination(NamedTuple):
     ----------
     inverse : (k, w, w)
         Inverse of each block; zeros if it does not exist.
-    follow : (k, w, q)
+    blocks_by_head : (k, w, q)
         Derivative of each block's unknowns by those of the head.
     reduced : (q, q)
         Schur complement of the blocks.
     """
 
     inverse: Float[ArrayLike, "k w w"]
-    follow: Float[ArrayLike, "k w q"]
+    blocks_by_head: Float[ArrayLike, "k w q"]
     reduced: Float[ArrayLike, "q q"]
 
     def reduced_side(self, side: Unknowns) -> Float[ArrayLike, "q"]:
         """Right-hand side of the reduced system, (q,)."""
-        return side[0] + jnp.einsum("kwq,kw->q", self.follow, side[1])
+        return side[0] + jnp.einsum("kwq,kw->q", self.blocks_by_head, side[1])
 
     def blocks_of(
         self, head: Float[ArrayLike, "q"], side: Float[ArrayLike, "k w"]
@@ -148,7 +148,7 @@ class Elimination(NamedTuple):
         `head` has the unknowns of the head; `side` is the right-hand side of the blocks.
         """
         uncoupled = jnp.einsum("kvw,kw->kv", self.inverse, side)
-        return uncoupled + jnp.einsum("kwq,q->kw", self.follow, head)
+        return uncoupled + jnp.einsum("kwq,q->kw", self.blocks_by_head, head)
 
 
 def eliminate(arrow: BlockArrow) -> Elimination:
@@ -156,9 +156,9 @@ def eliminate(arrow: BlockArrow) -> Elimination:
     inverse = jax.vmap(inverse_positive_definite)(arrow.blocks)
     determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
     inverse = jnp.where(determined[:, None, None], inverse, 0.0)
-    follow = -jnp.einsum("kvw,kqw->kvq", inverse, arrow.coupling)
-    reduced = arrow.head + jnp.einsum("kqw,kwr->qr", arrow.coupling, follow)
-    return Elimination(inverse, follow, reduced)
+    blocks_by_head = -jnp.einsum("kvw,kqw->kvq", inverse, arrow.coupling)
+    reduced = arrow.head + jnp.einsum("kqw,kwr->qr", arrow.coupling, blocks_by_head)
+    return Elimination(inverse, blocks_by_head, reduced)
 
 
 class FactoredArrow(NamedTuple):

@@ -107,9 +107,9 @@ def select_in_blocks(
     results = [function(rows[part] if is_small else pad_rows(rows[part], size)) for part in parts]
     possible, columns = [], []
     for part, (is_possible, values) in zip(parts, results, strict=True):
-        keep = np.flatnonzero(np.asarray(is_possible)[: part.stop - part.start])
-        possible.append(keep + part.start)
-        columns.append(np.asarray(values)[:, keep])
+        selected = np.flatnonzero(np.asarray(is_possible)[: part.stop - part.start])
+        possible.append(selected + part.start)
+        columns.append(np.asarray(values)[:, selected])
     return np.concatenate(possible), np.concatenate(columns, axis=1)
 
 

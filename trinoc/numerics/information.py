@@ -33,7 +33,7 @@ class Observability(NamedTuple):
 
 def observability(
     information: Float[np.ndarray, "p p"],
-    parameters_by_chart: Float[np.ndarray, "k p"],
+    parameter_jacobian: Float[np.ndarray, "k p"],
     largest_sigma: Float[np.ndarray, "k"],
 ) -> Observability:
     """Rank of an information matrix, and the covariance on the directions that it determines.
@@ -43,7 +43,7 @@ def observability(
     information : (p, p)
         Information of the local coordinates, which are scaled alike (rad, shares of the distance).
         So 1 / eigenvalue is the variance of a direction, and eigenvalues are comparable.
-    parameters_by_chart : (k, p)
+    parameter_jacobian : (k, p)
         Derivative of the named parameters by the local coordinates.
     largest_sigma : (k,)
         Largest sigma of each parameter for which a linear error is valid.
@@ -55,12 +55,12 @@ def observability(
     """
     values, vectors = np.linalg.eigh(information)
     is_real = values > 1e-14 * values.max(initial=0.0)
-    return _of_eigenvalues(values, vectors, is_real, parameters_by_chart, largest_sigma)
+    return _of_eigenvalues(values, vectors, is_real, parameter_jacobian, largest_sigma)
 
 
 def observability_of_root(
     root: Float[np.ndarray, "p p"],
-    parameters_by_chart: Float[np.ndarray, "k p"],
+    parameter_jacobian: Float[np.ndarray, "k p"],
     largest_sigma: Float[np.ndarray, "k"],
 ) -> Observability:
     """`observability` of the information root^T root, without forming the product.
@@ -70,14 +70,14 @@ def observability_of_root(
     """
     _, values, vectors = np.linalg.svd(root)
     is_real = values > 1e-12 * values[0]
-    return _of_eigenvalues(values**2, vectors.T, is_real, parameters_by_chart, largest_sigma)
+    return _of_eigenvalues(values**2, vectors.T, is_real, parameter_jacobian, largest_sigma)
 
 
 def _of_eigenvalues(
     values: Float[np.ndarray, "p"],
     vectors: Float[np.ndarray, "p p"],
     is_real: Bool[np.ndarray, "p"],
-    parameters_by_chart: Float[np.ndarray, "k p"],
+    parameter_jacobian: Float[np.ndarray, "k p"],
     largest_sigma: Float[np.ndarray, "k"],
 ) -> Observability:
     """Observability from the eigenvalues and eigenvectors of the information.
@@ -85,14 +85,14 @@ def _of_eigenvalues(
     `is_real` is False for eigenvalues that are rounding errors.
     """
     determined = (values > LARGEST_SIGMA**-2) & is_real
-    free = np.abs(parameters_by_chart @ vectors[:, ~determined])
-    scale = np.linalg.norm(parameters_by_chart, axis=1, keepdims=True)
-    touched = (free > _FREE_SHARE * np.maximum(scale, 1e-300)).any(axis=1)
-    by_direction = parameters_by_chart @ vectors[:, determined]
+    free = np.abs(parameter_jacobian @ vectors[:, ~determined])
+    scale = np.linalg.norm(parameter_jacobian, axis=1, keepdims=True)
+    is_undetermined = (free > _FREE_SHARE * np.maximum(scale, 1e-300)).any(axis=1)
+    by_direction = parameter_jacobian @ vectors[:, determined]
     covariance = (by_direction / values[determined]) @ by_direction.T
-    touched |= np.sqrt(np.diag(covariance)) > largest_sigma
-    covariance[touched] = np.nan
-    covariance[:, touched] = np.nan
+    is_undetermined |= np.sqrt(np.diag(covariance)) > largest_sigma
+    covariance[is_undetermined] = np.nan
+    covariance[:, is_undetermined] = np.nan
     return Observability(
-        int(determined.sum()), covariance, tuple(int(k) for k in np.flatnonzero(touched))
+        int(determined.sum()), covariance, tuple(int(k) for k in np.flatnonzero(is_undetermined))
     )

@@ -354,7 +354,7 @@ class _KnownClassPickler(pickle.Pickler):
     and functions in the value.
     """
 
-    def __init__(self, parts: "_Parts") -> None:
+    def __init__(self, parts: "_ByteChunks") -> None:
         super().__init__(parts, protocol=5)
         self.modules: set[str] = set()
 
@@ -369,7 +369,7 @@ class _KnownClassPickler(pickle.Pickler):
         return NotImplemented
 
 
-class _Parts(list[bytes]):
+class _ByteChunks(list[bytes]):
     """Output of a pickler in memory: file objects of `io` belong to a higher floor."""
 
     def write(self, part: bytes) -> None:
@@ -378,7 +378,7 @@ class _Parts(list[bytes]):
 
 def _pickle_known_classes(value: Any) -> tuple[bytes, set[str]]:
     """Pickle a value: (content, trinoc modules of the classes and functions in it)."""
-    parts = _Parts()
+    parts = _ByteChunks()
     pickler = _KnownClassPickler(parts)
     pickler.dump(value)
     return b"".join(parts), pickler.modules

@@ -137,11 +137,11 @@ class Table(Value):
 
         Raises IndexError for a missing row and for a mask of another length.
         """
-        chosen = np.arange(len(self))[rows]
-        return TableRow(self, int(chosen)) if np.ndim(chosen) == 0 else self.take(chosen)
+        indices = np.arange(len(self))[rows]
+        return TableRow(self, int(indices)) if np.ndim(indices) == 0 else self.take(indices)
 
     def __iter__(self) -> Iterator["TableRow"]:
-        return (TableRow(self, number) for number in range(len(self)))
+        return (TableRow(self, index) for index in range(len(self)))
 
     def rows(self) -> dict[str, Any]:
         """Fields with one entry per row of the table; a dictionary counts as one field."""
@@ -197,8 +197,8 @@ class Table(Value):
 class TableRow:
     """One row of a table. Its attributes are the entries of the columns and derived properties."""
 
-    def __init__(self, table: Table, number: int) -> None:
-        self._table, self._number = table, number
+    def __init__(self, table: Table, index: int) -> None:
+        self._table, self._index = table, index
 
     def __getattr__(self, name: str) -> Any:
         # `copy` looks up such names before `_table` exists; notebooks look them up as well.
@@ -208,18 +208,18 @@ class TableRow:
             raise AttributeError(f"A row of {type(self._table).__name__} has no {name}.")
         rows = self._table.rows()
         if name in rows:
-            return take_rows(rows[name], self._number)
-        return getattr(self._table.take(np.array([self._number])), name)[0]
+            return take_rows(rows[name], self._index)
+        return getattr(self._table.take(np.array([self._index])), name)[0]
 
     def __dir__(self) -> list[str]:
         return [*self._table.rows(), *self._table.DERIVED]
 
     def __repr__(self) -> str:
-        columns = self._table.take(np.array([self._number])).named_columns(brief=True)
+        columns = self._table.take(np.array([self._index])).named_columns(brief=True)
         numbers = ", ".join(
             f"{name}={_brief_number(column[0])}" for name, column in columns.items()
         )
-        return f"<{type(self._table).__name__}[{self._number}]: {numbers}>"
+        return f"<{type(self._table).__name__}[{self._index}]: {numbers}>"
 
 
 def _brief_number(value: Any) -> str:
@@ -255,7 +255,7 @@ def _field(field: dataclasses.Field, hint: Any) -> Field:
         hint, column = typing.get_args(hint)[:2]
     union = typing.get_origin(hint) in (typing.Union, types.UnionType)
     members = typing.get_args(hint) if union else (hint,)
-    plain = [each for each in members if each is not type(None)]
+    plain = [member for member in members if member is not type(None)]
     optional = len(plain) < len(members) or field.default is not dataclasses.MISSING
     optional |= field.default_factory is not dataclasses.MISSING
     if not hasattr(plain[0], "dim_str"):
@@ -317,7 +317,7 @@ CHI_SQUARE = ColumnCheck("is no chi-square", lambda values, _: ~(values < 0) & ~
 COVARIANCE = ColumnCheck("is no covariance", lambda values, _: is_covariance(values))
 
 
-def check_number(side: str, problem: str, *, smallest: int = 0) -> ColumnCheck:
+def check_index(side: str, problem: str, *, smallest: int = 0) -> ColumnCheck:
     """Check for indices along an axis, from `smallest` (-1: no item) up to its length."""
     return ColumnCheck(
         problem, lambda values, table: (values >= smallest) & (values < table.sides[side])
