@@ -144,10 +144,10 @@ def _full_white(largest: float) -> float:
 
 
 def _white(dtype: np.dtype, full: float) -> float:
-    """Largest level below saturation: full white minus 1/255 of it; infinity for other types than 8
-    and 16 bit.
+    """Largest level below saturation: full white minus 1/255 of it.
 
     With this limit, saturation is also detected in images whose bits were shifted by the camera.
+    Infinity for other types than 8 and 16 bit integers.
     """
     return 254 / 255 * full if dtype in (np.uint8, np.uint16) else np.inf
 

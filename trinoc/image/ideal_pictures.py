@@ -210,8 +210,7 @@ def undistort(
 def rectify(
     rig: Rig, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> IdealRig:
-    """Rotate two cameras and remove their distortion, so that a point has the same row in both
-    images.
+    """Rotate two cameras without distortion so that a point has the same row in both images.
 
     Parameters
     ----------

@@ -27,8 +27,9 @@ def noise_sigma(
     stride: tuple[int, int] = (1, 1),
     flat: Bool[np.ndarray, "h w"] | None = None,
 ) -> float:
-    """Estimate the standard deviation of the noise, in grey levels, including the noise of
-    rounding.
+    """Estimate the standard deviation of the noise, in grey levels.
+
+    The noise of rounding is included.
 
     Parameters
     ----------

@@ -23,8 +23,7 @@ _WEAK_INFORMATION = 1e-6
 
 
 def blurred_step(across_px: Any, width_px: Any) -> tuple[Any, Any]:
-    """Share of a blurred step at a distance from its edge, and the derivative of the share,
-    elementwise.
+    """Share of a blurred step at a distance from its edge, with its derivative, elementwise.
 
     Parameters
     ----------
@@ -261,8 +260,7 @@ def fit_block(
     state: Float[ArrayLike, "3"],
     noise: ScalarLike,
 ) -> BlockFit:
-    """Quadratic approximation of the log likelihood of a block of pixels at given parameters of an
-    edge.
+    """Quadratic approximation of the log likelihood of an edge in a block of pixels.
 
     On each side of the edge, the level is constant with small slopes across and along the edge. The
     step between the two sides is blurred. Levels and slopes are linear parameters and are

@@ -83,8 +83,9 @@ def in_bucket(function: Callable[[np.ndarray], ArrayLike], rows: np.ndarray) -> 
 
 
 def blocks(count: int, size: int) -> Iterator[slice]:
-    """Slices of at most `size` items that together cover range(count); one empty slice if `count`
-    is 0.
+    """Slices of at most `size` items that together cover range(count).
+
+    The result is one empty slice if `count` is 0.
 
     Parameters
     ----------

@@ -50,8 +50,7 @@ class Displayable:
         return _sources[0]().plot(self, axes, **options)
 
     def show(self, **options: Any) -> Any:
-        """Return an interactive 3-D figure, as in the report. Its attribute `html` is a complete
-        page.
+        """Return the interactive 3-D figure of the report. Its attribute `html` is a complete page.
 
         Parameters
         ----------

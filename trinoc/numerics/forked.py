@@ -25,9 +25,7 @@ def note_computation() -> None:
 
 
 def expect_no_fork() -> None:
-    """Raise `TrinocError` if this process was forked after JAX had computed in the parent
-    process.
-    """
+    """Raise `TrinocError` if this process was forked after JAX had computed in its parent."""
     if _JaxState.is_lost:
         raise TrinocError(
             "This process was forked after trinoc had used JAX; a fork does not copy its threads, "

@@ -257,8 +257,14 @@ def group_medians(
 
 
 def point_tree(points_px: Float[np.ndarray, "n 2"]) -> "scipy.spatial.KDTree":
-    """k-d tree of points, for few queries: its construction takes half the time of a balanced
-    tree.
+    """k-d tree of points, for few queries.
+
+    Its construction takes half the time of a balanced tree.
+
+    Parameters
+    ----------
+    points_px : (n, 2)
+        The points.
     """
     return scipy.spatial.KDTree(points_px, leafsize=_LEAF, balanced_tree=False, compact_nodes=False)
 

@@ -144,8 +144,9 @@ def set_program_store(store: ProgramStore | None) -> ProgramStore | None:
 
 
 def forget_programs() -> None:
-    """Free the memory of all compiled programs, including those of `jax.jit`. Stored copies
-    remain.
+    """Free the memory of all compiled programs, including those of `jax.jit`.
+
+    Stored copies remain.
     """
     for programs in _loaded:
         programs.clear()
@@ -345,9 +346,7 @@ def _load_executable(content: bytes) -> Callable[[list[Any]], list[Any]]:
 
 @functools.cache
 def _make_lapack_ready() -> None:
-    """Register the addresses of LAPACK's functions. JAX does this only when it compiles a call
-    of them.
-    """
+    """Register the addresses of LAPACK's functions, which JAX does only when it compiles a call."""
     try:
         # The first step of the lowering, without the rest, which takes a tenth of a second.
         from jaxlib.lapack import prepare_lapack_call
@@ -404,9 +403,7 @@ class _ByteChunks(list[bytes]):
 
 
 def _pickle_known_classes(value: Any) -> tuple[bytes, set[str]]:
-    """Pickle a value. Returns the content, and the trinoc modules of the classes and functions
-    in it.
-    """
+    """Pickled value, and the trinoc modules of the classes and functions in it."""
     parts = _ByteChunks()
     pickler = _KnownClassPickler(parts)
     pickler.dump(value)

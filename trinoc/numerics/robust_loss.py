@@ -28,9 +28,7 @@ class AbstractRobustLoss(eqx.Module):
         """Weight rho'(s) of squared residuals s in reweighted least squares, elementwise."""
 
     def root_weight(self, squared: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
-        """Square root of the weight, by which a residual and its row of the Jacobian are
-        multiplied.
-        """
+        """Square root of the weight, the factor of a residual and of its row of the Jacobian."""
         return self.weight(squared) ** 0.5
 
 

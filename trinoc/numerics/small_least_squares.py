@@ -68,15 +68,17 @@ class NormalEquations(NamedTuple):
 
     @property
     def chi_square(self) -> Float[np.ndarray, "h"]:
-        """Sum of weight times squared residual over the observations of each problem, (h,),
-        without the prior.
+        """Chi-square of the observations of each problem, (h,), without the prior.
+
+        It is the sum of weight times squared residual.
         """
         return (self.weight * self.squared).sum(axis=1)
 
     @property
     def finite(self) -> Bool[np.ndarray, "h"]:
-        """Mask of the problems with finite equations, (h,). At some states, the model has no
-        value.
+        """Mask of the problems with finite equations, (h,).
+
+        At some states, the model has no value.
         """
         is_finite = np.isfinite(self.information).all(axis=2) & np.isfinite(self.gradient)
         return np.asarray(is_finite.all(axis=1))
@@ -104,9 +106,7 @@ class NormalEquations(NamedTuple):
         return _are_determined(np.linalg.eigvalsh(self._scale_columns()[0])).sum(axis=1)
 
     def covariance(self) -> Float[np.ndarray, "h p p"]:
-        """Inverse of the information of each problem, (h, p, p); NaN if a direction is
-        undetermined.
-        """
+        """Inverse of the information, (h, p, p); NaN for a problem that is not fully determined."""
         scaled, scale = self._scale_columns()
         values, vectors = np.linalg.eigh(scaled)
         is_determined = np.asarray(_are_determined(values).all(axis=1))[:, None, None]

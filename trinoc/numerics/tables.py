@@ -164,8 +164,12 @@ class Table(Value):
     ) -> _TableType: ...
 
     def __getitem__(self, rows: Any) -> Any:
-        """Return one row, or a table of the rows in a slice, a list of indices or a mask, as in
-        NumPy.
+        """Return one row, or a table of several rows, as indexing in NumPy does.
+
+        Parameters
+        ----------
+        rows : int, slice, list of indices or mask
+            The rows.
 
         Raises
         ------
@@ -179,8 +183,9 @@ class Table(Value):
         return (TableRow(self, index) for index in range(len(self)))
 
     def rows(self) -> dict[str, Any]:
-        """Values of all fields with one entry per row, by name. A dictionary of arrays is one
-        field.
+        """Values of all fields with one entry per row, by name.
+
+        A dictionary of arrays is one field.
         """
         first = next(iter(self.SIDES))
         fields = {
@@ -238,8 +243,9 @@ class Table(Value):
 
 
 class TableRow:
-    """One row of a table. Its attributes are the entries of the columns and of derived
-    properties.
+    """One row of a table.
+
+    Its attributes are the entries of the columns and of derived properties.
     """
 
     def __init__(self, table: Table, index: int) -> None:
@@ -272,8 +278,9 @@ def _brief_number(value: Any) -> str:
 
 
 def _name_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns of the single numbers in each row, by name. A covariance has columns for its upper
-    triangle.
+    """Columns of the single numbers in each row, by name.
+
+    A covariance has columns for its upper triangle.
     """
     if array.ndim == 1:
         return {name: array}
@@ -391,8 +398,9 @@ COVARIANCE = ColumnCheck("is no covariance", lambda values, _: is_covariance(val
 
 
 def check_index(side: str, problem: str, *, smallest: int = 0) -> ColumnCheck:
-    """Check that values are indices along an axis, from `smallest` up to the length of the axis
-    minus 1.
+    """Check that values are indices along an axis.
+
+    The values must be at least `smallest` and less than the length of the axis.
 
     Parameters
     ----------

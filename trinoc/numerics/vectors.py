@@ -165,9 +165,7 @@ def cross_3d(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*m 3"]) -> np.n
 
 
 def complete_axes(unit: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2 3"]:
-    """Two unit vectors that are perpendicular to a given unit vector and to each other, (..., 2,
-    3).
-    """
+    """Two unit vectors perpendicular to a given unit vector and to each other, (..., 2, 3)."""
     smallest_axis = np.eye(3)[np.argmin(np.abs(unit), axis=-1)]
     first = cross_3d(unit, smallest_axis)
     first = first / np.linalg.norm(first, axis=-1, keepdims=True)

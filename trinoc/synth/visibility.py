@@ -104,8 +104,7 @@ def hidden_intervals(
 def _frame_values(
     camera: Camera, segments_mm: Float[np.ndarray, "n 2 3"]
 ) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5"]]:
-    """Five values at both ends of each segment, (n, 5); all are positive for a point inside the
-    image.
+    """Five values at both ends of each segment, (n, 5); they are positive inside the image.
 
     They are linear along the segment. The first is the depth, the others are distances from the
     sides of the image.

@@ -72,10 +72,9 @@ def detect_chessboard(
 def _search(
     grey: UInt8[np.ndarray, "h w"], board: Chessboard, tuning: CalibTuning
 ) -> Float[np.ndarray, "n 2"] | None:
-    """Search for the board: corner positions row by row, accurate to some pixels; None if no search
-    succeeds.
+    """Approximate corner positions row by row, px; None if no search succeeds.
 
-    A large image is first searched at reduced size.
+    A large image is first searched at reduced size. The errors are up to some pixels.
     """
     scale = min(1.0, np.sqrt(tuning.detection.most_searched_px / grey.size))
     small = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale,
@@ -121,9 +120,7 @@ def _searches(
 def _correct_outliers(
     board_mm: Float[np.ndarray, "n 2"], corners_px: Float[np.ndarray, "n 2"], tuning: CalibTuning
 ) -> Float[np.ndarray, "n 2"]:
-    """Copy of the corner positions in which each outlier is replaced by a prediction from its
-    neighbours.
-    """
+    """Corner positions in which predictions from the neighbours replace outliers."""
     corrected_px = corners_px.copy()
     in_place = are_in_place(board_mm, corners_px, tuning.detection.first_out_of_place_share, tuning)
     for outlier in np.flatnonzero(~in_place):

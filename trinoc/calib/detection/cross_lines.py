@@ -166,8 +166,7 @@ def subtract_line_blur(
     mapping: PlaneMapping,
     outer: Float[np.ndarray, "n"],
 ) -> EllipsePixels:
-    """Remove from the pixels around circles the darkening by the blur of a crossed line beside the
-    circle.
+    """Remove the darkening by a blurred crossed line from the pixels around circles.
 
     Lines that meet a circle are not removed, because the fit excludes their pixels as outliers.
 

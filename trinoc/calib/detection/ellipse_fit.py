@@ -195,8 +195,9 @@ def _linearise(
     free_hole: bool,
     free_slope: bool,
 ) -> tuple[Float[np.ndarray, "n k p"], Float[np.ndarray, "n p"]]:
-    """Jacobian of the model, (n, k, p), and residuals (observed minus predicted grey level), in 32
-    bit.
+    """Jacobian of the model, (n, k, p), and residuals of the pixels, (n, p), in 32 bit.
+
+    A residual is the observed minus the predicted grey level.
 
     frame : (n, 2, 2) S^(-1/2) of each shape matrix.
     free_hole, free_slope : True if the hole, or the slope of the light, is estimated.
@@ -256,8 +257,7 @@ def _select_inliers(
     noise_sigma: float,
     tuning: CalibTuning,
 ) -> Bool[np.ndarray, "n p"]:
-    """Mask of the pixels whose residuals are explained by noise and the typical misfit of the
-    image.
+    """Mask of the pixels whose residuals noise and the image's typical misfit explain.
 
     share : smallest limit of the residuals, as a share of the contrast.
     """

@@ -163,8 +163,9 @@ def label_circles(
     symmetry: PatternSymmetry,
     tuning: CalibTuning,
 ) -> Int[np.ndarray, "m"]:
-    """Pattern index of each circle of a lattice, from the only placement that agrees with the
-    rings.
+    """Find the pattern index of each circle of a lattice.
+
+    Only one placement of the lattice on the pattern must agree with the rings.
 
     Parameters
     ----------

@@ -46,8 +46,9 @@ class Lattice(NamedTuple):
 def find_lattices(
     blobs: Blobs, symmetry: PatternSymmetry, tuning: CalibTuning
 ) -> Iterator[Lattice]:
-    """Yield lattices of at least `tuning.detection.fewest_places` blobs. Each blob is used in one
-    lattice only.
+    """Yield lattices among the blobs of an image.
+
+    A lattice has at least `tuning.detection.fewest_places` blobs. A blob is in one lattice only.
 
     Parameters
     ----------
@@ -146,10 +147,10 @@ class _Neighbours(NamedTuple):
         return bool(abs((a @ b) / (length_a * length_b) - self.cosine) < 0.45)
 
     def _opposite(self, start: int, first: int, second: int, free: np.ndarray) -> int | None:
-        """Index of the blob at the corner of the cell opposite to `start`; None if there is no such
-        blob.
+        """Index of the blob at the corner of the cell opposite to `start`; None without one.
 
         first, second : blobs at the other two corners.
+        free : mask of the blobs that are not yet used.
         """
         target = self.offset[start, first] + self.offset[start, second]
         distance = np.linalg.norm(self.offset[start] - target, axis=1)
@@ -167,10 +168,12 @@ def _grow(
     span: int,
     tuning: CalibTuning,
 ) -> Lattice:
-    """Extend a cell to a lattice: add blobs at predicted positions, refit, and repeat until none is
-    added.
+    """Extend a cell to a lattice.
+
+    Blobs at predicted positions are added and the mapping is refitted, until no blob is added.
 
     corner : lattice of one cell.
+    free : mask of the blobs that are not yet used.
     span : largest number of circles along each lattice axis.
     """
     inverse_shape = np.linalg.inv(blobs.shape_px2)
@@ -210,8 +213,7 @@ def _grow(
 
 
 def _cells_around(cell: Int[np.ndarray, "m 2"], span: int, reach: int) -> Int[np.ndarray, "k 2"]:
-    """Unoccupied lattice positions at a distance of at most `reach` from the occupied positions
-    `cell`.
+    """Unoccupied lattice positions within `reach` of the occupied positions `cell`.
 
     The extent of the lattice along each axis stays below `span`.
     """

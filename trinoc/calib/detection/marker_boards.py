@@ -147,8 +147,7 @@ def corners_by_id(
 
 
 def count_markers_in_place(markers: Mapping[int, Float[np.ndarray, "4 2"]], board: Charuco) -> int:
-    """Number of markers whose positions relative to neighbouring markers agree with the board's
-    layout.
+    """Number of markers whose positions relative to their neighbours agree with the board.
 
     A marker and its neighbours are approximately an affine image of the board, for every lens.
 
@@ -179,8 +178,7 @@ def count_markers_in_place(markers: Mapping[int, Float[np.ndarray, "4 2"]], boar
 def undo_print_options(
     grey: UInt8[np.ndarray, "h w"], *, inverted: bool, mirrored: bool
 ) -> UInt8[np.ndarray, "h w"]:
-    """Invert or mirror an image of a board, so that the board appears as without these print
-    options.
+    """Invert or mirror an image, so that an inverted or mirrored board appears normal.
 
     Parameters
     ----------
@@ -262,9 +260,7 @@ def select_tags_in_place(
 def _distances_in_sides(
     corners_mm: Float[np.ndarray, "t 4 2"], corners_px: Float[np.ndarray, "t 4 2"]
 ) -> Float[np.ndarray, "t"]:
-    """Largest deviation of each tag's corners from a robust homography, divided by the side of the
-    tag.
-    """
+    """Largest deviation of each tag's corners from a robust homography, in sides of the tag."""
     flat = corners_mm.reshape(-1, 1, 2)
     homography, _ = cv2.findHomography(flat, corners_px.reshape(-1, 1, 2), cv2.LMEDS)
     if homography is None:
@@ -281,8 +277,7 @@ def _refine_tags(
     spacing: float,
     tuning: CalibTuning,
 ) -> tuple[FittedCorners, Bool[np.ndarray, "n"]]:
-    """Refined corners of all tags, and the mask of the corners that are saddle points of the grey
-    levels.
+    """Refined corners of all tags, and the mask of the corners that are saddle points.
 
     spacing : gap between two tags divided by the side of a tag.
     """

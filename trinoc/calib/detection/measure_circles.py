@@ -214,13 +214,12 @@ def light_slope(
     clear: Bool[np.ndarray, "n"],
     tuning: CalibTuning,
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """Estimate the slope of the light at each circle from the grey level of the paper around all
-    circles.
+    """Estimate the slope of the light at each circle.
 
-    A quadratic surface through the levels around all circles is more precise than the pixels of one
-    circle. Its error is independent of the error of the circle's centre. Near a shadow, the levels
-    deviate from the surface. The sigma of the slope is this deviation divided by the distance of
-    neighbouring circles.
+    A quadratic surface through the grey levels of the paper around all circles is more precise than
+    the pixels of one circle. Its error is independent of the error of the circle's centre. Near a
+    shadow, the levels deviate from the surface. The sigma of the slope is this deviation divided by
+    the distance of neighbouring circles.
 
     Parameters
     ----------

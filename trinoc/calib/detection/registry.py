@@ -62,8 +62,7 @@ def detect_or_explain(
     *,
     tuning: CalibTuning = TUNING,
 ) -> Detection:
-    """Detect a board as `detect_target` does, with a search for wrong layouts shared by several
-    images.
+    """Detect a board like `detect_target`, with one search for wrong layouts for several images.
 
     Parameters
     ----------

@@ -101,10 +101,9 @@ def sandwich_covariance(
     odd: Sequence[int],
     tuning: CalibTuning,
 ) -> Float[np.ndarray, "n 2 2"]:
-    """Covariance of the fitted position in each window, px^2, for correlated noise of varying
-    strength.
+    """Covariance of the fitted position in each window, px^2, for correlated pixel noise.
 
-    The module's text derives the estimate.
+    The strength of the noise may vary. The text of the module derives the estimate.
 
     Parameters
     ----------

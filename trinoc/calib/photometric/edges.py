@@ -165,9 +165,17 @@ def circular_edge(
 class Kernel(NamedTuple):
     """Blur kernel of an image, including the integration over the square pixel.
 
-    The fields are the unknowns of the blur; `trinoc.calib.photometric.unknowns` explains them. With
-    `sigma_px` alone the kernel is a Gaussian. A field that is None has the value of an ideal
+    With `sigma_px` alone the kernel is a Gaussian. A field that is None has the value of an ideal
     camera, and the compiler omits its terms.
+
+    Attributes
+    ----------
+    sigma_px : rms width along one axis, mean over all directions.
+    kurtosis, sixth : fourth and sixth cumulant divided by powers of the width; 0 for a Gaussian.
+    along_u : (variance along u - variance along v) / 2, px^2.
+    diagonal : covariance of u and v, px^2.
+    along_axes : half the variance along the image axes minus half that along the diagonals, px^2.
+    line : shape of the anisotropic part: 1 for a straight motion, 0 for a Gaussian.
     """
 
     sigma_px: Scalar
@@ -247,8 +255,9 @@ def _variances(edge: Edge, kernel: Kernel) -> tuple[Scalar, Scalar]:
 
 
 def _kurtosis_term(edge: Edge, kernel: Kernel, variance: Scalar) -> Scalar:
-    """Excess kurtosis of the blur along the edge's normal, divided by 24, including the square
-    pixel.
+    """Excess kurtosis of the kernel along the edge's normal, divided by 24.
+
+    The kurtosis of the square pixel is included.
     """
     box = (edge.normal_u**4 + edge.normal_v**4) / (2880 * variance * variance)
     if kernel.along_u is None or kernel.diagonal is None:
@@ -297,10 +306,11 @@ def _from_centre(
 def _gradient(
     point: SheetPoint, normal_x: Scalar, normal_y: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Gradient of F with respect to the pixel coordinates: its length, mm per px, and unit vector
-    (u, v).
+    """Gradient of F, the distance from the edge on the sheet, with respect to pixel coordinates.
 
-    normal_x, normal_y : gradient of F on the sheet, a unit vector.
+    Returns its length, mm per px, and its unit vector (u, v).
+
+    normal_x, normal_y : gradient of F with respect to the sheet's coordinates, a unit vector.
     """
     (a00, a01), (a10, a11) = point.by_pixel
     u, v = normal_x * a00 + normal_y * a10, normal_x * a01 + normal_y * a11
@@ -322,11 +332,11 @@ def _tangent(
 
 
 class _LensCurvature(NamedTuple):
-    """Second derivatives of F with respect to pixel coordinates due to lens distortion, divided by
-    g.
+    """Second derivatives of F that lens distortion causes, divided by the length of F's gradient.
 
-    The fields are the derivatives along the edge's normal N twice, along N and the tangent T, and
-    along T twice.
+    F is the distance from the edge on the sheet, mm; the derivatives are with respect to pixel
+    coordinates. The fields are the derivatives along the edge's normal N twice, along N and the
+    tangent T, and along T twice.
     """
 
     along_n: Scalar

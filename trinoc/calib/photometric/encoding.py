@@ -40,9 +40,7 @@ class Encoding(NamedTuple):
 
     @property
     def response_bend(self) -> float | None:
-        """Curvature of the known response (0 linear, 1 sRGB); None if the response is to be
-        estimated.
-        """
+        """Curvature of the known response (0 linear, 1 sRGB); None if the response is estimated."""
         if self.response == "fit":
             return None
         response = find_response(self.response)

@@ -87,15 +87,15 @@ class ImageData(NamedTuple):
 class PixelRows(NamedTuple):
     """Predicted grey levels before saturation, and their derivatives.
 
-    The arrays of a whole group have one more axis in front: the chunk, padding included.
+    The arrays of a whole group have one more axis in front, which counts the chunks.
 
     Attributes
     ----------
     level : (n,) grey levels.
     rows : (9 + k, n) derivatives with respect to the 9 elements of the sheet-from-camera homography
         and the k unknowns other than the pose.
-    by_local : (2, n) derivatives with respect to the light and the veil of the pixel's block; (0,
-        n) if blocks do not have their own light.
+    by_local : (2, n) derivatives with respect to the light and the veil (additional light on paper
+        and ink alike) of the pixel's block; (0, n) if blocks do not have their own light.
     """
 
     level: Float[ArrayLike, "*c n"]
@@ -334,10 +334,13 @@ def _equations(
 def homography_and_slope(
     state: ImageState, model: PoseModel
 ) -> tuple[Float[ArrayLike, "3 3"], Float[ArrayLike, "9 p"]]:
-    """Homography from the camera to the sheet, (3, 3), and its derivative by a step of the pose,
-    (9, p).
+    """Homography from the camera to the sheet, and its derivative with respect to the pose.
 
-    The step has length units of `step_unit_mm`.
+    Lengths in a step of the pose are in units of `step_unit_mm`.
+
+    Returns
+    -------
+    (3, 3) homography, and (9, p) derivatives of its elements.
     """
     pose = state.pose
 
@@ -353,6 +356,8 @@ def local_rows(
     by_local: Float[ArrayLike, "2 n"], basis: Float[ArrayLike, "n 3"]
 ) -> Float[ArrayLike, "6 n"]:
     """Derivatives of each pixel's grey level with respect to the six local levels of its block.
+
+    The local levels are the coefficients of 1, x, y of the block's light and of its veil.
 
     Parameters
     ----------
@@ -370,8 +375,9 @@ def pixel_rows(
     drawing: InkDrawing,
     near_line: bool,
 ) -> PixelRows:
-    """Predict grey levels before saturation, with derivatives, in the precision of the pixel
-    arrays.
+    """Predict grey levels before saturation, with derivatives.
+
+    The results have the precision of the pixel arrays.
 
     Parameters
     ----------

@@ -220,9 +220,7 @@ def _neighbours_are_correlated(
     inliers: Bool[np.ndarray, "n"],
     largest_correlation: float,
 ) -> bool:
-    """True if the residuals of neighbouring pixels are correlated by more than
-    `largest_correlation`.
-    """
+    """True if the correlation of neighbouring residuals exceeds `largest_correlation`."""
     variance = np.sum(residual**2) / max(inliers.sum(), 1)
     for down, right in [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0)]:
         here, there = grid.pairs(down, right)

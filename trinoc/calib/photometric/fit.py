@@ -145,9 +145,7 @@ def fit_full_camera(
 
 
 def _fit_all_pixels(scene: PixelScene, fit_state: ImageFitState) -> ImageFitState:
-    """Last part of the fit: exclude outliers, estimate the noise and take the last steps, with all
-    pixels.
-    """
+    """Last part of the fit, with all pixels: outliers, noise, and the last steps."""
     fit_state = _exclude_outliers(
         scene, _evaluate(scene, fit_state.state, fit_state.free), rounds=1
     )
@@ -199,8 +197,9 @@ def _is_saturated(scene: PixelScene, paper: float) -> bool:
 
 
 def _with_local_light(scene: PixelScene, state: ImageState) -> ImageState:
-    """Copy of a state in which each block has its own light, initially the median level of its
-    paper.
+    """Copy of a state in which each block of the sheet has its own light.
+
+    Its initial value is the median level of the block's paper.
     """
     blocks = scene.blocks
     assert blocks is not None
@@ -370,8 +369,9 @@ def _take_steps(
 
 
 def _with_equations(scene: PixelScene, fit_state: ImageFitState) -> ImageFitState:
-    """Copy of a fit with the normal equations for its noise and inliers, unless it has them
-    already.
+    """Copy of a fit with normal equations for its current noise and inliers.
+
+    Existing equations are not computed again.
     """
     if fit_state.equations is not None:
         return fit_state
@@ -434,8 +434,9 @@ def _state_after(
     sigma: Float[np.ndarray, "n"],
     inliers: Bool[np.ndarray, "n"],
 ) -> ImageFitState:
-    """Fit after a descent. If the last step was rejected, the model is evaluated again at its
-    state.
+    """Fit after a descent.
+
+    If the last step was rejected, the model is evaluated again at the final state.
     """
     state = jax.tree.map(np.asarray, solution.state)
     if not solution.has_details:

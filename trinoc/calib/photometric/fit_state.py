@@ -40,9 +40,7 @@ class ImageFitState(eqx.Module):
     def with_pixels(
         self, *, sigma: Float[np.ndarray, "n"], inliers: Bool[np.ndarray, "n"] | None = None
     ) -> "ImageFitState":
-        """Copy with another noise of the pixels. `inliers` replaces the mask of inliers unless it
-        is None.
-        """
+        """Copy with another noise of the pixels, and with other inliers if they are given."""
         inliers = self.inliers if inliers is None else inliers
         return dataclasses.replace(
             self, sigma=sigma, inliers=inliers, equations=None, predicted_gain=np.inf
@@ -53,8 +51,9 @@ class ImageFitState(eqx.Module):
         return dataclasses.replace(self, free=free, predicted_gain=np.inf)
 
     def residual(self, scene: PixelScene) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Residuals after saturation (predicted minus observed grey level), and their standard
-        deviations.
+        """Residuals of all pixels and their standard deviations, grey levels.
+
+        A residual is the predicted level after saturation minus the observed level.
         """
         if np.isinf(scene.top):
             return self.level - scene.grey, self.sigma
@@ -62,7 +61,7 @@ class ImageFitState(eqx.Module):
         return np.asarray(clipped.mean) - scene.grey, np.asarray(clipped.sigma)
 
     def is_clear(self, scene: PixelScene) -> Bool[np.ndarray, "n"]:
-        """Mask of the inliers so far below saturation that it does not change their noise."""
+        """Mask of the inliers whose noise is not changed by saturation."""
         clear_sigmas = scene.tuning.clear_sigmas
         return self.inliers & is_clear(self.level, self.sigma, scene.top, clear_sigmas)
 
@@ -76,8 +75,9 @@ class ImageFitState(eqx.Module):
         return rows * self._slope(scene)
 
     def rows_by_local(self, scene: PixelScene) -> Float[np.ndarray, "2 n"]:
-        """Derivatives of the grey levels of all pixels after saturation by local light and veil,
-        (2, n).
+        """Derivatives of the grey levels after saturation by local light and veil, (2, n).
+
+        n counts all pixels.
         """
         near_circles, near_lines = self.prediction.near_circles, self.prediction.near_lines
         rows = scene.join((near_circles.by_local, near_lines.by_local))

@@ -47,15 +47,18 @@ def remove_correlated_neighbourhoods(
     inliers: Bool[np.ndarray, "n"],
     tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """Mask of the inliers without pixels whose square neighbourhood has a significant mean
-    residual.
+    """Remove inliers whose square neighbourhood has a significant mean residual.
 
     Parameters
     ----------
     pixels : the pixels.
     standard : (n,) residuals divided by their standard deviations.
-    inliers : (n,) previous mask of the inliers.
+    inliers : (n,) mask of the inliers.
     tuning : constants of the fit.
+
+    Returns
+    -------
+    (n,) mask of the remaining inliers.
     """
     total, count = _sum_neighbourhoods(pixels, tuning.neighbourhood_px, standard * inliers, inliers)
     return inliers & (total**2 <= tuning.largest_common * np.maximum(count, 1))

@@ -33,8 +33,9 @@ Scalar = Float[ArrayLike, ""]
 
 
 class Pixels(NamedTuple):
-    """Selected pixels of one image, with the constants of their model. The first axis of each array
-    counts the pixels.
+    """Selected pixels of one image, with the constants of their model.
+
+    The first axis of each array counts the n pixels.
 
     Attributes
     ----------
@@ -75,9 +76,15 @@ class Signal(NamedTuple):
 
 
 class Tone(NamedTuple):
-    """Parameters of the ink's reflectance, the camera's response and its sharpening.
+    """Parameters that convert a share of ink and a light to a grey level.
 
-    The fields are explained in `trinoc.calib.photometric.unknowns`.
+    Attributes
+    ----------
+    ratio : grey level of ink divided by that of paper, minus 1.
+    bend : curvature of the camera's response (0 linear, 1 sRGB).
+    lift, contrast : coefficients of c (1 - c) and c (1 - c) (1 - 2 c) in the response, with c the
+        share of ink.
+    lobe : weight of the blurred image that sharpening subtracts.
     """
 
     ratio: Scalar
@@ -229,8 +236,9 @@ def _ink(ink_of: InkShare, unit: Float[ArrayLike, "n"], spread_mm: Scalar, kerne
 
 
 def _blurs(appearance: dict[str, Scalar]) -> tuple[Float[ArrayLike, "2"], Kernel]:
-    """Ink spread, mm, and blur kernel: first of the image, then of the Gaussian that sharpening
-    subtracts.
+    """Ink spread, mm, and blur kernel, each as two values.
+
+    The first value belongs to the image, the second to the Gaussian that sharpening subtracts.
     """
     kernel = Kernel(**{name: appearance[name] for name in Kernel._fields})
     sigma, zero = (

@@ -185,8 +185,7 @@ def _inverse(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
 def describe_processing(
     scene: PixelScene, fit_state: ImageFitState, covariance: PoseCovariance
 ) -> tuple[str, ...]:
-    """Return short descriptions of significant effects, such as "uneven light" or "saturated
-    paper".
+    """Return short descriptions of significant effects, such as "uneven light".
 
     Parameters
     ----------
@@ -223,8 +222,7 @@ def describe_processing(
 
 
 def _motion(along: float, across: float, sigma: float) -> list[str]:
-    """Return the description of a motion blur in a list; an empty list if the motion is not
-    significant.
+    """Return the description of a motion blur in a list, which is empty if it is not significant.
 
     along, across : anisotropy of the blur, px^2: (variance along u - variance along v) / 2, and
         covariance of u and v.

@@ -83,8 +83,9 @@ class Cross(NamedTuple):
 
 
 class Squares(NamedTuple):
-    """Ink around a pixel of a board of squares: 3 x 3 cells, separated by two lines along each
-    axis.
+    """Ink around a pixel of a board of squares.
+
+    It consists of 3 x 3 cells, separated by two lines along each axis.
 
     Attributes
     ----------
@@ -144,9 +145,10 @@ def nearest_ink(
 
 
 def ink_of_circle(view: PixelView, circle: Circle, drawing: InkDrawing) -> InkShare:
-    """Function that computes the share of ink near a disc or a ring; see `nearest_ink`.
+    """Function that computes the share of ink near a disc or a ring.
 
-    The share of a ring is that of its outer disc minus that of its hole.
+    `nearest_ink` describes its arguments. The share of a ring is that of its outer disc minus that
+    of its hole.
     """
     outer = view.circle(circle, circle.radius_mm)
     hole, has_hole = _hole(view, circle, drawing)
@@ -161,12 +163,11 @@ def ink_of_circle(view: PixelView, circle: Circle, drawing: InkDrawing) -> InkSh
 
 
 def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDrawing) -> InkShare:
-    """Function that computes the share of ink near the crossed lines and a circle; see
-    `nearest_ink`.
+    """Function that computes the share of ink near the crossed lines and a circle.
 
-    The shares of lines and circle are combined by inclusion and exclusion: ends of lines, the
-    crossing of both lines, and the part of the lines on a disc. All edges are evaluated in one
-    vectorised call.
+    `nearest_ink` describes its arguments. The shares of lines and circle are combined by inclusion
+    and exclusion: ends of lines, the crossing of both lines, and the part of the lines on a disc.
+    All edges are evaluated in one vectorised call.
     """
     hole, has_hole = _hole(view, circle, drawing)
     # Lines end at the circle or at a gap around it.
@@ -299,7 +300,7 @@ def ink_of_squares(
     ink = squares.ink.reshape(3, 3, *dx.shape)
     # Start with the upper right cell; add the steps along the top row and the right column.
     steps = jnp.concatenate([ink[2, :2] - ink[2, 1:], ink[:2, 2] - ink[1:, 2]])
-    share = ink[2, 2] + jnp.sum(steps * jax.vmap(_grown)(covered, steps).share, axis=0)
+    share = ink[2, 2] + jnp.sum(steps * jax.vmap(_select_spread)(covered, steps).share, axis=0)
     crossings_of_row = jax.vmap(_crossing_of_squares, (0, None, 0, 0, 0, 0))
     crossings = jax.vmap(crossings_of_row, (None, 0, 0, 0, 0, 0))(
         _take(covered, slice(2)),
@@ -309,12 +310,13 @@ def ink_of_squares(
     return share + jnp.sum(crossings, axis=(0, 1))
 
 
-def _grown(sides: EdgeCoverage, ink_before: Scalar) -> EdgeCoverage:
-    """Coverage by an edge, with the spread of ink to the side that is not inked.
+def _select_spread(sides: EdgeCoverage, ink_before: Scalar) -> EdgeCoverage:
+    """Select the coverage by an edge for the direction in which its ink spreads.
 
-    sides : two coverages of the side before the edge: for ink before the edge, and for ink behind
-        it.
-    ink_before : positive if the ink is before the edge.
+    sides : coverages of the region before the edge: with ink that spreads toward larger
+        coordinates, and toward smaller coordinates.
+    ink_before : positive if the ink is before the edge, so that it spreads toward larger
+        coordinates.
     """
     return jax.tree.map(lambda leaf: jnp.where(ink_before > 0, leaf[0], leaf[1]), sides)
 
@@ -344,6 +346,6 @@ def _crossing_of_squares(
     total = before + after
     first = jnp.where(is_checker, jnp.ones_like(total), total)
     second = jnp.where(is_checker, -jnp.ones_like(total), total)
-    under = coverage_of_both(_grown(left_of, lower), _grown(below, first))
-    over = coverage_of_both(_grown(left_of, upper), _grown(below, second))
+    under = coverage_of_both(_select_spread(left_of, lower), _select_spread(below, first))
+    over = coverage_of_both(_select_spread(left_of, upper), _select_spread(below, second))
     return lower * under - upper * over

@@ -104,10 +104,9 @@ def saturation_level(grey: Float[np.ndarray, "n"], piled_share: float) -> float:
 
 
 def white_level(image: Float[np.ndarray, "h w"]) -> float:
-    """Grey level of a full signal: 2^bits - 1, for the smallest number of bits that holds all
-    levels.
+    """Grey level of a full signal, 2^bits - 1, for the smallest number of bits (at least 8).
 
-    At least 8 bits are assumed.
+    All levels of the image must be in the range of this number of bits.
     """
     return float(2 ** max(int(np.ceil(np.log2(float(image.max()) + 1))), 8) - 1)
 
@@ -175,8 +174,9 @@ class PixelGrid:
         self._index[self._position] = np.arange(len(row), dtype=np.int32)
 
     def neighbours(self, down: int, right: int) -> Int[np.ndarray, "n"]:
-        """Index of each pixel's neighbour, `down` rows and `right` columns away; -1 if it is not
-        selected.
+        """Index of the pixel `down` rows and `right` columns away from each pixel.
+
+        It is -1 if that pixel is not selected.
         """
         row, column = self._position
         return self._index[row + down, column + right]

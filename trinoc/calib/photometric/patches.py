@@ -189,8 +189,9 @@ def _shared_unknowns(
 def _local_light(
     scene: PixelScene, fit_state: ImageFitState, prior: ImagePrior
 ) -> tuple["scipy.sparse.csr_matrix", Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
-    """Derivatives of the pixels by the local levels, and reciprocal variances and gradient of their
-    priors.
+    """Derivatives of the pixels by the local levels, and the priors of the local levels.
+
+    The priors are given by their reciprocal variances and the gradient of their cost.
     """
     count, blocks = len(fit_state.inliers), scene.blocks
     if not scene.has_local_light or blocks is None:
@@ -279,10 +280,9 @@ def _sums_with_levels(
 
 
 def _observable_directions(information: Float[np.ndarray, "c 2 2"]) -> Float[np.ndarray, "k q"]:
-    """Unit vectors in the space of all displacements along which the displacement of one patch is
-    observable.
+    """Directions along which the displacement of a patch is observable, as unit column vectors.
 
-    The vectors are columns, and each has nonzero entries for one patch only.
+    A vector has entries for the displacements of all patches; only those of one patch are not zero.
 
     information : (c, 2, 2) information matrix of each patch's displacement.
     """

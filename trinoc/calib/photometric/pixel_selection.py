@@ -57,7 +57,7 @@ class SelectedPixels(NamedTuple):
 
 
 class PixelSelection(NamedTuple):
-    """Result of `select_pixels`.
+    """Pixels near the edges of a sheet in one image; result of `select_pixels`.
 
     Attributes
     ----------

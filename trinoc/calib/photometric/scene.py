@@ -123,8 +123,9 @@ class PixelScene(NamedTuple):
         return Saturation(np.asarray(self.top), np.asarray(self.tuning.cut_off_levels))
 
     def first(self, share: int) -> "PixelScene":
-        """Scene with the first 1/`share` of the pixels of each group, which covers the sheet
-        evenly.
+        """Scene with the first 1/`share` of the pixels of each group.
+
+        They cover the sheet evenly.
         """
         chunks = [-(-count // (share * CHUNK)) for count in self.counts]
         circles, lines = (min(n * CHUNK, c) for n, c in zip(chunks, self.counts, strict=True))

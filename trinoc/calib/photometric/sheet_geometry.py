@@ -52,8 +52,9 @@ class Ray(NamedTuple):
 
 
 class SheetPoint(NamedTuple):
-    """Point of the sheet under a pixel, with derivatives. Arrays for many pixels have one more axis
-    at the end.
+    """Point of the sheet under a pixel, with derivatives.
+
+    Arrays for many pixels have one more axis at the end.
 
     Attributes
     ----------
@@ -187,8 +188,9 @@ def circle_points_mm(
 
 
 def line_outlines_mm(pattern: Pattern) -> Float[np.ndarray, "2 k 2"]:
-    """Points on the closed outlines of the crossed lines, (2, k, 2): of the line along X, then
-    along Y.
+    """Points on the closed outlines of the two crossed lines, (2, k, 2).
+
+    The line along X comes first.
     """
     along = np.linspace(-1.0, 1.0, _SIDE_POINTS)
     half = 0.5 * pattern.line_width_mm
@@ -224,8 +226,8 @@ def sheet_points_of_pixels(
 
     Returns
     -------
-    (n, 2) points (X, Y), mm, and (n,) largest length on the sheet of one pixel in any direction, mm
-    per px.
+    (n, 2) points (X, Y), mm, and (n,) largest length on the sheet that one pixel covers, over all
+    directions, mm per px.
     """
     point, (along_u, along_v) = sheet_points_and_slopes(column, row, pose, lens)
     squares = (along_u**2).sum(axis=0) + (along_v**2).sum(axis=0)

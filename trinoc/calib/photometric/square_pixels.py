@@ -99,8 +99,9 @@ def _box(
     image_size_px: tuple[int, int],
     reach_px: float,
 ) -> tuple[Int[np.ndarray, "2"], Int[np.ndarray, "2"]]:
-    """First and last pixel (column, row) of the board's bounding box, with a margin of 2
-    `reach_px`.
+    """First and last pixel (column, row) of the board's bounding box in the image.
+
+    It has a margin of 2 `reach_px`.
     """
     crossings = np.stack(np.meshgrid(sheet.x_mm, sheet.y_mm), axis=-1)
     rim = np.concatenate([crossings[[0, -1]].reshape(-1, 2), crossings[:, [0, -1]].reshape(-1, 2)])

@@ -106,12 +106,12 @@ class Unknowns(NamedTuple):
 
     @property
     def light(self) -> range:
-        """Indices of the coefficients of the light."""
+        """Indices of the coefficients of the light, which is the grey level of the paper."""
         return range(len(self.appearance), len(self.appearance) + self.light_terms)
 
     @property
     def veil(self) -> range:
-        """Indices of the coefficients of the veil."""
+        """Indices of the coefficients of the veil (additional light on paper and ink alike)."""
         return range(len(self.appearance) + self.light_terms, self.size)
 
     @property
@@ -121,9 +121,9 @@ class Unknowns(NamedTuple):
 
     @property
     def uneven_light_indices(self) -> list[int]:
-        """Indices of the unknowns of uneven light: light beyond a quadratic polynomial, and slopes
-        of the veil.
+        """Indices of the unknowns that describe uneven light.
 
+        These are the terms of the light beyond a quadratic polynomial, and the slopes of the veil.
         The constant of the veil is excluded, because it is equivalent to a change of light and of
         ink reflectance.
         """
@@ -197,8 +197,9 @@ class ImageState(eqx.Module):
     unknowns: Unknowns = eqx.field(static=True)
 
     def __getitem__(self, name: str) -> Float[ArrayLike, ""]:
-        """Value of an unknown of blur, ink or response; its value for an ideal camera if it is not
-        in the set.
+        """Value of an unknown of blur, ink or response, by its name.
+
+        An unknown that is not in the set has its value for an ideal camera.
         """
         if name not in self.unknowns.appearance:
             return np.asarray(_APPEARANCE[name][2], self.values.dtype)
@@ -211,9 +212,7 @@ class ImageState(eqx.Module):
 
     @property
     def veil(self) -> Float[ArrayLike, "m"]:
-        """Coefficients of the polynomial of the veil, which is additional light on paper and ink
-        alike.
-        """
+        """Coefficients of the polynomial of the veil (additional light on paper and ink alike)."""
         return self.values[np.array(self.unknowns.veil, dtype=int)]
 
     @property

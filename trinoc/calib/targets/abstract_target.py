@@ -15,11 +15,10 @@ A_BOARD = "a Pattern, Chessboard, Charuco, AprilGrid or BoardSet"
 
 
 class AbstractTarget(Value):
-    """A board or a set of boards: labelled points in a plane that a detector can locate in an
-    image.
+    """A board or a set of boards: labelled points that a detector can locate in an image.
 
-    A point is the centre of a circle or a corner. Its label is its index in `centres_mm`. Seen from
-    the printed side, X points right and Y up; Z points out of the board.
+    A point is the centre of a circle or a corner, on a flat board. Its label is its index in
+    `centres_mm`. Seen from the printed side, X points right and Y up; Z points out of the board.
 
     Attributes
     ----------
@@ -85,8 +84,9 @@ class Marks(NamedTuple):
     likeness: str
 
     def likeness_to(self, other: "Marks") -> str | None:
-        """Return a message about the features that both boards have, or None if they can be
-        distinguished.
+        """Return a message if an image cannot distinguish this board from another; else None.
+
+        The message names the features that both boards have.
 
         Parameters
         ----------
@@ -126,6 +126,4 @@ class AbstractBoard(AbstractTarget):
 
     @abc.abstractmethod
     def drawing(self) -> Sequence[Disc | Polygon]:
-        """Shapes of ink and of paper colour, in painting order: later shapes cover earlier
-        shapes.
-        """
+        """Shapes of ink and of paper colour, in painting order."""

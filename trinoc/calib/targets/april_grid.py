@@ -134,8 +134,9 @@ class AprilGrid(AbstractSquareBoard):
         return range(self.first, self.first + self.rows * self.columns)
 
     def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
-        """Cells of the tags, and the dark squares at the crossings of the gaps and along the outer
-        edge.
+        """Cells of the tags, and dark squares at the crossings of the gaps.
+
+        Squares along the outer edge of the board are included.
 
         Parameters
         ----------

@@ -70,9 +70,7 @@ class Chessboard(AbstractSquareBoard):
 
     @property
     def marks(self) -> Marks:
-        """Numbers of inner corners, which distinguish the board from other chessboards in an
-        image.
-        """
+        """Numbers of inner corners, which distinguish the board from other chessboards."""
         fewer, more = sorted((self.rows, self.columns))
         return Marks(
             f"chessboard of {fewer} x {more}",
@@ -226,8 +224,7 @@ class Charuco(AbstractSquareBoard):
         return squares[~self._is_dark.ravel()]
 
     def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
-        """Dark squares and inked marker cells; for an inverted board, all other cells are inked
-        instead.
+        """Dark squares and inked marker cells. On an inverted board, all other cells are inked.
 
         Parameters
         ----------

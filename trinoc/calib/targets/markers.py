@@ -65,21 +65,21 @@ def marks_of_markers(dictionary: str, ids: range) -> Marks:
 
 
 def list_largest_dictionaries() -> list[str]:
-    """Name of the largest dictionary of each family. It contains the markers of the smaller
-    dictionaries.
+    """Names of the largest dictionary of each family.
+
+    It contains all markers of the smaller dictionaries of the family.
     """
     families = {_family(name): name for name in sorted(_COUNTS, key=lambda name: _COUNTS[name])}
     return [name for name in DICTIONARIES if name in families.values()]
 
 
 def smallest_dictionary(family_member: str, last: int, *, like: str) -> str | None:
-    """Name of the smallest dictionary of a family that contains the marker id `last`; None if no
-    dictionary contains it.
+    """Name of the smallest dictionary of a family that contains a marker id; None without one.
 
     Parameters
     ----------
     family_member : name of any dictionary of the family.
-    last : a marker id.
+    last : the marker id.
     like : name of a dictionary whose size is preferred, if it is sufficient.
     """
     family = _family(family_member)
@@ -89,8 +89,9 @@ def smallest_dictionary(family_member: str, last: int, *, like: str) -> str | No
 
 
 def _family(dictionary: str) -> str:
-    """Family of a dictionary: the number of cells for ArUco ("4x4"), the name of the dictionary
-    for others.
+    """Name of a dictionary's family.
+
+    It is the number of cells for ArUco, such as "4x4", and the name of the dictionary for others.
     """
     size, count = dictionary.split("_")
     return size if count.isdigit() else dictionary

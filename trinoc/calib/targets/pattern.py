@@ -236,8 +236,9 @@ class Pattern(Displayable, AbstractBoard):
 
     @property
     def marks(self) -> Marks:
-        """Features that all sheets of circles have. An image cannot distinguish two of these
-        sheets.
+        """Features that all sheets of circles have.
+
+        An image cannot distinguish two sheets of circles.
         """
         likeness = "both are sheets of circles, and a set may have one; use other boards"
         return Marks("circles", range(1), likeness)
@@ -313,9 +314,7 @@ def _line_on_circle(pattern: Pattern, circle: int, axis: int) -> Polygon:
 
 
 def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
-    """Return the reason why a layout cannot be printed, as part of a sentence; None if it can be
-    printed.
-    """
+    """Return the reason why a layout cannot be printed, as part of a sentence; else None."""
     centres, radius = pattern.centres_mm, pattern.radius_mm
     if len(centres) == 0:
         return "it has no circle"
@@ -343,10 +342,10 @@ def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
 
 
 def _lattice_problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
-    """Return a reason if the circle centres do not form the stated lattice, as part of a sentence;
-    else None.
+    """Return the reason why the circle centres do not form the stated lattice; else None.
 
-    The map from lattice coordinates to the sheet must be affine without a reflection.
+    The reason is part of a sentence. The map from lattice coordinates to the sheet must be affine
+    without a reflection.
     """
     relative = pattern.lattice - pattern.lattice.mean(axis=0)
     steps, _, rank, _ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)

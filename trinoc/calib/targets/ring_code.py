@@ -82,8 +82,9 @@ def _has_room(rows: int, columns: int, window: tuple[int, int], distance: int) -
 
 
 def _fewest_rings(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
-    """Code with one ring that is on no symmetry axis of the grid, or with two rings if one is
-    ambiguous.
+    """Code with one ring that is on no symmetry axis of the grid.
+
+    If one ring is ambiguous, the code has two rings.
     """
     code = np.zeros((rows, columns), dtype=bool)
     code[0, 1 if columns > 2 else 0] = True

@@ -69,8 +69,9 @@ class AbstractSquareBoard(AbstractBoard):
         return np.zeros(len(self.centres_mm))
 
     def drawing(self) -> list[Polygon]:
-        """Rectangles of ink or paper colour. One rectangle covers neighbouring painted cells of
-        a row.
+        """Rectangles of ink or paper colour.
+
+        One rectangle covers neighbouring painted cells of a row.
         """
         return [
             Polygon(grid.cell_mm * box + grid.middle_mm, not grid.is_blank)

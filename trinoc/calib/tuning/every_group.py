@@ -8,8 +8,9 @@ from trinoc.calib.tuning.photometric import PhotometricTuning
 
 @dataclass(frozen=True)
 class TargetTuning:
-    """Tuned constants for the sizes of a proposed sheet, and limits of plausible sizes. Chosen
-    by hand.
+    """Tuned constants for the sizes of a proposed sheet, and limits of plausible sizes.
+
+    Chosen by hand.
     """
 
     # Side of a proposed sheet as a share of the shorter side of the field of view. The rest is a
@@ -107,8 +108,7 @@ class ProblemTuning:
 
 @dataclass(frozen=True)
 class StartTuning:
-    """Tuned constants for initial lenses, and for the initial poses of cameras and boards in one
-    frame.
+    """Tuned constants for initial lenses and initial poses of cameras and boards.
 
     Chosen by hand. Check with the excluded shots and the lenses in benchmarks/rigs.py.
     """
@@ -138,8 +138,7 @@ class StartTuning:
 
 @dataclass(frozen=True)
 class AdviceTuning:
-    """Tuned constants for advice on the next shot, and for the comparison of two halves of the
-    shots.
+    """Tuned constants for advice on the next shot, and for the comparison of halves of the shots.
 
     Chosen by hand.
     """
@@ -184,11 +183,10 @@ class AdjustmentTuning:
 
 @dataclass(frozen=True)
 class BundleTuning:
-    """Tuned constants for robust weights of matched segment fragments, and for the choice of a
-    solution.
+    """Tuned constants of the refinement with matched segments.
 
-    Check with errors and coverage of benchmarks/refine.py. Its part `matched` checks the last six
-    constants.
+    They concern robust weights and the choice among several solutions. Check with errors and
+    coverage of benchmarks/refine.py. Its part `matched` checks the last six constants.
     """
 
     # Distance in sigmas at which the loss of a fragment saturates. By hand.
@@ -219,8 +217,7 @@ class BundleTuning:
 
 @dataclass(frozen=True)
 class RigCheckTuning:
-    """Tuned constants for the comparison of a rig with an earlier calibration or with images of a
-    scene.
+    """Tuned constants for the comparison of a rig with an earlier calibration or with images.
 
     Check with the knocked rigs of benchmarks/refine.py.
     """

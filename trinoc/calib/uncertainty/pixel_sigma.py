@@ -68,8 +68,7 @@ def compute_pixel_sigma(
     covariance: Float[np.ndarray, "p p"],
     distances_mm: Mapping[str, float],
 ) -> PixelSigma | None:
-    """Compute the standard deviation of a rig's pixels, with and without the error of the board's
-    size.
+    """Standard deviation of a rig's pixels, with and without the error of the board's size.
 
     Positions at which a lens images no ray are ignored.
 

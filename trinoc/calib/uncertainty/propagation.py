@@ -87,8 +87,7 @@ def _distances_by_change(
     first: Camera,
     pixels: Float[ArrayLike, "n 2"],
 ) -> Float[ArrayLike, "n 2 p"]:
-    """Derivatives of the distances from the epipolar lines, (n, 2, p), by the parameters of both
-    cameras.
+    """Derivatives of the distances from the epipolar lines, (n, 2, p), by the cameras' parameters.
 
     values : (2, p) pose, focal lengths and principal point of each camera.
     matrices : (2, 3, 3) camera matrices.
@@ -142,8 +141,9 @@ def _points_by_change(
     matrices: Float[ArrayLike, "v 3 3"],
     points_mm: Float[ArrayLike, "n 3"],
 ) -> Float[ArrayLike, "n 3 v p"]:
-    """Derivatives of points triangulated from exact pixels, (n, 3, v, p), by the cameras'
-    parameters.
+    """Derivatives of triangulated points, (n, 3, v, p), by the cameras' parameters.
+
+    The points are triangulated from exact pixels.
 
     values : (v, p) pose, focal lengths and principal point of each camera.
     matrices : (v, 3, 3) camera matrices.
@@ -243,8 +243,7 @@ def projection_sigma(rig: Rig, camera: str, distance_mm: float) -> FieldSigma:
 
 
 def field_grid_px(image_size_px: tuple[int, int]) -> Float[np.ndarray, "5 5 2"]:
-    """Pixels of a 5 x 5 grid from corner to corner of the image, row by row from the top, (5, 5,
-    2).
+    """Pixels of a 5 x 5 grid from corner to corner of the image, row by row from the top.
 
     Parameters
     ----------
