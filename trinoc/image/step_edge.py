@@ -34,7 +34,7 @@ def blurred_step(across_px: Any, width_px: Any) -> tuple[Any, Any]:
 
     Returns
     -------
-    Share of the step's height, 0 to 1, and its derivative by the distance, per px.
+    Share of the step's height, 0 to 1, and its derivative with respect to the distance, per px.
     """
     xp, reached = (jnp, ndtr) if is_traced(across_px, width_px) else (np, scipy.special.ndtr)
     scaled = across_px / width_px

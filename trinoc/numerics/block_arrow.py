@@ -235,7 +235,7 @@ class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
     block_damping: ScalarLike | Float[ArrayLike, "k"] = 0.0
 
     def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> FactoredArrow:
-        """Eliminate the blocks of the matrix, and factor the reduced matrix."""
+        """Prepare a matrix: eliminate its blocks, and factor the reduced matrix."""
         arrow = operator if isinstance(operator, BlockArrow) else BlockArrow.of_operator(operator)
         elimination = eliminate(arrow.with_damped_blocks(self.block_damping))
         # The floor avoids a division by zero in directions without information.
@@ -247,7 +247,21 @@ class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
     def compute(
         self, state: FactoredArrow, vector: PyTree[Array], options: dict[str, Any]
     ) -> tuple[PyTree[Array], lx.RESULTS, dict[str, Any]]:
-        """Solve the equations for one right-hand side `vector`: (head (q,), blocks (k, w))."""
+        """Solve the equations of a prepared matrix for one right-hand side.
+
+        Parameters
+        ----------
+        state : FactoredArrow
+            Result of `init`.
+        vector : ((q,), (k, w))
+            Right-hand side of the head and of the blocks.
+        options : dict
+            Not used.
+
+        Returns
+        -------
+        Solution (head, blocks), the status, and an empty dict.
+        """
         elimination, scale, factors = state
         head = jsl.lu_solve(factors, elimination.reduced_side(vector) / scale) / scale
         blocks = elimination.blocks_of(head, vector[1])
@@ -258,17 +272,21 @@ class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
     def transpose(
         self, state: FactoredArrow, options: dict[str, Any]
     ) -> tuple[FactoredArrow, dict[str, Any]]:
-        """The same state, because the matrix is symmetric."""
+        """Prepared transpose of the matrix, which is the same, because the matrix is symmetric."""
         return state, options
 
     def conj(
         self, state: FactoredArrow, options: dict[str, Any]
     ) -> tuple[FactoredArrow, dict[str, Any]]:
-        """The same state, because the matrix is real."""
+        """Prepared complex conjugate of the matrix, which is the same, because the matrix is
+        real.
+        """
         return state, options
 
     def assume_full_rank(self) -> bool:
-        """True, because undetermined unknowns are fixed or damped."""
+        """True: the solver treats every matrix as regular, because undetermined unknowns are
+        fixed or damped.
+        """
         return True
 
 

@@ -165,7 +165,7 @@ def kept_jit(
     Parameters
     ----------
     function : callable
-        Function without side effects. It must not depend on values outside, except constants of
+        Function without side effects. It must depend only on its arguments and on constants of
         trinoc's modules.
     static_argnames : tuple of str
         As in `jax.jit`.

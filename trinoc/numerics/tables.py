@@ -278,7 +278,7 @@ def _brief_number(value: Any) -> str:
 
 
 def _name_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns of the single numbers in each row, by name.
+    """One column for each number in a row of an array, by name.
 
     A covariance has columns for its upper triangle.
     """

@@ -203,9 +203,10 @@ def _start_corners(
 def _predict(
     windows: _Windows, state: Float[np.ndarray, "n p"]
 ) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k p"]]:
-    """Predicted grey levels of the pixels, and their derivatives by the p parameters, in 32 bit.
+    """Predicted grey levels of the pixels, (n, k), and their derivatives, (n, k, p), in 32 bit.
 
-    For speed, the derivatives by one parameter are contiguous in memory.
+    The derivatives are with respect to the p parameters of a corner. Those with respect to one
+    parameter are contiguous in memory, for speed.
     """
     u, v = (
         axis - _column(corner) for axis, corner in zip((windows.x, windows.y), state[:, _CORNER].T)

@@ -437,7 +437,7 @@ def _read_tag(
     border: int,
     tuning: CalibTuning,
 ) -> tuple[int, int] | None:
-    """Read one tag: id, and quarter turns of the corners. None if the quadrangle is not a tag."""
+    """Id of a tag and number of quarter turns of its corners; None if the quadrangle is no tag."""
     cells = dictionary.markerSize + 2 * border
     side = cells * _CELL_PX
     square = side * np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32) - 0.5

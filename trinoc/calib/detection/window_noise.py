@@ -109,8 +109,8 @@ def sandwich_covariance(
     ----------
     pixels : pixels of the windows.
     positions : (n, 2) fitted column and row relative to the window's first pixel.
-    residual, jacobian : (n, k), (n, k, p) residuals at the end of the fit, and their derivatives by
-        the parameters.
+    residual, jacobian : (n, k), (n, k, p) residuals at the end of the fit, and their derivatives
+        with respect to the parameters.
     covariance : (n, p, p) positive definite covariance of the parameters for independent noise of
         variance 1.
     odd : indices of the parameters whose derivatives change sign if the window is mirrored at the

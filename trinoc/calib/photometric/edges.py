@@ -332,7 +332,7 @@ def _tangent(
 
 
 class _LensCurvature(NamedTuple):
-    """Second derivatives of F that lens distortion causes, divided by the length of F's gradient.
+    """Second derivatives of F that lens distortion causes, relative to the length of F's gradient.
 
     F is the distance from the edge on the sheet, mm; the derivatives are with respect to pixel
     coordinates. The fields are the derivatives along the edge's normal N twice, along N and the

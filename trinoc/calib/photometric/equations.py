@@ -214,14 +214,14 @@ def _groups(image: ImageData) -> tuple[tuple[Group, bool], tuple[Group, bool]]:
 class _Sums(NamedTuple):
     """Weighted sums over pixels for the normal equations.
 
-    J contains the derivatives of a pixel by the homography and by the other unknowns, and its
-    residual.
+    J contains the derivatives of a pixel with respect to the homography and to the other unknowns,
+    and its residual.
 
     Attributes
     ----------
     products : sum of w J^T J, with k columns in J.
-    of_blocks : per block, sum of w L^T (L, J), where L contains the derivatives by the block's six
-        local levels.
+    of_blocks : per block, sum of w L^T (L, J), where L contains the derivatives with respect to the
+        block's six local levels.
     cost : sum of the robust loss.
     """
 
@@ -307,7 +307,8 @@ def _equations(
 ) -> ArrowEquations:
     """Normal equations for steps of the pose, the other unknowns and the local levels, with priors.
 
-    sums : sums of both groups, with derivatives by the homography in place of the pose.
+    sums : sums of both groups, with derivatives with respect to the homography in place of the
+        pose.
     by_motion : derivative of the homography with respect to a step of the pose.
     """
     # From (homography, values, residual) to (pose, values, residual).

@@ -145,7 +145,7 @@ def fit_full_camera(
 
 
 def _fit_all_pixels(scene: PixelScene, fit_state: ImageFitState) -> ImageFitState:
-    """Last part of the fit, with all pixels: outliers, noise, and the last steps."""
+    """Exclude outliers, estimate the noise and take the last steps of the fit, with all pixels."""
     fit_state = _exclude_outliers(
         scene, _evaluate(scene, fit_state.state, fit_state.free), rounds=1
     )

@@ -75,16 +75,17 @@ class ImageFitState(eqx.Module):
         return rows * self._slope(scene)
 
     def rows_by_local(self, scene: PixelScene) -> Float[np.ndarray, "2 n"]:
-        """Derivatives of the grey levels after saturation by local light and veil, (2, n).
-
-        n counts all pixels.
+        """Derivatives of all grey levels after saturation, (2, n), by local light and by local
+        veil.
         """
         near_circles, near_lines = self.prediction.near_circles, self.prediction.near_lines
         rows = scene.join((near_circles.by_local, near_lines.by_local))
         return rows * self._slope(scene)
 
     def _slope(self, scene: PixelScene) -> Float[np.ndarray, "n"] | np.float32:
-        """Derivative of the mean grey level after saturation by the level before saturation."""
+        """Derivative of the mean grey level after saturation with respect to that before
+        saturation.
+        """
         if self.state.unknowns.is_ideal or np.isinf(scene.top):
             return np.float32(1.0)
         return np.asarray(
@@ -95,6 +96,8 @@ class ImageFitState(eqx.Module):
         self,
     ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k"], Float[np.ndarray, "b 6 k"]]:
         """Normal equations of the pose and the image's unknowns, with all local levels eliminated.
+
+        The local levels describe the light and the veil of each block of the sheet.
 
         Returns
         -------

@@ -100,10 +100,10 @@ class Levels(NamedTuple):
     Attributes
     ----------
     level : (n,) grey levels.
-    by_homography : nine arrays (n,), derivatives by the elements of the sheet-from-camera
-        homography.
+    by_homography : nine arrays (n,), derivatives with respect to the elements of the
+        sheet-from-camera homography.
     by_appearance : one array (n,) for each unknown of blur, ink and response.
-    by_light, by_veil : (n,) derivatives by the light and by the veil at the pixel.
+    by_light, by_veil : (n,) derivatives with respect to the light and to the veil at the pixel.
     """
 
     level: Float[ArrayLike, "n"]
@@ -116,8 +116,8 @@ class Levels(NamedTuple):
 class _Ink(NamedTuple):
     """Share of ink in each pixel, and its derivatives.
 
-    The derivatives are by a displacement on the sheet (x, y), by the spread of ink, and by the
-    kernel.
+    The derivatives are with respect to a displacement on the sheet (x, y), to the spread of ink,
+    and to the parameters of the kernel.
     """
 
     share: Float[ArrayLike, "*n"]
@@ -140,7 +140,7 @@ def predict_levels(
 ) -> Levels:
     """Predict the grey levels of pixels, with derivatives.
 
-    The derivatives by the response assume a constant light in the centre of the image.
+    The derivatives with respect to the response assume a constant light in the centre of the image.
 
     Parameters
     ----------
@@ -254,9 +254,9 @@ def _blurs(appearance: dict[str, Scalar]) -> tuple[Float[ArrayLike, "2"], Kernel
 def _by_homography(
     point: SheetPoint, by_x: Float[ArrayLike, "n"], by_y: Float[ArrayLike, "n"]
 ) -> list[Float[ArrayLike, "_n"]]:
-    """Derivatives by the nine elements of the homography.
+    """Derivatives with respect to the nine elements of the homography.
 
-    by_x, by_y : derivatives by the position X, Y on the sheet, 1/mm.
+    by_x, by_y : derivatives with respect to the position X, Y on the sheet, 1/mm.
     """
     by_w = -(by_x * point.point_mm[0] + by_y * point.point_mm[1])
     return [row * point.by_matrix[k] for row in (by_x, by_y, by_w) for k in range(3)]

@@ -232,7 +232,7 @@ def _shift(edge: Edge, dx: Scalar, dy: Scalar) -> Scalar:
 
 
 def _by_line(covered: EdgeCoverage) -> EdgeCoverage:
-    """Coverages by the four sides of the crossed lines; the first two axes are (line, side)."""
+    """Rearrange coverages so that the first two axes are (crossed line, side of the line)."""
     return jax.tree.map(lambda leaf: leaf[_SIDES].reshape(2, 2, *leaf.shape[1:]), covered)
 
 

@@ -250,8 +250,8 @@ def sum_correlated(
     Parameters
     ----------
     grid : lookup of neighbouring pixels.
-    rows : (p, n) derivatives of the pixels by p parameters, divided by the standard deviation of
-        the noise.
+    rows : (p, n) derivatives of the pixels with respect to p parameters, divided by the standard
+        deviation of the noise.
     correlation : (l, l) correlation by offset, see `autocorrelation`.
     """
     spread, reach = np.zeros_like(rows), grid.reach_px

@@ -41,9 +41,10 @@ class _SharedUnknowns(NamedTuple):
 
     Attributes
     ----------
-    rows : (n, q) derivatives of the n pixels by the q shared unknowns of the whole image.
-    by_levels : (n, l) sparse derivatives by the local levels of all blocks; l = 0 without local
-        light.
+    rows : (n, q) derivatives of the n pixels with respect to the q shared unknowns of the whole
+        image.
+    by_levels : (n, l) sparse derivatives with respect to the local levels of all blocks; l = 0
+        without local light.
     prior : (q + l,) reciprocal variances of the priors.
     prior_gradient : (q + l,) gradient of the priors' cost.
     """
@@ -169,7 +170,7 @@ def _shared_unknowns(
 
     Local light must be included, because its effects are similar to those of a displacement.
 
-    by_values : (k, n) derivatives of the pixels by all unknowns of the image.
+    by_values : (k, n) derivatives of the pixels with respect to all unknowns of the image.
     inflation : factor by which the correlation of the noise increases variances.
     """
     state, free = fit_state.state, fit_state.free[scene.model.size :]
@@ -189,7 +190,7 @@ def _shared_unknowns(
 def _local_light(
     scene: PixelScene, fit_state: ImageFitState, prior: ImagePrior
 ) -> tuple["scipy.sparse.csr_matrix", Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
-    """Derivatives of the pixels by the local levels, and the priors of the local levels.
+    """Derivatives of the pixels with respect to the local levels, and the priors of these levels.
 
     The priors are given by their reciprocal variances and the gradient of their cost.
     """
@@ -221,8 +222,8 @@ def _displacements(
 
     Parameters
     ----------
-    by_px : (2, n) derivatives of the pixels' grey levels by a displacement of the image in u and in
-        v.
+    by_px : (2, n) derivatives of the pixels' grey levels with respect to a displacement of the
+        image in u and in v.
     patch : (n,) patch index of each pixel.
     count : number m of patches.
     residual, weight : (n,) residuals, and reciprocal variances of the pixels.
@@ -236,7 +237,7 @@ def _displacements(
     rows, by_levels, weighted = shared.rows, shared.by_levels, by_px * weight
 
     def sum_by_patch(values: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m k"]:
-        """Weighted sums over each patch: derivatives by u and by v, times `values`."""
+        """Weighted sums over each patch: derivatives with respect to u and to v, times `values`."""
         sums = [[np.bincount(patch, axis * row, count) for row in values] for axis in weighted]
         return np.array(sums).transpose(2, 0, 1).reshape(2 * count, len(values))
 
@@ -271,7 +272,7 @@ def _sums_with_levels(
     count: int,
     by_levels: "scipy.sparse.csr_matrix",
 ) -> Float[np.ndarray, "m l"]:
-    """Sums over the pixels of each patch: `weighted` times the derivatives by the local levels."""
+    """Sums over each patch: `weighted` times the derivatives with respect to the local levels."""
     if not by_levels.shape[1]:  # pyright: ignore[reportOptionalSubscript]
         return np.zeros((2 * count, 0))
     pixel, column = np.tile(np.arange(len(patch)), 2), np.concatenate([2 * patch, 2 * patch + 1])

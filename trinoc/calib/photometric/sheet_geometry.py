@@ -30,9 +30,9 @@ class Ray(NamedTuple):
     Attributes
     ----------
     direction : (3,) direction through the centre of the pixel, of any length.
-    by_pixel : (3, 2) derivatives of `direction` by the pixel coordinates (u, v).
-    second_by_pixel : (3, 3) second derivatives of `direction` by uu, uv and vv; None for a lens
-        without distortion. Because of them, images of straight edges are curved.
+    by_pixel : (3, 2) derivatives of `direction` with respect to the pixel coordinates (u, v).
+    second_by_pixel : (3, 3) second derivatives of `direction` with respect to uu, uv and vv; None
+        for a lens without distortion. Because of them, images of straight edges are curved.
     """
 
     direction: Float[ArrayLike, "3 *n"]
@@ -59,16 +59,17 @@ class SheetPoint(NamedTuple):
     Attributes
     ----------
     point_mm : (2,) point (X, Y) on the sheet.
-    by_pixel : (2, 2) matrix A, derivative of the point by the pixel coordinates (u, v), mm per px.
-    depth_slope : (2,) vector w, derivative of the logarithm of the homogeneous coordinate by (u,
-        v), per px. The second derivatives of the point are -(A_ij w_k + A_ik w_j) plus
-        `second_by_pixel`.
+    by_pixel : (2, 2) matrix A, derivative of the point with respect to the pixel coordinates (u,
+        v), mm per px.
+    depth_slope : (2,) vector w, derivative of the logarithm of the homogeneous coordinate with
+        respect to (u, v), per px. The second derivatives of the point are -(A_ij w_k + A_ik w_j)
+        plus `second_by_pixel`.
     by_matrix : (3,) ray divided by the homogeneous coordinate. If the rows of the sheet-from-camera
         homography change by dM, point_i changes by (dM_i - point_i dM_2) . by_matrix.
     unit : 1, which the compiler cannot simplify. Division by it makes XLA compute a value once and
         not at every use.
-    second_by_pixel : (2, 3) second derivatives of the point by uu, uv and vv due to lens
-        distortion; None without distortion.
+    second_by_pixel : (2, 3) second derivatives of the point with respect to uu, uv and vv due to
+        lens distortion; None without distortion.
     """
 
     point_mm: Float[ArrayLike, "2 *n"]
@@ -82,7 +83,7 @@ class SheetPoint(NamedTuple):
 def sheet_point(
     sheet_from_camera: Float[ArrayLike, "3 3"], ray: Ray, unit: Float[ArrayLike, "*n"]
 ) -> SheetPoint:
-    """Point of the sheet under each ray, with derivatives by the pixel coordinates.
+    """Point of the sheet under each ray, with derivatives with respect to the pixel coordinates.
 
     Parameters
     ----------
@@ -248,7 +249,8 @@ def sheet_points_and_slopes(
 
     Returns
     -------
-    (2, n) points (X, Y), mm, and their derivatives by u and by v, each (2, n), mm per px.
+    (2, n) points (X, Y), mm, and their derivatives with respect to u and to v, each (2, n), mm per
+    px.
     """
     uv_px = np.stack([column, row], axis=1).astype(np.float64)
     ray = lens_rays(lens, uv_px, with_second=False)

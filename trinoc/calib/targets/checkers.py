@@ -210,7 +210,7 @@ class Charuco(AbstractSquareBoard):
 
     @property
     def _is_dark(self) -> Bool[np.ndarray, "rows columns"]:
-        """Mask of the dark squares of the print, if it is neither inverted nor mirrored.
+        """Mask of the dark squares of a print that is neither inverted nor mirrored.
 
         The light squares contain the markers. Their ids increase row by row from the top left.
         """

@@ -87,7 +87,9 @@ def _distances_by_change(
     first: Camera,
     pixels: Float[ArrayLike, "n 2"],
 ) -> Float[ArrayLike, "n 2 p"]:
-    """Derivatives of the distances from the epipolar lines, (n, 2, p), by the cameras' parameters.
+    """Derivatives of the distances from the epipolar lines, (n, 2, p).
+
+    They are with respect to the parameters of both cameras.
 
     values : (2, p) pose, focal lengths and principal point of each camera.
     matrices : (2, 3, 3) camera matrices.
@@ -141,7 +143,7 @@ def _points_by_change(
     matrices: Float[ArrayLike, "v 3 3"],
     points_mm: Float[ArrayLike, "n 3"],
 ) -> Float[ArrayLike, "n 3 v p"]:
-    """Derivatives of triangulated points, (n, 3, v, p), by the cameras' parameters.
+    """Derivatives of triangulated points, (n, 3, v, p), with respect to the cameras' parameters.
 
     The points are triangulated from exact pixels.
 
@@ -261,9 +263,10 @@ def _by_parameters(
     distance_mm: Float[ArrayLike, ""],
     model: PoseModel,
 ) -> Array:
-    """Derivatives of the pixels of fixed points, (n, 2, p), by the pose (degrees, mm) and the lens.
+    """Derivatives of the pixels of fixed points with respect to pose and lens, (n, 2, p).
 
-    The points lie on the rays of `grid_px`, at the distance `distance_mm`.
+    The points lie on the rays of `grid_px`, at the distance `distance_mm`. The units of the pose
+    are degrees and mm.
     """
     rays = jax.vmap(lens.unproject)(grid_px)
     rotation, centre = jnp.asarray(pose.rotation), pose.centre_world_mm
