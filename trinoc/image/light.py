@@ -39,7 +39,7 @@ class Light(NamedTuple):
     def from_picture(
         cls, picture: Shaped[np.ndarray, "..."], response: ResponseLike = "linear"
     ) -> "Light":
-        """Compute the light of an image.
+        """Compute the light of an image: its grey levels decoded by the camera's response.
 
         Parameters
         ----------

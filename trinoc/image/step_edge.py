@@ -182,7 +182,7 @@ def fit_profiles(
     used = information > 0
     first = np.argsort(~used, axis=1, kind="stable")[:, : used.sum(axis=1).max(initial=1)]
     across_px, level, information = (
-        np.take_along_axis(each, first, axis=1) for each in (across_px, level, information)
+        np.take_along_axis(array, first, axis=1) for array in (across_px, level, information)
     )
     root, precision = np.sqrt(information), np.maximum(precision, _WEAK_INFORMATION)
 

@@ -272,21 +272,17 @@ class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
     def transpose(
         self, state: FactoredArrow, options: dict[str, Any]
     ) -> tuple[FactoredArrow, dict[str, Any]]:
-        """Prepared transpose of the matrix, which is the same, because the matrix is symmetric."""
+        """Prepared transpose of the matrix: the same, because the matrix is symmetric."""
         return state, options
 
     def conj(
         self, state: FactoredArrow, options: dict[str, Any]
     ) -> tuple[FactoredArrow, dict[str, Any]]:
-        """Prepared complex conjugate of the matrix, which is the same, because the matrix is
-        real.
-        """
+        """Prepared complex conjugate of the matrix: the same, because the matrix is real."""
         return state, options
 
     def assume_full_rank(self) -> bool:
-        """True: the solver treats every matrix as regular, because undetermined unknowns are
-        fixed or damped.
-        """
+        """True, because the solver fixes or damps undetermined unknowns."""
         return True
 
 

@@ -137,8 +137,8 @@ def shown_parts_of_segments_mm(
     """
     parts_by_view = {}
     for name, edge in truth.edge_of.items():
-        real = edge >= 0
-        parts_by_view[name] = (edge[real], truth.extent[name][real])
+        has_edge = edge >= 0
+        parts_by_view[name] = (edge[has_edge], truth.extent[name][has_edge])
     return parts_in_views_mm(truth.edges_mm, parts_by_view, views=views)
 
 

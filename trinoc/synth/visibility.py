@@ -148,9 +148,9 @@ def _remainder(
     """Parts of the interval [low, high] that are outside all hidden intervals."""
     if low > high:
         return []
-    real: Bool[np.ndarray, "t"] = hidden[:, 1] >= hidden[:, 0]
+    is_hidden: Bool[np.ndarray, "t"] = hidden[:, 1] >= hidden[:, 0]
     parts, position = [], float(low)
-    for start, end in sorted(map(tuple, hidden[real])):
+    for start, end in sorted(map(tuple, hidden[is_hidden])):
         if start > position + _SLIVER:
             parts.append((position, min(float(start), float(high))))
         position = max(position, float(end))

@@ -131,9 +131,12 @@ def _find_sheets(
         except DetectionError as failure:
             failures.append((len(lattice), failure))
             continue
-        same = [other for other in sheets if _shows_same_sheet(other, sheet, pattern)]
+        same_sheets = [other for other in sheets if _shows_same_sheet(other, sheet, pattern)]
         different = [other for other in sheets if not _shows_same_sheet(other, sheet, pattern)]
-        sheets = [*different, max([*same, sheet], key=lambda candidate: len(candidate.index[0]))]
+        sheets = [
+            *different,
+            max([*same_sheets, sheet], key=lambda candidate: len(candidate.index[0])),
+        ]
     return sheets
 
 
@@ -159,11 +162,11 @@ def _read_sheet(
     blob_area = np.sqrt(np.linalg.det(blobs.shape_px2[lattice.blob]))
     swelling = quick_median(blob_area / np.sqrt(np.linalg.det(shape)))
     coarse = fit_coarsely(image, centres, shape * swelling, symmetry.hole_ratio, tuning)
-    good = are_plausible(coarse, centres, shape, image.noise_sigma)
+    is_plausible = are_plausible(coarse, centres, shape, image.noise_sigma)
     fewest = tuning.detection.fewest_places
-    if np.sum(good) < fewest:
+    if np.sum(is_plausible) < fewest:
         raise _no_sheet_error(pattern)
-    coarse, cell = coarse.take(good), lattice.cell[good]
+    coarse, cell = coarse.take(is_plausible), lattice.cell[is_plausible]
     index = label_circles(cell, _ring_evidence(coarse, symmetry, tuning), symmetry, tuning)
     on_pattern = index >= 0
     ellipses, index, mapping = measure_circles(

@@ -110,9 +110,9 @@ def _symmetries(
     """
     ring_evidence = np.where(pattern.is_ring, 2.0, -2.0)
     index, score = _placements(pattern.lattice, ring_evidence, pattern, maps, tuning)
-    same = index[score > len(pattern) - 0.5]
-    is_identity = np.all(same == np.arange(len(pattern)), axis=1)
-    return same[np.argsort(~is_identity, kind="stable")]
+    symmetries = index[score > len(pattern) - 0.5]
+    is_identity = np.all(symmetries == np.arange(len(pattern)), axis=1)
+    return symmetries[np.argsort(~is_identity, kind="stable")]
 
 
 def _placements(
@@ -195,18 +195,18 @@ def label_circles(
         )
         lead = mirrored_score.max() - score.max()
         is_ambiguous |= bool(lead > -margin)
-        wrong = _count_contradicting(
+        contradicting = _count_contradicting(
             mirrored[mirrored_score.argmax()], ring_evidence, pattern, tuning
         )
-        if lead > margin and wrong <= allowed:
+        if lead > margin and contradicting <= allowed:
             raise MirroredError(
                 f"The image shows the sheet {pattern.name!r} mirrored; flip the image left to"
                 " right, or photograph the printed side."
             )
-    wrong = _count_contradicting(index, ring_evidence, pattern, tuning)
-    if wrong > allowed:
+    contradicting = _count_contradicting(index, ring_evidence, pattern, tuning)
+    if contradicting > allowed:
         raise DetectionError(
-            f"The image shows a grid of {len(cell)} circles, but {wrong} of them do not fit"
+            f"The image shows a grid of {len(cell)} circles, but {contradicting} of them do not fit"
             f" the pattern {pattern.name!r}; give the pattern that was printed, or focus the"
             " camera if the image is blurred."
         )

@@ -199,15 +199,15 @@ def _grow(
         nearest = np.argmin(distance2, axis=1)
         best_cell = np.argmin(distance2, axis=0)
         index = np.arange(len(cells))
-        good = (distance2[index, nearest] < tuning.detection.miss_radii**2) & (
+        is_accepted = (distance2[index, nearest] < tuning.detection.miss_radii**2) & (
             best_cell[nearest] == index
         )
-        grown = Lattice(nearest[good], cells[good])
+        grown = Lattice(nearest[is_accepted], cells[is_accepted])
         if len(grown) < 4 or _is_flat(grown.cell):
             break
-        same = np.array_equal(np.sort(grown.blob), np.sort(lattice.blob))
+        is_unchanged = np.array_equal(np.sort(grown.blob), np.sort(lattice.blob))
         lattice = grown
-        if same or len(lattice) == len(symmetry.pattern):
+        if is_unchanged or len(lattice) == len(symmetry.pattern):
             break
     return lattice
 

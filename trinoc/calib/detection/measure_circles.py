@@ -107,19 +107,19 @@ def measure_circles(
     missing, centre, shape = missing[inside], centre[inside], shape[inside]
     if len(missing):
         extra = fit_coarsely(image, centre, shape, symmetry.hole_ratio, tuning)
-        good = are_plausible(extra, centre, shape, image.noise_sigma)
-        good &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
+        is_accepted = are_plausible(extra, centre, shape, image.noise_sigma)
+        is_accepted &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
         contrast = (extra.paper * extra.ink) / quick_median(coarse.paper * coarse.ink)
-        good &= (contrast > 0.35) & (contrast < 3.0)
-        coarse = coarse.concatenate(extra.take(good))
-        index = np.concatenate([index, missing[good]])
+        is_accepted &= (contrast > 0.35) & (contrast < 3.0)
+        coarse = coarse.concatenate(extra.take(is_accepted))
+        index = np.concatenate([index, missing[is_accepted]])
     fine = _fit_finely(image, coarse, index, symmetry, mapping, tuning)
     centre, shape = mapping.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
-    good = are_plausible(fine, centre, shape, image.noise_sigma)
-    good &= are_undisturbed(fine, image.noise_sigma)
+    is_accepted = are_plausible(fine, centre, shape, image.noise_sigma)
+    is_accepted &= are_undisturbed(fine, image.noise_sigma)
     is_in_place, mapping = select_agreeing(fine, index, pattern, tuning)
-    good &= is_in_place
-    return fine.take(good), index[good], mapping
+    is_accepted &= is_in_place
+    return fine.take(is_accepted), index[is_accepted], mapping
 
 
 def _are_inside(

@@ -99,7 +99,7 @@ def select_agreeing(
     -------
     (m,) mask of the circles that agree, and the mapping.
     """
-    good = np.ones(len(index), dtype=bool)
+    agrees = np.ones(len(index), dtype=bool)
     sigma_px = np.sqrt(np.trace(fitted.covariance_px2, axis1=1, axis2=2))
     tolerance_px = 0.03 * smallest_axis(fitted.shape_px2)
     centres_mm, radius_mm = pattern.centres_mm[index], pattern.radius_mm[index]
@@ -108,12 +108,12 @@ def select_agreeing(
         centre, shape = mapping.ellipses(centres_mm, radius_mm)
         deviation = fitted.centres_px - centre
         error_px = np.sqrt(deviation[:, 0] ** 2 + deviation[:, 1] ** 2)
-        previous = good
-        good = error_px < 3.0 * quick_median(error_px[good]) + 3.0 * sigma_px + tolerance_px
-        good &= _have_expected_shapes(fitted, shape, sigma_px)
-        if np.array_equal(previous, good) or np.sum(good) < tuning.detection.fewest_places:
+        previous = agrees
+        agrees = error_px < 3.0 * quick_median(error_px[agrees]) + 3.0 * sigma_px + tolerance_px
+        agrees &= _have_expected_shapes(fitted, shape, sigma_px)
+        if np.array_equal(previous, agrees) or np.sum(agrees) < tuning.detection.fewest_places:
             break
         mapping = fit_plane_mapping(
-            centres_mm[good], fitted.centres_px[good], radius_mm[good], tuning=tuning
+            centres_mm[agrees], fitted.centres_px[agrees], radius_mm[agrees], tuning=tuning
         )
-    return good, mapping
+    return agrees, mapping

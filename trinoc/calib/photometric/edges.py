@@ -136,7 +136,7 @@ def circular_edge(
     change = curvature * tangent_t * tangent_t / (radius_mm * radius_mm) * (3 + ratio)
     curvature = curvature + lens.along_t
     outward, sideways = _rotate_components(-shift_u, -shift_v, normal_u, normal_v)
-    rest = (centre_distance - radius_mm) / gradient
+    remaining = (centre_distance - radius_mm) / gradient
     rounding = 0.5 * curvature * sideways * sideways / jnp.maximum(1 + curvature * outward, 0.5)
     # The largest stretch of the mapping bounds the slope of F. Inside an oblique ellipse, where the
     # foot may lie on either side, this keeps the distance from vanishing.
@@ -145,7 +145,7 @@ def circular_edge(
     flat = jnp.sqrt(jnp.maximum(squares * squares - 4 * area * area, 0.0))
     stretch = jnp.sqrt(0.5 * (squares + flat))
     lower_bound = _SURE_SHARE * jnp.abs(value) / stretch
-    distance = outward + rest + rounding
+    distance = outward + remaining + rounding
     distance = jnp.where(
         value < 0, jnp.minimum(distance, -lower_bound), jnp.maximum(distance, lower_bound)
     )

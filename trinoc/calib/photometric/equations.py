@@ -392,8 +392,8 @@ def pixel_rows(
     """
     pixels, unknowns = group.pixels, state.unknowns
     single = pixels.grey.dtype
-    shared = homography, state, image.cross, image.white
-    plane, rounded, cross, white = jax.tree.map(lambda leaf: jnp.asarray(leaf, single), shared)
+    arguments = homography, state, image.cross, image.white
+    plane, rounded, cross, white = jax.tree.map(lambda leaf: jnp.asarray(leaf, single), arguments)
     terms = light_terms(pixels.position.T, max(unknowns.light_terms, unknowns.veil_terms))
     light_basis, veil_basis = terms[: unknowns.light_terms], terms[: unknowns.veil_terms]
     polynomial, veil = rounded.light @ light_basis, rounded.veil @ veil_basis

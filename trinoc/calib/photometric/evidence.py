@@ -44,7 +44,7 @@ OF_RESPONSE = ("bend", "contrast", "lift")
 def find_refuted_part(
     scene: PixelScene, fit_state: ImageFitState
 ) -> Literal["nothing", "noise", "model"]:
-    """Test by its residuals whether the ideal camera model describes an image.
+    """Test whether the ideal camera model describes an image, by the residuals of its fit.
 
     Parameters
     ----------

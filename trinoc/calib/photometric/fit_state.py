@@ -68,23 +68,25 @@ class ImageFitState(eqx.Module):
     def rows(self, scene: PixelScene) -> Float[np.ndarray, "k n"]:
         """Derivatives of the grey levels of all pixels after saturation, (9 + k, n).
 
-        The first 9 rows are by the elements of the homography, the other k by the unknowns of the
-        image.
+        The first 9 rows are with respect to the elements of the homography, the other k with
+        respect to the unknowns of the image.
         """
         rows = scene.join((self.prediction.near_circles.rows, self.prediction.near_lines.rows))
         return rows * self._slope(scene)
 
     def rows_by_local(self, scene: PixelScene) -> Float[np.ndarray, "2 n"]:
-        """Derivatives of all grey levels after saturation, (2, n), by local light and by local
-        veil.
+        """Derivatives of all grey levels after saturation, (2, n).
+
+        They are with respect to the light and the veil of each pixel's block.
         """
         near_circles, near_lines = self.prediction.near_circles, self.prediction.near_lines
         rows = scene.join((near_circles.by_local, near_lines.by_local))
         return rows * self._slope(scene)
 
     def _slope(self, scene: PixelScene) -> Float[np.ndarray, "n"] | np.float32:
-        """Derivative of the mean grey level after saturation with respect to that before
-        saturation.
+        """Derivative of the mean grey level after saturation.
+
+        It is with respect to the level before saturation.
         """
         if self.state.unknowns.is_ideal or np.isinf(scene.top):
             return np.float32(1.0)

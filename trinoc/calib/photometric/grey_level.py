@@ -216,7 +216,7 @@ def grey_level(
 
 
 def _grey_level(signal: Signal, tone: Tone, *, paper: Scalar, white: Scalar) -> Scalar:
-    """Grey level of a signal: the camera's response, then its sharpening."""
+    """Grey level of a signal after the camera's response and its sharpening."""
     level = grey_level(signal.sharp, signal.light, signal.veil, paper, white, tone)
     smoothed = signal.light * (1 + tone.ratio * signal.soft) + signal.veil
     return level + tone.lobe * (level - smoothed)

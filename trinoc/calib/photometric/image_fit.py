@@ -197,9 +197,11 @@ def describe_processing(
     value = dict(zip(names, map(float, fit_state.state.values), strict=False))
     sigma = dict(zip(names, map(float, spread_of_values(scene, fit_state)), strict=False))
     significant = {name for name in names if 0 < _SIGMAS * sigma[name] < abs(value[name])}
-    effects, bend = [], value["bend"]
-    if scene.response_bend is None and abs(bend) > max(_SIGMAS * sigma["bend"], _LEAST_BEND):
-        effects.append(sentences.response_of(bend, sigma["bend"]))
+    effects, response_bend = [], value["bend"]
+    if scene.response_bend is None and abs(response_bend) > max(
+        _SIGMAS * sigma["bend"], _LEAST_BEND
+    ):
+        effects.append(sentences.response_of(response_bend, sigma["bend"]))
     if "contrast" in significant:
         effects.append(sentences.S_CURVE)
     if "lobe" in significant and value["lobe"] > _LEAST_LOBE:

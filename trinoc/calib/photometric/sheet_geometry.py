@@ -164,8 +164,8 @@ def _distorted_rays(
         if not with_second:
             return Ray(lens.unproject(uv), first(uv))
         second = jax.jacfwd(first)(uv)
-        bend = jnp.stack([second[:, 0, 0], second[:, 0, 1], second[:, 1, 1]], axis=1)
-        return Ray(lens.unproject(uv), first(uv), bend)
+        second_by_pixel = jnp.stack([second[:, 0, 0], second[:, 0, 1], second[:, 1, 1]], axis=1)
+        return Ray(lens.unproject(uv), first(uv), second_by_pixel)
 
     return jax.vmap(ray)(uv_px)
 

@@ -98,13 +98,13 @@ class Chessboard(AbstractSquareBoard):
         """
         grid = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
         dark = dark_squares(self.rows + 1, self.columns + 1)
-        same = [
+        permutations = [
             np.rot90(grid, quarters).ravel()
             for quarters in range(4)
             if np.rot90(grid, quarters).shape == grid.shape
             and np.array_equal(np.rot90(dark, quarters), dark)
         ]
-        return np.stack(same)
+        return np.stack(permutations)
 
 
 class Charuco(AbstractSquareBoard):

@@ -100,8 +100,8 @@ class Pattern(Displayable, AbstractBoard):
             partly visible sheet can be labelled (`trinoc.calib.targets.ring_code`). "none" makes
             all circles discs; an image cannot show the orientation of such a sheet.
         inner_radius_mm : radius of the white hole of a ring; half the outer radius if None.
-        line_width_mm : width of the crossed lines; 0 for none.
-        line_half_length_mm : half the lengths of the lines along X and Y. If None, they end
+        line_width_mm : width of the crossed lines; 0 for no lines.
+        line_half_length_mm : half the lengths of the lines along X and Y. If None, lines end
             0.75 `pitch_mm` beyond the outer centres.
         line_style, line_gap_mm : see `Pattern`.
         name : name of the sheet; made from its sizes if None.
@@ -267,7 +267,7 @@ class Pattern(Displayable, AbstractBoard):
         if self.line_style == "through":
             return [*circles, *lines]
         if self.line_style == "white":
-            return [*lines, *circles, *(_line_on_circle(self, *each) for each in crossings)]
+            return [*lines, *circles, *(_line_on_circle(self, *crossing) for crossing in crossings)]
         gaps = [Disc(centres[k], radii[k] + self.line_gap_mm, False) for k, _ in crossings]
         return [*lines, *gaps, *circles]
 
@@ -320,7 +320,7 @@ def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
         return "it has no circle"
     numbers = [centres, radius, pattern.inner_radius_mm, pattern.line_half_length_mm]
     numbers += [pattern.line_width_mm, pattern.line_gap_mm]
-    if not all(np.all(np.isfinite(each)) for each in numbers):
+    if not all(np.all(np.isfinite(number)) for number in numbers):
         return "a number is not finite"
     if np.any(radius <= 0.0):
         return f"circle {int(np.argmin(radius))} has a radius that is not positive"

@@ -122,12 +122,12 @@ def square_sheet(board: AbstractTarget, *, quarters: int = 0) -> SquareSheet:
     grids = board.cell_grids(quarters=quarters)
     bounds = np.concatenate([_cell_bounds_mm(grid) for grid in grids])
     is_ink = np.repeat([not grid.is_blank for grid in grids], [grid.is_ink.sum() for grid in grids])
-    same = _SAME * float(np.ptp(bounds))
-    x_mm, y_mm = (_distinct(bounds[..., axis], same) for axis in (0, 1))
+    tolerance_mm = _SAME * float(np.ptp(bounds))
+    x_mm, y_mm = (_distinct(bounds[..., axis], tolerance_mm) for axis in (0, 1))
     ink = np.zeros((len(y_mm) + 1, len(x_mm) + 1), dtype=bool)
     # The cell that begins at a line has the number of the lines up to it.
-    columns = np.searchsorted(x_mm, bounds[..., 0] + 2 * same)
-    rows = np.searchsorted(y_mm, bounds[..., 1] + 2 * same)
+    columns = np.searchsorted(x_mm, bounds[..., 0] + 2 * tolerance_mm)
+    rows = np.searchsorted(y_mm, bounds[..., 1] + 2 * tolerance_mm)
     for (left, right), (low, high), inked in zip(columns, rows, is_ink, strict=True):
         ink[low:high, left:right] = inked
     return SquareSheet(
@@ -143,9 +143,9 @@ def _cell_bounds_mm(grid: CellGrid) -> Float[np.ndarray, "c 2 2"]:
     return np.stack([low, low + 1], axis=1) * grid.cell_mm + grid.middle_mm
 
 
-def _distinct(values: Float[np.ndarray, "..."], same: float) -> Float[np.ndarray, "m"]:
+def _distinct(values: Float[np.ndarray, "..."], tolerance_mm: float) -> Float[np.ndarray, "m"]:
     rising = np.sort(values.ravel())
-    return rising[np.concatenate([[True], np.diff(rising) > same])]
+    return rising[np.concatenate([[True], np.diff(rising) > tolerance_mm])]
 
 
 def _runs_of_cells(is_ink: Bool[np.ndarray, "rows columns"]) -> list[Float[np.ndarray, "4 2"]]:
