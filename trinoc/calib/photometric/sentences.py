@@ -22,7 +22,7 @@ UNEVEN_LIGHT = "uneven light"
 
 
 def contradicts_circles(distance_px: float) -> str:
-    """Message on grey levels that contradict the circles of the sheet.
+    """Return the message that the grey levels contradict the detected circle centres.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def contradicts_circles(distance_px: float) -> str:
 
 
 def response_of(bend: float, sigma: float) -> str:
-    """Description of a nonlinear camera response.
+    """Return the description of a nonlinear camera response.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def response_of(bend: float, sigma: float) -> str:
 
 
 def sharpened(amplitude: float) -> str:
-    """Description of an image that software has sharpened.
+    """Return the description of an image that software has sharpened.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def sharpened(amplitude: float) -> str:
 
 
 def moved(length_px: float, angle_deg: float) -> str:
-    """Description of motion blur: camera or sheet moved during the exposure.
+    """Return the description of motion blur: camera or sheet moved during the exposure.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def moved(length_px: float, angle_deg: float) -> str:
 
 
 def correlated_noise(inflation: float) -> str:
-    """Description of noise that is correlated between neighbouring pixels.
+    """Return the description of noise that is correlated between neighbouring pixels.
 
     Parameters
     ----------
