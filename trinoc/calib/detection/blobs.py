@@ -14,7 +14,7 @@ _SHORTEST_OUTLINE_PX = 8
 
 
 class Blobs(NamedTuple):
-    """Dark blobs of an image that may be circles, as ellipses.
+    """Dark blobs of an image that may be circles, described as ellipses.
 
     Attributes
     ----------

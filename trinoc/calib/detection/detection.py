@@ -22,7 +22,7 @@ _POSITION = ("u_px", "v_px")
 
 
 class Detection(Table):
-    """Labelled points (circles or corners) of one board, detected in one image.
+    """Labelled points (circles or corners) of a board or a set of boards, detected in one image.
 
     Attributes
     ----------

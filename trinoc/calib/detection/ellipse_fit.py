@@ -257,7 +257,9 @@ def _select_inliers(
     noise_sigma: float,
     tuning: CalibTuning,
 ) -> Bool[np.ndarray, "n p"]:
-    """Mask of the pixels whose residuals noise and the image's typical misfit explain.
+    """Mask of the inlier pixels.
+
+    The residual of an inlier can be explained by noise and by the typical misfit of the image.
 
     share : smallest limit of the residuals, as a share of the contrast.
     """
@@ -370,7 +372,7 @@ def with_window_noise(
     outlier_share: float,
     tuning: CalibTuning,
 ) -> Ellipses:
-    """Replace the covariances of the centres by covariances for correlated noise of the pixels.
+    """Copy of the ellipses with covariances of their centres for correlated noise of the pixels.
 
     Parameters
     ----------

@@ -296,7 +296,7 @@ def _is_saddle(
     spacing: float,
     tuning: CalibTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """Mask of the corners with plausible grey levels in the four fields around them.
+    """Mask of the corners with plausible grey levels in the four quadrants around them.
 
     The tag and the opposite square must be equally dark, and the gaps between tags equally light.
 

@@ -68,9 +68,9 @@ def are_undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
 def _have_expected_shapes(
     fitted: Ellipses, shape_px2: Float[np.ndarray, "n 2 2"], sigma_px: Float[np.ndarray, "n"]
 ) -> np.ndarray:
-    """Mask of the ellipses with the predicted axes and direction.
+    """Mask of the ellipses whose axes and direction agree with the prediction.
 
-    Partly covered circles do not have them.
+    The ellipse of a partly covered circle does not agree.
 
     shape_px2 : (n, 2, 2) predicted shape matrices.
     sigma_px : (n,) standard deviation of each centre.
