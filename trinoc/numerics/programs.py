@@ -102,17 +102,17 @@ class _KeptProgram(NamedTuple):
 
 
 class _StoredProgram(NamedTuple):
-    """A program as the store keeps it, pickled.
+    """Content of the program store for one compiled program, before it is pickled.
 
     Attributes
     ----------
     executable : bytes
-        The program, as JAX serializes it.
+        The compiled program, as JAX serializes it.
     inputs, outputs : int
-        Number of arrays that the program takes and returns.
+        Numbers of arrays that the program has as arguments and as results.
     result : bytes
-        Pickled value with the tree structure of the function's result: structures themselves cannot
-        be pickled.
+        Pickled value whose tree structure is that of the function's result, because a structure
+        itself cannot be pickled.
     uses_lapack : bool
         True if the program calls LAPACK.
     """
@@ -310,15 +310,16 @@ def _load_or_compile(
 
 @contextlib.contextmanager
 def prefetch_programs(contents: Iterable[bytes]) -> Iterator[None]:
-    """Context in which a thread loads stored programs before a function asks for them.
+    """Context in which a thread loads stored programs before they are called.
 
-    XLA links a program for up to 0.4 s without Python's lock, while the main thread imports modules
-    and detects patterns. A program that no function asks for, or that cannot be loaded, is ignored.
+    Loading takes up to 0.4 s per program. The main thread can meanwhile import modules or detect
+    patterns, because XLA releases Python's lock. A program that is never called, or that cannot be
+    loaded, is ignored.
 
     Parameters
     ----------
     contents : iterable of bytes
-        Contents of the store, in the order in which they will be needed.
+        Contents of the program store, in the order in which the programs will be called.
     """
     # Imports of the thread could wait for those of the main thread.
     from jax.experimental import serialize_executable  # noqa: F401
@@ -335,7 +336,10 @@ def prefetch_programs(contents: Iterable[bytes]) -> Iterator[None]:
 
 
 def _load_executable(content: bytes) -> Callable[[list[Any]], list[Any]]:
-    """Load the executable of a stored program. No module of trinoc is imported for it."""
+    """Load the executable of a stored program, without an import of trinoc's modules.
+
+    content : pickled `_StoredProgram`.
+    """
     from jax.experimental import serialize_executable
 
     stored: _StoredProgram = pickle.loads(content)

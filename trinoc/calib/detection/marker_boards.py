@@ -451,5 +451,5 @@ def _read_tag(
     if bits.sum() - code.sum() > tuning.detection.most_wrong * (bits.size - code.size):
         return None
     correctable = cv2.aruco.DetectorParameters().errorCorrectionRate
-    is_one, marker_id, turn = dictionary.identify(code.astype(np.uint8), correctable)
-    return (int(marker_id), int(turn)) if is_one else None
+    is_marker, marker_id, turn = dictionary.identify(code.astype(np.uint8), correctable)
+    return (int(marker_id), int(turn)) if is_marker else None
