@@ -159,8 +159,8 @@ class Pattern(Displayable, AbstractBoard):
         """Make a plain grid of discs: OpenCV's symmetric grid, BoofCV's regular circle grid.
 
         The circles are ordered row by row from the top left, as `cv2.findCirclesGrid` does
-        with patternSize = (columns, rows). The origin is the centre of the grid; OpenCV uses
-        the first circle.
+        with patternSize = (columns, rows). The origin is the centre of the grid; that of
+        OpenCV is the first circle.
 
         Parameters
         ----------
